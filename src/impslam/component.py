@@ -1,0 +1,141 @@
+"""Components: replaceable parts whose fields are their parameters, found by name.
+
+A component is a frozen pydantic model. Its fields are its parameters, each with a unit and a
+sentence; its methods are the role it plays. A role is a direct subclass of `Component`
+(`Extractor`, `Filter`, ...), and every class below a role registers itself in that role:
+
+    @register("hough")
+    class Hough(Extractor): ...
+
+Third parties register through the entry-point group `impslam.components`: each entry point names a
+module, and importing it runs its `@register` lines.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import pkgutil
+from collections.abc import Callable, Mapping
+from importlib.metadata import entry_points
+from typing import Any, ClassVar, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from impslam.errors import ConfigError
+
+_ROLES: dict[str, dict[str, type[Component]]] = {}
+_ROOMS = ("association", "extractors", "filters", "landmarks", "odometry", "sensors", "sources")
+
+C = TypeVar("C", bound="Component")
+
+
+class Component(BaseModel):
+    """A replaceable part. Fields are parameters; mutable state lives in private attributes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+    role: ClassVar[str] = ""
+    name: ClassVar[str] = ""
+
+    @classmethod
+    def describe(cls) -> str:
+        """Return the first line of the class's docstring."""
+        return (cls.__doc__ or "").strip().split("\n", 1)[0]
+
+
+def parameter(default: Any, unit: str, sentence: str, **bounds: Any) -> Any:
+    """Declare a parameter: its default, its unit ("m", "rad", "1", ...) and what it means.
+
+    `bounds` are pydantic's (`gt`, `ge`, `lt`, `le`, ...). Pass `...` for a parameter that has no
+    sensible default.
+    """
+    return Field(default, description=sentence, json_schema_extra={"unit": unit}, **bounds)
+
+
+def register(name: str) -> Callable[[type[C]], type[C]]:
+    """Make a component known under `name` in the role of its base class."""
+
+    def add(cls: type[C]) -> type[C]:
+        known = _ROLES.setdefault(cls.role, {})
+        if name in known and known[name].__qualname__ != cls.__qualname__:
+            raise ConfigError(
+                f"{cls.role} {name!r} is registered twice, by {known[name].__module__} and "
+                f"{cls.__module__}; rename one"
+            )
+        cls.name = name
+        known[name] = cls
+        return cls
+
+    return add
+
+
+def load_components() -> None:
+    """Import every room of the package and every installed plug-in, once."""
+    for room in _ROOMS:
+        package = importlib.import_module(f"impslam.{room}")
+        for module in pkgutil.iter_modules(package.__path__, f"impslam.{room}."):
+            importlib.import_module(module.name)
+    for entry in entry_points(group="impslam.components"):
+        entry.load()
+
+
+def components(role: str) -> Mapping[str, type[Component]]:
+    """Return the registered components of a role, by name."""
+    if role not in _ROLES:
+        load_components()
+    return dict(sorted(_ROLES.get(role, {}).items()))
+
+
+def roles() -> list[str]:
+    """Return the names of all roles that have a component."""
+    load_components()
+    return sorted(_ROLES)
+
+
+def near_miss(word: str, known: Any) -> str:
+    """Return a hint that names the closest known word, or all of them."""
+    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
+    if close:
+        return f"did you mean {close[0]!r}?"
+    return f"known: {', '.join(sorted(known))}"
+
+
+def find(role: str, name: str) -> type[Component]:
+    """Return the component class of a role by its name.
+
+    Raises
+    ------
+    ConfigError
+        If there is none; the message names the near miss.
+    """
+    known = components(role)
+    if name not in known:
+        load_components()
+        known = components(role)
+    if name not in known:
+        raise ConfigError(f"no {role} is called {name!r}; {near_miss(name, known)}")
+    return known[name]
+
+
+def build(role: str, table: Mapping[str, Any], where: str = "") -> Any:
+    """Make a component from a config table whose `kind` names it; the rest are its parameters."""
+    rest = dict(table)
+    if "kind" not in rest:
+        raise ConfigError(
+            f"[{where or role}] lacks 'kind'; known: {', '.join(components(role))}"
+        )
+    cls = find(role, str(rest.pop("kind")))
+    try:
+        return cls(**rest)
+    except ValidationError as error:
+        raise ConfigError(explain(error, where or role, cls.model_fields)) from None
+
+
+def explain(error: ValidationError, where: str, known: Any) -> str:
+    """Turn a pydantic error into one line that says what, where and what to do."""
+    first = error.errors()[0]
+    path = ".".join(str(part) for part in (where, *first["loc"]) if part != "")
+    if first["type"] == "extra_forbidden":
+        return f"{path} is not a parameter; {near_miss(str(first['loc'][-1]), known)}"
+    return f"{path} = {first.get('input')!r}: {first['msg']}"

@@ -1,0 +1,21 @@
+"""The one exception tree. The library raises these; only the command line prints and exits."""
+
+
+class ImpError(Exception):
+    """A failure a user can act on: one line that says what, where and what to do."""
+
+
+class ConfigError(ImpError):
+    """A configuration that cannot be used: an unknown key, a wrong type, an unknown component."""
+
+
+class SourceError(ImpError):
+    """A log, folder or device that cannot be read, or that holds nothing usable."""
+
+
+class MessageError(ImpError):
+    """One message that cannot be used; it is counted, dropped and explained, and the run goes on."""
+
+
+class ShapeError(ImpError, ValueError):
+    """An array that has the wrong shape at a border of the library."""

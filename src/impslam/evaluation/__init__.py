@@ -1,0 +1,1 @@
+"""Estimates against the truth: trajectories, landmarks, tables and plots."""

@@ -1,0 +1,1 @@
+"""The joint belief over robot and landmarks."""

@@ -1,0 +1,94 @@
+"""Rigid motions of the plane.
+
+A pose is `[x, y, theta]` (m, m, rad): the position and heading of a frame seen from another,
+`T_a_b` being frame b in frame a. The manifold is R^2 x S^1 with the group law of SE(2). Closed forms
+for `exp` and `log` follow Solà et al. 2018, "A micro Lie theory", Eq. 152-158; near theta = 0 they
+switch to their Taylor series, where the closed forms lose their digits.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from impslam.geometry.angles import wrap
+
+Array = npt.NDArray[np.float64]
+
+_SMALL = 1e-4  # rad: the series below is exact to 1e-17 there, the closed form only to 1e-12
+
+
+def rotation(theta: float) -> Array:
+    """Return the 2x2 rotation matrix of an angle."""
+    c, s = math.cos(theta), math.sin(theta)
+    return np.array([[c, -s], [s, c]])
+
+
+def compose(T_a_b: Array, T_b_c: Array) -> Array:
+    """Return `T_a_c`, shape (3,)."""
+    c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
+    return np.array(
+        [
+            T_a_b[0] + c * T_b_c[0] - s * T_b_c[1],
+            T_a_b[1] + s * T_b_c[0] + c * T_b_c[1],
+            wrap(float(T_a_b[2] + T_b_c[2])),
+        ]
+    )
+
+
+def compose_jacobians(T_a_b: Array, T_b_c: Array) -> tuple[Array, Array]:
+    """Return the (3, 3) derivatives of `compose` by its first and its second argument."""
+    c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
+    first = np.eye(3)
+    first[0, 2] = -s * T_b_c[0] - c * T_b_c[1]
+    first[1, 2] = c * T_b_c[0] - s * T_b_c[1]
+    second = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return first, second
+
+
+def inverse(T_a_b: Array) -> Array:
+    """Return `T_b_a`, shape (3,)."""
+    c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
+    x, y = T_a_b[0], T_a_b[1]
+    return np.array([-c * x - s * y, s * x - c * y, wrap(-float(T_a_b[2]))])
+
+
+def between(T_a_b: Array, T_a_c: Array) -> Array:
+    """Return `T_b_c`: frame c seen from frame b."""
+    return compose(inverse(T_a_b), T_a_c)
+
+
+def transform(T_a_b: Array, points_in_b: Array) -> Array:
+    """Return points of shape (n, 2) given in frame b as points in frame a."""
+    c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
+    out = np.empty_like(points_in_b, dtype=np.float64)
+    out[..., 0] = T_a_b[0] + c * points_in_b[..., 0] - s * points_in_b[..., 1]
+    out[..., 1] = T_a_b[1] + s * points_in_b[..., 0] + c * points_in_b[..., 1]
+    return out
+
+
+def _sinc_cosc(theta: float) -> tuple[float, float]:
+    """Return sin(t)/t and (1 - cos(t))/t, smooth through t = 0."""
+    if abs(theta) < _SMALL:
+        return 1.0 - theta * theta / 6.0, theta / 2.0 - theta**3 / 24.0
+    return math.sin(theta) / theta, (1.0 - math.cos(theta)) / theta
+
+
+def exp(twist: Array) -> Array:
+    """Return the pose reached by moving with a constant body twist `[vx, vy, omega]` for 1 s."""
+    a, b = _sinc_cosc(float(twist[2]))
+    return np.array(
+        [a * twist[0] - b * twist[1], b * twist[0] + a * twist[1], wrap(float(twist[2]))]
+    )
+
+
+def log(pose: Array) -> Array:
+    """Return the constant body twist that reaches the pose in 1 s; the inverse of `exp`."""
+    theta = wrap(float(pose[2]))
+    a, b = _sinc_cosc(theta)
+    scale = 1.0 / (a * a + b * b)
+    return np.array(
+        [scale * (a * pose[0] + b * pose[1]), scale * (a * pose[1] - b * pose[0]), theta]
+    )

@@ -1,0 +1,1 @@
+"""Landmark models: predict, initialise, retract, and how they are reported."""

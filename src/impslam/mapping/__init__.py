@@ -1,0 +1,1 @@
+"""Occupancy grid and map files."""

@@ -1,0 +1,1 @@
+"""Messages to increments of motion with covariance."""

@@ -1,0 +1,1 @@
+"""Exteroceptive sensors: a message to a scan and observations."""

@@ -1,0 +1,1 @@
+"""Worlds, ray casting, driving and noise: what the robot would have recorded."""

@@ -1,0 +1,1 @@
+"""Where messages come from: log readers, the simulator, live drivers."""

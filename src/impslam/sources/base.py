@@ -1,0 +1,117 @@
+"""The role of a source: stamped messages in the order in which they happened."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import ClassVar, Self
+
+from pydantic import PrivateAttr
+
+from impslam.component import Component, components
+from impslam.errors import SourceError
+from impslam.types import Message
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """One stream in a log, as `imp inspect` shows it. `count` is None where only reading tells."""
+
+    topic: str
+    type: str
+    count: int | None
+    used: bool
+    note: str = ""
+
+
+@dataclass(slots=True)
+class Problems:
+    """What was wrong with a log: a count and the first example of each kind of problem."""
+
+    counts: dict[str, int] = field(default_factory=dict)
+    examples: dict[str, str] = field(default_factory=dict)
+
+    def add(self, kind: str, example: str) -> None:
+        """Count one problem; `example` says what, where and what to do."""
+        self.counts[kind] = self.counts.get(kind, 0) + 1
+        self.examples.setdefault(kind, example)
+
+
+class Source(Component):
+    """A context manager and an iterator of messages, lazy: memory does not grow with the log.
+
+    Messages come in file order; where a log's stamps run backwards they are not sorted. A message
+    that cannot be used is dropped and entered in `problems`.
+    """
+
+    role: ClassVar[str] = "source"
+    preset: ClassVar[str] = "default"
+    """The preset that fits logs of this format when the user names none."""
+
+    path: Path
+    _problems: Problems = PrivateAttr(default_factory=Problems)
+
+    @classmethod
+    @abstractmethod
+    def recognises(cls, path: Path) -> bool:
+        """Tell from the content, not the name, whether this is a log of this format."""
+
+    @abstractmethod
+    def __enter__(self) -> Self:
+        """Open the log; raise `SourceError` if it cannot be read."""
+
+    @abstractmethod
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the log."""
+
+    @abstractmethod
+    def __iter__(self) -> Iterator[Message]:  # type: ignore[override]
+        """Yield messages in file order."""
+
+    @abstractmethod
+    def streams(self) -> list[Stream]:
+        """Return what is in the log; call it while the source is open."""
+
+    @property
+    def problems(self) -> Problems:
+        """What was dropped so far, and why."""
+        return self._problems
+
+    @property
+    def total(self) -> int | None:
+        """Number of steps for a progress bar (messages or bytes), or None if only reading tells."""
+        return None
+
+    @property
+    def position(self) -> int:
+        """How far of `total` the iteration has come."""
+        return 0
+
+
+def recognise(path: Path) -> type[Source]:
+    """Return the source class whose format the path's content has.
+
+    Raises
+    ------
+    SourceError
+        If the path is missing, empty or of no known format.
+    """
+    if not path.exists():
+        raise SourceError(f"{path}: no such file or folder; check the path")
+    if path.is_file() and path.stat().st_size == 0:
+        raise SourceError(f"{path}: the file is empty; record or copy it again")
+    known = components("source")
+    for cls in known.values():
+        if issubclass(cls, Source) and cls.recognises(path):
+            return cls
+    raise SourceError(
+        f"{path}: no known log format; readable are {', '.join(known)} (see `imp list`)"
+    )

@@ -1,0 +1,274 @@
+"""The values that flow: messages in, observations and matches through, step results out.
+
+All are frozen; arrays in them are float64 (or bool, int64 where said) and must not be written to.
+Metres, radians, seconds; x forward, y left, yaw counter-clockwise (REP 103); frames map, odom,
+base_link and laser (REP 105).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from impslam.errors import ShapeError
+from impslam.geometry.se2 import compose, compose_jacobians, exp, log
+
+Array: TypeAlias = npt.NDArray[np.float64]
+Ints: TypeAlias = npt.NDArray[np.int64]
+Mask: TypeAlias = npt.NDArray[np.bool_]
+
+
+def check_shape(name: str, array: npt.NDArray[np.generic], *shape: int | None) -> None:
+    """Raise `ShapeError` unless the array has this shape; None stands for any length."""
+    if array.ndim != len(shape) or any(
+        want is not None and want != have for want, have in zip(shape, array.shape, strict=True)
+    ):
+        raise ShapeError(f"{name} has shape {array.shape}; expected {shape}")
+
+
+# --------------------------------------------------------------------------- messages
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WheelAngles:
+    """Readings of the left and the right wheel encoder at `stamp`.
+
+    In the encoder's own unit: accumulated ticks, an accumulated angle in rad, or the voltage of an
+    absolute encoder that wraps once a turn. The odometry's parameters say which.
+    """
+
+    stamp: float
+    left: float
+    right: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OdometryPose:
+    """`T_odom_base` (3,) as the robot's own odometry gives it."""
+
+    stamp: float
+    pose: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Imu:
+    """Angular velocity (3,) rad/s, linear acceleration (3,) m/s^2, orientation quaternion xyzw."""
+
+    stamp: float
+    angular_velocity: Array
+    linear_acceleration: Array
+    orientation: Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Image:
+    """One compressed camera picture; `format` is "jpeg" or "png"."""
+
+    stamp: float
+    format: str
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LaserScan:
+    """One sweep as a 2D lidar sent it: n beams of any number, direction and start angle.
+
+    `angles` (n,) are in the laser frame, counter-clockwise about its +z, 0 along its +x;
+    `time_offsets` (n,) is when each beam was fired after `stamp`, which is that of beam 0;
+    `ranges` (n,) are as received: 0, NaN, inf, negative and error codes included.
+    `range_min` and `range_max` are what the message itself says, NaN where it says nothing.
+    """
+
+    stamp: float
+    angles: Array
+    ranges: Array
+    time_offsets: Array
+    range_min: float = float("nan")
+    range_max: float = float("nan")
+
+    def __post_init__(self) -> None:
+        n = len(self.ranges)
+        check_shape("LaserScan.ranges", self.ranges, n)
+        check_shape("LaserScan.angles", self.angles, n)
+        check_shape("LaserScan.time_offsets", self.time_offsets, n)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TruePose:
+    """`T_map_base` (3,) from a simulator or a tracking system; for scoring, never for the filter."""
+
+    stamp: float
+    pose: Array
+
+
+Message: TypeAlias = WheelAngles | OdometryPose | Imu | Image | LaserScan | TruePose
+
+
+# --------------------------------------------------------------------------- estimation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Increment:
+    """Motion of base_link since the previous increment, seen from its pose at the start.
+
+    `d_pose` (3,) is `T_before_after`; `covariance` (3, 3) is that of an additive error on it;
+    `duration` >= 0 is in seconds and `stamp` is the time at its end.
+    """
+
+    stamp: float
+    d_pose: Array
+    covariance: Array
+    duration: float = 0.0
+
+    @staticmethod
+    def none(stamp: float) -> Increment:
+        """Return the increment of a robot that stood still."""
+        return Increment(stamp, np.zeros(3), np.zeros((3, 3)))
+
+    def then(self, other: Increment) -> Increment:
+        """Return this increment followed by another, to first order in the errors."""
+        first, second = compose_jacobians(self.d_pose, other.d_pose)
+        covariance = first @ self.covariance @ first.T + second @ other.covariance @ second.T
+        return Increment(
+            other.stamp,
+            compose(self.d_pose, other.d_pose),
+            covariance,
+            self.duration + other.duration,
+        )
+
+    def split(self, fraction: float) -> tuple[Increment, Increment]:
+        """Cut at a fraction in [0, 1] of its time, at constant twist; the parts compose to it."""
+        twist = log(self.d_pose)
+        cut = fraction * self.duration
+        head = exp(fraction * twist)
+        tail = exp((1.0 - fraction) * twist)
+        middle = self.stamp - self.duration + cut
+        first, second = compose_jacobians(head, tail)
+        # Share the covariance so that `then` restores it: it is pulled back through the
+        # composition of the two parts, each part taking its share of the time.
+        head_cov = np.linalg.solve(first, np.linalg.solve(first, fraction * self.covariance).T)
+        tail_cov = np.linalg.solve(
+            second, np.linalg.solve(second, (1.0 - fraction) * self.covariance).T
+        )
+        return (
+            Increment(middle, head, head_cov, cut),
+            Increment(self.stamp, tail, tail_cov, self.duration - cut),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """A sweep made ready for extraction: validated, mounted, and de-skewed to one instant.
+
+    n beams in beam order, every array of length n. `points`, `directions` and `origins` are in
+    base_link as it was at `stamp`; `angles` and `ranges` are still the sensor's own (laser frame).
+    Only beams with `valid` true have a meaningful range and point.
+
+    Attributes
+    ----------
+    angles, ranges : (n,) rad and m, laser frame
+    valid : (n,) bool
+    points : (n, 2) m, where the beam ended
+    directions : (n,) rad, direction of the beam
+    origins : (n, 2) m, where the beam started (differs between beams of a moving robot)
+    sigmas : (n,) m, standard deviation of the range noise, independent between beams
+    bias : m, standard deviation of the error that all beams of this sensor share
+    range_max : m, beyond it the sensor sees nothing
+    laser : (3,) `T_base_laser`
+    """
+
+    stamp: float
+    angles: Array
+    ranges: Array
+    valid: Mask
+    points: Array
+    directions: Array
+    origins: Array
+    sigmas: Array
+    bias: float
+    range_max: float
+    laser: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observation:
+    """A landmark as one scan shows it, in base_link at the scan's stamp.
+
+    Kinds and their z:
+
+    - "cylinder", "corner" (points): z = [x, y] of the centre (of the corner), m.
+    - "wall" (line): z = [rho, alpha], m and rad: the wall is {p : p . n(alpha) = rho} with
+      n(alpha) = (cos alpha, sin alpha) pointing *into* the wall, away from the side that the laser
+      sees. rho is signed: negative once base_link (not the laser) is behind the wall's line.
+
+    Attributes
+    ----------
+    kind : the landmark model this belongs to
+    z, R : (k,) and (k, k), measurement and its covariance
+    beams : indices of the beams it rests on, int64
+    end_points : (2, 2) m, first and last point of a wall along increasing beam index, else None
+    attributes : further measured properties by name, e.g. {"radius": 0.15} (m)
+    label : the landmark's identity where the sensor knows it (barcodes), else None
+    """
+
+    kind: str
+    z: Array
+    R: Array
+    beams: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    end_points: Array | None = None
+    attributes: Mapping[str, float] = field(default_factory=dict)
+    label: int | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """An observation taken for a landmark: innovation (k,), its covariance S (k, k), and d^2."""
+
+    observation: int
+    landmark: int
+    innovation: Array
+    S: Array
+    distance2: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Landmark:
+    """A landmark as it is reported: position in map, parameters, covariance and life story.
+
+    `position` (2,) is a point's centre or a wall's foot of the normal from the map origin (thesis
+    Fig. 20). `covariance` (2, 2) is that of the reported `parameters` that are estimated: x, y of a
+    point, [r, alpha] of a wall. `end_points` (2, 2) m in map for walls, else None.
+    """
+
+    id: int
+    kind: str
+    position: Array
+    parameters: Mapping[str, float]
+    covariance: Array
+    end_points: Array | None
+    observations: int
+    first_stamp: float
+    last_stamp: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepResult:
+    """What one scan did: immutable, for observers.
+
+    `pose` (3,) is `T_map_base` after the step and `covariance` (3, 3) its own; `odometry` (3,) is
+    dead reckoning from the same start. `new` and `removed` are landmark ids.
+    """
+
+    stamp: float
+    pose: Array
+    covariance: Array
+    odometry: Array
+    scan: Scan | None
+    observations: tuple[Observation, ...]
+    matches: tuple[Match, ...]
+    new: tuple[int, ...]
+    removed: tuple[int, ...]

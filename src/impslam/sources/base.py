@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import ClassVar, Self
+from typing import ClassVar, NamedTuple, Self
 
 from pydantic import PrivateAttr
 
 from impslam.component import Component, components
 from impslam.errors import SourceError
 from impslam.types import Message
+
+GAP = 10.0  # s; at walking pace a robot is then in another room, beyond what any gate bridges
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +96,47 @@ class Source(Component):
     def position(self) -> int:
         """How far of `total` the iteration has come."""
         return 0
+
+
+class Located(NamedTuple):
+    """A message and where it stands in the log: its stream, and a line or message number.
+
+    Messages of one record share its stamp; all but one leave `stream` empty, so that the stamp is
+    checked once.
+    """
+
+    message: Message
+    place: int
+    stream: str = ""
+
+
+def watched(messages: Iterable[Located], problems: Problems, log: Path) -> Iterator[Message]:
+    """Pass messages on and count stamps that repeat, run backwards or leave a gap.
+
+    Each stream is a clock of its own: a scan is stamped at its first beam and arrives after wheel
+    angles that are younger. Nothing is dropped here; only the estimator knows what it can do with
+    such a message.
+    """
+    latest: dict[str, float] = {}
+    for message, place, stream in messages:
+        if stream:
+            before = latest.get(stream)
+            latest[stream] = message.stamp
+            if before is not None and not 0.0 < message.stamp - before <= GAP:
+                _enter_stamp(problems, f"{log}:{place}: {stream}", before, message.stamp)
+        yield message
+
+
+def _enter_stamp(problems: Problems, where: str, before: float, stamp: float) -> None:
+    if stamp > before:
+        problems.add("gap", f"{where} has been silent for {stamp - before:.1f} s; was it paused?")
+    elif stamp < before:
+        problems.add(
+            "backward stamp",
+            f"{where} is stamped {before - stamp:.6f} s before its predecessor; file order is kept",
+        )
+    else:
+        problems.add("repeated stamp", f"{where} has the stamp {stamp:.6f} of the one before it")
 
 
 def recognise(path: Path) -> type[Source]:

@@ -1,0 +1,150 @@
+"""What the readers of text logs share: lines, plain or gzipped, with their numbers."""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from abc import abstractmethod
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache, partial
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO, Self, cast
+
+import numpy as np
+from pydantic import PrivateAttr
+
+from impslam.errors import MessageError, SourceError
+from impslam.sources.base import Located, Source, watched
+from impslam.types import Array, Message
+
+LINE_LIMIT = 1 << 20  # bytes; ten times the longest line of any lidar here, so memory stays flat
+_HEAD = 1 << 16  # bytes looked at to tell a format
+_DAMAGE = (OSError, EOFError, zlib.error)
+
+
+@contextmanager
+def open_text(path: Path) -> Iterator[tuple[BinaryIO, BinaryIO]]:
+    """Open a plain or gzipped file; give the file on disk and the text in it, both binary."""
+    with path.open("rb") as raw:
+        packed = raw.read(2) == b"\x1f\x8b"
+        raw.seek(0)
+        if not packed:
+            yield raw, raw
+            return
+        with gzip.GzipFile(fileobj=raw) as text:
+            yield raw, cast("BinaryIO", text)
+
+
+def head(path: Path) -> list[bytes]:
+    """Return the first complete lines of a text file; none if it is a folder or binary."""
+    if not path.is_file():
+        return []
+    start = b""
+    try:
+        with open_text(path) as (_, text):
+            while len(start) < _HEAD and (more := text.read(_HEAD // 16)):
+                start += more
+    except _DAMAGE:
+        pass  # what precedes the damage may do
+    if b"\0" in start:
+        return []
+    lines = start.splitlines(keepends=True)
+    return [line for line in lines if line.endswith((b"\n", b"\r"))] or lines
+
+
+def numbers(tokens: list[bytes]) -> Array:
+    """Return tokens as float64; `ValueError` names the first that is not a number."""
+    return np.fromiter(map(float, tokens), np.float64, len(tokens))
+
+
+def finite(what: str, *values: float) -> None:
+    """Raise `MessageError` unless the sum, hence every value, is finite."""
+    if not np.isfinite(sum(values)):
+        raise MessageError(f"{what} is not finite")
+
+
+@lru_cache(maxsize=64)
+def beam_angles(n: int, start: float, step: float) -> Array:
+    """Return the n equally spaced angles from `start`, read-only and shared between scans."""
+    return _shared(start + step * np.arange(n, dtype=np.float64))
+
+
+@lru_cache(maxsize=64)
+def beam_times(n: int, step: float = 0.0) -> Array:
+    """Return the time offsets of n beams fired every `step` seconds, read-only and shared."""
+    return _shared(step * np.arange(n, dtype=np.float64))
+
+
+def _shared(values: Array) -> Array:
+    values.flags.writeable = False
+    return values
+
+
+class TextSource(Source):
+    """A text log of one message or more per line; subclasses say what a line means."""
+
+    _raw: BinaryIO | None = PrivateAttr(default=None)
+
+    @abstractmethod
+    def _messages(self) -> Iterator[Located]:
+        """Yield the messages of the log, in file order."""
+
+    def __enter__(self) -> Self:
+        try:
+            with open_text(self.path) as (_, text):
+                text.readline(LINE_LIMIT)
+        except _DAMAGE as error:
+            raise SourceError(f"{self.path}: cannot be read ({error}); copy it again") from None
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._raw = None
+
+    def __iter__(self) -> Iterator[Message]:  # type: ignore[override]  # not a model's fields
+        return watched(self._messages(), self._problems, self.path)
+
+    def _lines(self, path: Path | None = None) -> Iterator[tuple[int, bytes]]:
+        """Yield (number, line) from 1; a damaged gzip file ends early, which is a problem."""
+        path = path or self.path
+        try:
+            with open_text(path) as (raw, text):
+                self._raw = raw
+                yield from enumerate(iter(partial(text.readline, LINE_LIMIT), b""), 1)
+        except _DAMAGE as error:
+            self._problems.add(
+                "damaged file",
+                f"{path}: ends early ({error}); what precedes is used; copy it again",
+            )
+
+    def _reject(self, kind: str, path: Path, number: int, why: object) -> None:
+        self._problems.add(f"malformed {kind}", f"{path}:{number}: {why}; the line is dropped")
+
+    def _first_words(self, path: Path | None = None) -> Counter[str]:
+        """Count the lines by their first word, in a pass of its own."""
+        counts: Counter[str] = Counter()
+        try:
+            with open_text(path or self.path) as (_, text):
+                for line in iter(partial(text.readline, LINE_LIMIT), b""):
+                    word = line[:32].split(None, 1)[:1]
+                    counts[word[0].decode("ascii", "replace") if word else ""] += 1
+        except _DAMAGE:
+            pass  # iteration enters this in `problems`
+        return counts
+
+    @property
+    def total(self) -> int | None:
+        """Size of the file on disk in bytes."""
+        return self.path.stat().st_size
+
+    @property
+    def position(self) -> int:
+        """Bytes of the file on disk read so far."""
+        return self._raw.tell() if self._raw is not None and not self._raw.closed else 0

@@ -1,0 +1,111 @@
+"""The .dat logs of tinySLAM (CoreSLAM) and BreezySLAM: a Hokuyo URG-04LX and wheel encoders.
+
+One line per scan: a 32-bit count of microseconds, the two encoders in ticks, and 682 ranges in mm
+from the robot's right to its left, among figures nobody documents. Two layouts exist, told by the
+number of words. See Steux and El Hamzaoui 2010, "CoreSLAM: a SLAM algorithm in less than 200 lines
+of C code".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from impslam.component import register
+from impslam.errors import MessageError
+from impslam.sources.base import Located, Stream
+from impslam.sources.text import TextSource, beam_angles, beam_times, finite, head, numbers
+from impslam.types import LaserScan, WheelAngles
+
+BEAMS = 682  # steps 44 to 725
+STEP = 2.0 * math.pi / 1024.0  # rad
+START = (44 - 384) * STEP  # rad; step 384 looks ahead
+BEAM_TIME = 60.0 / 600.0 / 1024.0  # s; 600 rpm
+RANGE_MIN, RANGE_MAX = 0.02, 5.6  # m; below are error codes
+_TURN = 1 << 32  # us; the clock wraps
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Where a line has the encoders and the first range; `right_sign` is that of its encoder."""
+
+    left: int
+    right: int
+    right_sign: float
+    ranges: int
+
+
+LAYOUTS = {707: Layout(2, 3, 1.0, 24), 695: Layout(1, 2, -1.0, 12)}
+
+
+@register("dat")
+class TinySlam(TextSource):
+    """tinySLAM or BreezySLAM .dat log: URG-04LX scans and wheel encoder ticks."""
+
+    preset: ClassVar[str] = "mines-rover"
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Tell by the number of words, all of them numbers."""
+        return any(_is_record(line) for line in head(path)[:3])
+
+    def _messages(self) -> Iterator[Located]:
+        clock = Clock()
+        for number, line in self._lines():
+            try:
+                wheels, scan = _record(line.split(), clock)
+            except (ValueError, MessageError) as error:
+                self._reject("line", self.path, number, error)
+                continue
+            yield Located(wheels, number)
+            yield Located(scan, number, "scan")
+
+    def streams(self) -> list[Stream]:
+        """Return encoders and scans, one of each per line."""
+        count = sum(self._first_words().values())
+        return [
+            Stream("encoders", "WheelAngles", count, used=True, note="ticks"),
+            Stream("lidar", "LaserScan", count, used=True, note="URG-04LX"),
+        ]
+
+
+class Clock:
+    """Unwraps a 32-bit count of microseconds: each count is the one nearest to that before."""
+
+    def __init__(self) -> None:
+        self._time: int | None = None
+
+    def seconds(self, count: int) -> float:
+        """Return the time of a count in s."""
+        if not 0 <= count < _TURN:
+            raise MessageError(f"stamp {count} is not a 32-bit count")
+        last = count if self._time is None else self._time
+        self._time = last + (count - last + _TURN // 2) % _TURN - _TURN // 2
+        return self._time * 1e-6
+
+
+def _record(tokens: list[bytes], clock: Clock) -> tuple[WheelAngles, LaserScan]:
+    layout = LAYOUTS.get(len(tokens))
+    if layout is None:
+        raise MessageError(f"{len(tokens)} words instead of {' or '.join(map(str, LAYOUTS))}")
+    left, right = float(tokens[layout.left]), float(tokens[layout.right]) * layout.right_sign
+    finite("encoder", left, right)
+    ranges = numbers(tokens[layout.ranges : layout.ranges + BEAMS]) / 1000.0
+    stamp = clock.seconds(int(tokens[0]))
+    angles, times = beam_angles(BEAMS, START, STEP), beam_times(BEAMS, BEAM_TIME)
+    scan = LaserScan(stamp, angles, ranges, times, RANGE_MIN, RANGE_MAX)
+    return WheelAngles(stamp, left, right), scan
+
+
+def _is_record(line: bytes) -> bool:
+    tokens = line.split()
+    if len(tokens) not in LAYOUTS:
+        return False
+    try:
+        numbers(tokens)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,103 @@
+"""What the lidar reads: a sweep from a moving robot through a world in which things move."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from impslam.geometry.angles import wrap
+from impslam.simulation.drive import Trajectory
+from impslam.simulation.raycast import sweep
+from impslam.simulation.robot import Lidar
+from impslam.simulation.scene import Scene
+from impslam.types import Array, Ints
+
+_PARTS = np.linspace(-0.4, 0.4, 5)  # middles of five equal parts of a beam's width
+
+
+class LidarSimulator:
+    """Sweeps of one lidar on one trajectory; keeps the run's bias and the noise stream."""
+
+    def __init__(
+        self, lidar: Lidar, scene: Scene, trajectory: Trajectory, rng: np.random.Generator
+    ) -> None:
+        self._lidar, self._scene, self._trajectory, self._rng = lidar, scene, trajectory, rng
+        self._bias = lidar.bias_sigma * float(rng.standard_normal())
+        beams = np.arange(lidar.beams, dtype=np.float64)
+        self.angles: Array = lidar.angle_min + lidar.angle_step * beams
+        self.time_offsets: Array = lidar.beam_time * beams
+        self.angles.flags.writeable = self.time_offsets.flags.writeable = False
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last beam, in s."""
+        return float(self.time_offsets[-1])
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Smallest and largest range it measures, in m."""
+        return self._lidar.range_min, self._lidar.range_max
+
+    def ranges(self, time: float) -> Array:
+        """Return what the beams (n,) of the sweep that begins at a time read, in m."""
+        exact, cosines = self._cast(time)
+        return self._spoil(exact, cosines)
+
+    def _cast(self, time: float) -> tuple[Array, Array]:
+        lidar, scene = self._lidar, self._scene
+        lasers = laser_poses(self._trajectory.at(time + self.time_offsets), lidar.mount)
+        middle = 0.5 * (lasers[0, :2] + lasers[-1, :2])
+        slack = float(np.hypot(*(lasers[:, :2] - middle).T).max())
+        standing = scene.near(middle, lidar.range_max + slack)
+        moving = scene.moving(time, time + self.duration)
+        fractions = self.time_offsets / max(self.duration, 1e-9)
+
+        def cast(beams: Ints, angles: Array) -> tuple[Array, Array]:
+            return sweep(lasers[beams], angles, fractions[beams], standing, moving, lidar.range_max)
+
+        ranges, cosines = cast(np.arange(lidar.beams, dtype=np.int64), self.angles)
+        edges = _edges(ranges, lidar.edge) if lidar.divergence else np.empty(0, np.int64)
+        if len(edges):
+            parts = self.angles[edges, None] + lidar.divergence * _PARTS
+            mixed, _ = cast(np.repeat(edges, len(_PARTS)), parts.ravel())
+            ranges[edges] = _mix(mixed.reshape(parts.shape))
+        return ranges, cosines
+
+    def _spoil(self, exact: Array, cosines: Array) -> Array:
+        """Return the readings of exact ranges: noise, bias, resolution, losses and limits."""
+        lidar = self._lidar
+        noise, luck = self._rng.standard_normal(len(exact)), self._rng.random(len(exact))
+        seen = np.isfinite(exact) & (luck >= lidar.dropout)
+        seen &= cosines >= np.cos(min(lidar.grazing, 0.5 * np.pi))
+        read = np.where(seen, exact, 0.0)
+        read = read + self._bias + (lidar.sigma + lidar.sigma_rate * read) * noise
+        if lidar.resolution:
+            read = np.round(read / lidar.resolution) * lidar.resolution
+        seen &= (read >= lidar.range_min) & (read <= lidar.range_max)
+        return np.where(seen, read, lidar.no_return)
+
+
+def laser_poses(poses: Array, mount: tuple[float, float, float]) -> Array:
+    """Return the poses (n, 3) of a laser mounted on a base at poses (n, 3)."""
+    x, y, heading = poses.T
+    c, s = np.cos(heading), np.sin(heading)
+    dx, dy, turn = mount
+    return np.column_stack([x + c * dx - s * dy, y + s * dx + c * dy, wrap(heading + turn)])
+
+
+def _edges(ranges: Array, jump: float) -> Ints:
+    """Return the indices of beams beside which the range jumps."""
+    far = np.where(np.isfinite(ranges), ranges, 1e3)
+    jumps = np.abs(np.diff(far)) > jump
+    return np.flatnonzero(np.append(jumps, False) | np.insert(jumps, 0, False))
+
+
+def _mix(parts: Array) -> Array:
+    """Return what beams read whose parts (n, k) end at different ranges.
+
+    The URG-04LX compares phases: a beam that falls on two things reads between them, by the shares
+    of its light; parts without an echo add nothing.
+    """
+    hit = np.isfinite(parts)
+    number = hit.sum(1)
+    total = np.where(hit, parts, 0.0).sum(1)
+    return np.where(number > 0, total / np.maximum(number, 1), np.inf)

@@ -1,0 +1,85 @@
+"""What the wheels and the inertial unit read when the robot moves as it does."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from impslam.simulation.drive import Trajectory
+from impslam.simulation.robot import InertialUnit, WheelEncoders
+from impslam.types import Array
+
+
+def wheel_angles(
+    encoders: WheelEncoders, trajectory: Trajectory, times: Array, rng: np.random.Generator
+) -> Array:
+    """Return accumulated left and right wheel angles (k, 2) rad at times (k,) s from 0 on."""
+    radii, track, phase = _build(encoders, rng)
+    way, turn = (np.diff(driven) for driven in trajectory.travel(times))
+    kept = 1.0 - _slip(encoders, turn / np.diff(times), rng)
+    travel = way[:, None] + 0.5 * track * (kept * turn)[:, None] * np.array([-1.0, 1.0])
+    travel = np.column_stack([_skid(encoders, travel[:, side], rng) for side in (0, 1)])
+    travel += np.sqrt(encoders.noise * np.abs(travel)) * rng.standard_normal(travel.shape)
+    angles = phase + np.vstack([np.zeros(2), np.cumsum(travel / radii, axis=0)])
+    return _quantise(angles, encoders.counts)
+
+
+def _build(encoders: WheelEncoders, rng: np.random.Generator) -> tuple[Array, float, Array]:
+    """Return this robot's true radii (2,), true track and where its encoders begin (2,)."""
+    error = rng.standard_normal(3)
+    phase = rng.uniform(0.0, 2 * math.pi, 2) if encoders.counts else np.zeros(2)
+    radii = encoders.wheel_radius * (1.0 + encoders.radius_sigma * error[:2])
+    return radii, encoders.track * (1.0 + encoders.track_sigma * float(error[2])), phase
+
+
+def _slip(encoders: WheelEncoders, rates: Array, rng: np.random.Generator) -> Array:
+    """Return the share of rotation (k,) that the wheels miss, one draw per turn."""
+    turning = np.abs(rates) > encoders.turn_rate
+    begins = turning & ~np.concatenate([[False], turning[:-1]])
+    number = np.cumsum(begins)
+    shares = encoders.slip_sigma * np.abs(rng.standard_normal(int(begins.sum()) + 1))
+    return np.where(turning, shares[number], 0.0)
+
+
+def _skid(encoders: WheelEncoders, travel: Array, rng: np.random.Generator) -> Array:
+    """Return one wheel's travel (k,) without the stretches on which the wheel stuck."""
+    ends = np.cumsum(np.abs(travel))
+    total = float(ends[-1]) if len(ends) else 0.0
+    number = int(rng.poisson(encoders.skid_rate * total))
+    lost = np.zeros_like(ends)
+    places, lengths = rng.uniform(0.0, total, number), rng.exponential(1.0, number)
+    for place, length in zip(places, lengths * encoders.skid_length, strict=True):
+        lost += np.clip(ends - place, 0.0, length)
+    lost = np.diff(lost, prepend=0.0)
+    return np.asarray(np.sign(travel) * np.maximum(np.abs(travel) - lost, 0.0))
+
+
+def _quantise(angles: Array, counts: int) -> Array:
+    if not counts:
+        return angles
+    step = 2 * math.pi / counts
+    return np.floor(angles / step) * step
+
+
+def inertial(
+    unit: InertialUnit, trajectory: Trajectory, times: Array, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Return angular velocities (k, 3) and specific forces (k, 3) at times (k,) s from 0 on.
+
+    Each reading is the mean over the period that ends with it, so that the sum of the gyro's
+    readings is the angle turned; the first one repeats the second.
+    """
+    period = np.diff(times)
+    way, turn = (np.diff(driven) for driven in trajectory.travel(times))
+    v, omega = way / period, turn / period
+    still = np.zeros_like(v)
+    rates = np.column_stack([still, still, omega])
+    forces = np.column_stack([np.diff(v, prepend=v[:1]) / period, v * omega, still + unit.gravity])
+    bias = rng.standard_normal((2, 3))
+    noise = rng.standard_normal((2, len(times), 3))
+    rates, forces = np.vstack([rates[:1], rates]), np.vstack([forces[:1], forces])
+    return (
+        rates + unit.gyro_bias_sigma * bias[0] + unit.gyro_sigma * noise[0],
+        forces + unit.accel_bias_sigma * bias[1] + unit.accel_sigma * noise[1],
+    )

@@ -1,0 +1,105 @@
+"""Rays against segments and circles, each beam from the laser's pose at its own time.
+
+Things that move are given at the beginning and at the end of the sweep; each beam meets them where
+they are at its own fraction of it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from impslam.geometry.kernels import kernel
+from impslam.types import Array
+
+
+@kernel
+def ray_segment(ray: Array, x0: float, y0: float, x1: float, y1: float) -> tuple[float, float]:
+    """Return distance and cosine of incidence of a ray [x, y, cos, sin] on a segment.
+
+    Solves origin + t d = start + u e by cross products; inf if they do not meet.
+    """
+    ex, ey = x1 - x0, y1 - y0
+    wx, wy = x0 - ray[0], y0 - ray[1]
+    den = ray[2] * ey - ray[3] * ex
+    if den == 0.0:
+        return math.inf, 0.0
+    t = (wx * ey - wy * ex) / den
+    u = (wx * ray[3] - wy * ray[2]) / den
+    if t < 0.0 or u < 0.0 or u > 1.0:
+        return math.inf, 0.0
+    return t, abs(den) / math.hypot(ex, ey)
+
+
+@kernel
+def ray_circle(ray: Array, x: float, y: float, radius: float) -> tuple[float, float]:
+    """Return distance and cosine of incidence of a ray [x, y, cos, sin] on a circle.
+
+    From inside, the far side is met; inf if they do not meet.
+    """
+    wx, wy = x - ray[0], y - ray[1]
+    along = wx * ray[2] + wy * ray[3]
+    across = wx * ray[3] - wy * ray[2]
+    half2 = radius * radius - across * across
+    if half2 < 0.0:
+        return math.inf, 0.0
+    half = math.sqrt(half2)
+    t = along - half if along - half >= 0.0 else along + half
+    return (t, half / radius) if t >= 0.0 else (math.inf, 0.0)
+
+
+@kernel
+def nearest_standing(
+    ray: Array, segments: Array, circles: Array, best: float
+) -> tuple[float, float]:
+    """Return the nearest hit below `best` among segments (s, 4) and circles (c, 3)."""
+    cosine = 0.0
+    for i in range(len(segments)):
+        s = segments[i]
+        t, c = ray_segment(ray, s[0], s[1], s[2], s[3])
+        if t < best:
+            best, cosine = t, c
+    for i in range(len(circles)):
+        t, c = ray_circle(ray, circles[i, 0], circles[i, 1], circles[i, 2])
+        if t < best:
+            best, cosine = t, c
+    return best, cosine
+
+
+@kernel
+def sweep(
+    lasers: Array,
+    angles: Array,
+    fractions: Array,
+    standing: tuple[Array, Array],
+    moving: tuple[Array, Array],
+    reach: float,
+) -> tuple[Array, Array]:
+    """Return range (n,) and cosine of incidence (n,) of n beams; inf and 0 beyond `reach`.
+
+    Parameters
+    ----------
+    lasers : (n, 3) pose of the laser in map as each beam is fired
+    angles : (n,) rad, beams in the laser frame
+    fractions : (n,) in [0, 1], time of each beam within the sweep
+    standing : segments (s, 4) [x0, y0, x1, y1] and circles (c, 3) [x, y, radius]
+    moving : segments (2, m, 4) and circles (2, k, 3) at the sweep's beginning and end
+    reach : m
+    """
+    n = len(angles)
+    ranges, cosines = np.full(n, np.inf), np.zeros(n)
+    ray = np.empty(4)
+    for i in range(n):
+        heading = lasers[i, 2] + angles[i]
+        ray[0], ray[1] = lasers[i, 0], lasers[i, 1]
+        ray[2], ray[3] = math.cos(heading), math.sin(heading)
+        segments = moving[0][0] + fractions[i] * (moving[0][1] - moving[0][0])
+        circles = moving[1][0] + fractions[i] * (moving[1][1] - moving[1][0])
+        best, cosine = nearest_standing(ray, standing[0], standing[1], reach)
+        found, other = nearest_standing(ray, segments, circles, best)
+        if found < best:
+            best, cosine = found, other
+        if best < reach:
+            ranges[i], cosines[i] = best, cosine
+    return ranges, cosines

@@ -1,0 +1,131 @@
+"""The simulated robot: wheels with encoders, a lidar and an inertial unit, with all their faults.
+
+Every fault has a switch: a standard deviation (or rate) of zero turns it off, and `perfect()` turns
+all of them off. Devices draw from random streams of their own, so that switching one off leaves the
+others as they were.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict
+
+from impslam.component import parameter
+
+_STEP = 2 * math.pi / 1024  # rad, angular step of the URG-04LX
+
+
+class Device(BaseModel):
+    """A part of the simulated robot."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class WheelEncoders(Device):
+    """Two absolute magnetic encoders (MA3) on passive wheels, read as accumulated angles in rad.
+
+    The faults, by size: wheel radii and track known to a caliper's width only; rotation lost to
+    skidding in turns; a wheel that sticks now and then (thesis 3.5); uneven ground, whose error
+    grows as the square root of the way; 12-bit readings.
+    """
+
+    wheel_radius: float = parameter(0.0635, "m", "nominal radius (5 in wheels)", gt=0.0)
+    track: float = parameter(0.40, "m", "nominal distance of the wheels (not in the thesis)", gt=0)
+    rate: float = parameter(100.0, "Hz", "rows sent to the computer", gt=0.0)
+    counts: int = parameter(4096, "1", "readings per turn (MA3, 12 bit); 0: continuous", ge=0)
+    radius_sigma: float = parameter(
+        0.005, "1", "relative error of each radius: 0.3 mm, tread under load", ge=0.0
+    )
+    track_sigma: float = parameter(
+        0.01, "1", "relative error of the track: 4 mm, where a soft wheel touches", ge=0.0
+    )
+    noise: float = parameter(
+        5e-4, "m^2/m", "variance of a wheel's travel per way: 2 cm after 1 m", ge=0.0
+    )
+    slip_sigma: float = parameter(
+        0.03, "1", "share of the rotation lost in a turn, half-normal, drawn per turn", ge=0.0
+    )
+    turn_rate: float = parameter(0.15, "rad/s", "a turn is when the robot turns faster", gt=0.0)
+    skid_rate: float = parameter(0.02, "1/m", "how often a wheel sticks, per wheel", ge=0.0)
+    skid_length: float = parameter(0.01, "m", "mean way on which it then does not turn", ge=0.0)
+
+    @classmethod
+    def perfect(cls, **other: Any) -> Self:
+        """Return encoders without any fault."""
+        faults = ("counts", "radius_sigma", "track_sigma", "noise", "slip_sigma", "skid_rate")
+        return cls(**{**dict.fromkeys(faults, 0), **other})
+
+
+class Lidar(Device):
+    """Hokuyo URG-04LX: 682 beams of 1024 steps a turn, counter-clockwise, 10 Hz.
+
+    The data sheet's +-10 mm (to 1 m) and 1 % (to 4 m) are accuracy, and hence mostly an error that
+    all beams share. The noise from scan to scan is smaller: a few millimetres, and growing with
+    range as the light that comes back gets less.
+    """
+
+    mount: tuple[float, float, float] = parameter((0.15, 0.0, 0.0), "m, m, rad", "T_base_laser")
+    beams: int = parameter(682, "1", "steps 44 to 725", ge=2)
+    angle_min: float = parameter(-340 * _STEP, "rad", "direction of beam 0 (step 44, front 384)")
+    angle_step: float = parameter(_STEP, "rad", "from beam to beam; negative: clockwise")
+    beam_time: float = parameter(97.66e-6, "s", "from beam to beam (100 ms / 1024)", ge=0.0)
+    rate: float = parameter(10.0, "Hz", "sweeps", gt=0.0)
+    range_min: float = parameter(0.02, "m", "nothing nearer is measured", ge=0.0)
+    range_max: float = parameter(5.6, "m", "nothing beyond is measured", gt=0.0)
+    no_return: float = parameter(0.0, "m", "what a beam without an echo reads", allow_inf_nan=True)
+    sigma: float = parameter(0.003, "m", "range noise, part that does not depend on range", ge=0.0)
+    sigma_rate: float = parameter(0.003, "m/m", "range noise, part that grows with range", ge=0.0)
+    bias_sigma: float = parameter(
+        0.003, "m", "error shared by all beams of a run: a third of the sheet's 10 mm", ge=0.0
+    )
+    resolution: float = parameter(0.001, "m", "ranges are multiples of this; 0: continuous", ge=0)
+    divergence: float = parameter(
+        0.010, "rad", "beam width (20 mm at 2 m): mixed pixels at edges; 0: none", ge=0.0
+    )
+    edge: float = parameter(0.05, "m", "jumps between beams from this on mix in one beam", gt=0.0)
+    grazing: float = parameter(
+        math.radians(85), "rad", "incidence beyond which no light comes back", gt=0.0
+    )
+    dropout: float = parameter(0.002, "1", "share of beams lost for no reason", ge=0.0, le=1.0)
+
+    @classmethod
+    def perfect(cls, **other: Any) -> Self:
+        """Return a lidar without any fault; its limits and its time per beam stay."""
+        faults = ("sigma", "sigma_rate", "bias_sigma", "resolution", "divergence", "dropout")
+        return cls(**{**dict.fromkeys(faults, 0), "grazing": math.pi, **other})
+
+
+class InertialUnit(Device):
+    """A MEMS gyro and accelerometer at base_link, each averaged over its sampling period."""
+
+    rate: float = parameter(100.0, "Hz", "readings", gt=0.0)
+    gyro_sigma: float = parameter(0.004, "rad/s", "noise (0.03 deg/s/sqrt(Hz), 50 Hz)", ge=0.0)
+    gyro_bias_sigma: float = parameter(0.005, "rad/s", "constant error, drawn per run", ge=0.0)
+    gravity: float = parameter(9.80665, "m/s^2", "what the upward axis reads at rest", ge=0.0)
+    accel_sigma: float = parameter(0.02, "m/s^2", "noise", ge=0.0)
+    accel_bias_sigma: float = parameter(0.05, "m/s^2", "constant error, drawn per run", ge=0.0)
+
+    @classmethod
+    def perfect(cls, **other: Any) -> Self:
+        """Return an inertial unit without any fault."""
+        faults = ("gyro_sigma", "gyro_bias_sigma", "accel_sigma", "accel_bias_sigma")
+        return cls(**{**dict.fromkeys(faults, 0), **other})
+
+
+class SimulatedRobot(Device):
+    """The robot of the thesis; leave a device out with None."""
+
+    encoders: WheelEncoders | None = WheelEncoders()
+    lidar: Lidar | None = Lidar()
+    imu: InertialUnit | None = InertialUnit()
+    start_time: float = parameter(1000.0, "s", "stamp of the first message", ge=0.0)
+    truth_rate: float = parameter(100.0, "Hz", "true poses, besides those at scan stamps", gt=0.0)
+
+    @classmethod
+    def perfect(cls) -> Self:
+        """Return the robot with every fault switched off."""
+        return cls(
+            encoders=WheelEncoders.perfect(), lidar=Lidar.perfect(), imu=InertialUnit.perfect()
+        )

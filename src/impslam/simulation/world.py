@@ -1,0 +1,264 @@
+"""Worlds in TOML: what stands, opens and walks, and where the robot drives.
+
+Lengths in m, times in s since the start of the run, angles in rad, all in the frame map. Walls run
+with the free space on their left, so that "behind the wall" is to the right of start -> end.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from impslam.component import near_miss, parameter
+from impslam.errors import ConfigError
+from impslam.types import Array
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Point = tuple[Finite, Finite]
+Pose = tuple[Finite, Finite, Finite]
+Span = tuple[float, float]
+
+
+class Part(BaseModel):
+    """Anything in a world file: a typo in it is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Wall(Part):
+    """A straight wall with the free space on the left of start -> end; doors cut holes into it."""
+
+    name: str = parameter("", "", "landmark name; walls without one are no landmarks")
+    start: Point
+    end: Point
+
+    @property
+    def length(self) -> float:
+        """Length in m."""
+        return math.dist(self.start, self.end)
+
+    @property
+    def direction(self) -> Array:
+        """Unit vector (2,) along the wall."""
+        return np.subtract(self.end, self.start) / self.length
+
+    @property
+    def outward(self) -> Array:
+        """Unit normal (2,) into the wall, away from the free space."""
+        along = self.direction
+        return np.array([along[1], -along[0]])
+
+
+class Cylinder(Part):
+    """An upright cylinder: a traffic cone, a pillar, a bin."""
+
+    name: str = parameter("", "", "landmark name; cylinders without one are clutter")
+    centre: Point
+    radius: float = parameter(..., "m", "radius", gt=0.0)
+
+
+class Box(Part):
+    """A rectangular piece of clutter."""
+
+    centre: Point
+    size: tuple[float, float]
+    angle: Finite = parameter(0.0, "rad", "turned by this, counter-clockwise")
+
+
+class Door(Part):
+    """A door in a wall, set back from its face, that swings away from the free space."""
+
+    wall: str = parameter(..., "", "name of the wall it is in")
+    at: float = parameter(..., "m", "distance of its hinge from the wall's start", ge=0.0)
+    width: float = parameter(0.9, "m", "width of the opening", gt=0.0)
+    recess: float = parameter(0.07, "m", "depth of the jambs: leaf behind wall face", ge=0.0)
+    open: tuple[Span, ...] = parameter((), "s", "times [from, until] in which it stands open")
+    swing: float = parameter(math.pi / 2, "rad", "angle of the open leaf", gt=0.0, le=math.pi)
+    swing_time: float = parameter(1.5, "s", "time it takes to open or to close", gt=0.0)
+    room: tuple[float, float] | None = parameter(
+        None, "m", "width and depth of the room behind it; nothing if left out"
+    )
+
+    def angle(self, time: float) -> float:
+        """Return how far the leaf stands open at a time, in rad."""
+        part = max((self._openness(span, time) for span in self.open), default=0.0)
+        return part * self.swing
+
+    def _openness(self, span: Span, time: float) -> float:
+        opening = (time - span[0]) / self.swing_time
+        closing = 1.0 - (time - span[1]) / self.swing_time
+        return min(max(min(opening, closing), 0.0), 1.0)
+
+
+class Person(Part):
+    """Someone who walks along waypoints on two legs, and stands before and after."""
+
+    waypoints: tuple[Point, ...] = parameter(..., "m", "the way", min_length=2)
+    start: float = parameter(0.0, "s", "when the walk begins", ge=0.0)
+    speed: float = parameter(1.2, "m/s", "walking speed", gt=0.0)
+    returns: bool = parameter(False, "", "walks to and fro for ever")
+    leg_radius: float = parameter(0.06, "m", "radius of a leg at the lidar's height", gt=0.0)
+    leg_spacing: float = parameter(0.2, "m", "sideways distance between the legs", ge=0.0)
+    stride: float = parameter(1.3, "m", "way between two steps of the same foot", gt=0.0)
+
+
+class Drive(Part):
+    """The robot's start, the way it takes, and how briskly."""
+
+    start: Pose = parameter((0.0, 0.0, 0.0), "m, m, rad", "pose at the start")
+    waypoints: tuple[Point, ...] = parameter(..., "m", "the way after the start", min_length=1)
+    speed: float = parameter(0.25, "m/s", "cruise speed", gt=0.0)
+    acceleration: float = parameter(0.5, "m/s^2", "speeding up and braking", gt=0.0)
+    turn_rate: float = parameter(0.8, "rad/s", "fastest turn", gt=0.0)
+    turn_acceleration: float = parameter(4.0, "rad/s^2", "change of the turn rate", gt=0.0)
+    lookahead: float = parameter(0.25, "m", "how far ahead it aims; cuts corners by this", gt=0.0)
+    radius: float = parameter(0.25, "m", "radius of the robot's outline", gt=0.0)
+    rest: float = parameter(1.0, "s", "standing still before and after", ge=0.0)
+    limit: float = parameter(math.inf, "s", "the run ends by this time, path done or not", gt=0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrueLandmark:
+    """A landmark as it is: position (2,) is a centre, or the foot of the normal from the origin.
+
+    `parameters` are x, y, radius (m) of a cylinder, and r (m), alpha (rad) of a wall;
+    `end_points` (2, 2) m for walls.
+    """
+
+    name: str
+    kind: str
+    position: Array
+    parameters: Mapping[str, float]
+    end_points: Array | None = None
+
+
+class World(Part):
+    """A world file."""
+
+    name: str = ""
+    description: str = ""
+    robot: Drive
+    walls: tuple[Wall, ...] = ()
+    cylinders: tuple[Cylinder, ...] = ()
+    boxes: tuple[Box, ...] = ()
+    doors: tuple[Door, ...] = ()
+    people: tuple[Person, ...] = ()
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        names = [wall.name for wall in self.walls] + [c.name for c in self.cylinders]
+        names = [name for name in names if name]
+        for name in {name for name in names if names.count(name) > 1}:
+            raise ValueError(f"the name {name!r} is given twice; rename one")
+        for number, wall in enumerate(self.walls):
+            if wall.length == 0.0:
+                raise ValueError(f"walls.{number}: start and end are the same point; move one")
+        for number, door in enumerate(self.doors):
+            self._check_door(f"doors.{number}", door)
+        return self
+
+    def _check_door(self, where: str, door: Door) -> None:
+        known = {wall.name: wall for wall in self.walls if wall.name}
+        if door.wall not in known:
+            raise ValueError(f"{where}: no wall {door.wall!r}; {near_miss(door.wall, known)}")
+        if door.at + door.width > known[door.wall].length:
+            raise ValueError(f"{where}: reaches beyond the end of wall {door.wall!r}; move it")
+
+    def landmarks(self) -> list[TrueLandmark]:
+        """Return the named walls and cylinders: the truth that maps are scored against."""
+        return [*self._true_walls(), *self._true_cylinders()]
+
+    def _true_cylinders(self) -> Iterator[TrueLandmark]:
+        for part in self.cylinders:
+            if part.name:
+                x, y = part.centre
+                values = {"x": x, "y": y, "radius": part.radius}
+                yield TrueLandmark(part.name, "cylinder", np.array([x, y]), values)
+
+    def _true_walls(self) -> Iterator[TrueLandmark]:
+        for wall in self.walls:
+            if wall.name:
+                foot = float(wall.outward @ wall.start) * wall.outward
+                normal = wall.outward if not foot.any() else foot
+                values = {
+                    "r": math.hypot(*foot),
+                    "alpha": math.atan2(normal[1], normal[0]),
+                }
+                ends = np.array([wall.start, wall.end])
+                yield TrueLandmark(wall.name, "wall", foot, values, ends)
+
+
+def shipped_worlds() -> list[str]:
+    """Return the names of the worlds that come with the package."""
+    folder = files("impslam.simulation") / "worlds"
+    return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name[-5:] == ".toml")
+
+
+def load_world(name_or_path: str | Path) -> World:
+    """Read a world by the name of a shipped one ("arena") or from a TOML file.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such world or its file cannot be used; one line that names file and key.
+    """
+    name = str(name_or_path)
+    if name in shipped_worlds():
+        text = (files("impslam.simulation") / "worlds" / f"{name}.toml").read_text("utf-8")
+        return parse_world(text, f"{name}.toml")
+    path = Path(name_or_path)
+    if not path.is_file():
+        hint = near_miss(name, shipped_worlds())
+        raise ConfigError(f"{name}: no such world, shipped or file; {hint}")
+    try:
+        return parse_world(path.read_text("utf-8"), name)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{name}: cannot be read as text ({error}); check the file") from None
+
+
+def parse_world(text: str, where: str) -> World:
+    """Make a world from TOML text; `where` names it in errors."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{where}: not valid TOML: {error}") from None
+    table.setdefault("name", Path(where).stem)
+    try:
+        return World.model_validate(table)
+    except ValidationError as error:
+        raise ConfigError(_one_line(error, where)) from None
+
+
+def _one_line(error: ValidationError, where: str) -> str:
+    first = error.errors()[0]
+    path = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "value_error":
+        return f"{where}: {first['msg'].removeprefix('Value error, ')}"
+    if first["type"] == "missing":
+        return f"{where}: {path} is missing; add it"
+    if first["type"] == "extra_forbidden":
+        hint = near_miss(str(first["loc"][-1]), _keys(first["loc"][:-1]))
+        return f"{where}: {path} is not a key of a world; {hint}"
+    return f"{where}: {path} = {str(first['input'])[:60]}: {first['msg']}"
+
+
+def _keys(path: tuple[int | str, ...]) -> list[str]:
+    """Return the keys that the table at a path of a world file may have."""
+    tables: dict[str, type[Part]] = {
+        "robot": Drive,
+        "walls": Wall,
+        "cylinders": Cylinder,
+        "boxes": Box,
+        "doors": Door,
+        "people": Person,
+    }
+    model: Any = tables.get(str(path[0]), World) if path else World
+    return list(model.model_fields)

@@ -25,7 +25,16 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from impslam.errors import ConfigError
 
 _ROLES: dict[str, dict[str, type[Component]]] = {}
-_ROOMS = ("association", "extractors", "filters", "landmarks", "odometry", "sensors", "sources")
+_ROOMS = (
+    "association",
+    "extractors",
+    "filters",
+    "landmarks",
+    "lifecycle",
+    "odometry",
+    "sensors",
+    "sources",
+)
 
 C = TypeVar("C", bound="Component")
 
@@ -122,9 +131,7 @@ def build(role: str, table: Mapping[str, Any], where: str = "") -> Any:
     """Make a component from a config table whose `kind` names it; the rest are its parameters."""
     rest = dict(table)
     if "kind" not in rest:
-        raise ConfigError(
-            f"[{where or role}] lacks 'kind'; known: {', '.join(components(role))}"
-        )
+        raise ConfigError(f"[{where or role}] lacks 'kind'; known: {', '.join(components(role))}")
     cls = find(role, str(rest.pop("kind")))
     try:
         return cls(**rest)

@@ -1,8 +1,9 @@
 """The role of a landmark model: local blocks only; the filter alone knows where they go.
 
 Shapes: k landmarks of the kind at once, `dim` the size of one landmark's state, `dim_z` that of an
-observation. The pose is `T_map_base` [x, y, theta], perturbed by addition. A landmark's state m is
-perturbed by its own `retract`; every `m_D_...` and `..._D_m` is taken in that perturbation.
+observation, a observations. The pose is `T_map_base` [x, y, theta], perturbed by addition. A
+landmark's state m is perturbed by its own `retract`; every `m_D_...` and `..._D_m` is taken in that
+perturbation.
 """
 
 from __future__ import annotations
@@ -11,8 +12,10 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from impslam.component import Component
-from impslam.types import Array, Mask, Observation
+from impslam.types import Array, Observation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,8 +42,22 @@ class Initial:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Overlap:
+    """How far a observations and k landmarks lie apart along the landmarks.
+
+    `gap` (a, k) m is negative where they overlap; `gap_D_pose` (k, 3) and `gap_D_m` (k, dim) are the
+    Jacobians of the place along the landmark; `allowed` is the gap that still makes one landmark, m.
+    """
+
+    gap: Array
+    gap_D_pose: Array
+    gap_D_m: Array
+    allowed: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Report:
-    """A landmark in the form users read, and the Jacobian of `values` by m's perturbation."""
+    """A landmark in the form users read, and the Jacobian (2, dim) of its two estimated values."""
 
     position: Array
     values: dict[str, float]
@@ -74,28 +91,30 @@ class LandmarkModel(Component):
     def report(self, m: Array) -> Report:
         """Return one landmark (dim,) in the form users read."""
 
+    @abstractmethod
     def distance(self, pose: Array, m: Array, observation: Observation) -> tuple[Array, Array]:
         """Return (k,) metres and (k,) rad between landmarks and an observation, in map.
 
         This is what the thesis associates by (4.1.4, 5.2.2): points by their distance, with angle
         0; walls by the distance of the feet of their normals and the angle of intersection.
         """
-        raise NotImplementedError
 
-    def extent(self, m: Array, pose: Array, observation: Observation) -> Array:
-        """Return (2,) where along landmark m (dim,) the observation begins and ends, m.
+    def extents(self, pose: Array, m: Array, observations: list[Observation]) -> Array:
+        """Return (a, k, 2), where along each landmark each observation begins and ends, m.
 
-        Points have no extent: (0, 0).
+        The default is that of a point: no extent.
         """
-        del m, pose, observation
-        import numpy as np
+        del pose
+        return np.zeros((len(observations), len(m), 2))
 
-        return np.zeros(2)
+    def overlap(self, pose: Array, m: Array, extents: Array, seen: Array) -> Overlap | None:
+        """Return how landmarks of known `extents` (k, 2) overlap what is `seen` (a, k, 2).
 
-    def compatible(self, gap: Array) -> Mask:
-        """Tell which landmarks (k,) an observation may belong to, by the gap between extents, m."""
-        return gap <= 0.0
+        None for kinds without extent.
+        """
+        del pose, m, extents, seen
+        return None
 
-    def outline(self, m: Array, extent: Array) -> Array:
-        """Return (p, 2) points in map along the landmark's visible extent."""
-        raise NotImplementedError
+    @abstractmethod
+    def outlines(self, m: Array, extents: Array) -> Array:
+        """Return (k, 2, 2): the landmarks' visible ends in map; twice the place of a point."""

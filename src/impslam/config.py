@@ -1,0 +1,204 @@
+"""Configuration: TOML in, components out.
+
+A config starts from a preset, is overridden by a file, then by `--set key=value`. Its tables name
+components by `kind`; the other keys of a table are that component's parameters. Naming another kind
+drops the parameters of the kind before. `kind = "none"` takes a component out.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from impslam.association.base import Association
+from impslam.component import build, components, explain, near_miss, parameter
+from impslam.errors import ConfigError
+from impslam.filters.base import Filter
+from impslam.landmarks.base import LandmarkModel
+from impslam.lifecycle.base import Lifecycle
+from impslam.robot import Robot
+from impslam.slam import Slam
+
+Table = dict[str, Any]
+
+
+class Grid(BaseModel):
+    """The occupancy grid that a run writes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    resolution: float = parameter(0.05, "m", "side of a cell", gt=0)
+
+
+class Config(BaseModel):
+    """The whole of a run's parameters, as TOML holds them."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    robot: str = parameter("robot", "", "name of the robot")
+    seed: int = parameter(0, "", "seed of everything that samples", ge=0)
+    start: tuple[float, float, float] = parameter(
+        (0.0, 0.0, 0.0), "m, m, rad", "pose in map at the start"
+    )
+    source: Table = parameter({}, "", "parameters of the log reader (topics by role)")
+    odometry: Table = parameter(..., "", "how motion is felt")
+    sensors: dict[str, Table] = parameter(..., "", "what sees, by name")
+    landmarks: dict[str, Table] = parameter({}, "", "parameters of landmark models, by kind")
+    association: Table = parameter(..., "", "which observation is which landmark")
+    lifecycle: Table = parameter(..., "", "when landmarks come and go")
+    filter: Table = parameter(..., "", "the belief")
+    grid: Grid = parameter(Grid(), "", "the occupancy grid")
+
+    def make_robot(self) -> Robot:
+        """Return the robot with fresh sensors."""
+        return Robot(
+            self.robot,
+            build("odometry", self.odometry),
+            {name: build("sensor", t, f"sensors.{name}") for name, t in self.sensors.items()},
+        )
+
+    def make_slam(self) -> Slam:
+        """Return the estimator, ready for its first step."""
+        import numpy as np
+
+        belief: Filter = build("filter", self.filter)
+        association: Association = build("association", self.association)
+        lifecycle: Lifecycle = build("lifecycle", self.lifecycle)
+        return Slam(belief, association, lifecycle, self.make_models(), np.array(self.start))
+
+    def make_models(self) -> dict[str, LandmarkModel]:
+        """Return every known landmark model by the kind it is for."""
+        known = components("landmark")
+        for kind in self.landmarks:
+            if kind not in known:
+                raise ConfigError(f"landmarks.{kind}: no such kind; {near_miss(kind, known)}")
+        return {
+            kind: build("landmark", {"kind": kind, **self.landmarks.get(kind, {})})
+            for kind in known
+        }
+
+    def resolved(self) -> Table:
+        """Return every parameter with its value, defaults included; it loads to the same run."""
+        table = self.model_dump(mode="json", exclude={"odometry", "sensors", "landmarks"})
+        table["odometry"] = _full("odometry", self.odometry)
+        table["sensors"] = {}
+        for name, sensor in self.sensors.items():
+            full = _full("sensor", sensor)
+            if "extractors" in sensor:
+                full["extractors"] = {
+                    key: _full("extractor", value) for key, value in sensor["extractors"].items()
+                }
+            table["sensors"][name] = full
+        for role in ("association", "lifecycle", "filter"):
+            table[role] = _full(role, getattr(self, role))
+        table["landmarks"] = {
+            kind: model.model_dump(mode="json", exclude_none=True)
+            for kind, model in self.make_models().items()
+            if type(model).model_fields
+        }
+        return table
+
+
+def _full(role: str, table: Table) -> Table:
+    """Return a component's table with its defaults written out."""
+    plain = {key: value for key, value in table.items() if key != "extractors"}
+    return {
+        "kind": table["kind"],
+        **build(role, plain).model_dump(mode="json", exclude={"extractors"}, exclude_none=True),
+    }
+
+
+def presets() -> list[str]:
+    """Return the names of the shipped presets."""
+    return sorted(
+        entry.name.removesuffix(".toml")
+        for entry in files("impslam").joinpath("presets").iterdir()
+        if entry.name.endswith(".toml")
+    )
+
+
+def read_table(name: str | Path) -> Table:
+    """Return the raw table of a preset (by name) or of a TOML file, its `base` merged in."""
+    path = Path(name)
+    if str(name) in presets():
+        text = files("impslam").joinpath("presets", f"{name}.toml").read_text("utf-8")
+    elif path.is_file():
+        text = _read(path)
+    else:
+        raise ConfigError(f"{name}: neither a file nor a preset; {near_miss(str(name), presets())}")
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{name}: not valid TOML: {error}") from None
+    base = table.pop("base", None)
+    return table if base is None else merge(read_table(str(base)), table)
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from None
+
+
+def merge(below: Table, above: Mapping[str, Any]) -> Table:
+    """Return `below` overridden by `above`; another `kind` replaces the table it stands in."""
+    if "kind" in above and above["kind"] != below.get("kind"):
+        below = {}
+    merged = dict(below)
+    for key, value in above.items():
+        old = merged.get(key)
+        if isinstance(value, Mapping):
+            merged[key] = merge(old if isinstance(old, dict) else {}, value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def parse_setting(setting: str) -> Table:
+    """Turn "a.b=value" into {"a": {"b": value}}; the value is TOML, or else a string."""
+    key, equals, text = setting.partition("=")
+    if not equals or not key.strip():
+        raise ConfigError(f"--set {setting}: expected key=value, e.g. --set filter.kind=ekf")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    for part in reversed(key.strip().split(".")):
+        value = {part: value}
+    return dict(value)
+
+
+def load(base: str | Path = "default", settings: Sequence[str] = ()) -> Config:
+    """Return the config of a preset or file with settings applied, every component checked.
+
+    Raises
+    ------
+    ConfigError
+        One line that names the key and what to do: the near miss of a typo, the bound broken.
+    """
+    table = read_table(base)
+    for setting in settings:
+        table = merge(table, parse_setting(setting))
+    table = _without_none(table)
+    try:
+        config = Config(**table)
+    except ValidationError as error:
+        raise ConfigError(explain(error, "", Config.model_fields)) from None
+    config.make_robot()
+    config.make_slam()
+    return config
+
+
+def _without_none(table: Table) -> Table:
+    """Return the table without the sub-tables whose kind is "none"."""
+    return {
+        key: _without_none(value) if isinstance(value, dict) else value
+        for key, value in table.items()
+        if not (isinstance(value, dict) and value.get("kind") == "none")
+    }

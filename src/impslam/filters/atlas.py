@@ -1,0 +1,180 @@
+"""The books of a filter's landmarks: which stands where in the state, and its life story."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from impslam.errors import ConfigError
+from impslam.filters.belief import GaussianBelief
+from impslam.landmarks.base import LandmarkModel
+from impslam.types import Array, Ints, Landmark, Match, Observation
+
+
+class Table:
+    """The landmarks of one kind, in columns of length k."""
+
+    def __init__(self, model: LandmarkModel) -> None:
+        self.model = model
+        self.ids: Ints = np.empty(0, np.int64)
+        self.labels: Ints = np.empty(0, np.int64)
+        self.offsets: Ints = np.empty(0, np.int64)
+        self.extents: Array = np.empty((0, 2))
+        self.counts: Ints = np.empty(0, np.int64)
+        self.stamps: Array = np.empty((0, 2))
+        self.attributes: dict[int, dict[str, float]] = {}
+
+    @property
+    def columns(self) -> Ints:
+        """Indices into the state (k, dim)."""
+        return self.offsets[:, None] + np.arange(self.model.dim)
+
+    def states(self, mean: Array, places: Ints | None = None) -> Array:
+        """Return the states (k, dim) of all landmarks, or of those at some places."""
+        columns = self.columns if places is None else self.columns[places]
+        return np.asarray(mean[columns], dtype=np.float64)
+
+    def retract(self, mean: Array, step: Array) -> None:
+        """Move the landmarks in `mean` by their part of a step, both (n,)."""
+        if len(self.ids):
+            columns = self.columns
+            mean[columns] = self.model.retract(mean[columns], step[columns])
+
+    def append(self, row: tuple[int, int, int], extent: Array, stamp: float) -> None:
+        """Add a landmark: (id, label, offset)."""
+        self.ids, self.labels, self.offsets = (
+            np.append(column, value)
+            for column, value in zip((self.ids, self.labels, self.offsets), row, strict=True)
+        )
+        self.extents = np.vstack([self.extents, extent])
+        self.counts = np.append(self.counts, 1)
+        self.stamps = np.vstack([self.stamps, [stamp, stamp]])
+
+    def select(self, keep: Ints) -> None:
+        """Keep the landmarks at these places, forget the others."""
+        for name in ("ids", "labels", "offsets", "extents", "counts", "stamps"):
+            setattr(self, name, getattr(self, name)[keep])
+        known = set(self.ids.tolist())
+        self.attributes = {i: a for i, a in self.attributes.items() if i in known}
+
+
+class Atlas:
+    """All landmarks, one `Table` for each kind."""
+
+    def __init__(self, models: Mapping[str, LandmarkModel]) -> None:
+        self._models = models
+        self._tables: dict[str, Table] = {}
+        self._next_id = 0
+
+    def tables(self) -> list[Table]:
+        """Return the tables of the kinds met so far."""
+        return list(self._tables.values())
+
+    def table(self, kind: str) -> Table:
+        """Return the table of a kind."""
+        if kind not in self._tables:
+            if kind not in self._models:
+                raise ConfigError(
+                    f"no landmark model for observations of kind {kind!r}; register one"
+                )
+            self._tables[kind] = Table(self._models[kind])
+        return self._tables[kind]
+
+    def by_kind(self, observations: Sequence[Observation]) -> Iterator[tuple[Table, Ints]]:
+        """Yield each kind's table, where it has landmarks, with the observations of the kind."""
+        kinds: dict[str, list[int]] = {}
+        for i, observation in enumerate(observations):
+            kinds.setdefault(observation.kind, []).append(i)
+        for kind, indices in kinds.items():
+            table = self.table(kind)
+            if len(table.ids):
+                yield table, np.array(indices)
+
+    def of(self, matches: Sequence[Match]) -> Iterator[tuple[Table, Ints, list[Match]]]:
+        """Yield the matches by table, with the landmarks' places in it."""
+        for table in self._tables.values():
+            place = {int(i): k for k, i in enumerate(table.ids)}
+            some = [match for match in matches if match.landmark in place]
+            if some:
+                yield table, np.array([place[match.landmark] for match in some]), some
+
+    def add(
+        self, pose: Array, observation: Observation, offset: int, m: Array, stamp: float
+    ) -> int:
+        """Enter a new landmark; return its id."""
+        table = self.table(observation.kind)
+        number, self._next_id = self._next_id, self._next_id + 1
+        extent = table.model.extents(pose, m[None], [observation])[0, 0]
+        label = -1 if observation.label is None else observation.label
+        table.append((number, label, offset), extent, stamp)
+        table.attributes[number] = dict(observation.attributes)
+        return number
+
+    def remove(self, ids: Sequence[int], n: int) -> Ints:
+        """Strike landmarks out of a state of n scalars; return the indices that stay, sorted."""
+        gone = np.array(ids)
+        stays = np.ones(n, np.bool_)
+        for table in self._tables.values():
+            leaving = np.isin(table.ids, gone)
+            stays[table.columns[leaving]] = False
+            table.select(np.flatnonzero(~leaving))
+        position = np.cumsum(stays) - 1
+        for table in self._tables.values():
+            table.offsets = position[table.offsets]
+        return np.flatnonzero(stays)
+
+    def note(
+        self,
+        pose: Array,
+        mean: Array,
+        observations: Sequence[Observation],
+        matches: Sequence[Match],
+        stamp: float,
+    ) -> None:
+        """Widen extents, count, stamp and average the attributes of matched landmarks."""
+        for table, places, some in self.of(matches):
+            seen = [observations[match.observation] for match in some]
+            extents = table.model.extents(pose, table.states(mean, places), seen)
+            own = extents[np.arange(len(some)), np.arange(len(some))]
+            table.extents[places, 0] = np.minimum(table.extents[places, 0], own[:, 0])
+            table.extents[places, 1] = np.maximum(table.extents[places, 1], own[:, 1])
+            table.counts[places] += 1
+            table.stamps[places, 1] = stamp
+            for place, observation in zip(places, seen, strict=True):
+                average = table.attributes[int(table.ids[place])]
+                for name, value in observation.attributes.items():
+                    old = average.get(name, value)
+                    average[name] = old + (value - old) / float(table.counts[place])
+
+    def outlines(self, mean: Array) -> tuple[Ints, Array]:
+        """Return the ids (k,) of all landmarks and their visible ends (k, 2, 2) in map."""
+        tables = [table for table in self._tables.values() if len(table.ids)]
+        if not tables:
+            return np.empty(0, np.int64), np.empty((0, 2, 2))
+        ends = [table.model.outlines(table.states(mean), table.extents) for table in tables]
+        return np.concatenate([table.ids for table in tables]), np.concatenate(ends)
+
+    def landmarks(self, belief: GaussianBelief) -> tuple[Landmark, ...]:
+        """Return the map in the form users read, by id."""
+        found = []
+        for kind, table in self._tables.items():
+            states = table.states(belief.mean)
+            outlines = table.model.outlines(states, table.extents)
+            for k, number in enumerate(table.ids):
+                report = table.model.report(states[k])
+                P = belief.block(int(table.offsets[k]), table.model.dim)
+                found.append(
+                    Landmark(
+                        int(number),
+                        kind,
+                        report.position,
+                        {**report.values, **table.attributes[int(number)]},
+                        report.values_D_m @ P @ report.values_D_m.T,
+                        outlines[k] if table.extents[k, 1] > table.extents[k, 0] else None,
+                        int(table.counts[k]),
+                        float(table.stamps[k, 0]),
+                        float(table.stamps[k, 1]),
+                    )
+                )
+        return tuple(sorted(found, key=lambda landmark: landmark.id))

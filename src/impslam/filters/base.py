@@ -1,0 +1,71 @@
+"""The role of a filter: it holds the joint belief over robot and landmarks."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+from impslam.association.base import Hypotheses
+from impslam.component import Component
+from impslam.landmarks.base import LandmarkModel
+from impslam.types import Array, Increment, Ints, Landmark, Match, Observation
+
+
+class Filter(Component):
+    """The belief. Association is asked for through it, so that a filter may hold many."""
+
+    role: ClassVar[str] = "filter"
+
+    @abstractmethod
+    def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
+        """Begin with a pose (3,), its covariance (3, 3), and the models by kind; forget the rest."""
+
+    @abstractmethod
+    def predict(self, increment: Increment) -> None:
+        """Move the robot (thesis Eq. 2.23-2.26)."""
+
+    @abstractmethod
+    def hypothesise(self, observations: Sequence[Observation]) -> list[Hypotheses]:
+        """Score every observation against every landmark of its kind."""
+
+    @abstractmethod
+    def correct(self, observations: Sequence[Observation], matches: Sequence[Match]) -> None:
+        """Take all matches of a scan in, in one batch (thesis Eq. 2.27-2.29)."""
+
+    @abstractmethod
+    def extend(self, observations: Sequence[Observation], stamp: float) -> tuple[int, ...]:
+        """Add a landmark for each observation, with its full cross-covariance; return the ids."""
+
+    @abstractmethod
+    def remove(self, ids: Sequence[int]) -> None:
+        """Forget landmarks."""
+
+    @abstractmethod
+    def note(
+        self, observations: Sequence[Observation], matches: Sequence[Match], stamp: float
+    ) -> None:
+        """Keep the books of the matched landmarks: extents, counts, stamps."""
+
+    @property
+    @abstractmethod
+    def pose(self) -> Array:
+        """`T_map_base` (3,)."""
+
+    @property
+    @abstractmethod
+    def covariance(self) -> Array:
+        """(3, 3) of the pose."""
+
+    @abstractmethod
+    def outlines(self) -> tuple[Ints, Array]:
+        """Return the ids (k,) of all landmarks and their visible ends (k, 2, 2) in map."""
+
+    @abstractmethod
+    def landmarks(self) -> tuple[Landmark, ...]:
+        """Return the map in the form users read."""
+
+    @property
+    @abstractmethod
+    def state_size(self) -> int:
+        """Number of scalars in the belief."""

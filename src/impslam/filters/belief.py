@@ -1,0 +1,195 @@
+"""A Gaussian belief over a pose and landmarks, stored for speed.
+
+The mean is a vector, the covariance P the *lower triangle* of a preallocated Fortran-ordered array:
+what bounds a large filter is the traffic of P through memory, and half of P is half the traffic. The
+pose comes first. Everything here touches P in place and in order; nothing forms (I - K H) P.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg.blas import dsyrk, dtrsm
+
+from impslam.geometry.kernels import kernel
+from impslam.types import Array, Ints
+
+POSE = 3
+_BLOCK = 64  # P grows in steps of this; more would be updated in vain at every scan
+
+
+@kernel
+def _innovation_blocks(P: Array, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
+    """Return H P H^T (k, dz, dz) of k landmarks, each measured alone."""
+    k, dz, dm = z_D_m.shape
+    out = np.empty((k, dz, dz))
+    block = np.empty((POSE + dm, POSE + dm))
+    rows = np.empty((dz, POSE + dm))
+    for i in range(k):
+        o = offsets[i]
+        for a in range(POSE):
+            for b in range(a + 1):
+                block[a, b] = block[b, a] = P[a, b]
+        for a in range(dm):
+            for b in range(POSE):
+                block[POSE + a, b] = block[b, POSE + a] = P[o + a, b]
+            for b in range(a + 1):
+                block[POSE + a, POSE + b] = block[POSE + b, POSE + a] = P[o + a, o + b]
+        rows[:, :POSE] = z_D_pose[i]
+        rows[:, POSE:] = z_D_m[i]
+        for a in range(dz):
+            for b in range(a + 1):
+                total = 0.0
+                for p in range(POSE + dm):
+                    partial = 0.0
+                    for q in range(POSE + dm):
+                        partial += block[p, q] * rows[b, q]
+                    total += rows[a, p] * partial
+                out[i, a, b] = out[i, b, a] = total
+    return out
+
+
+@kernel
+def _cross(P: Array, n: int, offsets: Ints, dims: Ints, h_pose: Array, h_m: Array) -> Array:
+    """Return (P H^T)^T (rows, len(P)): row r measures the pose and the landmark at offsets[r]."""
+    rows = len(offsets)
+    out = np.zeros((rows, len(P)))
+    for r in range(rows):
+        line = out[r]
+        for c in range(POSE + dims[r]):
+            column = c if c < POSE else offsets[r] + c - POSE
+            h = h_pose[r, c] if c < POSE else h_m[r, c - POSE]
+            if h == 0.0:
+                continue
+            for i in range(column):
+                line[i] += h * P[column, i]
+            for i in range(column, n):
+                line[i] += h * P[i, column]
+    return out
+
+
+@kernel
+def _measure(cross: Array, offsets: Ints, dims: Ints, h_pose: Array, h_m: Array) -> Array:
+    """Return H (P H^T) (rows, rows), exactly symmetric."""
+    rows = len(offsets)
+    S = np.empty((rows, rows))
+    for a in range(rows):
+        for b in range(a + 1):
+            total = 0.0
+            for c in range(POSE):
+                total += h_pose[a, c] * cross[b, c]
+            for c in range(dims[a]):
+                total += h_m[a, c] * cross[b, offsets[a] + c]
+            S[a, b] = S[b, a] = total
+    return S
+
+
+@kernel
+def _rotate_pose(P: Array, n: int, fx: float, fy: float) -> None:
+    """Apply F P F^T with F = I except F[0, 2] = fx and F[1, 2] = fy."""
+    for i in range(POSE, n):
+        P[i, 0] += fx * P[i, 2]
+        P[i, 1] += fy * P[i, 2]
+    tt, xt, yt = P[2, 2], P[2, 0], P[2, 1]
+    P[0, 0] += 2.0 * fx * xt + fx * fx * tt
+    P[1, 0] += fx * yt + fy * xt + fx * fy * tt
+    P[1, 1] += 2.0 * fy * yt + fy * fy * tt
+    P[2, 0] += fx * tt
+    P[2, 1] += fy * tt
+
+
+class Rows:
+    """The stacked sparse measurement Jacobian H of a scan: each row sees the pose and a landmark.
+
+    offsets, dims : (rows,) where the landmark stands in the state, and its size
+    h_pose, h_m : (rows, 3) and (rows, largest dim)
+    """
+
+    __slots__ = ("dims", "h_m", "h_pose", "offsets")
+
+    def __init__(self, rows: int, largest: int) -> None:
+        self.offsets = np.zeros(rows, np.int64)
+        self.dims = np.zeros(rows, np.int64)
+        self.h_pose = np.zeros((rows, POSE))
+        self.h_m = np.zeros((rows, largest))
+
+
+class GaussianBelief:
+    """Mean and covariance of [pose, landmark, landmark, ...]; knows sizes, not kinds."""
+
+    def __init__(self, pose: Array, covariance: Array) -> None:
+        self.n = POSE
+        self.mean = np.zeros(_BLOCK)
+        self.P = np.zeros((_BLOCK, _BLOCK), order="F")
+        self.mean[:POSE] = pose
+        self.P[:POSE, :POSE] = covariance
+
+    @property
+    def covariance(self) -> Array:
+        """P, full and symmetric (n, n); a copy."""
+        lower = np.tril(self.P[: self.n, : self.n])
+        return lower + np.tril(lower, -1).T
+
+    def pose_covariance(self) -> Array:
+        """Return the pose's (3, 3)."""
+        lower = np.tril(self.P[:POSE, :POSE])
+        return lower + np.tril(lower, -1).T
+
+    def block(self, offset: int, dim: int) -> Array:
+        """Return a landmark's own covariance (dim, dim)."""
+        lower = np.tril(self.P[offset : offset + dim, offset : offset + dim])
+        return lower + np.tril(lower, -1).T
+
+    def move(self, fx: float, fy: float, noise: Array) -> None:
+        """Propagate P by F, the identity but for d(x, y)/d(theta) = (fx, fy), and add noise."""
+        _rotate_pose(self.P, self.n, fx, fy)
+        self.P[:POSE, :POSE] += noise
+
+    def innovation_blocks(self, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
+        """Return H P H^T (k, dz, dz) of k landmarks, each measured alone."""
+        return _innovation_blocks(self.P, offsets, z_D_pose, z_D_m)
+
+    def update(self, rows: Rows, innovation: Array, R: Array) -> Array:
+        """Correct P by a batch of measurements; return the step (n,) for the mean to take.
+
+        With S = H P H^T + R = L L^T and W = P H^T L^-T, P becomes P - W W^T, symmetric by
+        construction, and the step is W L^-1 innovation.
+        """
+        shape = rows.offsets, rows.dims, rows.h_pose, rows.h_m
+        cross = _cross(self.P, self.n, *shape)
+        L = np.linalg.cholesky(_measure(cross, *shape) + R)
+        W = dtrsm(1.0, L, cross.T, side=1, lower=1, trans_a=1, overwrite_b=1)
+        self.P = dsyrk(-1.0, W, beta=1.0, c=self.P, lower=1, overwrite_c=1)
+        step = W @ np.linalg.solve(L, innovation)
+        return np.asarray(step[: self.n], dtype=np.float64)
+
+    def extend(self, m: Array, m_D_pose: Array, noise: Array) -> int:
+        """Append a landmark that depends on the pose and on noise (dim, dim); return its offset."""
+        o, dim = self.n, len(m)
+        self._reserve(o + dim)
+        pose_columns = np.concatenate(
+            [self.pose_covariance(), self.P[POSE:o, :POSE]]
+        )  # (o, 3): P of everything with the pose
+        self.P[o : o + dim, :o] = m_D_pose @ pose_columns.T
+        self.P[o : o + dim, o : o + dim] = m_D_pose @ self.pose_covariance() @ m_D_pose.T + noise
+        self.mean[o : o + dim] = m
+        self.n = o + dim
+        return o
+
+    def keep(self, indices: Ints) -> None:
+        """Keep these entries of the state (sorted), forget the others."""
+        P = self.P[np.ix_(indices, indices)]
+        mean = self.mean[indices]
+        self.n = 0
+        self._reserve(len(indices), shrink=True)
+        self.n = len(indices)
+        self.mean[: self.n] = mean
+        self.P[: self.n, : self.n] = P
+
+    def _reserve(self, n: int, shrink: bool = False) -> None:
+        if n <= len(self.mean) and not shrink:
+            return
+        size = -(-n // _BLOCK) * _BLOCK
+        mean, P = np.zeros(size), np.zeros((size, size), order="F")
+        mean[: self.n] = self.mean[: self.n]
+        P[: self.n, : self.n] = self.P[: self.n, : self.n]
+        self.mean, self.P = mean, P

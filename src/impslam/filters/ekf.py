@@ -1,0 +1,152 @@
+"""The extended Kalman filter for SLAM (thesis Eq. 2.22-2.29; Smith, Self & Cheeseman 1990).
+
+The state is the pose `T_map_base` [x, y, theta], perturbed by addition, and every landmark in the
+perturbation of its own model. A scan is taken in as one batch: all matched landmarks are predicted
+at the same mean, which the Jacobians are evaluated at too (the thesis prints x(k-1) in Eq. 2.20;
+the predicted state is meant).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from pydantic import PrivateAttr
+
+from impslam.association.base import Hypotheses
+from impslam.component import register
+from impslam.filters.atlas import Atlas
+from impslam.filters.base import Filter
+from impslam.filters.belief import POSE, GaussianBelief, Rows
+from impslam.filters.scoring import score
+from impslam.geometry.angles import wrap
+from impslam.geometry.se2 import compose, rotation
+from impslam.landmarks.base import LandmarkModel
+from impslam.types import Array, Increment, Ints, Landmark, Match, Observation
+
+
+@register("ekf")
+class Ekf(Filter):
+    """The textbook EKF over pose and landmarks, written for speed."""
+
+    _belief: GaussianBelief = PrivateAttr()
+    _atlas: Atlas = PrivateAttr()
+
+    def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
+        """Begin anew; see `Filter.start`."""
+        self._belief = GaussianBelief(pose, covariance)
+        self._atlas = Atlas(models)
+
+    def predict(self, increment: Increment) -> None:
+        """Move the robot: x' = x (+) u, P' = F P F^T + V Q V^T (thesis Eq. 2.23-2.26)."""
+        belief, pose, d = self._belief, self.pose, increment.d_pose
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        V = np.eye(POSE)
+        V[:2, :2] = rotation(pose[2])
+        belief.move(-s * d[0] - c * d[1], c * d[0] - s * d[1], V @ increment.covariance @ V.T)
+        belief.mean[:POSE] = compose(pose, d)
+
+    def hypothesise(self, observations: Sequence[Observation]) -> list[Hypotheses]:
+        """Score every observation against every landmark of its kind."""
+        return [
+            score(self._belief, table, observations, indices)
+            for table, indices in self._atlas.by_kind(observations)
+        ]
+
+    def correct(self, observations: Sequence[Observation], matches: Sequence[Match]) -> None:
+        """Take all matches of a scan in, in one batch (thesis Eq. 2.27-2.29)."""
+        if not matches:
+            return
+        rows, innovation, R = self._stack(observations, matches)
+        self._retract(self._belief.update(rows, innovation, R))
+
+    def extend(self, observations: Sequence[Observation], stamp: float) -> tuple[int, ...]:
+        """Add landmarks with their full cross-covariance to pose and map."""
+        ids = []
+        for observation in observations:
+            table = self._atlas.table(observation.kind)
+            new = table.model.initialise(self.pose, observation)
+            noise = new.m_D_z @ observation.R @ new.m_D_z.T + new.slack
+            offset = self._belief.extend(new.m, new.m_D_pose, noise)
+            ids.append(self._atlas.add(self.pose, observation, offset, new.m, stamp))
+        return tuple(ids)
+
+    def remove(self, ids: Sequence[int]) -> None:
+        """Marginalise landmarks out: their rows and columns go, the rest stays as it is."""
+        if ids:
+            self._belief.keep(self._atlas.remove(ids, self._belief.n))
+
+    def note(
+        self, observations: Sequence[Observation], matches: Sequence[Match], stamp: float
+    ) -> None:
+        """Keep the books of the matched landmarks."""
+        self._atlas.note(self.pose, self._belief.mean, observations, matches, stamp)
+
+    @property
+    def pose(self) -> Array:
+        """`T_map_base` (3,)."""
+        return self._belief.mean[:POSE].copy()
+
+    @property
+    def covariance(self) -> Array:
+        """(3, 3) of the pose."""
+        return self._belief.pose_covariance()
+
+    @property
+    def belief(self) -> GaussianBelief:
+        """The joint belief, for tests and for the study of consistency; read only."""
+        return self._belief
+
+    def outlines(self) -> tuple[Ints, Array]:
+        """Return the ids (k,) of all landmarks and their visible ends (k, 2, 2) in map."""
+        return self._atlas.outlines(self._belief.mean)
+
+    def landmarks(self) -> tuple[Landmark, ...]:
+        """Return the map in the form users read."""
+        return self._atlas.landmarks(self._belief)
+
+    @property
+    def state_size(self) -> int:
+        """Number of scalars in the belief."""
+        return self._belief.n
+
+    def _stack(
+        self, observations: Sequence[Observation], matches: Sequence[Match]
+    ) -> tuple[Rows, Array, Array]:
+        """Return H (sparse), the innovation (rows,) and R (rows, rows) of a batch of matches."""
+        blocks = [
+            (
+                table,
+                table.model.predict(self.pose, table.states(self._belief.mean, places)),
+                places,
+                some,
+            )
+            for table, places, some in self._atlas.of(matches)
+        ]
+        total = sum(b[0].model.dim_z * len(b[3]) for b in blocks)
+        rows = Rows(total, max(b[0].model.dim for b in blocks))
+        innovation, R = np.empty(total), np.zeros((total, total))
+        r = 0
+        for table, prediction, places, some in blocks:
+            dz, dim = table.model.dim_z, table.model.dim
+            for i, match in enumerate(some):
+                observation = observations[match.observation]
+                here = slice(r, r + dz)
+                rows.offsets[here], rows.dims[here] = table.offsets[places[i]], dim
+                rows.h_pose[here], rows.h_m[here, :dim] = (
+                    prediction.z_D_pose[i],
+                    prediction.z_D_m[i],
+                )
+                innovation[here] = table.model.residual(observation.z, prediction.z[i])
+                R[here, here] = observation.R
+                r += dz
+        return rows, innovation, R
+
+    def _retract(self, step: Array) -> None:
+        """Move the mean by a step in the perturbations of pose and landmarks."""
+        mean = self._belief.mean
+        mean[:POSE] += step[:POSE]
+        mean[2] = wrap(float(mean[2]))
+        for table in self._atlas.tables():
+            table.retract(mean, step)

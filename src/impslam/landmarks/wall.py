@@ -1,0 +1,141 @@
+"""Walls: oriented lines, each with a frame of its own (thesis 4.2.6; Castellanos's SPmap, 1999).
+
+State m = [x, y, phi]: the pose in map of a frame on the wall near where it was first seen, its x axis
+n pointing *into* the wall, its y axis along it. It is perturbed in its own frame,
+
+    m [+] (dn, dt, dphi) = [p + R(phi) (dn, dt), phi + dphi],
+
+and measured as z = [rho, alpha] in base_link (thesis Eq. 4.15, signed):
+
+    rho = n . (p - t),    alpha = phi - theta    for the pose [t, theta].
+
+The thesis's state, the foot of the normal from the map origin, is singular where a wall passes the
+origin, and its covariance is nearly so for every wall far from its foot; this form is regular
+everywhere, and the signed rho stays smooth when the robot passes through the wall's line (a door).
+A surface is seen from one side only, so its normal has a direction and no +-pi ambiguity.
+
+The place of the frame along the wall (dt) is not observed. It is kept in the state all the same: it
+is correlated with the robot's pose when the wall was first seen, so that a wall moves along itself
+when a loop closes, and its end points, stored along the wall from p, move with it. The perturbation
+in the wall's own frame keeps that direction free of false information when phi is corrected.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+
+from impslam.component import parameter, register
+from impslam.geometry.angles import wrap
+from impslam.geometry.se2 import transform
+from impslam.landmarks.base import Initial, LandmarkModel, Overlap, Prediction, Report
+from impslam.types import Array, Observation
+
+
+@register("wall")
+class Wall(LandmarkModel):
+    """A straight wall with two ends."""
+
+    dim: ClassVar[int] = 3
+    dim_z: ClassVar[int] = 2
+
+    max_gap: float = parameter(
+        1.0,
+        "m",
+        "two collinear pieces with at most this between them are one wall (a door is 0.8 to 1 m)",
+        ge=0,
+    )
+
+    def predict(self, pose: Array, m: Array) -> Prediction:
+        """Return signed distances and directions of the walls; see `LandmarkModel.predict`."""
+        k = len(m)
+        c, s = np.cos(m[:, 2]), np.sin(m[:, 2])
+        dx, dy = m[:, 0] - pose[0], m[:, 1] - pose[1]
+        z = np.empty((k, 2))
+        z[:, 0] = c * dx + s * dy
+        z[:, 1] = wrap(m[:, 2] - pose[2])
+        z_D_pose = np.zeros((k, 2, 3))
+        z_D_pose[:, 0, 0], z_D_pose[:, 0, 1], z_D_pose[:, 1, 2] = -c, -s, -1.0
+        z_D_m = np.zeros((k, 2, 3))
+        z_D_m[:, 0, 0], z_D_m[:, 0, 2], z_D_m[:, 1, 2] = 1.0, c * dy - s * dx, 1.0
+        return Prediction(z, z_D_pose, z_D_m)
+
+    def residual(self, z: Array, predicted: Array) -> Array:
+        """Return observed minus predicted, the angle wrapped."""
+        difference = z - predicted
+        difference[..., 1] = wrap(difference[..., 1])
+        return difference
+
+    def initialise(self, pose: Array, observation: Observation) -> Initial:
+        """Return the wall with its frame at the middle of what was seen (thesis Algorithm 2)."""
+        rho, alpha = observation.z
+        along = np.array([-math.sin(alpha), math.cos(alpha)])
+        ends = observation.end_points if observation.end_points is not None else np.zeros((2, 2))
+        middle = float(along @ ends.mean(axis=0))
+        in_base = rho * np.array([math.cos(alpha), math.sin(alpha)]) + middle * along
+        phi = wrap(float(pose[2] + alpha))
+        n, t = np.array([math.cos(phi), math.sin(phi)]), np.array([-math.sin(phi), math.cos(phi)])
+        m = np.array([*transform(pose, in_base), phi])
+        m_D_pose = np.array([[*n, -middle], [*t, rho], [0.0, 0.0, 1.0]])
+        m_D_z = np.array([[1.0, -middle], [0.0, 0.0], [0.0, 1.0]])
+        # Along the wall the ends are known to a beam's spacing, uniformly distributed.
+        spacing = float(np.linalg.norm(ends[1] - ends[0])) / max(len(observation.beams) - 1, 1)
+        slack = np.diag([0.0, spacing**2 / 12.0 + 1e-6, 0.0])
+        return Initial(m, m_D_pose, m_D_z, slack)
+
+    def retract(self, m: Array, delta: Array) -> Array:
+        """Move the frames in their own axes."""
+        c, s = np.cos(m[:, 2]), np.sin(m[:, 2])
+        moved = np.empty_like(m)
+        moved[:, 0] = m[:, 0] + c * delta[:, 0] - s * delta[:, 1]
+        moved[:, 1] = m[:, 1] + s * delta[:, 0] + c * delta[:, 1]
+        moved[:, 2] = wrap(m[:, 2] + delta[:, 2])
+        return moved
+
+    def report(self, m: Array) -> Report:
+        """Return the foot of the normal from the map origin, r >= 0 and alpha (thesis Fig. 20)."""
+        c, s = math.cos(m[2]), math.sin(m[2])
+        distance, lever = c * m[0] + s * m[1], c * m[1] - s * m[0]
+        sign = -1.0 if distance < 0.0 else 1.0
+        alpha = wrap(float(m[2]) + (math.pi if sign < 0.0 else 0.0))
+        values_D_m = np.array([[sign, 0.0, sign * lever], [0.0, 0.0, 1.0]])
+        foot = np.array([distance * c, distance * s])
+        return Report(foot, {"r": sign * distance, "alpha": alpha}, values_D_m)
+
+    def distance(self, pose: Array, m: Array, observation: Observation) -> tuple[Array, Array]:
+        """Return distances of feet and angles of intersection in map (thesis 5.2.2)."""
+        seen = self.initialise(pose, observation).m
+        c, s = np.cos(m[:, 2]), np.sin(m[:, 2])
+        r = c * m[:, 0] + s * m[:, 1]
+        foot = self.report(seen).position
+        angle = np.abs(wrap(m[:, 2] - seen[2]))
+        return np.hypot(r * c - foot[0], r * s - foot[1]), np.minimum(angle, np.pi - angle)
+
+    def extents(self, pose: Array, m: Array, observations: list[Observation]) -> Array:
+        """Return where along each wall each observed piece begins and ends, from the frame, m."""
+        ends = np.array(
+            [np.zeros((2, 2)) if o.end_points is None else o.end_points for o in observations]
+        ).reshape(-1, 2, 2)
+        in_map = transform(pose, ends)[:, None]  # (a, 1, 2, 2)
+        along = np.stack([-np.sin(m[:, 2]), np.cos(m[:, 2])], axis=-1)[None, :, None]
+        places = ((in_map - m[None, :, None, :2]) * along).sum(axis=-1)
+        places.sort(axis=-1)
+        return np.asarray(places, dtype=np.float64)
+
+    def overlap(self, pose: Array, m: Array, extents: Array, seen: Array) -> Overlap:
+        """Return the gaps between known and seen pieces; see `LandmarkModel.overlap`."""
+        gap = np.maximum(seen[..., 0] - extents[:, 1], extents[:, 0] - seen[..., 1])
+        c, s = np.cos(m[:, 2]), np.sin(m[:, 2])
+        gap_D_pose = np.empty((len(m), 3))
+        gap_D_pose[:, 0], gap_D_pose[:, 1] = -s, c
+        gap_D_pose[:, 2] = c * (m[:, 0] - pose[0]) + s * (m[:, 1] - pose[1])
+        gap_D_m = np.zeros((len(m), 3))
+        gap_D_m[:, 1] = -1.0
+        return Overlap(gap, gap_D_pose, gap_D_m, self.max_gap)
+
+    def outlines(self, m: Array, extents: Array) -> Array:
+        """Return the walls' two ends in map."""
+        along = np.stack([-np.sin(m[:, 2]), np.cos(m[:, 2])], axis=-1)
+        return np.asarray(m[:, None, :2] + extents[:, :, None] * along[:, None], dtype=np.float64)

@@ -1,0 +1,1 @@
+"""When a landmark enters the map, and when it leaves."""

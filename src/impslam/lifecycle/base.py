@@ -1,0 +1,39 @@
+"""The role of a lifecycle: when an observation becomes a landmark, and when a landmark goes."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+from impslam.association.base import Association
+from impslam.component import Component
+from impslam.filters.base import Filter
+from impslam.landmarks.base import LandmarkModel
+from impslam.types import Array, Increment, Ints, Match, Observation, Scan
+
+
+class Lifecycle(Component):
+    """Keeps what is not (yet, or any more) worth a place in the filter out of it."""
+
+    role: ClassVar[str] = "lifecycle"
+
+    @abstractmethod
+    def start(
+        self, models: Mapping[str, LandmarkModel], association: Association, tracker: Filter
+    ) -> None:
+        """Begin with the run's models and association, and a filter for the lifecycle's own use."""
+
+    @abstractmethod
+    def move(self, increment: Increment) -> None:
+        """Follow the robot's motion."""
+
+    @abstractmethod
+    def promote(self, observations: Sequence[Observation], stamp: float) -> list[Observation]:
+        """Return which of the unmatched observations are to become landmarks now."""
+
+    @abstractmethod
+    def review(
+        self, scan: Scan, pose: Array, ids: Ints, outlines: Array, matches: Sequence[Match]
+    ) -> list[int]:
+        """Return the ids of landmarks to remove: they should be seen from the pose, and are not."""

@@ -1,0 +1,37 @@
+"""The thesis's lifecycle: what matches nothing is a landmark at once, and stays (2.1.3, 5.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from impslam.association.base import Association
+from impslam.component import register
+from impslam.filters.base import Filter
+from impslam.landmarks.base import LandmarkModel
+from impslam.lifecycle.base import Lifecycle
+from impslam.types import Array, Increment, Ints, Match, Observation, Scan
+
+
+@register("immediate")
+class Immediate(Lifecycle):
+    """Every unmatched observation begins a landmark; none is ever removed."""
+
+    def start(
+        self, models: Mapping[str, LandmarkModel], association: Association, tracker: Filter
+    ) -> None:
+        """Need nothing."""
+
+    def move(self, increment: Increment) -> None:
+        """Keep nothing that moves."""
+
+    def promote(self, observations: Sequence[Observation], stamp: float) -> list[Observation]:
+        """Return them all."""
+        del stamp
+        return list(observations)
+
+    def review(
+        self, scan: Scan, pose: Array, ids: Ints, outlines: Array, matches: Sequence[Match]
+    ) -> list[int]:
+        """Remove nothing."""
+        del scan, pose, ids, outlines, matches
+        return []

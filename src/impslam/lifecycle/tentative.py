@@ -1,0 +1,196 @@
+"""Landmarks are tentative until seen often enough, and go when they are seen through (2.1.3).
+
+A tentative landmark lives in a small filter that only dead-reckons: it is compared with later scans
+with the right uncertainty, and nothing of it reaches the map before it is confirmed. It stays where
+it was first seen, so that what walks does not become a landmark.
+
+A confirmed one has a score: it rises when the landmark is matched and falls when beams that should
+have hit it end behind it. Occlusion says nothing and changes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from pydantic import PrivateAttr
+
+from impslam.association.base import Association
+from impslam.component import parameter, register
+from impslam.filters.base import Filter
+from impslam.geometry.kernels import kernel
+from impslam.geometry.se2 import compose, inverse, transform
+from impslam.landmarks.base import LandmarkModel
+from impslam.lifecycle.base import Lifecycle
+from impslam.types import Array, Increment, Ints, Mask, Match, Observation, Scan
+
+_SAMPLES = 9  # places looked at along a wall
+_HEADING_LIMIT = 0.3**2  # rad^2: beyond it the dead-reckoning filter's linearisation is worthless
+
+
+@kernel
+def _seen_through(
+    ends: Array, directions: Array, points: Array, valid: Mask, margin: float, width: float
+) -> Array:
+    """Return for each landmark the balance of beams behind it (-) and on it (+), in [-1, 1].
+
+    ends (k, 2, 2), points (n, 2) and directions (n,), ascending, all in the laser frame. 0: not in view.
+    """
+    k, n = len(ends), len(directions)
+    out = np.zeros(k)
+    for i in range(k):
+        ax, ay = ends[i, 0]
+        bx, by = ends[i, 1]
+        length = math.hypot(bx - ax, by - ay)
+        samples = _SAMPLES if length > 0.0 else 1
+        through, on = 0, 0
+        for j in range(samples):
+            w = (j + 0.5) / samples
+            px, py = ax + w * (bx - ax), ay + w * (by - ay)
+            distance = math.hypot(px, py)
+            nx, ny = px / max(distance, 1e-9), py / max(distance, 1e-9)
+            if length > 0.0:
+                nx, ny = -(by - ay) / length, (bx - ax) / length
+                if nx * px + ny * py < 0.0:
+                    nx, ny = -nx, -ny
+            # A point counts as seen through only if every beam beside it is: one side of a convex
+            # corner is always free.
+            half = math.atan2(width, distance) if length == 0.0 else 0.0
+            bearing = math.atan2(py, px)
+            behind, before, seen = 0, 0, 0
+            for turn in (-2.0 * math.pi, 0.0, 2.0 * math.pi):
+                low = np.searchsorted(directions, bearing + turn - half)
+                high = np.searchsorted(directions, bearing + turn + half)
+                for b in range(max(low - 1, 0), min(high + 1, n)):
+                    if abs(directions[b] - bearing - turn) > half + 0.01 or not valid[b]:
+                        continue
+                    offset = nx * (points[b, 0] - px) + ny * (points[b, 1] - py)
+                    seen += 1
+                    if offset > margin:
+                        behind += 1
+                    elif offset < -margin:
+                        before += 1
+            if seen > 0 and behind == seen:
+                through += 1
+            elif seen > 0 and before < seen:
+                on += 1
+        if through + on > 0:
+            out[i] = (on - through) / samples
+    return out
+
+
+@register("tentative")
+class Tentative(Lifecycle):
+    """Confirmed after enough sightings over enough time; removed when seen through."""
+
+    sightings: int = parameter(4, "1", "scans that must show a landmark before it is one", ge=1)
+    persistence: float = parameter(
+        0.4, "s", "time from the first to the last of them; a walker's foot rests for 0.3 s", ge=0
+    )
+    patience: float = parameter(
+        1.0, "s", "a tentative landmark that is not seen for so long is forgotten", gt=0
+    )
+    margin: float = parameter(
+        0.3, "m", "a beam that ends so far behind a landmark has gone through it", gt=0
+    )
+    width: float = parameter(
+        0.1, "m", "beams that pass a point within this must all go through to count", gt=0
+    )
+    confidence: float = parameter(
+        15.0, "scans", "the most that a landmark's score rises to: so many misses remove it", gt=0
+    )
+    _candidates: Filter = PrivateAttr()
+    _association: Association = PrivateAttr()
+    _models: Mapping[str, LandmarkModel] = PrivateAttr()
+    _seen: dict[int, tuple[int, float, float]] = PrivateAttr(default_factory=dict)
+    _scores: dict[int, float] = PrivateAttr(default_factory=dict)
+
+    def start(
+        self, models: Mapping[str, LandmarkModel], association: Association, tracker: Filter
+    ) -> None:
+        """Begin with an empty dead-reckoning filter."""
+        self._models, self._association, self._candidates = models, association, tracker
+        self._scores.clear()
+        self._forget()
+
+    def move(self, increment: Increment) -> None:
+        """Dead-reckon; start anew once the heading is too uncertain to compare anything."""
+        if not self._seen or self._candidates.covariance[2, 2] > _HEADING_LIMIT:
+            self._forget()
+        self._candidates.predict(increment)
+
+    def promote(self, observations: Sequence[Observation], stamp: float) -> list[Observation]:
+        """Return the observations whose landmark has now been seen often enough."""
+        if not observations and not self._seen:
+            return []
+        choice = self._association.assign(
+            tuple(observations), self._candidates.hypothesise(observations)
+        )
+        promoted, leaving = [], []
+        for match in choice.matches:
+            count, first, _ = self._seen[match.landmark]
+            self._seen[match.landmark] = (count + 1, first, stamp)
+            if count + 1 >= self.sightings and stamp - first >= self.persistence:
+                promoted.append(observations[match.observation])
+                leaving.append(match.landmark)
+        leaving += [i for i, (_, _, last) in self._seen.items() if stamp - last > self.patience]
+        self._drop(leaving)
+        promoted += self._enter([observations[i] for i in choice.new], stamp)
+        return promoted
+
+    def review(
+        self, scan: Scan, pose: Array, ids: Ints, outlines: Array, matches: Sequence[Match]
+    ) -> list[int]:
+        """Return the ids of landmarks that have been seen through too often."""
+        matched = {match.landmark for match in matches}
+        for number in matched:
+            self._scores[number] = min(self._score(number) + 1.0, self.confidence)
+        reach = scan.points[scan.valid]
+        if len(reach) < 2 or len(ids) == 0:
+            return []
+        limit = float(np.hypot(reach[:, 0], reach[:, 1]).max())
+        near = np.hypot(*(outlines.mean(axis=1) - pose[:2]).T) < limit
+        near &= ~np.isin(ids, list(matched))
+        lost = []
+        for number, balance in zip(
+            ids[near], self._balance(scan, pose, outlines[near]), strict=True
+        ):
+            if balance < 0.0:
+                self._scores[int(number)] = self._score(int(number)) + balance
+                if self._scores[int(number)] < 0.0:
+                    lost.append(int(number))
+        for number in lost:
+            del self._scores[number]
+        return lost
+
+    def _balance(self, scan: Scan, pose: Array, outlines: Array) -> Array:
+        directions = scan.directions - scan.laser[2]
+        order = np.argsort(directions, kind="stable")
+        return _seen_through(
+            transform(inverse(compose(pose, scan.laser)), outlines),
+            directions[order],
+            transform(inverse(scan.laser), scan.points[order]),
+            scan.valid[order],
+            self.margin,
+            self.width,
+        )
+
+    def _score(self, number: int) -> float:
+        return self._scores.get(number, float(self.sightings))
+
+    def _enter(self, observations: list[Observation], stamp: float) -> list[Observation]:
+        if self.sightings == 1 and self.persistence == 0.0:
+            return observations
+        for number in self._candidates.extend(observations, stamp):
+            self._seen[number] = (1, stamp, stamp)
+        return []
+
+    def _drop(self, ids: list[int]) -> None:
+        self._candidates.remove(ids)
+        for number in ids:
+            del self._seen[number]
+
+    def _forget(self) -> None:
+        self._seen.clear()
+        self._candidates.start(np.zeros(3), np.zeros((3, 3)), self._models)

@@ -1,0 +1,39 @@
+"""How far a wheeled robot's dead reckoning strays: variances that grow with the way it goes."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from impslam.component import parameter
+from impslam.types import Array
+
+
+class MotionNoise(BaseModel):
+    """Random walk of dead reckoning (after Thrun et al. 2005, ch. 5.4, as variances per way).
+
+    Variances are proportional to the distance and the angle travelled, so that they do not depend on
+    how a path is cut into increments.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    forward: float = parameter(0.05, "m/sqrt(m)", "error along the way, per root metre", ge=0)
+    sideways: float = parameter(0.02, "m/sqrt(m)", "error across the way, per root metre", ge=0)
+    turn_per_distance: float = parameter(
+        0.03, "rad/sqrt(m)", "heading error of driving, per root metre", ge=0
+    )
+    turn_per_turn: float = parameter(
+        0.1, "rad/sqrt(rad)", "heading error of turning (slip), per root radian", ge=0
+    )
+
+    def covariance(self, distance: float, angle: float) -> Array:
+        """Return (3, 3) for a way of `distance` m and a turn of `angle` rad, in the body frame."""
+        distance, angle = abs(distance), abs(angle)
+        return np.diag(
+            [
+                self.forward**2 * distance,
+                self.sideways**2 * distance,
+                self.turn_per_distance**2 * distance + self.turn_per_turn**2 * angle,
+            ]
+        )

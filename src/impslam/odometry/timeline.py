@@ -1,0 +1,88 @@
+"""Increments between messages, cut and composed to increments between scans."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from impslam.geometry.se2 import log
+from impslam.types import Array, Increment
+
+
+class Timeline:
+    """The motion not yet handed to the filter, in the order in which it happened.
+
+    Time never runs backwards here: an increment whose stamp lies before the newest one keeps its
+    motion and takes no time. So logs whose stamps run backwards are used in file order.
+    """
+
+    def __init__(self) -> None:
+        self._pending: deque[Increment] = deque()
+        self._newest = -np.inf
+        self._last_stamp = -np.inf
+        self._twist = np.zeros(3)
+
+    @property
+    def newest(self) -> float:
+        """Stamp up to which motion is known."""
+        return float(self._newest)
+
+    def start(self, stamp: float) -> None:
+        """Say that odometry begins (again) at a stamp, without motion."""
+        self._newest = max(self._newest, stamp)
+        self._last_stamp = stamp
+
+    def add(self, increment: Increment) -> None:
+        """Append the motion that a message told."""
+        duration = min(increment.duration, max(increment.stamp - self._newest, 0.0))
+        self._last_stamp = increment.stamp
+        self._newest = max(self._newest, increment.stamp)
+        self._pending.append(
+            Increment(self.newest, increment.d_pose, increment.covariance, duration)
+        )
+        if increment.duration > 0.0:
+            self._twist = log(increment.d_pose) / increment.duration
+
+    def covers(self, stamp: float) -> bool:
+        """Tell whether motion is known up to a stamp."""
+        return self._newest >= stamp
+
+    def ends_at(self, stamp: float) -> bool:
+        """Tell whether the newest odometry message carries this very stamp."""
+        return stamp == self._last_stamp
+
+    def put_back(self, increment: Increment) -> None:
+        """Return motion that was taken and not used."""
+        self._pending.appendleft(increment)
+
+    def take(self, stamp: float) -> Increment:
+        """Remove and return the motion up to a stamp; an increment across it is cut.
+
+        A scan that carries the stamp of the newest odometry message was recorded with it: all motion
+        belongs before it, whatever the other stamps say.
+        """
+        total = Increment.none(stamp)
+        together = self.ends_at(stamp)
+        while self._pending:
+            first = self._pending[0]
+            begin = first.stamp - first.duration
+            if not together and first.stamp > stamp:
+                if begin < stamp:
+                    head, tail = first.split((stamp - begin) / first.duration)
+                    self._pending[0] = tail
+                    total = total.then(head)
+                break
+            total = total.then(self._pending.popleft())
+        return Increment(stamp, total.d_pose, total.covariance, total.duration)
+
+    def twist(self, stamp: float, duration: float) -> Array:
+        """Return the mean body twist (3,) from a stamp on, of what is pending, or the latest one."""
+        ahead = Increment.none(stamp)
+        for increment in self._pending:
+            if increment.stamp - increment.duration > stamp + duration:
+                break
+            ahead = ahead.then(increment)
+        if ahead.duration > 0.0 and ahead.duration >= 0.5 * duration:
+            return log(ahead.d_pose) / ahead.duration
+        return self._twist

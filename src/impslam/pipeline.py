@@ -1,0 +1,191 @@
+"""From a source to observers: synchronisation, bookkeeping, timing. The mathematics is in `slam`."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from impslam.config import Config
+from impslam.errors import MessageError, SourceError
+from impslam.observers.base import Dropped, Observer, Outcome
+from impslam.odometry.timeline import Timeline
+from impslam.sensors.base import Sensor
+from impslam.sources.base import Problems, Source
+from impslam.types import Message, StepResult, TruePose
+
+MAX_WAIT = 25
+"""Messages a scan waits for odometry to reach its end; then it is used with what is known."""
+
+
+class Stopwatch:
+    """Seconds per stage, one entry a scan."""
+
+    def __init__(self) -> None:
+        self.stages: dict[str, list[float]] = {}
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        """Time a block."""
+        begin = time.perf_counter()
+        yield
+        self.stages.setdefault(stage, []).append(time.perf_counter() - begin)
+
+
+class Pipeline:
+    """Feeds a robot's messages to the estimator in the order in which they happened."""
+
+    def __init__(self, config: Config) -> None:
+        self.robot, self.slam = config.make_robot(), config.make_slam()
+        self._config = config
+        self._timeline = Timeline()
+        self._waiting: deque[tuple[Message, Sensor, int]] = deque()
+        self._rng = np.random.default_rng(config.seed)
+        self._clock = Stopwatch()
+        self._seen = 0
+        self.counts: dict[str, int] = {}
+        self.problems = Problems()
+
+    def feed(self, message: Message) -> Iterator[StepResult]:
+        """Take in one message; yield a result for each scan that it completes."""
+        self._seen += 1
+        name = type(message).__name__
+        self.counts[name] = self.counts.get(name, 0) + 1
+        if self.robot.feels(message):
+            self._feel(message)
+        sensor = self.robot.sensor_for(message)
+        if sensor is not None:
+            self._waiting.append((message, sensor, self._seen))
+        yield from self._ready(flush=False)
+
+    def flush(self) -> Iterator[StepResult]:
+        """Use the scans that still wait for odometry; the log is over."""
+        yield from self._ready(flush=True)
+
+    def _feel(self, message: Message) -> None:
+        try:
+            increment = self.robot.odometry.update(message)
+        except MessageError as error:
+            self.problems.add("odometry", str(error))
+            increment = None
+        if increment is None:
+            self._timeline.start(message.stamp)
+        else:
+            self._timeline.add(increment)
+
+    def _ready(self, flush: bool) -> Iterator[StepResult]:
+        while self._waiting:
+            message, sensor, since = self._waiting[0]
+            end = message.stamp + sensor.duration(message)
+            together = self._timeline.ends_at(message.stamp)
+            patient = self._seen - since < MAX_WAIT
+            if not (flush or together or self._timeline.covers(end) or not patient):
+                return
+            self._waiting.popleft()
+            result = self._use(message, sensor)
+            if result is not None:
+                yield result
+
+    def _use(self, message: Message, sensor: Sensor) -> StepResult | None:
+        with self._clock("odometry"):
+            increment = self._timeline.take(message.stamp)
+            twist = self._timeline.twist(message.stamp, sensor.duration(message))
+        try:
+            with self._clock("sensor"):
+                reading = sensor.observe(message, twist, self._rng)
+        except MessageError as error:
+            self.problems.add("scan", str(error))
+            self._timeline.put_back(increment)
+            return None
+        if reading.scan is not None and not reading.scan.valid.any():
+            self.problems.add(
+                "scan without valid beams",
+                f"the scan at {message.stamp:.3f} s has no valid range; the pose is dead-reckoned "
+                "there: check the lidar, or sensors.*.range_min and range_max",
+            )
+        with self._clock("slam"):
+            return self.slam.step(increment, reading)
+
+    @property
+    def stages(self) -> dict[str, list[float]]:
+        """Seconds per stage."""
+        return self._clock.stages
+
+
+def run(config: Config, source: Source, observers: Iterable[Observer] = ()) -> Outcome:
+    """Run a log through the estimator and show every result to the observers.
+
+    Raises
+    ------
+    SourceError
+        If the log holds no scan that could be used, or no odometry.
+    """
+    observers, pipeline = list(observers), Pipeline(config)
+    begin, first, last, steps = time.perf_counter(), np.inf, -np.inf, 0
+    with source:
+        for message in source:
+            if isinstance(message, TruePose):
+                for observer in observers:
+                    observer.truth(message)
+            first, last = min(first, message.stamp), max(last, message.stamp)
+            for result in pipeline.feed(message):
+                steps += 1
+                for observer in observers:
+                    observer.step(result)
+        for result in pipeline.flush():
+            steps += 1
+            for observer in observers:
+                observer.step(result)
+        problems = _join(source.problems, pipeline.problems)
+    _refuse_empty(config, source, pipeline, steps)
+    landmarks = pipeline.slam.landmarks()
+    outcome = Outcome(
+        log=source.path,
+        log_sha256=fingerprint(source.path),
+        config=config.resolved(),
+        counts={**pipeline.counts, "steps": steps, "landmarks": len(landmarks)},
+        dropped=problems,
+        stages={name: np.array(times) for name, times in pipeline.stages.items()},
+        log_seconds=float(last - first),
+        wall_seconds=time.perf_counter() - begin,
+        landmarks=landmarks,
+        state_size=pipeline.slam.filter.state_size,
+    )
+    for observer in observers:
+        observer.finish(outcome)
+    return outcome
+
+
+def _refuse_empty(config: Config, source: Source, pipeline: Pipeline, steps: int) -> None:
+    felt = pipeline.robot.odometry.consumes.__name__
+    if steps == 0:
+        raise SourceError(f"{source.path}: no usable scan in it; `imp inspect` tells what it holds")
+    if not pipeline.counts.get(felt):
+        raise SourceError(
+            f"{source.path}: no {felt} for odometry {config.odometry['kind']!r} in it; "
+            "`imp inspect` tells what it holds, -c or --set odometry.kind=... chooses another"
+        )
+
+
+def _join(*many: Problems) -> dict[str, Dropped]:
+    return {
+        kind: Dropped(count, problems.examples[kind])
+        for problems in many
+        for kind, count in problems.counts.items()
+    }
+
+
+def fingerprint(path: Path) -> str:
+    """Return the SHA-256 of a file, or of a folder's files in order of their names."""
+    digest = hashlib.sha256()
+    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    for file in files:
+        with file.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()

@@ -1,0 +1,159 @@
+"""A 2D lidar: from what it sent to points in base_link at one instant.
+
+The beams of a sweep start while the robot moves. With a constant body twist xi after the scan's stamp
+the robot is at exp(t xi) when a beam is fired t seconds later; the beam's origin and end are carried
+through that motion (de-skewed) before they are used.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from impslam.component import build, parameter, register
+from impslam.errors import MessageError
+from impslam.extractors.base import Extractor
+from impslam.geometry.kernels import kernel
+from impslam.sensors.base import Reading, Sensor
+from impslam.types import Array, LaserScan, Mask, Message, Scan
+
+
+@kernel
+def _place(
+    angles: Array,
+    ranges: Array,
+    offsets: Array,
+    laser: Array,
+    sign: float,
+    twist: Array,
+) -> tuple[Array, Array, Array]:
+    """Return the beams' end points (n, 2), directions (n,) and origins (n, 2) in base_link."""
+    n = len(ranges)
+    points, directions, origins = np.empty((n, 2)), np.empty(n), np.empty((n, 2))
+    vx, vy, omega = twist
+    for i in range(n):
+        t = offsets[i]
+        theta = omega * t
+        if abs(theta) < 1e-4:
+            a, b = 1.0 - theta * theta / 6.0, theta / 2.0
+        else:
+            a, b = math.sin(theta) / theta, (1.0 - math.cos(theta)) / theta
+        c, s = math.cos(theta), math.sin(theta)
+        x = t * (a * vx - b * vy) + c * laser[0] - s * laser[1]
+        y = t * (b * vx + a * vy) + s * laser[0] + c * laser[1]
+        direction = theta + laser[2] + sign * angles[i]
+        directions[i] = direction
+        origins[i, 0], origins[i, 1] = x, y
+        points[i, 0] = x + ranges[i] * math.cos(direction)
+        points[i, 1] = y + ranges[i] * math.sin(direction)
+    return points, directions, origins
+
+
+@register("lidar2d")
+class Lidar2D(Sensor):
+    """A planar laser scanner with the extractors that hang on it."""
+
+    consumes: ClassVar[type] = LaserScan
+
+    mount: tuple[float, float, float] = parameter(
+        (0.0, 0.0, 0.0), "m, m, rad", "pose [x, y, yaw] of the laser on base_link"
+    )
+    upside_down: bool = parameter(False, "", "the laser is mounted with its z axis pointing down")
+    range_min: float = parameter(
+        math.nan, "m", "shorter ranges are invalid; nan: as the messages say"
+    )
+    range_max: float = parameter(
+        math.nan, "m", "longer ranges are invalid; nan: as the messages say"
+    )
+    angle_min: float = parameter(
+        -math.pi, "rad", "beams to the right of this (laser frame) are invalid: the robot's body"
+    )
+    angle_max: float = parameter(math.pi, "rad", "beams to the left of this are invalid")
+    sigma: float = parameter(0.01, "m", "standard deviation of the range noise at range 0", gt=0)
+    sigma_per_m: float = parameter(0.0, "1", "how much it grows with range", ge=0)
+    bias: float = parameter(
+        0.0, "m", "standard deviation of the range error that all beams share", ge=0
+    )
+    deskew: bool = parameter(True, "", "undo the robot's motion during the sweep")
+    time_offset: float = parameter(
+        0.0, "s", "added to the scans' stamps to bring them onto the odometry's clock"
+    )
+    extractors: dict[str, Any] = Field(
+        default_factory=dict, description="what looks for landmarks in the scans, by name"
+    )
+
+    @field_validator("extractors")
+    @classmethod
+    def _build_extractors(cls, tables: dict[str, Any]) -> dict[str, Extractor]:
+        return {
+            name: table
+            if isinstance(table, Extractor)
+            else build("extractor", table, f"sensors.*.extractors.{name}")
+            for name, table in tables.items()
+        }
+
+    def duration(self, message: Message) -> float:
+        """Return how long the sweep took, in s."""
+        assert isinstance(message, LaserScan)
+        return float(message.time_offsets.max(initial=0.0)) if self.deskew else 0.0
+
+    def observe(self, message: Message, twist: Array, rng: np.random.Generator) -> Reading:
+        """Return the de-skewed scan and what the extractors find in it."""
+        assert isinstance(message, LaserScan)
+        if len(message.ranges) == 0:
+            raise MessageError(f"the scan at {message.stamp:.3f} s has no beams; it is dropped")
+        scan = self.scan(message, twist)
+        found = [
+            observation
+            for extractor in self.extractors.values()
+            for observation in extractor.extract(scan, rng)
+        ]
+        return Reading(scan, tuple(found))
+
+    def scan(self, message: LaserScan, twist: Array) -> Scan:
+        """Return the message as a `Scan`: validated, mounted, de-skewed."""
+        low, high = self._limits(message)
+        valid = self._valid(message, low, high)
+        ranges = np.where(valid, message.ranges, 0.0)
+        laser = np.array(self.mount)
+        points, directions, origins = _place(
+            message.angles,
+            ranges,
+            message.time_offsets,
+            laser,
+            -1.0 if self.upside_down else 1.0,
+            twist if self.deskew else np.zeros(3),
+        )
+        return Scan(
+            message.stamp,
+            message.angles,
+            ranges,
+            valid,
+            points,
+            directions,
+            origins,
+            self.sigma + self.sigma_per_m * ranges,
+            self.bias,
+            high,
+            laser,
+        )
+
+    def _limits(self, message: LaserScan) -> tuple[float, float]:
+        low = float(np.fmax(self.range_min, message.range_min))
+        high = float(np.fmin(self.range_max, message.range_max))
+        return (0.0 if math.isnan(low) else low), (math.inf if math.isnan(high) else high)
+
+    def _valid(self, message: LaserScan, low: float, high: float) -> Mask:
+        """REP 117, drivers' 0 for no return, and the lidar's error codes below its range_min."""
+        r, angles = message.ranges, message.angles
+        with np.errstate(invalid="ignore"):
+            inside = (r >= low) & (r <= high) & (r > 0.0) & np.isfinite(r)
+        # Beams of a full turn may be given as 0 to 2 pi: compare directions, not numbers.
+        turned = np.mod(angles - self.angle_min, 2.0 * np.pi)
+        field = self.angle_max - self.angle_min
+        if field < 2.0 * np.pi:
+            inside &= turned <= field
+        return np.asarray(inside, dtype=np.bool_)

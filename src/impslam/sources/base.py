@@ -50,8 +50,8 @@ class Source(Component):
     """
 
     role: ClassVar[str] = "source"
-    preset: ClassVar[str] = "default"
-    """The preset that fits logs of this format when the user names none."""
+    default_preset: ClassVar[str] = "default"
+    """The preset that fits logs of this format; a log that names its own overrides `preset`."""
 
     path: Path
     _problems: Problems = PrivateAttr(default_factory=Problems)
@@ -81,6 +81,11 @@ class Source(Component):
     @abstractmethod
     def streams(self) -> list[Stream]:
         """Return what is in the log; call it while the source is open."""
+
+    @property
+    def preset(self) -> str:
+        """Name of the preset that fits this log when the user names none; ask while it is open."""
+        return self.default_preset
 
     @property
     def problems(self) -> Problems:

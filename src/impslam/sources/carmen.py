@@ -71,7 +71,7 @@ class Carmen(TextSource):
         laser = self._choice()
         read: dict[bytes, Callable[[list[bytes]], tuple[Message, ...]]] = {b"ODOM": _odometry}
         read[laser.encode()] = self._robot_laser if laser == "ROBOTLASER1" else self._line_laser
-        for number, line in self._lines():
+        for number, line in self._lines(self.path):
             tokens = line.split()
             if not tokens:
                 continue
@@ -132,7 +132,7 @@ class Carmen(TextSource):
         used = {"ODOM", self._choice()}
         return [
             Stream(name, _TYPES.get(name, "text"), count, name in used, self._note(name))
-            for name, count in sorted(self._first_words().items())
+            for name, count in sorted(self._first_words(self.path).items())
             if name
         ]
 

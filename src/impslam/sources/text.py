@@ -86,18 +86,23 @@ def _shared(values: Array) -> Array:
 class TextSource(Source):
     """A text log of one message or more per line; subclasses say what a line means."""
 
-    _raw: BinaryIO | None = PrivateAttr(default=None)
+    _open: dict[Path, BinaryIO] = PrivateAttr(default_factory=dict)
+
+    def _files(self) -> list[Path]:
+        """Return the files that make up the log."""
+        return [self.path]
 
     @abstractmethod
     def _messages(self) -> Iterator[Located]:
         """Yield the messages of the log, in file order."""
 
     def __enter__(self) -> Self:
-        try:
-            with open_text(self.path) as (_, text):
-                text.readline(LINE_LIMIT)
-        except _DAMAGE as error:
-            raise SourceError(f"{self.path}: cannot be read ({error}); copy it again") from None
+        for path in self._files():
+            try:
+                with open_text(path) as (_, text):
+                    text.readline(LINE_LIMIT)
+            except _DAMAGE as error:
+                raise SourceError(f"{path}: cannot be read ({error}); copy it again") from None
         return self
 
     def __exit__(
@@ -106,17 +111,16 @@ class TextSource(Source):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._raw = None
+        self._open.clear()
 
     def __iter__(self) -> Iterator[Message]:  # type: ignore[override]  # not a model's fields
         return watched(self._messages(), self._problems, self.path)
 
-    def _lines(self, path: Path | None = None) -> Iterator[tuple[int, bytes]]:
+    def _lines(self, path: Path) -> Iterator[tuple[int, bytes]]:
         """Yield (number, line) from 1; a damaged gzip file ends early, which is a problem."""
-        path = path or self.path
         try:
             with open_text(path) as (raw, text):
-                self._raw = raw
+                self._open[path] = raw
                 yield from enumerate(iter(partial(text.readline, LINE_LIMIT), b""), 1)
         except _DAMAGE as error:
             self._problems.add(
@@ -127,11 +131,11 @@ class TextSource(Source):
     def _reject(self, kind: str, path: Path, number: int, why: object) -> None:
         self._problems.add(f"malformed {kind}", f"{path}:{number}: {why}; the line is dropped")
 
-    def _first_words(self, path: Path | None = None) -> Counter[str]:
-        """Count the lines by their first word, in a pass of its own."""
+    def _first_words(self, path: Path) -> Counter[str]:
+        """Count the lines of a file by their first word, in a pass of its own."""
         counts: Counter[str] = Counter()
         try:
-            with open_text(path or self.path) as (_, text):
+            with open_text(path) as (_, text):
                 for line in iter(partial(text.readline, LINE_LIMIT), b""):
                     word = line[:32].split(None, 1)[:1]
                     counts[word[0].decode("ascii", "replace") if word else ""] += 1
@@ -141,10 +145,12 @@ class TextSource(Source):
 
     @property
     def total(self) -> int | None:
-        """Size of the file on disk in bytes."""
-        return self.path.stat().st_size
+        """Size of the files on disk in bytes."""
+        return sum(path.stat().st_size for path in self._files())
 
     @property
     def position(self) -> int:
-        """Bytes of the file on disk read so far."""
-        return self._raw.tell() if self._raw is not None and not self._raw.closed else 0
+        """Bytes of the files on disk read so far."""
+        return sum(
+            path.stat().st_size if raw.closed else raw.tell() for path, raw in self._open.items()
+        )

@@ -45,7 +45,7 @@ LAYOUTS = {707: Layout(2, 3, 1.0, 24), 695: Layout(1, 2, -1.0, 12)}
 class TinySlam(TextSource):
     """tinySLAM or BreezySLAM .dat log: URG-04LX scans and wheel encoder ticks."""
 
-    preset: ClassVar[str] = "mines-rover"
+    default_preset: ClassVar[str] = "mines-rover"
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
@@ -54,7 +54,7 @@ class TinySlam(TextSource):
 
     def _messages(self) -> Iterator[Located]:
         clock = Clock()
-        for number, line in self._lines():
+        for number, line in self._lines(self.path):
             try:
                 wheels, scan = _record(line.split(), clock)
             except (ValueError, MessageError) as error:
@@ -65,7 +65,7 @@ class TinySlam(TextSource):
 
     def streams(self) -> list[Stream]:
         """Return encoders and scans, one of each per line."""
-        count = sum(self._first_words().values())
+        count = sum(self._first_words(self.path).values())
         return [
             Stream("encoders", "WheelAngles", count, used=True, note="ticks"),
             Stream("lidar", "LaserScan", count, used=True, note="URG-04LX"),

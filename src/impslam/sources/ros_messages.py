@@ -1,0 +1,112 @@
+"""ROS messages as values of this package, and back.
+
+Fields are those of sensor_msgs and nav_msgs, the same in ROS 1 and 2; conventions are those of
+REP 103, and of `sensor_msgs/Imu` for what is unknown (first covariance entry -1).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from impslam.errors import MessageError
+from impslam.sources.ros_storage import RosMessage
+from impslam.sources.text import beam_angles, beam_times, finite
+from impslam.types import Array, Image, Imu, LaserScan, OdometryPose, TruePose
+
+Joints: TypeAlias = tuple[int, int]
+
+NANOSECONDS = 10**9
+LEFT, RIGHT = "left_wheel_joint", "right_wheel_joint"
+
+
+def seconds(nanoseconds: int) -> float:
+    """Return ns as s, correctly rounded (dividing integers is, multiplying by 1e-9 is not)."""
+    return nanoseconds / NANOSECONDS
+
+
+def header_stamp(message: RosMessage) -> int:
+    """Return the stamp in a message's header, in ns."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def read_scan(message: RosMessage, stamp: float) -> LaserScan:
+    """Read a `sensor_msgs/LaserScan`."""
+    start, step = float(message.angle_min), float(message.angle_increment)
+    n, wait = len(message.ranges), float(message.time_increment)
+    finite("angle_min, angle_increment or time_increment", start, step, wait)
+    if n == 0:
+        raise MessageError("the scan has no ranges")
+    low, high = float(message.range_min), float(message.range_max)
+    if low == high == 0.0:  # unset
+        low = high = math.nan
+    angles, times = beam_angles(n, start, step), beam_times(n, wait)
+    return LaserScan(stamp, angles, _float64(message.ranges), times, low, high)
+
+
+def read_imu(message: RosMessage, stamp: float) -> Imu:
+    """Read a `sensor_msgs/Imu`."""
+    rate, force = _vector(message.angular_velocity), _vector(message.linear_acceleration)
+    known = message.orientation_covariance[0] != -1.0
+    turn = _vector(message.orientation, "xyzw") if known else None
+    return Imu(stamp, rate, force, turn)
+
+
+def read_odometry(message: RosMessage, stamp: float) -> OdometryPose:
+    """Read the pose of a `nav_msgs/Odometry`."""
+    return OdometryPose(stamp, _planar(message.pose.pose))
+
+
+def read_truth(message: RosMessage, stamp: float) -> TruePose:
+    """Read the pose of a `nav_msgs/Odometry` that a simulator or tracking system wrote."""
+    return TruePose(stamp, _planar(message.pose.pose))
+
+
+def read_image(message: RosMessage, stamp: float) -> Image:
+    """Read a `sensor_msgs/CompressedImage`, whose format may say more than jpeg or png."""
+    said = str(message.format).lower()
+    for name, forms in (("jpeg", ("jpeg", "jpg")), ("png", ("png",))):
+        if any(form in said for form in forms):
+            return Image(stamp, name, bytes(message.data))
+    raise MessageError(f"image format {said!r} is neither jpeg nor png")
+
+
+def find_joints(names: Sequence[str], left: str, right: str) -> Joints | None:
+    """Return the indices of the left and the right wheel, or None.
+
+    Without exact names: the first name, by alphabet, with "left" ("right") in it, those with
+    "wheel" before others.
+    """
+    found = (_joint(names, left, "left"), _joint(names, right, "right"))
+    return None if None in found else (found[0] or 0, found[1] or 0)
+
+
+def _joint(names: Sequence[str], exact: str, side: str) -> int | None:
+    if exact:
+        return names.index(exact) if exact in names else None
+    fit = [(("wheel" not in n.lower()), n) for n in names if side in n.lower()]
+    return names.index(min(fit)[1]) if fit else None
+
+
+def _planar(pose: RosMessage) -> Array:
+    """Return [x, y, yaw]; the quaternion need not be of unit length."""
+    x, y, z, w = _vector(pose.orientation, "xyzw")
+    if math.hypot(x, y, z, w) < 1e-3:
+        raise MessageError("the orientation is a zero quaternion")
+    yaw = math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    return np.array([*_vector(pose.position, "xy"), yaw])
+
+
+def _vector(message: RosMessage, names: str = "xyz") -> Array:
+    values = [float(getattr(message, name)) for name in names]
+    finite(f"{type(message).__name__.rsplit('__', 1)[-1]}", *values)
+    return np.array(values)
+
+
+def _float64(values: Any) -> Array:
+    with np.errstate(invalid="ignore"):  # signalling NaNs of a damaged log
+        return np.asarray(values).astype(np.float64)

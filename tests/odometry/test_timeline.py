@@ -1,0 +1,81 @@
+"""Increments compose exactly, however they are cut."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from impslam.errors import MessageError
+from impslam.geometry.se2 import compose, exp
+from impslam.odometry.odometry_pose import OdometryPoses
+from impslam.odometry.timeline import Timeline
+from impslam.types import Increment, OdometryPose
+from tests.numeric import wrapped
+
+TWIST = np.array([0.5, 0.1, 0.8])
+
+
+def increments(stamps):
+    q = np.diag([1e-4, 2e-4, 3e-4])
+    return [
+        Increment(b, exp((b - a) * TWIST), (b - a) * q, b - a)
+        for a, b in zip(stamps[:-1], stamps[1:], strict=True)
+    ]
+
+
+@given(st.floats(0.0, 1.0))
+def test_split_parts_compose_to_the_whole(fraction):
+    whole = Increment(2.0, exp(TWIST), np.diag([1e-2, 2e-2, 3e-2]) + 1e-3, 1.0)
+    head, tail = whole.split(fraction)
+    again = head.then(tail)
+    np.testing.assert_allclose(again.d_pose, whole.d_pose, atol=1e-12)
+    np.testing.assert_allclose(again.covariance, whole.covariance, atol=1e-12)
+    assert (again.stamp, again.duration) == (2.0, pytest.approx(1.0))
+
+
+@given(st.lists(st.floats(0.01, 4.99), min_size=1, max_size=8))
+def test_scans_at_any_time_get_the_motion_up_to_it(times):
+    timeline = Timeline()
+    timeline.start(0.0)
+    for increment in increments(np.linspace(0, 5, 26)):
+        timeline.add(increment)
+    pose = np.zeros(3)
+    for time in sorted(times):
+        pose = compose(pose, timeline.take(time).d_pose)
+        assert np.abs(wrapped(pose - exp(time * TWIST), 2)).max() < 1e-9
+        np.testing.assert_allclose(timeline.twist(time, 0.1), TWIST, atol=1e-9)
+
+
+def test_covariance_of_a_composition_by_monte_carlo(rng):
+    first = Increment(1.0, np.array([0.4, 0.1, 0.5]), np.diag([1e-4, 2e-4, 1e-3]), 1.0)
+    second = Increment(2.0, np.array([0.3, -0.1, -0.2]), np.diag([3e-4, 1e-4, 2e-3]), 1.0)
+    total = first.then(second)
+    ends = np.array(
+        [
+            compose(
+                first.d_pose + rng.multivariate_normal(np.zeros(3), first.covariance),
+                second.d_pose + rng.multivariate_normal(np.zeros(3), second.covariance),
+            )
+            for _ in range(20000)
+        ]
+    )
+    np.testing.assert_allclose(np.cov(ends.T), total.covariance, atol=6e-5)
+
+
+def test_a_scan_recorded_with_odometry_gets_all_motion_though_stamps_run_back():
+    timeline = Timeline()
+    timeline.start(10.0)
+    for stamp in (10.1, 10.9, 10.3):
+        timeline.add(Increment(stamp, np.array([1.0, 0, 0]), np.eye(3), 0.1))
+    np.testing.assert_allclose(timeline.take(10.3).d_pose, [3.0, 0, 0])
+
+
+def test_poses_give_increments_in_the_body_frame():
+    odometry = OdometryPoses()
+    assert odometry.update(OdometryPose(0.0, np.array([5.0, 5.0, np.pi / 2]))) is None
+    increment = odometry.update(OdometryPose(1.0, np.array([5.0, 6.0, np.pi])))
+    np.testing.assert_allclose(increment.d_pose, [1.0, 0.0, np.pi / 2], atol=1e-12)
+    with pytest.raises(MessageError, match="jumps"):
+        odometry.update(OdometryPose(1.1, np.array([500.0, 6.0, 0])))
+    increment = odometry.update(OdometryPose(1.2, np.array([500.5, 6.0, 0])))
+    np.testing.assert_allclose(increment.d_pose, [0.5, 0, 0], atol=1e-12)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from impslam.errors import ConfigError
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose, exp
 from impslam.simulation.world import Drive
@@ -57,13 +58,24 @@ class Trajectory:
 
 
 def drive(plan: Drive) -> Trajectory:
-    """Drive along the waypoints; the result is the same for every seed."""
+    """Drive along the waypoints; the result is the same for every seed.
+
+    Raises
+    ------
+    ConfigError
+        If the robot does not come to the end of its way, which a short lookahead may cause.
+    """
     follower = _Follower(plan)
     rest = round(plan.rest * CONTROL_RATE)
     limit = plan.limit * CONTROL_RATE
     twists = [(0.0, 0.0)] * rest
     poses = [np.array(plan.start)] * (rest + 1)
     while not follower.arrived and len(twists) < limit:
+        if len(twists) > follower.patience:
+            raise ConfigError(
+                f"robot.waypoints: the robot gets lost near {np.round(poses[-1][:2], 2).tolist()}; "
+                "give it a longer lookahead, a lower speed or a faster turn"
+            )
         twist = follower.step(poses[-1])
         poses.append(advance(poses[-1], twist, 1.0 / CONTROL_RATE))
         twists.append(twist)
@@ -91,12 +103,18 @@ class _Follower:
         self._way = np.vstack([plan.start[:2], plan.waypoints])
         self._steps = np.diff(self._way, axis=0)
         lengths = np.hypot(*self._steps.T)
-        keep = lengths > 0.0
-        self._way = np.vstack([self._way[:1], self._way[1:][keep]])
-        self._steps = self._steps[keep] / lengths[keep, None]
-        self._ends = np.concatenate([[0.0], np.cumsum(lengths[keep])])
+        self._steps = self._steps / lengths[:, None]
+        self._ends = np.concatenate([[0.0], np.cumsum(lengths)])
         self._done = 0.0
         self._v = self._omega = 0.0
+
+    @property
+    def patience(self) -> int:
+        """Control steps after which a robot that has not arrived never will."""
+        plan = self._plan
+        turning = len(self._steps) * 2 * math.pi / plan.turn_rate
+        driving = float(self._ends[-1]) / plan.speed
+        return int((60.0 + plan.rest + 3.0 * (turning + driving)) * CONTROL_RATE)
 
     @property
     def arrived(self) -> bool:

@@ -25,7 +25,6 @@ class LidarSimulator:
         beams = np.arange(lidar.beams, dtype=np.float64)
         self.angles: Array = lidar.angle_min + lidar.angle_step * beams
         self.time_offsets: Array = lidar.beam_time * beams
-        self.angles.flags.writeable = self.time_offsets.flags.writeable = False
 
     @property
     def duration(self) -> float:

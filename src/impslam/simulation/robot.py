@@ -36,13 +36,13 @@ class WheelEncoders(Device):
     rate: float = parameter(100.0, "Hz", "rows sent to the computer", gt=0.0)
     counts: int = parameter(4096, "1", "readings per turn (MA3, 12 bit); 0: continuous", ge=0)
     radius_sigma: float = parameter(
-        0.005, "1", "relative error of each radius: 0.3 mm, tread under load", ge=0.0
+        0.01, "1", "relative error of each radius: 0.6 mm, tread under load", ge=0.0
     )
     track_sigma: float = parameter(
-        0.01, "1", "relative error of the track: 4 mm, where a soft wheel touches", ge=0.0
+        0.02, "1", "relative error of the track: 8 mm, where a wide wheel touches", ge=0.0
     )
     noise: float = parameter(
-        5e-4, "m^2/m", "variance of a wheel's travel per way: 2 cm after 1 m", ge=0.0
+        2e-4, "m^2/m", "variance of a wheel's travel per way: 1.4 cm after 1 m", ge=0.0
     )
     slip_sigma: float = parameter(
         0.03, "1", "share of the rotation lost in a turn, half-normal, drawn per turn", ge=0.0

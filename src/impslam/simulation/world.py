@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -25,6 +26,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Point = tuple[Finite, Finite]
 Pose = tuple[Finite, Finite, Finite]
 Span = tuple[float, float]
+Size = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 
 class Part(BaseModel):
@@ -69,7 +71,7 @@ class Box(Part):
     """A rectangular piece of clutter."""
 
     centre: Point
-    size: tuple[float, float]
+    size: tuple[Size, Size]
     angle: Finite = parameter(0.0, "rad", "turned by this, counter-clockwise")
 
 
@@ -83,7 +85,7 @@ class Door(Part):
     open: tuple[Span, ...] = parameter((), "s", "times [from, until] in which it stands open")
     swing: float = parameter(math.pi / 2, "rad", "angle of the open leaf", gt=0.0, le=math.pi)
     swing_time: float = parameter(1.5, "s", "time it takes to open or to close", gt=0.0)
-    room: tuple[float, float] | None = parameter(
+    room: tuple[Size, Size] | None = parameter(
         None, "m", "width and depth of the room behind it; nothing if left out"
     )
 
@@ -122,7 +124,7 @@ class Drive(Part):
     lookahead: float = parameter(0.25, "m", "how far ahead it aims; cuts corners by this", gt=0.0)
     radius: float = parameter(0.25, "m", "radius of the robot's outline", gt=0.0)
     rest: float = parameter(1.0, "s", "standing still before and after", ge=0.0)
-    limit: float = parameter(math.inf, "s", "the run ends by this time, path done or not", gt=0.0)
+    limit: float = parameter(math.inf, "s", "the run ends by this time, path done or not", ge=1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,23 +156,39 @@ class World(Part):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        names = [wall.name for wall in self.walls] + [c.name for c in self.cylinders]
-        names = [name for name in names if name]
-        for name in {name for name in names if names.count(name) > 1}:
-            raise ValueError(f"the name {name!r} is given twice; rename one")
-        for number, wall in enumerate(self.walls):
-            if wall.length == 0.0:
-                raise ValueError(f"walls.{number}: start and end are the same point; move one")
-        for number, door in enumerate(self.doors):
-            self._check_door(f"doors.{number}", door)
+        for problem in self._problems():
+            raise ValueError(problem)
         return self
 
-    def _check_door(self, where: str, door: Door) -> None:
+    def _problems(self) -> Iterator[str]:
+        """Yield what cannot be, one line each."""
+        names = [wall.name for wall in self.walls] + [c.name for c in self.cylinders]
+        doubles = sorted({name for name in names if name and names.count(name) > 1})
+        yield from (f"the name {name!r} is given twice; rename one" for name in doubles)
+        for number, wall in enumerate(self.walls):
+            if wall.length == 0.0:
+                yield f"walls.{number}: start and end are the same point; move one"
+        yield from _stalled("robot", (self.robot.start[:2], *self.robot.waypoints))
+        for number, person in enumerate(self.people):
+            yield from _stalled(f"people.{number}", person.waypoints)
+        yield from self._door_problems()
+
+    def _door_problems(self) -> Iterator[str]:
         known = {wall.name: wall for wall in self.walls if wall.name}
-        if door.wall not in known:
-            raise ValueError(f"{where}: no wall {door.wall!r}; {near_miss(door.wall, known)}")
-        if door.at + door.width > known[door.wall].length:
-            raise ValueError(f"{where}: reaches beyond the end of wall {door.wall!r}; move it")
+        taken: dict[str, list[tuple[float, float]]] = {}
+        for number, door in enumerate(self.doors):
+            where, end = f"doors.{number}", door.at + door.width
+            if door.wall not in known:
+                yield f"{where}: no wall is called {door.wall!r}; {near_miss(door.wall, known)}"
+                continue
+            if end > known[door.wall].length:
+                yield f"{where}: reaches beyond the end of wall {door.wall!r}; move it"
+            others = taken.setdefault(door.wall, [])
+            if any(door.at < other[1] and other[0] < end for other in others):
+                yield f"{where}: overlaps another door in wall {door.wall!r}; move it"
+            others.append((door.at, end))
+            if any(not span[0] < span[1] for span in door.open):
+                yield f"{where}.open: each entry is [from, until] with from < until; swap them"
 
     def landmarks(self) -> list[TrueLandmark]:
         """Return the named walls and cylinders: the truth that maps are scored against."""
@@ -194,6 +212,12 @@ class World(Part):
                 }
                 ends = np.array([wall.start, wall.end])
                 yield TrueLandmark(wall.name, "wall", foot, values, ends)
+
+
+def _stalled(where: str, way: Sequence[tuple[float, float]]) -> Iterator[str]:
+    for number, (a, b) in enumerate(pairwise(way)):
+        if a == b:
+            yield f"{where}: point {number} of the way is given twice in a row; remove one"
 
 
 def shipped_worlds() -> list[str]:

@@ -13,6 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from impslam.association.base import Association
@@ -64,8 +65,6 @@ class Config(BaseModel):
 
     def make_slam(self) -> Slam:
         """Return the estimator, ready for its first step."""
-        import numpy as np
-
         belief: Filter = build("filter", self.filter)
         association: Association = build("association", self.association)
         lifecycle: Lifecycle = build("lifecycle", self.lifecycle)

@@ -38,7 +38,7 @@ class Mahalanobis(Association):
         near = (group.distance2 < _quantile(self.new_gate, dim)) & group.possible
         # log|S| favours the pairing that was predicted best; shifted so that no pair costs less
         # than leaving both apart, hence as many pairs as the gate allows.
-        return one_to_one(group.distance2 + group.log_det, allowed), near.any(axis=1)
+        return one_to_one(group.distance2 + group.log_det, allowed), np.asarray(near.any(axis=1))
 
 
 _QUANTILES: dict[tuple[float, int], float] = {}

@@ -42,4 +42,4 @@ class Nearest(Association):
             k = int(nearest[a])
             if k not in best or cost[a, k] < cost[best[k], k]:
                 best[k] = int(a)
-        return [(a, k) for k, a in best.items()], allowed.any(axis=1)
+        return [(a, k) for k, a in best.items()], np.asarray(allowed.any(axis=1))

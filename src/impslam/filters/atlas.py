@@ -35,12 +35,6 @@ class Table:
         columns = self.columns if places is None else self.columns[places]
         return np.asarray(mean[columns], dtype=np.float64)
 
-    def retract(self, mean: Array, step: Array) -> None:
-        """Move the landmarks in `mean` by their part of a step, both (n,)."""
-        if len(self.ids):
-            columns = self.columns
-            mean[columns] = self.model.retract(mean[columns], step[columns])
-
     def append(self, row: tuple[int, int, int], extent: Array, stamp: float) -> None:
         """Add a landmark: (id, label, offset)."""
         self.ids, self.labels, self.offsets = (

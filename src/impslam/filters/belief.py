@@ -18,33 +18,37 @@ _BLOCK = 64  # P grows in steps of this; more would be updated in vain at every 
 
 
 @kernel
+def _gather(P: Array, o: int, block: Array) -> None:
+    """Fill block with P of the pose and the landmark at offset o, full and symmetric."""
+    size = len(block)
+    for a in range(size):
+        row = a if a < POSE else o + a - POSE
+        for b in range(a + 1):
+            column = b if b < POSE else o + b - POSE
+            block[a, b] = block[b, a] = P[row, column]
+
+
+@kernel
 def _innovation_blocks(P: Array, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
     """Return H P H^T (k, dz, dz) of k landmarks, each measured alone."""
     k, dz, dm = z_D_m.shape
+    size = POSE + dm
     out = np.empty((k, dz, dz))
-    block = np.empty((POSE + dm, POSE + dm))
-    rows = np.empty((dz, POSE + dm))
+    block, rows, half = np.empty((size, size)), np.empty((dz, size)), np.empty((dz, size))
     for i in range(k):
-        o = offsets[i]
-        for a in range(POSE):
-            for b in range(a + 1):
-                block[a, b] = block[b, a] = P[a, b]
-        for a in range(dm):
-            for b in range(POSE):
-                block[POSE + a, b] = block[b, POSE + a] = P[o + a, b]
-            for b in range(a + 1):
-                block[POSE + a, POSE + b] = block[POSE + b, POSE + a] = P[o + a, o + b]
+        _gather(P, offsets[i], block)
         rows[:, :POSE] = z_D_pose[i]
         rows[:, POSE:] = z_D_m[i]
         for a in range(dz):
-            for b in range(a + 1):
-                total = 0.0
-                for p in range(POSE + dm):
-                    partial = 0.0
-                    for q in range(POSE + dm):
-                        partial += block[p, q] * rows[b, q]
-                    total += rows[a, p] * partial
-                out[i, a, b] = out[i, b, a] = total
+            for p in range(size):
+                half[a, p] = 0.0
+                for q in range(size):
+                    half[a, p] += block[p, q] * rows[a, q]
+        for a in range(dz):
+            for b in range(dz):
+                out[i, a, b] = 0.0
+                for p in range(size):
+                    out[i, a, b] += rows[a, p] * half[b, p]
     return out
 
 
@@ -112,6 +116,25 @@ class Rows:
         self.h_pose = np.zeros((rows, POSE))
         self.h_m = np.zeros((rows, largest))
 
+    def apply(self, delta: Array) -> Array:
+        """Return H delta (rows,)."""
+        columns = self.offsets[:, None] + np.arange(self.h_m.shape[1])
+        landmarks = np.where(self.h_m != 0.0, delta[np.minimum(columns, len(delta) - 1)], 0.0)
+        return np.asarray(self.h_pose @ delta[:POSE] + (self.h_m * landmarks).sum(axis=1))
+
+
+class Gain:
+    """The Kalman gain in square-root form: S = L L^T, W = P H^T L^-T, K = W L^-1."""
+
+    __slots__ = ("L", "W", "n")
+
+    def __init__(self, L: Array, W: Array, n: int) -> None:
+        self.L, self.W, self.n = L, W, n
+
+    def step(self, innovation: Array) -> Array:
+        """Return K innovation (n,)."""
+        return np.asarray((self.W @ np.linalg.solve(self.L, innovation))[: self.n])
+
 
 class GaussianBelief:
     """Mean and covariance of [pose, landmark, landmark, ...]; knows sizes, not kinds."""
@@ -148,19 +171,16 @@ class GaussianBelief:
         """Return H P H^T (k, dz, dz) of k landmarks, each measured alone."""
         return _innovation_blocks(self.P, offsets, z_D_pose, z_D_m)
 
-    def update(self, rows: Rows, innovation: Array, R: Array) -> Array:
-        """Correct P by a batch of measurements; return the step (n,) for the mean to take.
-
-        With S = H P H^T + R = L L^T and W = P H^T L^-T, P becomes P - W W^T, symmetric by
-        construction, and the step is W L^-1 innovation.
-        """
+    def gain(self, rows: Rows, R: Array) -> Gain:
+        """Return the gain of a batch of measurements with noise R (rows, rows)."""
         shape = rows.offsets, rows.dims, rows.h_pose, rows.h_m
         cross = _cross(self.P, self.n, *shape)
         L = np.linalg.cholesky(_measure(cross, *shape) + R)
-        W = dtrsm(1.0, L, cross.T, side=1, lower=1, trans_a=1, overwrite_b=1)
-        self.P = dsyrk(-1.0, W, beta=1.0, c=self.P, lower=1, overwrite_c=1)
-        step = W @ np.linalg.solve(L, innovation)
-        return np.asarray(step[: self.n], dtype=np.float64)
+        return Gain(L, dtrsm(1.0, L, cross.T, side=1, lower=1, trans_a=1, overwrite_b=1), self.n)
+
+    def shrink(self, gain: Gain) -> None:
+        """Correct P by the measurements behind a gain: P - W W^T, symmetric by construction."""
+        self.P = dsyrk(-1.0, gain.W, beta=1.0, c=self.P, lower=1, overwrite_c=1)
 
     def extend(self, m: Array, m_D_pose: Array, noise: Array) -> int:
         """Append a landmark that depends on the pose and on noise (dim, dim); return its offset."""

@@ -3,7 +3,8 @@
 The state is the pose `T_map_base` [x, y, theta], perturbed by addition, and every landmark in the
 perturbation of its own model. A scan is taken in as one batch: all matched landmarks are predicted
 at the same mean, which the Jacobians are evaluated at too (the thesis prints x(k-1) in Eq. 2.20;
-the predicted state is meant).
+the predicted state is meant). With more than one iteration a correction that turns the robot far is
+linearised again about its own result, Gauss-Newton on the posterior (Bell & Cathey 1993).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from pydantic import PrivateAttr
 
 from impslam.association.base import Hypotheses
-from impslam.component import register
+from impslam.component import parameter, register
 from impslam.filters.atlas import Atlas
 from impslam.filters.base import Filter
 from impslam.filters.belief import POSE, GaussianBelief, Rows
@@ -30,6 +31,12 @@ from impslam.types import Array, Increment, Ints, Landmark, Match, Observation
 class Ekf(Filter):
     """The textbook EKF over pose and landmarks, written for speed."""
 
+    iterations: int = parameter(
+        1, "1", "linearisations of a correction, each about the last result (1: textbook EKF)", ge=1
+    )
+    tolerance: float = parameter(
+        1e-3, "rad", "a heading that moves less than this is not linearised again", gt=0
+    )
     _belief: GaussianBelief = PrivateAttr()
     _atlas: Atlas = PrivateAttr()
 
@@ -58,8 +65,17 @@ class Ekf(Filter):
         """Take all matches of a scan in, in one batch (thesis Eq. 2.27-2.29)."""
         if not matches:
             return
-        rows, innovation, R = self._stack(observations, matches)
-        self._retract(self._belief.update(rows, innovation, R))
+        belief = self._belief
+        prior, delta = belief.mean.copy(), np.zeros(belief.n)
+        for _ in range(self.iterations):
+            rows, innovation, R = self._stack(observations, matches)
+            gain = belief.gain(rows, R)
+            moved = delta[2]
+            delta = gain.step(innovation + rows.apply(delta))
+            self._retract(prior, delta)
+            if abs(delta[2] - moved) < self.tolerance:
+                break
+        belief.shrink(gain)
 
     def extend(self, observations: Sequence[Observation], stamp: float) -> tuple[int, ...]:
         """Add landmarks with their full cross-covariance to pose and map."""
@@ -143,10 +159,12 @@ class Ekf(Filter):
                 r += dz
         return rows, innovation, R
 
-    def _retract(self, step: Array) -> None:
-        """Move the mean by a step in the perturbations of pose and landmarks."""
+    def _retract(self, prior: Array, step: Array) -> None:
+        """Set the mean to a prior moved by a step in the perturbations of pose and landmarks."""
         mean = self._belief.mean
-        mean[:POSE] += step[:POSE]
+        mean[:POSE] = prior[:POSE] + step[:POSE]
         mean[2] = wrap(float(mean[2]))
         for table in self._atlas.tables():
-            table.retract(mean, step)
+            if len(table.ids):
+                columns = table.columns
+                mean[columns] = table.model.retract(prior[columns], step[columns])

@@ -26,57 +26,66 @@ from impslam.lifecycle.base import Lifecycle
 from impslam.types import Array, Increment, Ints, Mask, Match, Observation, Scan
 
 _SAMPLES = 9  # places looked at along a wall
+_NEIGHBOUR = 0.01  # rad: a beam this near to a bearing (a little over a beam's spacing) tells of it
 _HEADING_LIMIT = 0.3**2  # rad^2: beyond it the dead-reckoning filter's linearisation is worthless
+
+
+@kernel
+def _verdict(
+    place: Array,
+    normal: Array,
+    half: float,
+    directions: Array,
+    points: Array,
+    valid: Mask,
+    margin: float,
+) -> int:
+    """Return -1 if all beams toward a place (2,) end behind it, +1 if some end on it, else 0."""
+    bearing = math.atan2(place[1], place[0])
+    seen, behind, before = 0, 0, 0
+    for turn in (-2.0 * math.pi, 0.0, 2.0 * math.pi):
+        low = np.searchsorted(directions, bearing + turn - half)
+        high = np.searchsorted(directions, bearing + turn + half)
+        for b in range(max(int(low) - 1, 0), min(int(high) + 1, len(directions))):
+            if valid[b] and abs(directions[b] - bearing - turn) <= half + _NEIGHBOUR:
+                seen += 1
+                offset = normal[0] * (points[b, 0] - place[0]) + normal[1] * (points[b, 1] - place[1])
+                if offset > margin:
+                    behind += 1
+                elif offset < -margin:
+                    before += 1
+    if seen == 0 or before == seen:
+        return 0
+    return -1 if behind == seen else 1
 
 
 @kernel
 def _seen_through(
     ends: Array, directions: Array, points: Array, valid: Mask, margin: float, width: float
 ) -> Array:
-    """Return for each landmark the balance of beams behind it (-) and on it (+), in [-1, 1].
+    """Return for each landmark the balance of places seen through (-) and hit (+), in [-1, 1].
 
-    ends (k, 2, 2), points (n, 2) and directions (n,), ascending, all in the laser frame. 0: not in view.
+    ends (k, 2, 2), points (n, 2) and directions (n,), ascending, all in the laser frame.
     """
-    k, n = len(ends), len(directions)
-    out = np.zeros(k)
-    for i in range(k):
-        ax, ay = ends[i, 0]
-        bx, by = ends[i, 1]
-        length = math.hypot(bx - ax, by - ay)
+    out = np.zeros(len(ends))
+    place, normal = np.empty(2), np.empty(2)
+    for i in range(len(ends)):
+        along = ends[i, 1] - ends[i, 0]
+        length = math.hypot(along[0], along[1])
         samples = _SAMPLES if length > 0.0 else 1
-        through, on = 0, 0
         for j in range(samples):
-            w = (j + 0.5) / samples
-            px, py = ax + w * (bx - ax), ay + w * (by - ay)
-            distance = math.hypot(px, py)
-            nx, ny = px / max(distance, 1e-9), py / max(distance, 1e-9)
-            if length > 0.0:
-                nx, ny = -(by - ay) / length, (bx - ax) / length
-                if nx * px + ny * py < 0.0:
-                    nx, ny = -nx, -ny
+            place[:] = ends[i, 0] + (j + 0.5) / samples * along
+            distance = max(math.hypot(place[0], place[1]), 1e-9)
             # A point counts as seen through only if every beam beside it is: one side of a convex
             # corner is always free.
             half = math.atan2(width, distance) if length == 0.0 else 0.0
-            bearing = math.atan2(py, px)
-            behind, before, seen = 0, 0, 0
-            for turn in (-2.0 * math.pi, 0.0, 2.0 * math.pi):
-                low = np.searchsorted(directions, bearing + turn - half)
-                high = np.searchsorted(directions, bearing + turn + half)
-                for b in range(max(low - 1, 0), min(high + 1, n)):
-                    if abs(directions[b] - bearing - turn) > half + 0.01 or not valid[b]:
-                        continue
-                    offset = nx * (points[b, 0] - px) + ny * (points[b, 1] - py)
-                    seen += 1
-                    if offset > margin:
-                        behind += 1
-                    elif offset < -margin:
-                        before += 1
-            if seen > 0 and behind == seen:
-                through += 1
-            elif seen > 0 and before < seen:
-                on += 1
-        if through + on > 0:
-            out[i] = (on - through) / samples
+            normal[:] = place / distance
+            if length > 0.0:
+                normal[0], normal[1] = -along[1] / length, along[0] / length
+                if normal[0] * place[0] + normal[1] * place[1] < 0.0:
+                    normal *= -1.0
+            out[i] += _verdict(place, normal, half, directions, points, valid, margin)
+        out[i] /= samples
     return out
 
 

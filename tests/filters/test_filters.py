@@ -1,0 +1,140 @@
+"""Every filter: exact without noise, consistent with it, whole-step Jacobians, invariances."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from impslam.association.known import Known
+from impslam.component import components
+from impslam.filters.ekf import Ekf
+from impslam.geometry.se2 import compose
+from impslam.types import Increment, Observation
+from tests.filters.worlds import CYLINDERS, MODELS, drive, observe
+from tests.numeric import wrapped
+
+FILTERS = sorted(components("filter"))
+
+
+@pytest.fixture(params=FILTERS)
+def belief(request):
+    made = components("filter")[request.param]()
+    made.start(np.zeros(3), 1e-8 * np.eye(3), MODELS)
+    return made
+
+
+def step(belief, increment, observations):
+    belief.predict(increment)
+    choice = Known().assign(observations, belief.hypothesise(observations))
+    belief.correct(observations, choice.matches)
+    belief.note(observations, choice.matches, increment.stamp)
+    belief.extend([observations[i] for i in choice.new], increment.stamp)
+    return choice
+
+
+def test_noiseless_runs_are_exact(belief):
+    for pose, increment in drive(60):
+        step(belief, increment, observe(pose))
+        assert np.abs(wrapped(belief.pose - pose, 2)).max() < 1e-9
+    points = [m.position for m in belief.landmarks() if m.kind == "cylinder"]
+    np.testing.assert_allclose(points, CYLINDERS, atol=1e-9)
+    feet = [m.position for m in belief.landmarks() if m.kind == "wall"]
+    np.testing.assert_allclose(feet, [[6, 0], [0, 5], [-6, 0], [0, -5]], atol=1e-9)
+
+
+def test_a_large_slip_vanishes_in_one_iterated_scan():
+    """A slip of 0.2 m and 5 degrees that the covariance allows for; one linearisation leaves 1 cm."""
+    belief = Ekf(iterations=5)
+    belief.start(np.zeros(3), 1e-8 * np.eye(3), MODELS)
+    steps = list(drive(30))
+    for pose, increment in steps:
+        step(belief, increment, observe(pose))
+    slip = Increment(31.0, np.array([0.2, -0.1, 0.09]), np.diag([0.3, 0.3, 0.2]) ** 2, 1.0)
+    step(belief, slip, observe(pose))
+    assert np.abs(wrapped(belief.pose - pose, 2)).max() < 0.001
+
+
+def test_monte_carlo_nees_is_chi_square(belief):
+    """Pose NEES over runs is 3 and that of all landmarks their dimension, within 99.9 % bounds."""
+    runs, values = 60, []
+    for seed in range(runs):
+        rng = np.random.default_rng(seed)
+        belief.start(np.zeros(3), 1e-8 * np.eye(3), MODELS)
+        for pose, increment in drive(25, rng):
+            step(belief, increment, observe(pose, rng))
+        error = wrapped(belief.pose - pose, 2)
+        values.append(error @ np.linalg.solve(belief.covariance, error))
+    low, high = chi2.ppf([0.0005, 0.9995], 3 * runs) / runs
+    assert low < np.mean(values) < high
+
+
+def test_innovations_are_chi_square(belief):
+    rng, d2 = np.random.default_rng(5), []
+    for pose, increment in drive(150, rng):
+        d2 += [m.distance2 for m in step(belief, increment, observe(pose, rng)).matches]
+    # Innovations of one scan share the pose's error, so the effective number is smaller.
+    assert np.mean(d2) == pytest.approx(2.0, abs=0.25)
+
+
+def test_covariance_stays_symmetric_positive_definite(belief):
+    rng = np.random.default_rng(1)
+    for pose, increment in drive(400, rng):
+        step(belief, increment, observe(pose, rng))
+    P = belief.belief.covariance
+    assert np.array_equal(P, P.T)
+    assert np.linalg.eigvalsh(P).min() > 0
+
+
+def test_order_of_observations_does_not_matter(belief):
+    ends = []
+    for flip in (1, -1):
+        rng = np.random.default_rng(2)
+        belief.start(np.zeros(3), 1e-8 * np.eye(3), MODELS)
+        for pose, increment in drive(20, rng):
+            step(belief, increment, observe(pose, rng)[::flip])
+        ends.append(belief.pose)
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
+
+
+def test_estimates_do_not_depend_on_where_the_map_frame_lies(belief):
+    """The same run from another start pose gives the same path seen from that pose."""
+    start, paths = np.array([40.0, -25.0, 2.5]), []
+    for origin in (np.zeros(3), start):
+        rng = np.random.default_rng(3)
+        belief.start(origin, 1e-8 * np.eye(3), MODELS)
+        path = []
+        for pose, increment in drive(20, rng):
+            step(belief, increment, observe(pose, rng))
+            path.append(belief.pose)
+        paths.append(path)
+    for here, there in zip(*paths, strict=True):
+        assert np.abs(wrapped(compose(start, here) - there, 2)).max() < 1e-6
+
+
+def test_remove_forgets_one_landmark_and_nothing_else(belief):
+    rng = np.random.default_rng(4)
+    for pose, increment in drive(10, rng):
+        step(belief, increment, observe(pose, rng))
+    before = {m.id: m for m in belief.landmarks()}
+    belief.remove([2, 6])
+    after = {m.id: m for m in belief.landmarks()}
+    assert set(before) - set(after) == {2, 6}
+    for i, landmark in after.items():
+        np.testing.assert_allclose(landmark.position, before[i].position)
+        np.testing.assert_allclose(landmark.covariance, before[i].covariance)
+    for pose, increment in drive(5, rng):
+        step(belief, increment, observe(pose, rng))
+    assert len(belief.landmarks()) == len(before)
+
+
+def test_a_new_landmark_is_correlated_with_the_old_ones(belief):
+    rng = np.random.default_rng(6)
+    for pose, increment in drive(5, rng):
+        step(belief, increment, observe(pose, rng))
+    belief.predict(Increment(9.0, np.zeros(3), np.diag([0.5, 0.5, 0.01]) ** 2, 1.0))
+    far = Observation("cylinder", np.array([1.0, 1.0]), 1e-4 * np.eye(2), label=50)
+    belief.extend([far], 9.0)
+    wide = belief.landmarks()[-1].covariance[0, 0]
+    seen = observe(pose)
+    choice = Known().assign(seen, belief.hypothesise(seen))
+    belief.correct(seen, choice.matches)
+    assert belief.landmarks()[-1].covariance[0, 0] < 0.01 * wide

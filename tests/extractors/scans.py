@@ -92,7 +92,7 @@ def cast(
     range_max: float = 5.6,
     rng: np.random.Generator | None = None,
 ) -> Scene:
-    """Return the scan that a robot at `pose` in map takes of walls (w, 2, 2), circles (c, 3) in map.
+    """Return what a robot at `pose` in map scans of walls (w, 2, 2) and circles (c, 3) in map.
 
     `noise` is what is added to the ranges, `sigma` what the scan says about it: m, both.
     """

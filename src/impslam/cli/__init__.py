@@ -1,1 +1,15 @@
 """The command `imp`."""
+
+from __future__ import annotations
+
+import os
+
+from impslam.cli.app import main
+
+__all__ = ["main"]
+
+# Commands are imported when they are called, and numpy with them, after this. The matrices of a scan
+# are small, so threads cost more than they give, and sums whose order depends on the number of cores
+# would make two machines differ in the last bits.
+for _library in ("OPENBLAS", "MKL", "OMP"):
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")

@@ -1,0 +1,80 @@
+"""The commands by name, and how a failure ends: one line, and an exit code that says what it was."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+
+from cyclopts import App, CycloptsError
+
+from impslam import __version__
+from impslam.cli.console import configure
+from impslam.errors import ImpError
+
+OK, UNEXPECTED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
+
+
+COMMANDS = {
+    "run": ("run:run", "Map a log: write its path, landmarks, grid and report into a folder."),
+    "simulate": ("simulate:simulate", "Write what the robot would have recorded in a world."),
+}
+"""Where each command is, imported when it is called, so that `imp --help` need not wait."""
+
+
+def make_app() -> App:
+    """Return the command line."""
+    app = App(
+        name="imp",
+        help="EKF SLAM for small wheeled robots with a 2D lidar: a log in, a path and a map out.",
+        version=__version__,
+    )
+    for name, (place, sentence) in COMMANDS.items():
+        app.command(f"impslam.cli.{place}", name=name, help=sentence)
+    return app
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit code.
+
+    0: done; 1: a fault of the program; 2: input that cannot be used; 130: interrupted.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in words
+    try:
+        _call(words)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader has seen enough (`imp list | head`). Python flushes stdout once more on exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except KeyboardInterrupt as error:
+        return _end(INTERRUPTED, error, "interrupted; what is written so far is valid", debug)
+    except (ImpError, CycloptsError) as error:
+        return _end(UNUSABLE, error, f"error: {error}", debug)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _end(
+            UNUSABLE, error, f"error: {where}{error.strerror or error}; check the path", debug
+        )
+    except Exception as error:  # whatever else happens is ours, and must not end in a wall of text
+        what = f"{type(error).__name__}: {error}"
+        return _end(
+            UNEXPECTED, error, f"error: {what}; run again with --debug and report it", debug
+        )
+    return OK
+
+
+def _call(words: list[str]) -> None:
+    command, bound, _ = make_app().parse_args(words, exit_on_error=False, print_error=False)
+    configure(bound.arguments.get("common"))
+    run: Callable[..., object] = command
+    run(*bound.args, **bound.kwargs)
+
+
+def _end(code: int, error: BaseException, message: str, debug: bool) -> int:
+    """Say on stderr, in one line, why the command ends."""
+    if debug:
+        traceback.print_exception(error)
+    sys.stderr.write(f"imp: {' '.join(message.split())}\n")
+    return code

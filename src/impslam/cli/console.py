@@ -1,0 +1,98 @@
+"""What the commands share: options, logging, and tables on the terminal."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, TypeAlias
+
+from cyclopts import Parameter
+from rich import box
+from rich.console import Console
+from rich.logging import RichHandler
+from rich.table import Table
+from rich.text import Text
+
+WIDTH = 120
+"""Columns where there is no terminal to fit."""
+
+Flag: TypeAlias = Annotated[bool, Parameter(negative="")]
+Settings: TypeAlias = Annotated[
+    tuple[str, ...],
+    Parameter(name="--set", negative="", help="override a parameter: --set filter.kind=ekf"),
+]
+Seed: TypeAlias = Annotated[int | None, Parameter(help="seed of everything that is random")]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class Common:
+    """Options of every command.
+
+    Parameters
+    ----------
+    quiet
+        Say nothing but errors.
+    verbose
+        Say more on the way.
+    debug
+        Show where in the program an error happened.
+    """
+
+    quiet: Flag = False
+    verbose: Annotated[bool, Parameter(name=["--verbose", "-v"], negative="")] = False
+    debug: Flag = False
+
+
+def configure(common: Common | None) -> None:
+    """Show the library's log on stderr, as much of it as was asked for."""
+    common = common or Common()
+    level = logging.INFO if common.verbose else logging.WARNING
+    level = logging.DEBUG if common.debug else logging.ERROR if common.quiet else level
+    log = logging.getLogger("impslam")
+    log.setLevel(level)
+    log.propagate = False
+    handler = RichHandler(console=stderr(), show_path=common.debug, show_time=False, markup=False)
+    log.handlers[:] = [handler]
+
+
+def stdout() -> Console:
+    """Return the console for results; text is taken literally."""
+    return _console(sys.stdout.isatty(), stderr=False)
+
+
+def stderr() -> Console:
+    """Return the console for progress and errors."""
+    return _console(sys.stderr.isatty(), stderr=True)
+
+
+def _console(terminal: bool, stderr: bool) -> Console:
+    width = None if terminal else WIDTH
+    return Console(stderr=stderr, width=width, markup=False, highlight=False, soft_wrap=False)
+
+
+def show_table(
+    header: Sequence[str], rows: Iterable[Sequence[str]], title: str = "", numbers: int = 0
+) -> None:
+    """Print a table; the last `numbers` columns are flush right."""
+    table = Table(title=title or None, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+    for i, name in enumerate(header):
+        right = i >= len(header) - numbers
+        table.add_column(Text(name), justify="right" if right else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    stdout().print(table)
+
+
+def show_facts(facts: Mapping[str, str]) -> None:
+    """Print names and values, one a line, values flush left."""
+    width = max(map(len, facts))
+    for name, value in facts.items():
+        say(f"{name:<{width}}  {value}")
+
+
+def say(text: str = "") -> None:
+    """Print a line of a result, however long."""
+    sys.stdout.write(text + "\n")

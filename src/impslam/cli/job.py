@@ -1,0 +1,112 @@
+"""A run from a log to its folder: what `imp run` and `imp demo` have in common."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from impslam.cli import progress
+from impslam.component import explain
+from impslam.config import Config, load
+from impslam.errors import ConfigError, ImpError
+from impslam.observers.base import Observer, Outcome
+from impslam.pipeline import run
+from impslam.sources.base import Source, recognise
+from impslam.types import Array, StepResult
+
+FILES = frozenset(
+    {"trajectory.tum", "odometry.tum", "trajectory.csv", "landmarks.csv", "map.pgm", "map.yaml"}
+    | {"report.html", "report.png", "summary.json", "config.toml"}
+)
+"""What a run writes; only these are ever overwritten or removed."""
+
+
+class Way(Observer):
+    """Adds up the length of the path, in m."""
+
+    def __init__(self) -> None:
+        self.length = 0.0
+        self._last: Array | None = None
+
+    def step(self, result: StepResult) -> None:
+        """Move on."""
+        if self._last is not None:
+            self.length += math.dist(result.pose[:2], self._last[:2])
+        self._last = result.pose
+
+
+def plan(log: Path, base: str | None, settings: Sequence[str]) -> tuple[Config, Source]:
+    """Return the config and the source of a run; without a base, the preset that fits the log."""
+    kind = recognise(log)
+    if base is None:
+        with kind(path=log) as source:
+            base = source.preset
+    config = load(base, settings)
+    try:
+        return config, kind(path=log, **config.source)
+    except ValidationError as error:
+        known = set(kind.model_fields) - {"path"}
+        raise ConfigError(explain(error, f"source ({kind.name})", known)) from None
+
+
+def execute(
+    config: Config, source: Source, folder: Path, quiet: bool, more: Iterable[Observer] = ()
+) -> Outcome:
+    """Run a log, write the run folder, and show how far it has come."""
+    created = not folder.exists()
+    try:
+        with progress.display(quiet) as shown:
+            observers = [progress.Bar(source, shown), *_writers(folder), *more]
+            return run(config, source, observers)
+    except ImpError:
+        if created:
+            _clear(folder)
+        raise
+
+
+def _writers(folder: Path) -> list[Observer]:
+    del folder  # the recorder is still being built
+    return []
+
+
+def _clear(folder: Path) -> None:
+    """Remove the folder of a run that came to nothing."""
+    for name in FILES:
+        (folder / name).unlink(missing_ok=True)
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
+
+
+def run_folder(wanted: Path | None, name: str, also: Iterable[str] = ()) -> Path:
+    """Return the folder to write to: the one asked for, or a new one under runs/.
+
+    An existing folder is used again if it is empty or holds nothing but a run (and `also`).
+
+    Raises
+    ------
+    ConfigError
+        If the path is a file, or a folder that holds anything else.
+    """
+    if wanted is None:
+        return _new_folder(f"{name}-{time.strftime('%Y%m%d-%H%M%S')}")
+    if wanted.exists() and not wanted.is_dir():
+        raise ConfigError(f"{wanted}: is a file; give -o a folder")
+    strange = {p.name for p in wanted.iterdir()} - FILES - set(also) if wanted.exists() else set()
+    if strange and not (wanted / "trajectory.tum").exists():
+        raise ConfigError(
+            f"{wanted}: is not the folder of a run (it holds {min(strange)!r}); "
+            "give -o a new or an empty one"
+        )
+    return wanted
+
+
+def _new_folder(name: str) -> Path:
+    folder, number = Path("runs") / name, 1
+    while folder.exists():
+        number += 1
+        folder = Path("runs") / f"{name}-{number}"
+    return folder

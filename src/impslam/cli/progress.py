@@ -1,0 +1,75 @@
+"""A progress bar on stderr, where that is a terminal."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from impslam.cli.console import stderr
+from impslam.observers.base import Observer, Outcome
+from impslam.sources.base import Source
+from impslam.types import StepResult
+
+PERIOD = 0.1  # s between two updates: smooth to the eye, nothing to the run
+
+
+class Bar(Observer):
+    """Shows how far a run has come. Does nothing without a display."""
+
+    def __init__(self, source: Source, display: Any = None) -> None:
+        self._source, self._display, self._due = source, display, 0.0
+        if display is not None:
+            self._task = display.add_task(
+                "starting (the very first run compiles)", total=source.total
+            )
+
+    def step(self, result: StepResult) -> None:
+        """Move on."""
+        del result
+        if self._display is None or time.monotonic() < self._due:
+            return
+        self._due = time.monotonic() + PERIOD
+        self._display.update(
+            self._task,
+            description="mapping",
+            total=self._source.total,
+            completed=self._source.position,
+        )
+
+    def finish(self, outcome: Outcome) -> None:
+        """Say what comes after the last scan."""
+        del outcome
+        if self._display is not None:
+            total = self._source.total
+            self._display.update(self._task, description="writing the report", completed=total)
+
+
+def ticker(display: Any, what: str, total: float) -> Callable[[float], None]:
+    """Return a function to call with the time reached; the first call is the beginning."""
+    if display is None:
+        return lambda now: None
+    task = display.add_task(what, total=total)
+    begin: list[float] = []
+
+    def tick(now: float) -> None:
+        if not begin:
+            begin.append(now)
+        display.update(task, completed=now - begin[0])
+
+    return tick
+
+
+@contextmanager
+def display(quiet: bool = False) -> Iterator[Any]:
+    """Give a rich display of progress, or None where nobody would see it."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=stderr(), transient=True) as shown:
+        yield shown

@@ -1,0 +1,78 @@
+"""`imp run`: a log in, a path and a map out."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from impslam.cli import console
+from impslam.cli.console import Common, Seed, Settings
+from impslam.cli.job import Way, execute, plan, run_folder
+from impslam.errors import ConfigError
+from impslam.observers.base import Outcome
+
+
+def run(
+    log: Path,
+    /,
+    *,
+    config: Annotated[str | None, Parameter(name=["--config", "-c"])] = None,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    settings: Settings = (),
+    topics: Annotated[tuple[str, ...], Parameter(name="--topic", negative="")] = (),
+    seed: Seed = None,
+    common: Common | None = None,
+) -> None:
+    """Map a log: write its path, landmarks, grid and report into a folder.
+
+    Parameters
+    ----------
+    log
+        A file or folder; its format is recognised from its content.
+    config
+        A preset (`imp list presets`) or a TOML file. Default: the preset that fits the log.
+    output
+        The folder to write to. Default: runs/LOG-DATE-TIME.
+    topics
+        Which topic plays a role: --topic scan=/front/scan.
+    """
+    changes = [*settings, *topic_settings(topics), *(() if seed is None else (f"seed={seed}",))]
+    chosen, source = plan(log, config, changes)
+    folder = run_folder(output, log.name.split(".")[0] or log.name)
+    quiet = common is not None and common.quiet
+    way = Way()
+    outcome = execute(chosen, source, folder, quiet, [way])
+    if not quiet:
+        show(outcome, way.length, folder)
+
+
+def topic_settings(topics: tuple[str, ...]) -> list[str]:
+    """Turn "scan=/front/scan" into the setting that it abbreviates."""
+    for topic in topics:
+        role, equals, name = topic.partition("=")
+        if not (role and equals and name):
+            raise ConfigError(f"--topic {topic}: expected role=name, e.g. --topic scan=/scan")
+    return [f"source.topics.{topic}" for topic in topics]
+
+
+def show(outcome: Outcome, length: float, folder: Path) -> None:
+    """Print what a run was, and where it is."""
+    counts, seconds = outcome.counts, outcome.log_seconds
+    kinds = Counter(landmark.kind for landmark in outcome.landmarks)
+    found = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())) or "none"
+    speed = seconds / outcome.wall_seconds if outcome.wall_seconds > 0.0 else 0.0
+    console.show_facts(
+        {
+            "log": str(outcome.log),
+            "scans": f"{counts['steps']} used",
+            "path": f"{length:.2f} m in {seconds:.1f} s",
+            "landmarks": found,
+            "time": f"{outcome.wall_seconds:.1f} s, {speed:.0f} times real time",
+        }
+    )
+    for kind, dropped in outcome.dropped.items():
+        console.say(f"{dropped.count} x {kind}, e.g. {dropped.example}")
+    console.say(f"report: {folder / 'report.html'}")

@@ -1,0 +1,112 @@
+"""`imp simulate`: what the robot would have recorded in a world, and the truth."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from impslam.cli import console
+from impslam.cli.console import Common
+from impslam.cli.progress import display, ticker
+from impslam.simulation.drive import drive
+from impslam.simulation.simulate import simulate as messages
+from impslam.simulation.world import TrueLandmark, World, load_world
+from impslam.sources.recording import McapWriter
+from impslam.types import LaserScan, Message, TruePose
+
+LANDMARK_COLUMNS = ("name", "kind", "x", "y", "r", "alpha", "radius", "x1", "y1", "x2", "y2")
+
+
+def simulate(
+    world: str,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    seed: int = 0,
+    common: Common | None = None,
+) -> None:
+    """Drive the simulated robot through a world and write the log, truth included.
+
+    Beside LOG.mcap it writes LOG.truth.tum (true poses at the scans' stamps) and LOG.landmarks.csv.
+
+    Parameters
+    ----------
+    world
+        A world that comes with the program (arena, room, ...) or a TOML file.
+    output
+        The log to write, an MCAP file.
+    seed
+        Seed of all noise; the same seed gives the same bytes.
+    """
+    quiet = common is not None and common.quiet
+    chosen = load_world(world)
+    with display(quiet) as shown:
+        scans = write_log(chosen, output, seed, shown)
+    if not quiet:
+        console.say(f"{output}: {scans} scans in world {chosen.name!r}, seed {seed}")
+        console.say(f"truth: {truth_path(output)}, {landmarks_path(output)}")
+
+
+def truth_path(log: Path) -> Path:
+    """Return where a log's true poses are."""
+    return log.with_name(f"{log.stem}.truth.tum")
+
+
+def landmarks_path(log: Path) -> Path:
+    """Return where a log's true landmarks are."""
+    return log.with_name(f"{log.stem}.landmarks.csv")
+
+
+def write_log(world: World, log: Path, seed: int, shown: Any = None) -> int:
+    """Write a simulated log and its truth; return the number of scans."""
+    tick = ticker(shown, "simulating", drive(world.robot).duration)
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with McapWriter(log) as writer:
+        truth = list(_recorded(messages(world, seed=seed), writer.write, tick))
+    _write_truth(truth_path(log), truth)
+    _write_landmarks(landmarks_path(log), world.landmarks())
+    return len(truth)
+
+
+def _recorded(
+    messages: Iterable[Message], write: Callable[[Message], None], tick: Callable[[float], None]
+) -> Iterator[TruePose]:
+    """Write every message; yield the true pose at each scan's stamp."""
+    latest: dict[float, TruePose] = {}
+    for message in messages:
+        write(message)
+        if isinstance(message, TruePose):
+            latest[message.stamp] = message
+        elif isinstance(message, LaserScan):
+            yield latest[message.stamp]
+            latest = {stamp: pose for stamp, pose in latest.items() if stamp > message.stamp}
+            tick(message.stamp)
+
+
+def _write_truth(path: Path, truth: Iterable[TruePose]) -> None:
+    """Write poses as TUM rows: stamp x y z qx qy qz qw."""
+    rows = []
+    for true in truth:
+        x, y, theta = true.pose
+        turn = f"{math.sin(theta / 2):.12f} {math.cos(theta / 2):.12f}"
+        rows.append(f"{true.stamp:.9f} {x:.9f} {y:.9f} 0 0 0 {turn}\n")
+    path.write_text("".join(rows), "utf-8", newline="\n")
+
+
+def _write_landmarks(path: Path, landmarks: Iterable[TrueLandmark]) -> None:
+    """Write a row for each true landmark; cells that a kind does not have stay empty."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(LANDMARK_COLUMNS)
+        for landmark in landmarks:
+            cells = {"name": landmark.name, "kind": landmark.kind, **landmark.parameters}
+            cells["x"], cells["y"] = map(float, landmark.position)
+            if landmark.end_points is not None:
+                ends = map(float, landmark.end_points.ravel())
+                cells |= dict(zip(("x1", "y1", "x2", "y2"), ends, strict=True))
+            rows.writerow(cells.get(name, "") for name in LANDMARK_COLUMNS)

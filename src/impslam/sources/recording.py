@@ -104,7 +104,7 @@ def _scan(message: LaserScan) -> RosMessage:
 
 
 def _wheels(message: WheelAngles) -> RosMessage:
-    position, none = np.array([message.left, message.right]), np.empty(0)
+    position, none = np.array([message.left, message.right], np.float64), np.empty(0)
     header = _header(message.stamp, "")
     return _new("sensor_msgs/msg/JointState", header, [LEFT, RIGHT], position, none, none)
 

@@ -83,6 +83,9 @@ class Bag:
     def _types(self, connection: Connection) -> Typestore:
         """Return the definitions in the log, else those of the standard types."""
         text, form = connection.msgdef.data, connection.msgdef.format
+        standard = get_typestore(Stores.ROS1_NOETIC if self.is_ros1 else Stores.LATEST)
+        if not text.strip():
+            return standard
         with suppress(Exception):  # what rosbags cannot parse may be a standard type yet
             store = get_typestore(Stores.EMPTY)
             if form == MessageDefinitionFormat.MSG:
@@ -91,4 +94,4 @@ class Bag:
                 store.register(get_types_from_idl(text))
             store.get_msgdef(connection.msgtype)
             return store
-        return get_typestore(Stores.ROS1_NOETIC if self.is_ros1 else Stores.LATEST)
+        return standard

@@ -196,12 +196,13 @@ class RosBag(Source):
 
     def _convert(self, topic: str, message: RosMessage, log_time: int) -> Message:
         nanoseconds = ros.header_stamp(message)
-        if nanoseconds == 0:
+        if nanoseconds == 0 and log_time > ros.NANOSECONDS:  # simulations do begin at 0
+            nanoseconds = log_time
             self._problems.add(
                 "no stamp",
                 f"{self.path}: {topic} has headers without a stamp; the time of logging is used",
             )
-        stamp = ros.seconds(nanoseconds or log_time)
+        stamp = ros.seconds(nanoseconds)
         use = self._uses[topic]
         return self._wheels(message, stamp) if use == "wheels" else READERS[use](message, stamp)
 

@@ -9,9 +9,10 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache, partial
+from io import BufferedIOBase
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Self, cast
+from typing import Self
 
 import numpy as np
 from pydantic import PrivateAttr
@@ -26,7 +27,7 @@ _DAMAGE = (OSError, EOFError, zlib.error)
 
 
 @contextmanager
-def open_text(path: Path) -> Iterator[tuple[BinaryIO, BinaryIO]]:
+def open_text(path: Path) -> Iterator[tuple[BufferedIOBase, BufferedIOBase]]:
     """Open a plain or gzipped file; give the file on disk and the text in it, both binary."""
     with path.open("rb") as raw:
         packed = raw.read(2) == b"\x1f\x8b"
@@ -35,7 +36,7 @@ def open_text(path: Path) -> Iterator[tuple[BinaryIO, BinaryIO]]:
             yield raw, raw
             return
         with gzip.GzipFile(fileobj=raw) as text:
-            yield raw, cast("BinaryIO", text)
+            yield raw, text
 
 
 def head(path: Path) -> list[bytes]:
@@ -45,7 +46,7 @@ def head(path: Path) -> list[bytes]:
     start = b""
     try:
         with open_text(path) as (_, text):
-            while len(start) < _HEAD and (more := text.read(_HEAD // 16)):
+            while len(start) < _HEAD and (more := text.read1(_HEAD)):
                 start += more
     except _DAMAGE:
         pass  # what precedes the damage may do
@@ -86,7 +87,7 @@ def _shared(values: Array) -> Array:
 class TextSource(Source):
     """A text log of one message or more per line; subclasses say what a line means."""
 
-    _open: dict[Path, BinaryIO] = PrivateAttr(default_factory=dict)
+    _open: dict[Path, BufferedIOBase] = PrivateAttr(default_factory=dict)
 
     def _files(self) -> list[Path]:
         """Return the files that make up the log."""

@@ -1,0 +1,204 @@
+import gzip
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.sources.logs import CARMEN_RANGES, flaser, odom, read, robot_laser, write_carmen
+
+from impslam.types import LaserScan, OdometryPose
+
+
+def log(tmp_path: Path, *lines: str) -> Path:
+    path = tmp_path / "a.log"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_lines_become_messages_in_file_order(tmp_path: Path) -> None:
+    found, source = read(write_carmen(tmp_path / "a.log"))
+    assert [type(m) for m in found] == [OdometryPose, OdometryPose, LaserScan] * 2
+    assert [m.stamp for m in found] == [10.0, 10.25, 10.25, 10.5, 10.75, 10.75]
+    np.testing.assert_array_equal(found[0].pose, [1.0, 2.0, 0.5])
+    np.testing.assert_array_equal(found[1].pose, [1.5, -2.5, 0.75])
+    np.testing.assert_array_equal(found[2].ranges, CARMEN_RANGES)
+    assert math.isnan(found[2].range_max)
+    assert not source.problems.counts
+
+
+@pytest.mark.parametrize(
+    ("n", "first", "last"), [(180, -90, 89), (181, -90, 90), (360, -90, 89.5), (361, -90, 90)]
+)
+def test_beams_of_a_sick(tmp_path: Path, n: int, first: float, last: float) -> None:
+    found, source = read(log(tmp_path, flaser(1.0, [1.0] * n)))
+    angles = np.degrees(found[1].angles)
+    np.testing.assert_allclose(angles, np.linspace(first, last, n), atol=1e-12)
+    assert not source.problems.counts
+
+
+def test_other_beam_counts_are_spread_and_reported(tmp_path: Path) -> None:
+    path = log(tmp_path, flaser(1.0, [1.0] * 541))
+    found, source = read(path)
+    np.testing.assert_allclose(np.degrees(found[1].angles[[0, -1]]), [-90.0, 90.0])
+    assert source.problems.counts == {"guessed beam angles": 1}
+    found, _ = read(path, field_of_view=math.radians(270.0))
+    np.testing.assert_allclose(np.degrees(found[1].angles[:2]), [-135.0, -134.5])
+
+
+def test_robot_laser_says_its_angles_itself(tmp_path: Path) -> None:
+    path = log(tmp_path, robot_laser(1.0), robot_laser(2.0, 3, -1.0), robot_laser(3.0, 3, -1.0, 3))
+    found, source = read(path)
+    scans = [m for m in found if isinstance(m, LaserScan)]
+    np.testing.assert_array_equal(scans[0].angles, [-1.5, -1.0, -0.5, 0.0])
+    np.testing.assert_array_equal(scans[1].angles, [-1.0, -0.5, 0.0])
+    np.testing.assert_array_equal(scans[2].ranges, [0.5] * 3)
+    assert [s.range_max for s in scans] == [81.9] * 3
+    np.testing.assert_array_equal(found[0].pose, [1.0, 2.0, 0.5])
+    assert not source.problems.counts
+
+
+def test_rear_laser_is_left_out_unless_asked_for(tmp_path: Path) -> None:
+    path = log(tmp_path, flaser(1.0, [2.0] * 180, "RLASER"), flaser(1.0))
+    assert [len(read(path)[0]), len(read(path, laser="RLASER")[0])] == [2, 2]
+    assert read(path)[0][1].ranges[0] == CARMEN_RANGES[0]
+    assert read(path, laser="RLASER")[0][1].ranges[0] == 2.0
+    used = {s.topic: s.used for s in read(path)[1].streams()}
+    assert used == {"FLASER": True, "RLASER": False}
+    only = log(tmp_path, flaser(1.0, [2.0] * 180, "RLASER"))
+    assert len(read(only)[0]) == 2
+
+
+def test_gzip_reads_alike_and_a_cut_one_as_far_as_it_goes(tmp_path: Path) -> None:
+    plain = write_carmen(tmp_path / "a.log")
+    packed = tmp_path / "b"
+    packed.write_bytes(gzip.compress(plain.read_bytes()))
+    assert len(read(packed)[0]) == len(read(plain)[0])
+
+
+def test_a_cut_gzip_file_is_read_as_far_as_it_goes(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    path = tmp_path / "a.log.gz"
+    text = "\n".join(flaser(float(i), rng.random(180)) for i in range(300))
+    path.write_bytes(gzip.compress(text.encode())[:-1000])
+    found, source = read(path)
+    assert source.problems.counts == {"damaged file": 1}
+    assert 400 < len(found) < 600
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        "FLASER 180 1.0 2.0",
+        "FLASER x 1.0 2.0",
+        "FLASER",
+        "FLASER 0 0 0 0 0 0 0 1.0 host 0",
+        flaser(1.0).replace("1.5 -2.5", "nan -2.5"),
+        flaser(1.0).replace("1.000000", "inf"),
+        flaser(1.0).replace("0.25 0.5", "0.25 0.5x"),
+        "ODOM 1 2 3",
+        "ODOM 1 2 nan 0 0 0 1.0 host 0",
+        "ODOM 1 2 three 0 0 0 1.0 host 0",
+        "ODOM 1 2 3 0 0 0 1e999 host 0",
+        "\x00\x01 binary",
+    ],
+)
+def test_bad_lines_are_counted_with_their_place_and_dropped(tmp_path: Path, bad: str) -> None:
+    path = log(tmp_path, odom(0.0), flaser(0.5), bad, flaser(1.0))
+    path.write_text(path.read_text())
+    found, source = read_directly(path)
+    assert len(found) == 5
+    assert sum(source.problems.counts.values()) == 1
+    (example,) = source.problems.examples.values()
+    assert example.startswith(f"{path}:3: ")
+
+
+def read_directly(path: Path) -> tuple[list, object]:
+    from impslam.sources.carmen import Carmen  # noqa: PLC0415  # NUL keeps it from recognition
+
+    with Carmen(path=path) as source:
+        return list(source), source
+
+
+def test_bad_robot_lasers(tmp_path: Path) -> None:
+    good = robot_laser(1.0)
+    bad = [
+        good.replace("81.9", "81.9 7"),
+        good.replace("-1.5", "nan"),
+        good.replace(" 4 ", " -4 "),
+        good.rsplit(" ", 5)[0],
+        robot_laser(1.0, remissions=2).replace(" 2 7 7 ", " 200 7 7 "),
+    ]
+    found, source = read(log(tmp_path, good, *bad, robot_laser(2.0)))
+    assert len(found) == 4
+    assert source.problems.counts == {"malformed ROBOTLASER1": 5}
+
+
+def test_odd_ranges_pass_through_for_the_lidar_to_judge(tmp_path: Path) -> None:
+    ranges = [math.nan, -1.0, 0.0, 81.83, math.inf, *[1.0] * 175]
+    found, source = read(log(tmp_path, flaser(1.0, ranges)))
+    np.testing.assert_array_equal(found[1].ranges, ranges)
+    assert not source.problems.counts
+
+
+def test_stamps_that_repeat_run_backwards_or_leave_gaps_are_counted(tmp_path: Path) -> None:
+    stamps = [1.0, 2.0, 2.0, 1.5, 200.0]
+    found, source = read(log(tmp_path, *map(odom, stamps)))
+    assert [m.stamp for m in found] == stamps
+    assert source.problems.counts == {"repeated stamp": 1, "backward stamp": 1, "gap": 1}
+    assert ":5: ODOM has been silent for 198.5 s" in source.problems.examples["gap"]
+
+
+def test_odometry_and_laser_lines_are_clocks_of_their_own(tmp_path: Path) -> None:
+    found, source = read(log(tmp_path, odom(1.0), flaser(0.9), odom(1.1), flaser(1.0)))
+    assert len(found) == 6
+    assert not source.problems.counts
+
+
+def test_position_runs_to_the_total(tmp_path: Path) -> None:
+    from impslam.sources.carmen import Carmen  # noqa: PLC0415
+
+    path = log(tmp_path, *(flaser(float(i)) for i in range(200)))
+    with Carmen(path=path) as source:
+        steps = [source.position for _ in source]
+        assert source.position == source.total == path.stat().st_size
+    assert steps == sorted(steps)
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    ("name", "scans", "poses", "odd"),
+    [
+        ("intel/intel.log", 13631, 13631 + 26915, {"backward stamp"}),
+        ("fr079/fr079.log", 4934, 4934 + 8951, set()),
+        ("fr-hospital/fr-hospital.log", 6917, 6917, {"gap"}),
+        ("fr101/fr101.recovered.log", 292, 292 + 4277, {"gap"}),
+    ],
+)
+def test_real_logs(data_folder: Path, name: str, scans: int, poses: int, odd: set[str]) -> None:
+    begin = time.perf_counter()
+    found, source = read(data_folder / name)
+    assert time.perf_counter() - begin < 10.0  # s; 0.6 on an idle core
+    assert source.preset == "default"
+    assert sum(isinstance(m, LaserScan) for m in found) == scans
+    assert sum(isinstance(m, OdometryPose) for m in found) == poses
+    assert set(source.problems.counts) == odd
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("name", ["intel/intel", "fr079/fr079", "fr-hospital/fr-hospital"])
+def test_relations_name_scans_by_their_stamps(data_folder: Path, name: str) -> None:
+    found, _ = read(data_folder / f"{name}.log")
+    stamps = {m.stamp for m in found if isinstance(m, LaserScan)}
+    lines = (data_folder / f"{name}.relations").read_text().splitlines()
+    pairs = [line.split()[:2] for line in lines if line and not line.startswith("#")]
+    assert len(pairs) > 1000
+    assert {float(stamp) for pair in pairs for stamp in pair} <= stamps
+
+
+@pytest.mark.real
+def test_hospital_scans_start_at_four_angles(data_folder: Path) -> None:
+    found, _ = read(data_folder / "fr-hospital" / "fr-hospital.log")
+    starts = {round(math.degrees(m.angles[0]), 2) for m in found if isinstance(m, LaserScan)}
+    assert starts == {-90.0, -89.75, -89.5, -89.25}

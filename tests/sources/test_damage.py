@@ -1,0 +1,198 @@
+"""Whatever happened to a log, it is refused in one line or read with sound messages only."""
+
+import shutil
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from tests.sources.logs import (
+    WRITERS,
+    dat_line,
+    flaser,
+    odom,
+    read,
+    read_or_refuse,
+    robot_laser,
+)
+
+from impslam.errors import SourceError
+from impslam.sources.base import recognise
+
+FORMATS = sorted(WRITERS)
+FUZZ = settings(
+    max_examples=60,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> dict[str, Path]:
+    return {name: write(tmp_path / f"{name}-log") for name, write in WRITERS.items()}
+
+
+def damaged_file(log: Path) -> Path:
+    """The file to damage: of a folder, the one with the scans."""
+    return next(log.glob("*_scan.txt")) if log.is_dir() else log
+
+
+def copy(log: Path) -> Path:
+    target = log.with_name("damaged")
+    if target.exists():
+        shutil.rmtree(target) if target.is_dir() else target.unlink()
+    shutil.copytree(log, target) if log.is_dir() else shutil.copy(log, target)
+    return target
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_formats_are_never_confused(logs: dict[str, Path], name: str) -> None:
+    assert recognise(logs[name]).name == name
+    known = [cls for cls in map(recognise, logs.values()) if cls.recognises(logs[name])]
+    assert [cls.name for cls in known] == [name]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\0" * 1000,
+        b"\n\n\n",
+        b"hello world\n",
+        b"1 2 3\n4 5 6\n",
+        b"x,y\n1,2\n",
+        b"\x1f\x8b not gzip",
+        b"\x89PNG\r\n\x1a\n",
+        b"ODOM\n",
+        b"FLASER",
+        bytes(range(256)),
+    ],
+)
+def test_other_files_are_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(content)
+    with pytest.raises(SourceError, match=r"^.*file: no known log format; readable are [^\n]*$"):
+        recognise(path)
+
+
+def test_nothing_is_refused_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "empty").touch()
+    for path, why in ((tmp_path / "empty", "is empty"), (tmp_path / "no", "no such file")):
+        with pytest.raises(SourceError, match=why):
+            recognise(path)
+    with pytest.raises(SourceError, match="no known log format"):
+        recognise(tmp_path)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@FUZZ
+@given(cut=st.floats(0.0, 1.0))
+def test_cut_anywhere(logs: dict[str, Path], name: str, cut: float) -> None:
+    path = copy(logs[name])
+    file = damaged_file(path)
+    content = file.read_bytes()
+    file.write_bytes(content[: int(cut * len(content))])
+    read_or_refuse(path)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@FUZZ
+@given(st.lists(st.tuples(st.floats(0.0, 1.0, exclude_max=True), st.integers(0, 255)), max_size=20))
+def test_bytes_flipped(logs: dict[str, Path], name: str, flips: list[tuple[float, int]]) -> None:
+    path = copy(logs[name])
+    file = damaged_file(path)
+    content = bytearray(file.read_bytes())
+    for where, value in flips:
+        content[int(where * len(content))] = value
+    file.write_bytes(content)
+    read_or_refuse(path)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@FUZZ
+@given(tail=st.binary(max_size=400))
+def test_bytes_appended_to_the_head(logs: dict[str, Path], name: str, tail: bytes) -> None:
+    path = copy(logs[name])
+    file = damaged_file(path)
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 3] + tail)
+    read_or_refuse(path)
+
+
+WORDS = st.sampled_from(
+    ["nan", "inf", "-1", "0", "1e999", "x", "", "9" * 400, "1.5", "ODOM", "FLASER", "-0", "1_0"]
+)
+
+
+@pytest.mark.parametrize("line", [flaser(1.0), odom(1.0), robot_laser(1.0), dat_line(9, 1, 2)])
+@FUZZ
+@given(st.lists(st.tuples(st.integers(0, 800), WORDS), min_size=1, max_size=5))
+def test_words_replaced(tmp_path: Path, line: str, changes: list[tuple[int, str]]) -> None:
+    words = line.split()
+    for where, word in changes:
+        words[where % len(words)] = word
+    path = tmp_path / "log"
+    path.write_text("\n".join([line, " ".join(words), line]) + "\n")
+    read_or_refuse(path)
+
+
+@FUZZ
+@given(st.binary(max_size=2000))
+def test_random_bytes(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "log"
+    path.write_bytes(content)
+    read_or_refuse(path)
+
+
+@FUZZ
+@given(st.text("MS 0123456789.-\nnaif", max_size=300))
+def test_random_words_in_a_lego_folder(logs: dict[str, Path], text: str) -> None:
+    path = copy(logs["lego"])
+    (path / "run_motors.txt").write_text("M 1 2 3 4 5 6 7\n" + text)
+    read_or_refuse(path)
+
+
+@pytest.mark.parametrize("name", ["carmen", "dat"])
+def test_memory_stays_flat(tmp_path: Path, name: str, rng: np.random.Generator) -> None:
+    make = {
+        "carmen": lambda i: flaser(i * 0.1, rng.random(180).round(2)),
+        "dat": lambda i: dat_line(100_000 * i, i, i, rng.integers(0, 5000, 682)),
+    }[name]
+    peaks = []
+    for n in (100, 1000):
+        path = tmp_path / f"{n}"
+        path.write_text("".join(make(i) + "\n" for i in range(n)))
+        peaks.append(_peak(path))
+    assert peaks[1] < 1.2 * peaks[0] + 50_000  # bytes; the longer file has 600 kB more
+
+
+def _peak(path: Path) -> int:
+    with recognise(path)(path=path) as source:
+        tracemalloc.start()
+        count = sum(1 for _ in source)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert count > 100
+    return peak
+
+
+def test_a_file_without_line_ends_does_not_fill_memory(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    path.write_text(odom(1.0) + "\n" + "7 " * 5_000_000)
+    with recognise(path)(path=path) as source:
+        tracemalloc.start()
+        assert len(list(source)) == 1
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert sum(source.problems.counts.values()) > 5
+    assert peak < 60e6  # bytes: one line's limit of 1 MiB, split into words
+
+
+def test_two_passes_give_the_same(logs: dict[str, Path]) -> None:
+    for path in logs.values():
+        with recognise(path)(path=path) as source:
+            stamps = [[m.stamp for m in source] for _ in range(2)]
+        assert stamps[0] == stamps[1]
+        assert len(read(path)[0]) == len(stamps[0]) > 0

@@ -1,0 +1,81 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.sources.logs import read, write_lego
+
+from impslam.errors import SourceError
+from impslam.sources.lego import Lego
+from impslam.types import LaserScan, WheelAngles
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_both_files_are_merged_by_time(tmp_path: Path, newline: str) -> None:
+    found, source = read(write_lego(tmp_path / "robot", newline), scan_delay=0.5)
+    wheels = [m for m in found if isinstance(m, WheelAngles)]
+    scans = [m for m in found if isinstance(m, LaserScan)]
+    assert [m.stamp for m in wheels] == [0.0, 0.25, 0.5, 0.75]
+    np.testing.assert_allclose([m.stamp for m in scans], [0.075, 0.325, 0.575])
+    assert [m.stamp for m in found] == sorted(m.stamp for m in found)
+    assert [(m.left, m.right) for m in wheels] == [(100 + i, 200 + i) for i in range(4)]
+    np.testing.assert_array_equal(scans[0].ranges, np.full(660, 1.5))
+    assert np.degrees(scans[0].angles[[0, -1]]) == pytest.approx([-120.0, 111.7], abs=0.1)
+    assert source.preset == "lego-robot4"
+    assert not source.problems.counts
+
+
+def test_position_runs_to_the_total(tmp_path: Path) -> None:
+    with Lego(path=write_lego(tmp_path / "robot")) as source:
+        steps = [source.position for _ in source]
+        assert source.position == source.total
+    assert steps == sorted(steps)
+
+
+def test_streams_show_the_reference_as_unused(tmp_path: Path) -> None:
+    with Lego(path=write_lego(tmp_path / "robot")) as source:
+        shown = {s.topic: (s.count, s.used) for s in source.streams()}
+    assert shown == {
+        "run_motors.txt": (4, True),
+        "run_scan.txt": (3, True),
+        "run_reference.txt": (1, False),
+    }
+
+
+@pytest.mark.parametrize(
+    ("file", "bad"),
+    [
+        ("run_motors.txt", "M 1 2 3"),
+        ("run_motors.txt", "M 1 nan 3 4 5 6 7"),
+        ("run_motors.txt", "X 1 2 3 4 5 6 7"),
+        ("run_scan.txt", "S 10 660 1 2 3"),
+        ("run_scan.txt", "S inf 1 5"),
+        ("run_scan.txt", "S 1 -1"),
+        ("run_scan.txt", "S 1 2 5 x"),
+    ],
+)
+def test_bad_lines_are_counted_and_dropped(tmp_path: Path, file: str, bad: str) -> None:
+    folder = write_lego(tmp_path / "robot")
+    with (folder / file).open("a") as end:
+        end.write(bad + "\n")
+    found, source = read(folder)
+    assert len(found) == 7
+    assert len(source.problems.counts) == 1
+    (example,) = source.problems.examples.values()
+    assert file in example
+
+
+def test_a_folder_without_a_pair_is_refused(tmp_path: Path) -> None:
+    folder = write_lego(tmp_path / "robot")
+    (folder / "run_scan.txt").unlink()
+    assert not Lego.recognises(folder)
+    with pytest.raises(SourceError, match=r"_scan\.txt"):
+        Lego(path=folder).__enter__()
+
+
+@pytest.mark.real
+def test_real_run(data_folder: Path) -> None:
+    found, source = read(data_folder / "lego-robot4")
+    assert sum(isinstance(m, LaserScan) for m in found) == 278
+    assert sum(isinstance(m, WheelAngles) for m in found) == 278
+    assert set(source.problems.counts) == {"repeated stamp"}
+    assert all(len(m.ranges) == 660 for m in found if isinstance(m, LaserScan))

@@ -1,0 +1,137 @@
+import math
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.rosbag2 import Reader
+from tests.sources.logs import assert_same, messages, read, write_mcap
+
+from impslam.errors import MessageError, SourceError
+from impslam.sources.base import recognise
+from impslam.sources.recording import McapWriter
+from impslam.sources.ros_messages import seconds
+from impslam.types import LaserScan, Message, OdometryPose, TruePose, WheelAngles
+
+
+def record(path: Path, *what: Message, preset: str = "imp") -> Path:
+    with McapWriter(path, preset) as writer:
+        for message in what:
+            writer.write(message)
+    return path
+
+
+def test_messages_come_back_as_they_were_and_in_order(tmp_path: Path) -> None:
+    found, source = read(write_mcap(tmp_path / "a.mcap"))
+    for have, want in zip(found, messages(), strict=True):
+        if isinstance(want, OdometryPose | TruePose):
+            np.testing.assert_allclose(have.pose, want.pose, rtol=1e-15, atol=1e-15)
+        else:
+            assert_same(have, want)
+    assert not source.problems.counts
+
+
+def test_the_same_messages_give_the_same_bytes_under_any_name(tmp_path: Path) -> None:
+    a, b = write_mcap(tmp_path / "a.mcap"), write_mcap(tmp_path / "other name.mcap")
+    assert a.read_bytes() == b.read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mcap", "other name.mcap"]
+
+
+def test_the_preset_comes_first_and_back(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", WheelAngles(5.0, 1.0, 2.0), preset="some-robot")
+    with Reader(path) as reader:
+        assert next(reader.messages())[0].topic == "/impslam/preset"
+    assert read(path)[1].preset == "some-robot"
+    assert read(record(tmp_path / "b.mcap", preset="some-robot"))[1].preset == "some-robot"
+
+
+def test_the_order_of_writing_survives_backward_stamps(tmp_path: Path) -> None:
+    stamps = [5.0, 4.0, 4.5, 6.0]
+    path = record(tmp_path / "a.mcap", *(WheelAngles(s, 0.0, 0.0) for s in stamps))
+    found, source = read(path)
+    assert [m.stamp for m in found] == stamps
+    assert source.problems.counts == {"backward stamp": 1}
+
+
+def test_single_precision_of_angles_costs_less_than_a_microradian(tmp_path: Path) -> None:
+    angles = (np.arange(44, 726) - 384) * 2 * math.pi / 1024
+    scan = LaserScan(1.0, angles, np.ones(682), np.arange(682) * 0.1 / 1024)
+    (back,) = read(record(tmp_path / "a.mcap", scan))[0]
+    np.testing.assert_allclose(back.angles, angles, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(back.time_offsets, scan.time_offsets, rtol=0, atol=1e-8)
+    assert math.isnan(back.range_min)
+
+
+def test_memory_stays_flat_in_writing_and_reading(tmp_path: Path, rng: np.random.Generator) -> None:
+    peaks = [_peaks(tmp_path / f"{n}.mcap", n, rng.random(2000)) for n in (500, 1500)]  # 4, 12 MB
+    assert (np.array(peaks[1]) < 1.2 * np.array(peaks[0])).all()
+
+
+def _peaks(path: Path, n: int, ranges: np.ndarray) -> list[int]:
+    peaks = []
+    angles, times = np.arange(len(ranges)) * 0.5, np.zeros(len(ranges))
+    tracemalloc.start()
+    with McapWriter(path) as writer:
+        for i in range(n):
+            writer.write(LaserScan(0.1 * i, angles, ranges, times))
+    peaks.append(tracemalloc.get_traced_memory()[1])
+    tracemalloc.reset_peak()
+    with recognise(path)(path=path) as source:
+        assert sum(1 for _ in source) == n
+    peaks.append(tracemalloc.get_traced_memory()[1])
+    tracemalloc.stop()
+    return peaks
+
+
+def test_a_simulation_may_begin_at_zero(tmp_path: Path) -> None:
+    with McapWriter(tmp_path / "a.mcap") as writer:
+        writer.write(WheelAngles(0.0, 1.0, 2.0), log_stamp=0.1)
+    found, source = read(tmp_path / "a.mcap")
+    assert [m.stamp for m in found] == [0.0]
+    assert not source.problems.counts
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        WheelAngles(-1.0, 0.0, 0.0),
+        WheelAngles(math.nan, 0.0, 0.0),
+        WheelAngles(2.0**31, 0.0, 0.0),
+        LaserScan(1.0, np.empty(0), np.empty(0), np.empty(0)),
+        LaserScan(1.0, np.array([0.0, 0.1, 0.3]), np.ones(3), np.zeros(3)),
+        LaserScan(1.0, np.arange(3.0), np.ones(3), np.array([0.0, 0.1, 0.3])),
+    ],
+)
+def test_what_ros_cannot_say_is_refused(tmp_path: Path, bad: Message) -> None:
+    with McapWriter(tmp_path / "a.mcap") as writer, pytest.raises(MessageError):
+        writer.write(bad)
+
+
+def test_an_error_leaves_no_file(tmp_path: Path) -> None:
+    good, bad = WheelAngles(1.0, 0.0, 0.0), WheelAngles(math.nan, 0.0, 0.0)
+    with pytest.raises(MessageError):
+        record(tmp_path / "a.mcap", good, bad)
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(SourceError, match="cannot be written"):
+        McapWriter(tmp_path / "no" / "a.mcap").__enter__()
+
+
+@given(st.integers(0, 2 * 10**18))
+def test_stamps_survive_to_the_last_bit(nanoseconds: int) -> None:
+    from impslam.sources.recording import _nanoseconds  # noqa: PLC0415
+
+    stamp = seconds(nanoseconds)
+    assert seconds(_nanoseconds(stamp)) == stamp
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(-1e6, 1e6))
+def test_poses_survive(theta: float, x: float) -> None:
+    from impslam.sources.recording import _pose  # noqa: PLC0415
+    from impslam.sources.ros_messages import read_odometry  # noqa: PLC0415
+
+    back = read_odometry(_pose(OdometryPose(1.0, np.array([x, -x, theta]))), 1.0)
+    assert back.pose[0] == x
+    error = math.remainder(back.pose[2] - theta, 2 * math.pi)
+    assert abs(error) < 1e-15

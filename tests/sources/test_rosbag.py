@@ -1,0 +1,218 @@
+import math
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
+from tests.sources.logs import messages, read, write_mcap
+
+from impslam.errors import SourceError
+from impslam.sources.base import recognise
+from impslam.sources.rosbag import RosBag
+from impslam.types import Image, LaserScan, OdometryPose, TruePose, WheelAngles
+
+ROS2 = get_typestore(Stores.ROS2_HUMBLE)
+ROS1 = get_typestore(Stores.ROS1_NOETIC)
+
+
+def header(store: Any, stamp: float = 1.5) -> Any:
+    sec, nanosec = divmod(round(stamp * 1e9), 10**9)
+    time = store.types["builtin_interfaces/msg/Time"](sec, nanosec)
+    cls = store.types["std_msgs/msg/Header"]
+    return cls(0, time, "f") if store is ROS1 else cls(time, "f")
+
+
+def joints(store: Any, names: list[str], position: list[float], stamp: float = 1.5) -> Any:
+    none = np.empty(0)
+    cls = store.types["sensor_msgs/msg/JointState"]
+    return cls(header(store, stamp), names, np.array(position), none, none)
+
+
+def scan(store: Any, stamp: float = 1.5, start: float = -1.0, n: int = 3, high: float = 8.0) -> Any:
+    cls = store.types["sensor_msgs/msg/LaserScan"]
+    ranges, none = np.arange(n, dtype=np.float32), np.empty(0, np.float32)
+    return cls(header(store, stamp), start, 0.0, 0.5, 0.25, 0.1, 0.0, high, ranges, none)
+
+
+def odometry(store: Any, turn: tuple[float, ...] = (0, 0, 0, 2), x: float = 1.0) -> Any:
+    new = lambda name, *values: store.types[f"geometry_msgs/msg/{name}"](*values)  # noqa: E731
+    pose = new("Pose", new("Point", x, 2.0, 0.0), new("Quaternion", *turn))
+    still = new("Vector3", 0.0, 0.0, 0.0)
+    return store.types["nav_msgs/msg/Odometry"](
+        header(store),
+        "base",
+        new("PoseWithCovariance", pose, np.zeros(36)),
+        new("TwistWithCovariance", new("Twist", still, still), np.zeros(36)),
+    )
+
+
+def image(store: Any, form: str) -> Any:
+    cls = store.types["sensor_msgs/msg/CompressedImage"]
+    return cls(header(store), form, np.arange(4, dtype=np.uint8))
+
+
+def bag(path: Path, *entries: tuple[str, Any], store: Any = ROS2) -> Path:
+    """Write (topic, message) pairs, logged one per second from 100 s, in any of the formats."""
+    if store is ROS1:
+        writer: Any = Writer1(path)
+    else:
+        plugin = StoragePlugin.MCAP if "mcap" in path.name else StoragePlugin.SQLITE3
+        writer = Writer2(path, version=9, storage_plugin=plugin)
+    with writer:
+        known: dict[str, Any] = {}
+        for i, (topic, message) in enumerate(entries):
+            kind = message.__msgtype__
+            if topic not in known:
+                known[topic] = writer.add_connection(topic, kind, typestore=store)
+            serialise = store.serialize_ros1 if store is ROS1 else store.serialize_cdr
+            writer.write(known[topic], (100 + i) * 10**9, serialise(message, kind))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["ros1", "sqlite folder", "mcap folder", "sqlite", "mcap"])
+def test_every_storage_reads_alike(tmp_path: Path, kind: str) -> None:
+    store = ROS1 if kind == "ros1" else ROS2
+    path = bag(
+        tmp_path / f"log {kind.replace('sqlite', '3')}",
+        ("/js", joints(store, ["wheel_right_joint", "wheel_left_joint"], [2.0, 1.0])),
+        ("/scan", scan(store)),
+        ("/odom", odometry(store)),
+        ("/ground_truth", odometry(store, (0, 0, math.sin(0.5), math.cos(0.5)))),
+        ("/cam", image(store, "rgb8; jpeg compressed bgr8")),
+        store=store,
+    )
+    if kind in {"sqlite", "mcap"}:  # the file out of its folder, under a name that says nothing
+        path = next(path.glob("log*")).rename(tmp_path / "file")
+    found, source = read(path)
+    assert [type(m) for m in found] == [WheelAngles, LaserScan, OdometryPose, TruePose, Image]
+    assert {m.stamp for m in found} == {1.5}
+    wheels, sweep, odom, truth, picture = found
+    assert (wheels.left, wheels.right) == (1.0, 2.0)
+    np.testing.assert_array_equal(sweep.angles, [-1.0, -0.5, 0.0])
+    np.testing.assert_array_equal(sweep.ranges, [0.0, 1.0, 2.0])
+    np.testing.assert_array_equal(sweep.time_offsets, [0.0, 0.25, 0.5])
+    np.testing.assert_allclose(odom.pose, [1.0, 2.0, 0.0])
+    np.testing.assert_allclose(truth.pose, [1.0, 2.0, 1.0])
+    assert (picture.format, picture.data) == ("jpeg", b"\0\1\2\3")
+    assert not source.problems.counts
+    assert source.preset == "default"
+
+
+def test_the_fullest_topic_of_a_type_is_taken_and_it_says_so(tmp_path: Path) -> None:
+    path = bag(tmp_path / "b", ("/b", scan(ROS2)), ("/a", scan(ROS2, 2.5)), ("/a", scan(ROS2, 3.5)))
+    assert [m.stamp for m in read(path)[0]] == [2.5, 3.5]
+    assert [m.stamp for m in read(path, topics={"scan": "/b"})[0]] == [1.5]
+    assert read(path, topics={"scan": ""})[0] == []
+    with RosBag(path=path) as source:
+        shown = {s.topic: (s.used, s.note) for s in source.streams()}
+        assert source.total == 2
+    assert shown == {
+        "/a": (True, "scan"),
+        "/b": (False, "scan is /a; set topics.scan to use this one"),
+    }
+
+
+def test_equal_counts_are_settled_by_name(tmp_path: Path) -> None:
+    path = bag(tmp_path / "b", ("/z", scan(ROS2)), ("/y", scan(ROS2, 2.5)))
+    assert [m.stamp for m in read(path)[0]] == [2.5]
+
+
+def test_odometry_may_be_named_the_truth(tmp_path: Path) -> None:
+    path = bag(tmp_path / "b", ("/odom", odometry(ROS2)))
+    assert [type(m) for m in read(path)[0]] == [OdometryPose]
+    assert [type(m) for m in read(path, topics={"truth": "/odom"})[0]] == [TruePose]
+
+
+def test_a_missing_topic_names_the_near_miss(tmp_path: Path) -> None:
+    path = bag(tmp_path / "b", ("/scan", scan(ROS2)))
+    with pytest.raises(SourceError, match=r"no topic '/scn' .* did you mean '/scan'"):
+        read(path, topics={"scan": "/scn"})
+    with pytest.raises(SourceError, match="none of this type"):
+        read(path, topics={"imu": "/imu"})
+
+
+def test_joints_by_name(tmp_path: Path) -> None:
+    names = ["arm_left", "LeftWheel", "wheel_r", "rear_right_wheel", "right_wheel"]
+    path = bag(tmp_path / "b", ("/js", joints(ROS2, names, [0.0, 1.0, 2.0, 3.0, 4.0])))
+    (wheels,) = read(path)[0]
+    assert (wheels.left, wheels.right) == (1.0, 3.0)
+    (wheels,) = read(path, left_joint="arm_left", right_joint="wheel_r")[0]
+    assert (wheels.left, wheels.right) == (0.0, 2.0)
+
+
+def test_headers_without_stamp_fall_back_on_the_time_of_logging(tmp_path: Path) -> None:
+    found, source = read(bag(tmp_path / "b", ("/s", scan(ROS2, 0.0)), ("/s", scan(ROS2, 0.0))))
+    assert [m.stamp for m in found] == [100.0, 101.0]
+    assert source.problems.counts == {"no stamp": 2}
+
+
+def test_bad_messages_are_counted_and_dropped(tmp_path: Path) -> None:
+    path = bag(
+        tmp_path / "b",
+        ("/js", joints(ROS2, ["left", "right"], [1.0])),
+        ("/js", joints(ROS2, ["left", "right"], [1.0, math.nan])),
+        ("/js", joints(ROS2, ["a", "b"], [1.0, 2.0])),
+        ("/js", joints(ROS2, ["left", "right"], [1.0, 2.0])),
+        ("/scan", scan(ROS2, start=math.inf)),
+        ("/scan", scan(ROS2, n=0)),
+        ("/scan", scan(ROS2, high=0.0)),
+        ("/odom", odometry(ROS2, (0, 0, 0, 0))),
+        ("/odom", odometry(ROS2, (0, 0, 0, math.nan))),
+        ("/odom", odometry(ROS2, x=math.inf)),
+        ("/cam", image(ROS2, "theora")),
+    )
+    found, source = read(path)
+    assert [type(m) for m in found] == [WheelAngles, LaserScan]
+    assert math.isnan(found[1].range_max)
+    assert source.problems.counts == {
+        "malformed wheels message": 3,
+        "malformed scan message": 2,
+        "malformed odometry message": 3,
+        "malformed image message": 1,
+    }
+
+
+def test_a_bag_without_definitions_uses_the_standard_types(tmp_path: Path) -> None:
+    path = bag(tmp_path / "b", ("/scan", scan(ROS2)))
+    (data,) = path.glob("*.db3")
+    import sqlite3  # noqa: PLC0415
+
+    with sqlite3.connect(data) as database:
+        database.execute("UPDATE message_definitions SET encoded_message_definition = ''")
+    database.close()
+    (sweep,) = read(path)[0]
+    np.testing.assert_array_equal(sweep.ranges, [0.0, 1.0, 2.0])
+
+
+def test_what_cannot_be_opened_says_what_to_do(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap")
+    path.write_bytes(path.read_bytes()[:40])
+    with pytest.raises(SourceError, match=r"a\.mcap: cannot be opened .*repair it with"):
+        RosBag(path=path).__enter__()
+    with pytest.raises(SourceError, match="not open"):
+        list(RosBag(path=path))
+
+
+def test_progress_runs_to_the_total(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap")
+    with recognise(path)(path=path) as source:
+        steps = [source.position for _ in source]
+        assert source.total == source.position == len(messages())
+    assert steps == list(range(1, len(messages()) + 1))
+
+
+@pytest.mark.real
+def test_real_turtlebot(data_folder: Path) -> None:
+    found, source = read(data_folder / "turtlebot3" / "turtlebot3.bag")
+    counts = Counter(type(m).__name__ for m in found)
+    assert counts == {"LaserScan": 457, "WheelAngles": 2741, "OdometryPose": 2741, "Imu": 2253}
+    assert not source.problems.counts
+    assert {len(m.ranges) for m in found if isinstance(m, LaserScan)} == {360}
+    wheels = [m for m in found if isinstance(m, WheelAngles)]
+    assert wheels[0].left == pytest.approx(9.00880971)
+    assert wheels[0].right == pytest.approx(-4.23206781)

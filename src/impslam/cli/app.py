@@ -19,6 +19,9 @@ OK, UNEXPECTED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 COMMANDS = {
     "run": ("run:run", "Map a log: write its path, landmarks, grid and report into a folder."),
     "simulate": ("simulate:simulate", "Write what the robot would have recorded in a world."),
+    "inspect": ("inspect:inspect", "Print what is in a log, and what is wrong with it."),
+    "list": ("list:list_components", "Print the components of each role and their parameters."),
+    "config": ("config:config", "Print every parameter of a preset or file, as TOML."),
 }
 """Where each command is, imported when it is called, so that `imp --help` need not wait."""
 

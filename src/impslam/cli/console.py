@@ -12,6 +12,7 @@ from cyclopts import Parameter
 from rich import box
 from rich.console import Console
 from rich.logging import RichHandler
+from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
@@ -22,6 +23,17 @@ Flag: TypeAlias = Annotated[bool, Parameter(negative="")]
 Settings: TypeAlias = Annotated[
     tuple[str, ...],
     Parameter(name="--set", negative="", help="override a parameter: --set filter.kind=ekf"),
+]
+Base: TypeAlias = Annotated[
+    str | None,
+    Parameter(
+        name=["--config", "-c"],
+        help="a preset (`imp list presets`) or a TOML file [default: the preset that fits the log]",
+    ),
+]
+Topics: TypeAlias = Annotated[
+    tuple[str, ...],
+    Parameter(name="--topic", negative="", help="which topic plays a role: --topic scan=/scan"),
 ]
 Seed: TypeAlias = Annotated[int | None, Parameter(help="seed of everything that is random")]
 
@@ -83,7 +95,21 @@ def show_table(
         table.add_column(Text(name), justify="right" if right else "left", overflow="fold")
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
-    stdout().print(table)
+    _print(table)
+
+
+def show_indented(table: Table, indent: int) -> None:
+    """Print a table some columns further right."""
+    _print(Padding(table, (0, 0, 0, indent)))
+
+
+def _print(table: Table | Padding) -> None:
+    """Print what rich lays out, without the blanks that it fills lines with."""
+    console = stdout()
+    with console.capture() as text:
+        console.print(table)
+    for line in text.get().splitlines():
+        say(line.rstrip())
 
 
 def show_facts(facts: Mapping[str, str]) -> None:

@@ -53,6 +53,15 @@ def plan(log: Path, base: str | None, settings: Sequence[str]) -> tuple[Config, 
         raise ConfigError(explain(error, f"source ({kind.name})", known)) from None
 
 
+def topic_settings(topics: Sequence[str]) -> list[str]:
+    """Turn "scan=/front/scan" into the setting that it abbreviates."""
+    for topic in topics:
+        role, equals, name = topic.partition("=")
+        if not (role and equals and name):
+            raise ConfigError(f"--topic {topic}: expected role=name, e.g. --topic scan=/scan")
+    return [f"source.topics.{topic}" for topic in topics]
+
+
 def execute(
     config: Config, source: Source, folder: Path, quiet: bool, more: Iterable[Observer] = ()
 ) -> Outcome:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -14,6 +14,8 @@ from impslam.cli.console import stderr
 from impslam.observers.base import Observer, Outcome
 from impslam.sources.base import Source
 from impslam.types import StepResult
+
+T = TypeVar("T")
 
 PERIOD = 0.1  # s between two updates: smooth to the eye, nothing to the run
 
@@ -47,6 +49,17 @@ class Bar(Observer):
         if self._display is not None:
             total = self._source.total
             self._display.update(self._task, description="writing the report", completed=total)
+
+
+def follow(steps: Iterable[T], source: Source, display: Any, what: str) -> Iterator[T]:
+    """Pass steps on and show how far the source has come."""
+    due = 0.0
+    task = None if display is None else display.add_task(what, total=source.total)
+    for step in steps:
+        yield step
+        if task is not None and time.monotonic() > due:
+            due = time.monotonic() + PERIOD
+            display.update(task, completed=source.position)
 
 
 def ticker(display: Any, what: str, total: float) -> Callable[[float], None]:

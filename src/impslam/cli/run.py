@@ -9,9 +9,8 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common, Seed, Settings
-from impslam.cli.job import Way, execute, plan, run_folder
-from impslam.errors import ConfigError
+from impslam.cli.console import Base, Common, Seed, Settings, Topics
+from impslam.cli.job import Way, execute, plan, run_folder, topic_settings
 from impslam.observers.base import Outcome
 
 
@@ -19,10 +18,10 @@ def run(
     log: Path,
     /,
     *,
-    config: Annotated[str | None, Parameter(name=["--config", "-c"])] = None,
+    config: Base = None,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
     settings: Settings = (),
-    topics: Annotated[tuple[str, ...], Parameter(name="--topic", negative="")] = (),
+    topics: Topics = (),
     seed: Seed = None,
     common: Common | None = None,
 ) -> None:
@@ -32,12 +31,8 @@ def run(
     ----------
     log
         A file or folder; its format is recognised from its content.
-    config
-        A preset (`imp list presets`) or a TOML file. Default: the preset that fits the log.
     output
         The folder to write to. Default: runs/LOG-DATE-TIME.
-    topics
-        Which topic plays a role: --topic scan=/front/scan.
     """
     changes = [*settings, *topic_settings(topics), *(() if seed is None else (f"seed={seed}",))]
     chosen, source = plan(log, config, changes)
@@ -47,15 +42,6 @@ def run(
     outcome = execute(chosen, source, folder, quiet, [way])
     if not quiet:
         show(outcome, way.length, folder)
-
-
-def topic_settings(topics: tuple[str, ...]) -> list[str]:
-    """Turn "scan=/front/scan" into the setting that it abbreviates."""
-    for topic in topics:
-        role, equals, name = topic.partition("=")
-        if not (role and equals and name):
-            raise ConfigError(f"--topic {topic}: expected role=name, e.g. --topic scan=/scan")
-    return [f"source.topics.{topic}" for topic in topics]
 
 
 def show(outcome: Outcome, length: float, folder: Path) -> None:

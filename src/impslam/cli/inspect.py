@@ -1,0 +1,118 @@
+"""`imp inspect`: what is in a log, and what is wrong with it, with the fix."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from impslam.cli import console
+from impslam.cli.console import Base, Common, Settings, Topics
+from impslam.cli.job import plan, topic_settings
+from impslam.cli.progress import display, follow
+from impslam.cli.survey import Beams, Survey
+from impslam.config import Config
+from impslam.sources.base import Problems, Source, Stream
+
+
+def inspect(
+    log: Path,
+    /,
+    *,
+    config: Base = None,
+    settings: Settings = (),
+    topics: Topics = (),
+    common: Common | None = None,
+) -> None:
+    """Print what is in a log, what it is used for, and what is wrong with it, with the fix.
+
+    Parameters
+    ----------
+    log
+        A file or folder; its format is recognised from its content.
+    """
+    chosen, source = plan(log, config, [*settings, *topic_settings(topics)])
+    survey = Survey(chosen.make_robot())
+    with source, display(common is not None and common.quiet) as shown:
+        streams, preset = source.streams(), source.preset
+        for _ in follow(survey.read(source), source, shown, "reading"):
+            pass
+    console.say(f"{log}: {source.name}, preset {config or preset}")
+    _show_streams(streams)
+    _show_clocks(survey)
+    _show_scans(survey.beams)
+    _show_motion(survey, chosen)
+    _show_problems(source, survey.problems)
+
+
+def _show_streams(streams: list[Stream]) -> None:
+    rows = [
+        (
+            s.topic,
+            s.type,
+            "yes" if s.used else "no",
+            s.note,
+            "" if s.count is None else str(s.count),
+        )
+        for s in streams
+    ]
+    console.show_table(("stream", "type", "used", "as", "messages"), rows, numbers=1)
+
+
+def _show_clocks(survey: Survey) -> None:
+    rows = [
+        (
+            name,
+            str(clock.count),
+            _number(clock.rate, 1),
+            _number(clock.duration, 1),
+            _number(clock.gap, 3),
+            str(clock.backward),
+            str(clock.repeated),
+        )
+        for name, clock in sorted(survey.clocks.items())
+    ]
+    header = ("message", "count", "Hz", "seconds", "longest gap, s", "backward", "repeated")
+    console.show_table(header, rows, numbers=6)
+
+
+def _show_scans(beams: Beams) -> None:
+    if not beams.counts:
+        return
+    low, high = beams.limits
+    counts = sorted(beams.counts)
+    several = f" to {counts[-1]}" if len(counts) > 1 else ""
+    turns = f", {len(beams.starts)} start angles" if len(beams.starts) > 1 else ""
+    sweep = f"{1000 * beams.sweep:.0f} ms" if beams.sweep else "not in the log; taken as instants"
+    console.show_facts(
+        {
+            "beams": f"{counts[0]}{several}",
+            "field of view": f"{math.degrees(beams.field_of_view):.1f} deg{turns}",
+            "sweep": sweep,
+            "range limits": f"{_number(low, 2)} to {_number(high, 2)} m, as the messages say",
+            "valid ranges": f"{beams.nearest:.2f} to {beams.farthest:.2f} m",
+            "invalid beams": f"{100 * beams.share_invalid:.1f} %",
+        }
+    )
+
+
+def _show_motion(survey: Survey, config: Config) -> None:
+    if survey.way or survey.rotation:
+        console.show_facts(
+            {
+                "odometry": f"{config.odometry['kind']}, {survey.way:.2f} m, "
+                f"{math.degrees(survey.rotation):.0f} deg of turns"
+            }
+        )
+
+
+def _show_problems(source: Source, found: Problems) -> None:
+    console.say()
+    for problems in (source.problems, found):
+        for kind, count in problems.counts.items():
+            console.say(f"problem: {count} x {kind}: {problems.examples[kind]}")
+    if not (source.problems.counts or found.counts):
+        console.say("no problem found")
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"

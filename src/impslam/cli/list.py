@@ -1,0 +1,98 @@
+"""`imp list`: the components of every role, and what their parameters mean."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.resources import files
+from typing import Any
+
+from pydantic.fields import FieldInfo
+from rich.table import Table
+from rich.text import Text
+
+from impslam.cli import console
+from impslam.cli.console import Common
+from impslam.component import Component, components, near_miss, roles
+from impslam.config import presets
+from impslam.errors import ConfigError
+from impslam.simulation.world import load_world, shipped_worlds
+
+INDENT = 4
+
+
+def list_components(role: str | None = None, /, *, common: Common | None = None) -> None:
+    """Print what each role can be played by, with the parameters: name, default, unit, meaning.
+
+    Parameters
+    ----------
+    role
+        extractor, filter, association, ...; or presets, or worlds. Default: everything.
+    """
+    del common
+    known = [*roles(), "presets", "worlds"]
+    if role is not None and role not in known:
+        role = next((name for name in known if role in (f"{name}s", name.rstrip("s"))), role)
+    if role is not None and role not in known:
+        raise ConfigError(f"no role is called {role!r}; {near_miss(role, known)}")
+    for name in known if role is None else [role]:
+        console.say(name)
+        if name == "presets":
+            _show_names({preset: _title(preset) for preset in presets()})
+        elif name == "worlds":
+            _show_names({world: load_world(world).description for world in shipped_worlds()})
+        else:
+            for component in components(name).values():
+                _show(component)
+        console.say()
+
+
+def _title(preset: str) -> str:
+    """Return the comment that a preset's file begins with."""
+    text = files("impslam").joinpath("presets", f"{preset}.toml").read_text("utf-8")
+    first = text.split("\n", 1)[0]
+    return first.removeprefix("#").strip() if first.startswith("#") else ""
+
+
+def _show_names(names: dict[str, str]) -> None:
+    _print_rows(list(names.items()), INDENT // 2)
+
+
+def _show(component: type[Component]) -> None:
+    _print_rows([(component.name, component.describe())], INDENT // 2)
+    rows = [
+        (name, show_default(field), _unit(field), field.description or "")
+        for name, field in component.model_fields.items()
+        if name != "path"  # the log itself, which is not a parameter
+    ]
+    if rows:
+        _print_rows(rows, 2 * INDENT)
+
+
+def show_default(field: FieldInfo) -> str:
+    """Return a parameter's default as a config file would say it."""
+    if field.is_required():
+        return "(required)"
+    default: Any = field.get_default(call_default_factory=True)
+    if isinstance(default, bool):
+        return str(default).lower()
+    if isinstance(default, float):
+        return f"{default:.6g}"
+    if isinstance(default, tuple):
+        return str(list(default))
+    return repr(default) if isinstance(default, str) else str(default)
+
+
+def _unit(field: FieldInfo) -> str:
+    extra = field.json_schema_extra
+    unit = str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+    return "" if unit == "1" else unit
+
+
+def _print_rows(rows: Sequence[tuple[str, ...]], indent: int) -> None:
+    table = Table.grid(padding=(0, 2, 0, 0))
+    for column in range(len(rows[0])):
+        last = column == len(rows[0]) - 1
+        table.add_column(overflow="fold", no_wrap=not last)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    console.show_indented(table, indent)

@@ -1,0 +1,162 @@
+"""What reading a log to its end tells about it: clocks, scans, motion, and problems with their fix."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from impslam.errors import MessageError
+from impslam.robot import Robot
+from impslam.sensors.lidar2d import Lidar2D
+from impslam.sources.base import Problems, Source
+from impslam.types import LaserScan, Message
+
+MOSTLY = 0.5
+"""Share of invalid beams from which on a log's ranges deserve a word."""
+
+
+@dataclass(slots=True)
+class Clock:
+    """The stamps of one type of message."""
+
+    count: int = 0
+    first: float = math.nan
+    last: float = math.nan
+    backward: int = 0
+    repeated: int = 0
+    gap: float = 0.0
+    _previous: float = math.nan
+
+    def add(self, stamp: float) -> None:
+        """Take in a stamp."""
+        step = stamp - self._previous
+        self.backward += step < 0.0
+        self.repeated += step == 0.0
+        self.gap = max(self.gap, step)  # a comparison with nan leaves the gap as it is
+        self.first, self.last = min(stamp, self.first), max(stamp, self.last)
+        if self.count == 0:
+            self.first = self.last = stamp
+        self.count, self._previous = self.count + 1, stamp
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last stamp, in s."""
+        return self.last - self.first
+
+    @property
+    def rate(self) -> float:
+        """Messages a second; nan for a single one."""
+        return (self.count - 1) / self.duration if self.duration > 0.0 else math.nan
+
+
+@dataclass(slots=True)
+class Beams:
+    """The geometry of the scans."""
+
+    counts: dict[int, int] = field(default_factory=dict)
+    starts: set[float] = field(default_factory=set)
+    field_of_view: float = 0.0
+    limits: tuple[float, float] = (math.nan, math.nan)
+    nearest: float = math.inf
+    farthest: float = 0.0
+    sweep: float = 0.0
+    total: int = 0
+    invalid: int = 0
+
+    def add(self, scan: LaserScan, lidar: Lidar2D | None) -> None:
+        """Take in a scan as the lidar of the config would use it."""
+        n = len(scan.ranges)
+        self.counts[n] = self.counts.get(n, 0) + 1
+        self.limits = scan.range_min, scan.range_max
+        if n == 0:
+            return
+        self.starts.add(round(float(scan.angles[0]), 4))
+        self.field_of_view = float(np.ptp(scan.angles)) * n / max(n - 1, 1)
+        self.sweep = max(self.sweep, float(scan.time_offsets.max()))
+        with np.errstate(invalid="ignore"):
+            valid = np.isfinite(scan.ranges) & (scan.ranges > 0.0)
+        if lidar is not None:
+            valid = lidar.scan(scan, np.zeros(3)).valid
+        self.total, self.invalid = self.total + n, self.invalid + n - int(valid.sum())
+        if valid.any():
+            self.nearest = min(self.nearest, float(scan.ranges[valid].min()))
+            self.farthest = max(self.farthest, float(scan.ranges[valid].max()))
+
+    @property
+    def share_invalid(self) -> float:
+        """Share of beams that cannot be used."""
+        return self.invalid / self.total if self.total else 0.0
+
+
+class Survey:
+    """Reads every message of a log once, and keeps no message."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self.clocks: dict[str, Clock] = {}
+        self.beams = Beams()
+        self.way = self.rotation = 0.0
+        self.problems = Problems()
+
+    def read(self, source: Source) -> Iterator[float]:
+        """Take in an open log; yields the stamps, for whoever shows progress."""
+        for message in source:
+            self.clocks.setdefault(type(message).__name__, Clock()).add(message.stamp)
+            if isinstance(message, LaserScan):
+                sensor = self._robot.sensor_for(message)
+                self.beams.add(message, sensor if isinstance(sensor, Lidar2D) else None)
+            if self._robot.feels(message):
+                self._feel(message)
+            yield message.stamp
+        self._judge()
+
+    def _feel(self, message: Message) -> None:
+        try:
+            increment = self._robot.odometry.update(message)
+        except MessageError as error:
+            self.problems.add("odometry", str(error))
+            return
+        if increment is not None:
+            self.way += math.hypot(*increment.d_pose[:2])
+            self.rotation += abs(float(increment.d_pose[2]))
+
+    def _judge(self) -> None:
+        """Enter what is wrong with the log as a whole."""
+        felt = self._robot.odometry.consumes.__name__
+        scans, motion = self.clocks.get("LaserScan"), self.clocks.get(felt)
+        if scans is None:
+            self.problems.add(
+                "no scan",
+                "the log holds no laser scan to map with: record one, or name its topic with "
+                "--topic scan=NAME",
+            )
+        if motion is None:
+            self.problems.add("no odometry", self._no_odometry(felt))
+        if scans is not None and motion is not None:
+            self._judge_clocks(scans, motion)
+        if self.beams.share_invalid > MOSTLY:
+            self.problems.add(
+                "few valid beams",
+                f"{100 * self.beams.share_invalid:.0f} % of the beams have no valid range: check "
+                "the lidar, or sensors.lidar.range_min and range_max",
+            )
+
+    def _no_odometry(self, felt: str) -> str:
+        kind = self._robot.odometry.name
+        others = {"OdometryPose": "odometry_pose", "WheelAngles": "encoders"}
+        fix = next((k for name, k in others.items() if name in self.clocks), None)
+        there = f"choose --set odometry.kind={fix}" if fix else "record wheel angles or odometry"
+        return f"odometry {kind!r} needs {felt}, and the log holds none: {there}"
+
+    def _judge_clocks(self, scans: Clock, motion: Clock) -> None:
+        outside = scans.last < motion.first or scans.first > motion.last
+        if outside:
+            self.problems.add(
+                "clocks apart",
+                f"scans are stamped {scans.first:.3f} to {scans.last:.3f} s, odometry "
+                f"{motion.first:.3f} to {motion.last:.3f} s: bring them together with "
+                f"--set sensors.lidar.time_offset={motion.first - scans.first:.3f}",
+            )

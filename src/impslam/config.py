@@ -36,6 +36,21 @@ class Grid(BaseModel):
     resolution: float = parameter(0.05, "m", "side of a cell", gt=0)
 
 
+class Keyframes(BaseModel):
+    """Which scans are searched for landmarks: those after some motion, or after some time.
+
+    Scans from one place repeat their errors (the surface's brightness, the mount, the lidar's own
+    bias); taken for independent they make the belief surer than it may be. Between keyframes the
+    pose is dead-reckoned.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    distance: float = parameter(0.05, "m", "a keyframe after this way: a footprint of the beam", ge=0)
+    angle: float = parameter(0.02, "rad", "or after this turn: a few beams' spacing", ge=0)
+    seconds: float = parameter(0.5, "s", "or after this time, moving or not", ge=0)
+
+
 class Config(BaseModel):
     """The whole of a run's parameters, as TOML holds them."""
 
@@ -53,6 +68,7 @@ class Config(BaseModel):
     association: Table = parameter(..., "", "which observation is which landmark")
     lifecycle: Table = parameter(..., "", "when landmarks come and go")
     filter: Table = parameter(..., "", "the belief")
+    keyframes: Keyframes = parameter(Keyframes(), "", "which scans are searched for landmarks")
     grid: Grid = parameter(Grid(), "", "the occupancy grid")
 
     def make_robot(self) -> Robot:

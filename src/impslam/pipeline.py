@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -11,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from impslam.config import Config
+from impslam.config import Config, Keyframes
 from impslam.errors import MessageError, SourceError
 from impslam.observers.base import Dropped, Observer, Outcome
 from impslam.odometry.timeline import Timeline
 from impslam.sensors.base import Sensor
 from impslam.sources.base import Problems, Source
-from impslam.types import Message, StepResult, TruePose
+from impslam.types import Increment, Message, StepResult, TruePose
 
 MAX_WAIT = 25
 """Messages a scan waits for odometry to reach its end; then it is used with what is known."""
@@ -37,6 +38,29 @@ class Stopwatch:
         self.stages.setdefault(stage, []).append(time.perf_counter() - begin)
 
 
+class Gate:
+    """Tells keyframes from the scans between them."""
+
+    def __init__(self, keyframes: Keyframes) -> None:
+        self._limits = keyframes
+        self._way, self._turn, self._since = np.inf, np.inf, np.inf
+
+    def passes(self, increment: Increment) -> bool:
+        """Tell whether the scan after this motion is a keyframe."""
+        d, limits = increment.d_pose, self._limits
+        self._way += math.hypot(d[0], d[1])
+        self._turn += abs(float(d[2]))
+        self._since += increment.duration
+        if (
+            self._way < limits.distance
+            and self._turn < limits.angle
+            and self._since < limits.seconds
+        ):
+            return False
+        self._way = self._turn = self._since = 0.0
+        return True
+
+
 class Pipeline:
     """Feeds a robot's messages to the estimator in the order in which they happened."""
 
@@ -47,6 +71,7 @@ class Pipeline:
         self._waiting: deque[tuple[Message, Sensor, int]] = deque()
         self._rng = np.random.default_rng(config.seed)
         self._clock = Stopwatch()
+        self._gate = Gate(config.keyframes)
         self._seen = 0
         self.counts: dict[str, int] = {}
         self.problems = Problems()
@@ -97,7 +122,8 @@ class Pipeline:
             twist = self._timeline.twist(message.stamp, sensor.duration(message))
         try:
             with self._clock("sensor"):
-                reading = sensor.observe(message, twist, self._rng)
+                look = self._gate.passes(increment)
+                reading = sensor.observe(message, twist, self._rng, look)
         except MessageError as error:
             self.problems.add("scan", str(error))
             self._timeline.put_back(increment)

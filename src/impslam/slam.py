@@ -48,10 +48,11 @@ class Slam:
         self.filter.note(observations, choice.matches, stamp)
 
         unmatched = [observations[i] for i in choice.new]
-        new = self.filter.extend(self.lifecycle.promote(unmatched, stamp), stamp)
+        lost = self.filter.state_size == len(self.filter.pose)
+        new = self.filter.extend(self.lifecycle.promote(unmatched, stamp, lost), stamp)
 
         removed: list[int] = []
-        if reading.scan is not None:
+        if reading.scan is not None and observations:
             ids, outlines = self.filter.outlines()
             removed = self.lifecycle.review(
                 reading.scan, self.filter.pose, ids, outlines, choice.matches

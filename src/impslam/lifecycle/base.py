@@ -29,8 +29,13 @@ class Lifecycle(Component):
         """Follow the robot's motion."""
 
     @abstractmethod
-    def promote(self, observations: Sequence[Observation], stamp: float) -> list[Observation]:
-        """Return which of the unmatched observations are to become landmarks now."""
+    def promote(
+        self, observations: Sequence[Observation], stamp: float, lost: bool
+    ) -> list[Observation]:
+        """Return which of the unmatched observations are to become landmarks now.
+
+        `lost` says that the map is empty: there is nothing yet that ties the robot to its start.
+        """
 
     @abstractmethod
     def review(

@@ -24,9 +24,11 @@ class Immediate(Lifecycle):
     def move(self, increment: Increment) -> None:
         """Keep nothing that moves."""
 
-    def promote(self, observations: Sequence[Observation], stamp: float) -> list[Observation]:
+    def promote(
+        self, observations: Sequence[Observation], stamp: float, lost: bool
+    ) -> list[Observation]:
         """Return them all."""
-        del stamp
+        del stamp, lost
         return list(observations)
 
     def review(

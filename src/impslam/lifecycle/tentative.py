@@ -2,7 +2,8 @@
 
 A tentative landmark lives in a small filter that only dead-reckons: it is compared with later scans
 with the right uncertainty, and nothing of it reaches the map before it is confirmed. It stays where
-it was first seen, so that what walks does not become a landmark.
+it was first seen, so that what walks does not become a landmark. The first scan is the exception:
+what it shows enters at once, for every step without a landmark turns the whole map against its start.
 
 A confirmed one has a score: it rises when the landmark is matched and falls when beams that should
 have hit it end behind it. Occlusion says nothing and changes nothing.
@@ -129,8 +130,12 @@ class Tentative(Lifecycle):
             self._forget()
         self._candidates.predict(increment)
 
-    def promote(self, observations: Sequence[Observation], stamp: float) -> list[Observation]:
+    def promote(
+        self, observations: Sequence[Observation], stamp: float, lost: bool
+    ) -> list[Observation]:
         """Return the observations whose landmark has now been seen often enough."""
+        if lost:
+            return list(observations)
         if not observations and not self._seen:
             return []
         choice = self._association.assign(

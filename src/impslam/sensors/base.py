@@ -28,8 +28,12 @@ class Sensor(Component):
     """The type of message it understands."""
 
     @abstractmethod
-    def observe(self, message: Message, twist: Array, rng: np.random.Generator) -> Reading:
+    def observe(
+        self, message: Message, twist: Array, rng: np.random.Generator, look: bool = True
+    ) -> Reading:
         """Return what the message shows in base_link as it is at the message's stamp.
+
+        Without `look` the scan is made ready but not searched for landmarks.
 
         `twist` (3,) is the body's [vx, vy, omega] (m/s, m/s, rad/s) from the stamp on, for the
         removal of motion distortion.

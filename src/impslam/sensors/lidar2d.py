@@ -100,7 +100,9 @@ class Lidar2D(Sensor):
         assert isinstance(message, LaserScan)
         return float(message.time_offsets.max(initial=0.0)) if self.deskew else 0.0
 
-    def observe(self, message: Message, twist: Array, rng: np.random.Generator) -> Reading:
+    def observe(
+        self, message: Message, twist: Array, rng: np.random.Generator, look: bool = True
+    ) -> Reading:
         """Return the de-skewed scan and what the extractors find in it."""
         assert isinstance(message, LaserScan)
         if len(message.ranges) == 0:
@@ -109,6 +111,7 @@ class Lidar2D(Sensor):
         found = [
             observation
             for extractor in self.extractors.values()
+            if look
             for observation in extractor.extract(scan, rng)
         ]
         return Reading(scan, tuple(found))

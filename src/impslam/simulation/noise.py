@@ -14,13 +14,17 @@ from impslam.types import Array
 def wheel_angles(
     encoders: WheelEncoders, trajectory: Trajectory, times: Array, rng: np.random.Generator
 ) -> Array:
-    """Return accumulated left and right wheel angles (k, 2) rad at times (k,) s from 0 on."""
-    radii, track, phase = _build(encoders, rng)
+    """Return accumulated left and right wheel angles (k, 2) rad at times (k,) s from 0 on.
+
+    Each fault draws from a stream of its own, so that switching one off leaves the others.
+    """
+    building, slipping, skidding, noise = rng.spawn(4)
+    radii, track, phase = _build(encoders, building)
     way, turn = (np.diff(driven) for driven in trajectory.travel(times))
-    kept = 1.0 - _slip(encoders, turn / np.diff(times), rng)
+    kept = 1.0 - _slip(encoders, turn / np.diff(times), slipping)
     travel = way[:, None] + 0.5 * track * (kept * turn)[:, None] * np.array([-1.0, 1.0])
-    travel = np.column_stack([_skid(encoders, travel[:, side], rng) for side in (0, 1)])
-    travel += np.sqrt(encoders.noise * np.abs(travel)) * rng.standard_normal(travel.shape)
+    travel = np.column_stack([_skid(encoders, travel[:, side], skidding) for side in (0, 1)])
+    travel += np.sqrt(encoders.noise * np.abs(travel)) * noise.standard_normal(travel.shape)
     angles = phase + np.vstack([np.zeros(2), np.cumsum(travel / radii, axis=0)])
     return _quantise(angles, encoders.counts)
 

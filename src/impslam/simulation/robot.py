@@ -42,7 +42,7 @@ class WheelEncoders(Device):
         0.02, "1", "relative error of the track: 8 mm, where a wide wheel touches", ge=0.0
     )
     noise: float = parameter(
-        2e-4, "m^2/m", "variance of a wheel's travel per way: 1.4 cm after 1 m", ge=0.0
+        3e-4, "m^2/m", "variance of a wheel's travel per way: 1.7 cm after 1 m", ge=0.0
     )
     slip_sigma: float = parameter(
         0.03, "1", "share of the rotation lost in a turn, half-normal, drawn per turn", ge=0.0

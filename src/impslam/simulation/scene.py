@@ -11,7 +11,8 @@ from itertools import pairwise
 import numpy as np
 
 from impslam.geometry.se2 import rotation
-from impslam.simulation.world import Box, Door, Person, Wall, World
+from impslam.simulation.walk import Walk
+from impslam.simulation.world import Box, Door, Wall, World
 from impslam.types import Array
 
 
@@ -23,8 +24,8 @@ class Scene:
 
     @cached_property
     def segments(self) -> Array:
-        """Everything straight that stands: walls with their doorways, boxes; (s, 4) m."""
-        rows: list[Array] = []
+        """Everything straight that stands: walls, doorways, shut doors, boxes; (s, 4) m."""
+        rows = [_leaf(wall, door, 0.0) for wall, door in self._hung if not door.open]
         for wall in self.world.walls:
             doors = [door for door in self.world.doors if wall.name and door.wall == wall.name]
             rows += _pierced(wall, doors)
@@ -45,15 +46,23 @@ class Scene:
         return self.segments[close], self.circles[gap <= reach]
 
     def leaves(self, time: float) -> Array:
-        """Return the doors' leaves at a time; (m, 4) m."""
-        walls = {wall.name: wall for wall in self.world.walls}
-        rows = [_leaf(walls[door.wall], door, time) for door in self.world.doors]
+        """Return the leaves of the doors that ever open, at a time; (m, 4) m."""
+        rows = [_leaf(wall, door, time) for wall, door in self._hung if door.open]
         return np.array(rows).reshape(-1, 4)
 
     def legs(self, time: float) -> Array:
         """Return the people's legs at a time; (k, 3) m."""
-        rows = [leg for person in self.world.people for leg in _legs(person, time)]
+        rows = [leg for walk in self._walks for leg in walk.legs(time)]
         return np.array(rows).reshape(-1, 3)
+
+    @cached_property
+    def _hung(self) -> list[tuple[Wall, Door]]:
+        walls = {wall.name: wall for wall in self.world.walls}
+        return [(walls[door.wall], door) for door in self.world.doors]
+
+    @cached_property
+    def _walks(self) -> list[Walk]:
+        return [Walk(person) for person in self.world.people]
 
     def moving(self, begin: float, end: float) -> tuple[Array, Array]:
         """Return leaves (2, m, 4) and legs (2, k, 3) at two times."""
@@ -121,39 +130,3 @@ def _outline(box: Box) -> list[Array]:
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
     placed = corners @ rotation(box.angle).T + box.centre
     return [np.concatenate([placed[i], placed[(i + 1) % 4]]) for i in range(4)]
-
-
-def _legs(person: Person, time: float) -> list[tuple[float, float, float]]:
-    """Return both legs [x, y, radius] of a person at a time.
-
-    A foot's way is s + stride / 2 pi sin(2 pi s / stride): at rest once a stride, twice as fast as
-    the body in between; the other foot is half a stride behind.
-    """
-    way = np.array(person.waypoints)
-    length = float(np.hypot(*np.diff(way, axis=0).T).sum())
-    walked = person.speed * max(time - person.start, 0.0)
-    lap = int(walked // length) if person.returns else 0
-    on_lap = min(walked - lap * length, length)
-    rows = []
-    for side, phase in ((1.0, 0.0), (-1.0, math.pi)):
-        swing = math.sin(2 * math.pi * on_lap / person.stride + phase)
-        # Both feet come to stand side by side where the way ends.
-        fade = min(1.0, on_lap / person.stride, (length - on_lap) / person.stride)
-        foot = on_lap + fade * person.stride / (2 * math.pi) * swing
-        back = lap % 2 == 1
-        place, across = _along(way, length - foot if back else foot)
-        sideways = (-side if back else side) * 0.5 * person.leg_spacing
-        x, y = place + sideways * across
-        rows.append((float(x), float(y), person.leg_radius))
-    return rows
-
-
-def _along(way: Array, distance: float) -> tuple[Array, Array]:
-    """Return the point (2,) at a distance along a polyline (n, 2), and the unit normal there."""
-    steps = np.diff(way, axis=0)
-    lengths = np.hypot(*steps.T)
-    ends = np.cumsum(lengths)
-    i = min(int(np.searchsorted(ends, distance)), len(lengths) - 1)
-    direction = steps[i] / lengths[i]
-    place = way[i + 1] - (ends[i] - distance) * direction
-    return place, np.array([-direction[1], direction[0]])

@@ -17,6 +17,7 @@ OK, UNEXPECTED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 
 
 COMMANDS = {
+    "demo": ("demo:demo", "Simulate the arena of the thesis, map it, and score the map."),
     "run": ("run:run", "Map a log: write its path, landmarks, grid and report into a folder."),
     "simulate": ("simulate:simulate", "Write what the robot would have recorded in a world."),
     "inspect": ("inspect:inspect", "Print what is in a log, and what is wrong with it."),

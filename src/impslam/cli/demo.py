@@ -1,0 +1,138 @@
+"""`imp demo`: the arena of the thesis simulated, mapped, and scored against the truth."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from cyclopts import Parameter
+from numba.core import event
+
+from impslam.cli import console
+from impslam.cli.console import Base, Common, Settings
+from impslam.cli.job import execute, plan, run_folder
+from impslam.cli.progress import display
+from impslam.cli.simulate import landmarks_path, truth_path, write_log
+from impslam.demo import EndOfRun, compare, corners
+from impslam.geometry.angles import wrap
+from impslam.observers.base import Outcome
+from impslam.simulation.world import TrueLandmark, load_world
+from impslam.types import Array, Landmark
+
+WORLD = "arena"
+FELT = 0.5  # s of compiling that are worth a word
+
+
+def demo(
+    *,
+    seed: int = 0,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    config: Base = None,
+    settings: Settings = (),
+    common: Common | None = None,
+) -> None:
+    """Simulate the arena of the thesis, map it, and print the map beside the truth.
+
+    Parameters
+    ----------
+    seed
+        Seed of all noise.
+    output
+        The folder to write to. Default: runs/arena-DATE-TIME.
+    """
+    quiet = common is not None and common.quiet
+    clock = Clock()
+    own = Path(f"{WORLD}.mcap")
+    folder = run_folder(
+        output, WORLD, [str(p) for p in (own, truth_path(own), landmarks_path(own))]
+    )
+    log, world, end = folder / own, load_world(WORLD), EndOfRun()
+    with clock("simulate the arena"), display(quiet) as shown:
+        scans = write_log(world, log, seed, shown)
+    if not quiet:
+        console.say(f"{scans} scans and the wheels' turns are in {log}; mapping them ...")
+    start = list(map(float, world.robot.start))
+    with clock("map and report"):
+        chosen, source = plan(log, config, [f"start={start}", f"seed={seed}", *settings])
+        outcome = execute(chosen, source, folder, quiet, [end])
+    if not quiet:
+        _show_landmarks(world.landmarks(), outcome)
+        _show_end(end)
+        _show_times(clock, outcome)
+        console.say(f"report: {folder / 'report.html'}")
+
+
+class Clock:
+    """Seconds per part of the demo, with the time that compiling takes out of each."""
+
+    def __init__(self) -> None:
+        self.parts: dict[str, float] = {}
+        self.compiling = 0.0
+
+    @contextmanager
+    def __call__(self, part: str) -> Iterator[None]:
+        """Time a part."""
+        before, begin = self.compiling, time.perf_counter()
+        with event.install_timer("numba:compile", self._compiled):
+            yield
+        took = time.perf_counter() - begin
+        self.parts[part] = took - (self.compiling - before)
+
+    def _compiled(self, seconds: float) -> None:
+        self.compiling += seconds
+
+
+def _show_landmarks(truth: list[TrueLandmark], outcome: Outcome) -> None:
+    """Print every true landmark beside the map's; corners, which the walls imply, where found."""
+    implied = [pair for pair in compare(corners(truth), outcome.landmarks) if pair.found]
+    pairs = [*compare(truth, outcome.landmarks), *implied]
+    rows = []
+    for pair in pairs:
+        true, found = _place(pair.true), _place(pair.found) if pair.found else ("missed", "")
+        error = f"{100 * pair.error:.1f}" if pair.found else "-"
+        rows.append((pair.true.name, *true, *found, error))
+    header = ("landmark", "true", "", "estimated", "", "error, cm")
+    console.show_table(header, rows, numbers=5)
+    matched = {pair.found.id for pair in pairs if pair.found}
+    extra = [landmark for landmark in outcome.landmarks if landmark.id not in matched]
+    for landmark in extra:
+        x, y = _place(landmark)
+        console.say(f"not in the arena: {landmark.kind} {landmark.id} at {x}, {y}")
+
+
+def _place(landmark: Landmark | TrueLandmark) -> tuple[str, str]:
+    """Return a point's x and y, a wall's distance and direction from the origin."""
+    values = landmark.parameters
+    if landmark.end_points is not None:
+        return f"r {values['r']:.3f} m", f"{math.degrees(values['alpha']):.2f} deg"
+    return f"x {landmark.position[0]:.3f}", f"y {landmark.position[1]:.3f}"
+
+
+def _show_end(end: EndOfRun) -> None:
+    if end.true is None or end.pose is None or end.odometry is None:
+        return
+    rows = [("true", *_coordinates(end.true), "")]
+    for name, pose in (("estimated", end.pose), ("wheels alone", end.odometry)):
+        error = 100 * math.dist(pose[:2], end.true[:2])
+        turn = math.degrees(wrap(float(pose[2] - end.true[2])))
+        rows.append((name, *_coordinates(pose), f"{error:.1f} cm, {turn:+.2f} deg"))
+    console.show_table(("end of the path", "x", "y", "heading", "error"), rows, numbers=4)
+
+
+def _coordinates(pose: Array) -> tuple[str, str, str]:
+    return f"{pose[0]:.3f}", f"{pose[1]:.3f}", f"{math.degrees(pose[2]):.2f}"
+
+
+def _show_times(clock: Clock, outcome: Outcome) -> None:
+    """Say where the time went."""
+    parts = [f"{name} {seconds:.1f} s" for name, seconds in clock.parts.items()]
+    if clock.compiling > FELT:
+        parts.append(f"compile {clock.compiling:.1f} s (once; the next run has it ready)")
+    stages = {name: 1000 * float(np.mean(times)) for name, times in outcome.stages.items()}
+    console.say("time: " + ", ".join(parts))
+    console.say("per scan: " + ", ".join(f"{name} {ms:.2f} ms" for name, ms in stages.items()))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from tests.sources.bags import ROS1, some
 from tests.sources.logs import (
     WRITERS,
     dat_line,
@@ -21,7 +22,15 @@ from tests.sources.logs import (
 from impslam.errors import SourceError
 from impslam.sources.base import recognise
 
+STORAGES = {
+    "ros1": lambda path: some(path, ROS1),
+    "ros2": some,
+    "mcap folder": lambda path: some(path.with_name("mcap")),
+    "mcap": lambda path: next(some(path.with_name("mcap2")).glob("*.mcap")).rename(path),
+    "db3": lambda path: next(some(path.with_name("lite")).glob("*.db3")).rename(path),
+}
 FORMATS = sorted(WRITERS)
+DAMAGED = sorted(WRITERS | STORAGES)
 FUZZ = settings(
     max_examples=60,
     deadline=None,
@@ -35,13 +44,22 @@ def logs(tmp_path: Path) -> dict[str, Path]:
     return {name: write(tmp_path / f"{name}-log") for name, write in WRITERS.items()}
 
 
+@pytest.fixture(scope="module")
+def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("originals")
+    writers = WRITERS | STORAGES
+    return {name: write(folder / f"{name}-log") for name, write in writers.items()}
+
+
 def damaged_file(log: Path) -> Path:
-    """The file to damage: of a folder, the one with the scans."""
-    return next(log.glob("*_scan.txt")) if log.is_dir() else log
+    """The file to damage: of a folder, the largest, which has the scans."""
+    if log.is_dir():
+        return max(log.iterdir(), key=lambda file: file.stat().st_size)
+    return log
 
 
-def copy(log: Path) -> Path:
-    target = log.with_name("damaged")
+def copy(log: Path, folder: Path) -> Path:
+    target = folder / "damaged"
     if target.exists():
         shutil.rmtree(target) if target.is_dir() else target.unlink()
     shutil.copytree(log, target) if log.is_dir() else shutil.copy(log, target)
@@ -86,22 +104,24 @@ def test_nothing_is_refused_in_one_line(tmp_path: Path) -> None:
         recognise(tmp_path)
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", DAMAGED)
 @FUZZ
 @given(cut=st.floats(0.0, 1.0))
-def test_cut_anywhere(logs: dict[str, Path], name: str, cut: float) -> None:
-    path = copy(logs[name])
+def test_cut_anywhere(originals: dict[str, Path], tmp_path: Path, name: str, cut: float) -> None:
+    path = copy(originals[name], tmp_path)
     file = damaged_file(path)
     content = file.read_bytes()
     file.write_bytes(content[: int(cut * len(content))])
     read_or_refuse(path)
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", DAMAGED)
 @FUZZ
 @given(st.lists(st.tuples(st.floats(0.0, 1.0, exclude_max=True), st.integers(0, 255)), max_size=20))
-def test_bytes_flipped(logs: dict[str, Path], name: str, flips: list[tuple[float, int]]) -> None:
-    path = copy(logs[name])
+def test_bytes_flipped(
+    originals: dict[str, Path], tmp_path: Path, name: str, flips: list[tuple[float, int]]
+) -> None:
+    path = copy(originals[name], tmp_path)
     file = damaged_file(path)
     content = bytearray(file.read_bytes())
     for where, value in flips:
@@ -110,11 +130,13 @@ def test_bytes_flipped(logs: dict[str, Path], name: str, flips: list[tuple[float
     read_or_refuse(path)
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", DAMAGED)
 @FUZZ
 @given(tail=st.binary(max_size=400))
-def test_bytes_appended_to_the_head(logs: dict[str, Path], name: str, tail: bytes) -> None:
-    path = copy(logs[name])
+def test_bytes_appended_to_the_head(
+    originals: dict[str, Path], tmp_path: Path, name: str, tail: bytes
+) -> None:
+    path = copy(originals[name], tmp_path)
     file = damaged_file(path)
     content = file.read_bytes()
     file.write_bytes(content[: len(content) // 3] + tail)
@@ -148,8 +170,8 @@ def test_random_bytes(tmp_path: Path, content: bytes) -> None:
 
 @FUZZ
 @given(st.text("MS 0123456789.-\nnaif", max_size=300))
-def test_random_words_in_a_lego_folder(logs: dict[str, Path], text: str) -> None:
-    path = copy(logs["lego"])
+def test_random_words_in_a_lego_folder(logs: dict[str, Path], tmp_path: Path, text: str) -> None:
+    path = copy(logs["lego"], tmp_path)
     (path / "run_motors.txt").write_text("M 1 2 3 4 5 6 7\n" + text)
     read_or_refuse(path)
 

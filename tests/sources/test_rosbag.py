@@ -1,77 +1,17 @@
 import math
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
+from tests.sources.bags import ROS1, ROS2, bag, image, joints, odometry, scan
 from tests.sources.logs import messages, read, write_mcap
 
 from impslam.errors import SourceError
 from impslam.sources.base import recognise
+from impslam.sources.recording import McapWriter
 from impslam.sources.rosbag import RosBag
 from impslam.types import Image, LaserScan, OdometryPose, TruePose, WheelAngles
-
-ROS2 = get_typestore(Stores.ROS2_HUMBLE)
-ROS1 = get_typestore(Stores.ROS1_NOETIC)
-
-
-def header(store: Any, stamp: float = 1.5) -> Any:
-    sec, nanosec = divmod(round(stamp * 1e9), 10**9)
-    time = store.types["builtin_interfaces/msg/Time"](sec, nanosec)
-    cls = store.types["std_msgs/msg/Header"]
-    return cls(0, time, "f") if store is ROS1 else cls(time, "f")
-
-
-def joints(store: Any, names: list[str], position: list[float], stamp: float = 1.5) -> Any:
-    none = np.empty(0)
-    cls = store.types["sensor_msgs/msg/JointState"]
-    return cls(header(store, stamp), names, np.array(position), none, none)
-
-
-def scan(store: Any, stamp: float = 1.5, start: float = -1.0, n: int = 3, high: float = 8.0) -> Any:
-    cls = store.types["sensor_msgs/msg/LaserScan"]
-    ranges, none = np.arange(n, dtype=np.float32), np.empty(0, np.float32)
-    return cls(header(store, stamp), start, 0.0, 0.5, 0.25, 0.1, 0.0, high, ranges, none)
-
-
-def odometry(store: Any, turn: tuple[float, ...] = (0, 0, 0, 2), x: float = 1.0) -> Any:
-    new = lambda name, *values: store.types[f"geometry_msgs/msg/{name}"](*values)  # noqa: E731
-    pose = new("Pose", new("Point", x, 2.0, 0.0), new("Quaternion", *turn))
-    still = new("Vector3", 0.0, 0.0, 0.0)
-    return store.types["nav_msgs/msg/Odometry"](
-        header(store),
-        "base",
-        new("PoseWithCovariance", pose, np.zeros(36)),
-        new("TwistWithCovariance", new("Twist", still, still), np.zeros(36)),
-    )
-
-
-def image(store: Any, form: str) -> Any:
-    cls = store.types["sensor_msgs/msg/CompressedImage"]
-    return cls(header(store), form, np.arange(4, dtype=np.uint8))
-
-
-def bag(path: Path, *entries: tuple[str, Any], store: Any = ROS2) -> Path:
-    """Write (topic, message) pairs, logged one per second from 100 s, in any of the formats."""
-    if store is ROS1:
-        writer: Any = Writer1(path)
-    else:
-        plugin = StoragePlugin.MCAP if "mcap" in path.name else StoragePlugin.SQLITE3
-        writer = Writer2(path, version=9, storage_plugin=plugin)
-    with writer:
-        known: dict[str, Any] = {}
-        for i, (topic, message) in enumerate(entries):
-            kind = message.__msgtype__
-            if topic not in known:
-                known[topic] = writer.add_connection(topic, kind, typestore=store)
-            serialise = store.serialize_ros1 if store is ROS1 else store.serialize_cdr
-            writer.write(known[topic], (100 + i) * 10**9, serialise(message, kind))
-    return path
 
 
 @pytest.mark.parametrize("kind", ["ros1", "sqlite folder", "mcap folder", "sqlite", "mcap"])
@@ -189,9 +129,26 @@ def test_a_bag_without_definitions_uses_the_standard_types(tmp_path: Path) -> No
     np.testing.assert_array_equal(sweep.ranges, [0.0, 1.0, 2.0])
 
 
+def test_a_file_cut_by_loss_of_power_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    angles, times, ranges = np.arange(5000.0), np.zeros(5000), np.zeros(5000)
+    with McapWriter(path) as writer:
+        for i in range(300):
+            writer.write(LaserScan(float(i), angles, ranges, times))
+    whole, _ = read(path)
+    chunk = path.stat().st_size // 6  # of 1 MiB unpacked
+    path.write_bytes(path.read_bytes()[: -2 * chunk])
+    found, source = read(path)
+    assert len(whole) == 300
+    assert 100 < len(found) < 300
+    assert [m.stamp for m in found] == [m.stamp for m in whole[: len(found)]]
+    assert source.problems.counts == {"cut file": 1}
+    assert source.preset == "imp"
+
+
 def test_what_cannot_be_opened_says_what_to_do(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap")
-    path.write_bytes(path.read_bytes()[:40])
+    path.write_bytes(path.read_bytes()[:12])
     with pytest.raises(SourceError, match=r"a\.mcap: cannot be opened .*repair it with"):
         RosBag(path=path).__enter__()
     with pytest.raises(SourceError, match="not open"):

@@ -3,12 +3,12 @@
 `*_motors.txt` holds `M t left(4) right(4) third(4)` with the ticks in the first word of each four,
 `*_scan.txt` holds `S t n r0 ... r(n-1)`; times are in ms on one clock, ranges in mm.
 
-The lectures pair the i-th M with the i-th S. Both are stamped when they arrive, unevenly and in
-streams of their own, so here each keeps its own time and the files are merged by it. On the run
-"robot4" the turning between scans, found by scan matching, agrees with that of the wheels to
-0.042 rad RMS when paired by index, 0.033 rad by stamps, and 0.021 rad by stamps once scans are
-taken to be 0.45 s late (sharp minimum; the reference positions agree best with the wheels' times).
-Hence `scan_delay`.
+The lectures pair the i-th M with the i-th S. But both are stamped when they arrive, unevenly and in
+streams of their own, and scans take longer: so here each keeps its own time, less `scan_delay` for
+scans, and the files are merged by time. On the run "robot4" dead reckoning draws the sharpest map
+with scans 0.45 s late: 4220 cells of 2 cm are hit, against 6718 without the delay and 6795 when
+paired by index. Turning between scans by scan matching gives the same minimum, and the reference
+positions agree best with the wheels' own times.
 """
 
 from __future__ import annotations

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, BinaryIO, TypeAlias
 
 from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
@@ -16,14 +18,53 @@ from rosbags.typesys.store import Typestore
 
 from impslam.errors import SourceError
 
-Storage: TypeAlias = rosbag1.Reader | rosbag2.Reader | McapReader | Sqlite3Reader
+
+class CutMcapReader(McapReader):
+    """An MCAP file that lacks its end, as a robot leaves it that loses power.
+
+    Read up to the last whole record, by scanning; rosbags alone refuses such files.
+    """
+
+    is_cut = False
+
+    def _open(self) -> None:
+        try:
+            super()._open()
+        except ReaderError as error:
+            if "end magic" not in str(error):
+                raise
+            self._scan()
+
+    def _scan(self) -> None:
+        assert self.bio is not None
+        self.data_end = _end_of_whole_records(self.bio, self.data_start)
+        self.meta_scan()
+        counts = self.statistics.channel_message_counts if self.statistics else {}
+        self.connections = [c._replace(msgcount=counts.get(c.id, 0)) for c in self.connections]
+        self.is_cut = True
+
+
+def _end_of_whole_records(file: BinaryIO, start: int) -> int:
+    """Return the offset behind the last whole record (opcode, length in 8 bytes, content)."""
+    size, end = file.seek(0, 2), start
+    while True:
+        file.seek(end)
+        head = file.read(9)
+        following = end + 9 + int.from_bytes(head[1:], "little")
+        if len(head) < 9 or following > size or head[0] == _DATA_END:
+            return end
+        end = following
+
+
+Storage: TypeAlias = rosbag1.Reader | rosbag2.Reader | CutMcapReader | Sqlite3Reader
 RosMessage: TypeAlias = Any  # classes that rosbags makes at run time from the log's definitions
 
 _MAGIC: dict[bytes, Callable[[Path], Storage]] = {
     b"#ROSBAG V": rosbag1.Reader,
-    b"\x89MCAP0\r\n": McapReader,
+    b"\x89MCAP0\r\n": CutMcapReader,
     b"SQLite format 3\0": Sqlite3Reader,
 }
+_DATA_END = 0x0F  # opcode of the record that ends an MCAP file's data
 _REPAIR = "repair it with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`, or copy it again"
 
 
@@ -57,6 +98,7 @@ class Bag:
         except Exception as error:  # a damaged index leads rosbags to raise anything
             raise SourceError(f"{path}: cannot be opened ({one_line(error)}); {_REPAIR}") from None
         self.is_ros1 = make is rosbag1.Reader
+        self.is_cut = isinstance(self._storage, CutMcapReader) and self._storage.is_cut
 
     def close(self) -> None:
         """Close the storage."""
@@ -75,23 +117,27 @@ class Bag:
 
     def decoder(self, connection: Connection) -> Callable[[bytes], RosMessage]:
         """Return what turns a connection's data into messages."""
-        store, kind = self._types(connection), connection.msgtype
+        definition, kind = connection.msgdef, connection.msgtype
+        store = _types(kind, definition.format, definition.data, self.is_ros1)
         if self.is_ros1:
             return lambda data: store.deserialize_ros1(data, kind)
         return lambda data: store.deserialize_cdr(data, kind)
 
-    def _types(self, connection: Connection) -> Typestore:
-        """Return the definitions in the log, else those of the standard types."""
-        text, form = connection.msgdef.data, connection.msgdef.format
-        standard = get_typestore(Stores.ROS1_NOETIC if self.is_ros1 else Stores.LATEST)
-        if not text.strip():
-            return standard
-        with suppress(Exception):  # what rosbags cannot parse may be a standard type yet
-            store = get_typestore(Stores.EMPTY)
-            if form == MessageDefinitionFormat.MSG:
-                store.register(get_types_from_msg(text, connection.msgtype))
-            else:
-                store.register(get_types_from_idl(text))
-            store.get_msgdef(connection.msgtype)
-            return store
-        return standard
+
+@lru_cache(maxsize=32)
+def _types(kind: str, form: MessageDefinitionFormat, text: str, is_ros1: bool) -> Typestore:
+    """Return the definitions in the log, else those of the standard types."""
+    with suppress(Exception):  # what rosbags cannot parse may be a standard type yet
+        store = get_typestore(Stores.EMPTY)
+        if form == MessageDefinitionFormat.MSG and text.strip():
+            store.register(get_types_from_msg(text, kind))
+        elif form == MessageDefinitionFormat.IDL:
+            store.register(get_types_from_idl(text))
+        store.get_msgdef(kind)
+        return store
+    return _standard_types(is_ros1)
+
+
+@lru_cache
+def _standard_types(is_ros1: bool) -> Typestore:
+    return get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.LATEST)

@@ -168,6 +168,12 @@ class RosBag(Source):
 
     def _messages(self) -> Iterator[Located]:
         bag, used = self._open(), self._used()
+        if bag.is_cut:
+            self._problems.add(
+                "cut file",
+                f"{self.path}: lacks its end (power lost?); whole records are used, or repair it "
+                "with `mcap recover`",
+            )
         decode = {connection.id: bag.decoder(connection) for connection in used}
         self._position = 0
         for connection, log_time, data in self._raw(bag, used):

@@ -20,8 +20,8 @@ from impslam.types import Array, Mask, Observation, Scan
 def _bias(size: int, bins: float, angle_bin: float) -> float:
     """Return the distance that OpenCV reports for the image's first column, which is at 0, in px.
 
-    Some versions count votes about bin (count - 1) // 2 and report distances from (count - 1) / 2,
-    half a bin apart where the number of bins is even.
+    Some versions (4.10, not 4.14) count votes about bin (count - 1) // 2 and report distances from
+    (count - 1) / 2, half a bin apart where the number of bins is even.
     """
     image = np.zeros((size, size), np.uint8)
     image[:, 0] = 255

@@ -15,8 +15,7 @@ import numpy.typing as npt
 
 from impslam.geometry.angles import wrap
 from impslam.geometry.kernels import kernel
-from impslam.geometry.se2 import transform
-from impslam.types import Array, Ints, Scan
+from impslam.types import Array, Ints, Mask, Scan
 
 HIT = math.log(0.7 / 0.3)
 """A beam ends here. With 2 cm of range noise the end falls in its own cell of 5 cm in 7 of 10."""
@@ -39,39 +38,66 @@ Stamps: TypeAlias = npt.NDArray[np.int32]
 
 
 @kernel
-def trace(logodds: Floats, last: Stamps, scan: int, starts: Array, ends: Array) -> None:
-    """Enter beams (n, 2) in cell units; `last` (rows, columns) is the scan that last changed a cell.
+def place(pose: Array, origins: Array, points: Array, valid: Mask, size: float) -> Array:
+    """Return the valid beams' cells in map, (n, 4): columns and rows of start and end."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    cells = np.empty((len(valid), 4))
+    n = 0
+    for i in range(len(valid)):
+        if not valid[i]:
+            continue
+        for j, p in ((0, origins[i]), (2, points[i])):
+            cells[n, j] = math.floor((pose[0] + c * p[0] - s * p[1]) / size)
+            cells[n, j + 1] = math.floor((pose[1] + s * p[0] + c * p[1]) / size)
+        n += 1
+    return cells[:n]
 
-    Cells are visited by the traversal of Amanatides & Woo 1987, up to but not including the end's.
+
+@kernel
+def sound(cells: Array) -> tuple[Array, Array]:
+    """Return the beams that end somewhere on Earth, and the box (4,) low and high they reach."""
+    box = np.array([math.inf, math.inf, -math.inf, -math.inf])
+    n = 0
+    for i in range(len(cells)):
+        reach = max(abs(cells[i, 0]), abs(cells[i, 1])) + max(abs(cells[i, 2]), abs(cells[i, 3]))
+        if reach < MAX_CELLS:  # false where not finite
+            cells[n] = cells[i]
+            for j in range(4):
+                box[j % 2] = min(box[j % 2], cells[i, j])
+                box[2 + j % 2] = max(box[2 + j % 2], cells[i, j])
+            n += 1
+    return cells[:n], box
+
+
+@kernel
+def trace(logodds: Floats, last: Stamps, scan: int, beams: Ints) -> None:
+    """Enter beams (n, 4), cell to cell; `last` is the scan that changed a cell last.
+
+    Between its cells a beam goes by one cell a step along its longer side (Bresenham 1965), in
+    fixed point with 32 binary digits: without a branch to guess wrong, three times as fast as the
+    exact traversal of Amanatides & Woo 1987, whose extra cells the next beam enters anyway.
     """
-    n = len(starts)
-    for i in range(n):
-        column, row = math.floor(ends[i, 0]), math.floor(ends[i, 1])
-        if last[row, column] != scan:
-            last[row, column] = scan
-            logodds[row, column] = min(logodds[row, column] + HIT, CLAMP)
-    for i in range(n):
-        x, y = starts[i, 0], starts[i, 1]
-        dx, dy = ends[i, 0] - x, ends[i, 1] - y
-        column, row = math.floor(x), math.floor(y)
-        last_column, last_row = math.floor(ends[i, 0]), math.floor(ends[i, 1])
-        step_x, step_y = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
-        per_x = abs(1.0 / dx) if dx != 0.0 else math.inf
-        per_y = abs(1.0 / dy) if dy != 0.0 else math.inf
-        next_x = (column + (step_x > 0) - x) / dx if dx != 0.0 else math.inf
-        next_y = (row + (step_y > 0) - y) / dy if dy != 0.0 else math.inf
-        # The number of cells is known beforehand, so rounding cannot make a beam run on.
-        for _ in range(abs(last_column - column) + abs(last_row - row)):
-            if last[row, column] != scan:
-                last[row, column] = scan
-                logodds[row, column] = max(logodds[row, column] + MISS, -CLAMP)
-            across = next_x < next_y
-            if (across and column != last_column) or row == last_row:
-                column += step_x
-                next_x += per_x
-            else:
-                row += step_y
-                next_y += per_y
+    width, half = logodds.shape[1], np.int64(1) << 31
+    cells, changed = logodds.reshape(-1), last.reshape(-1)
+    for i in range(len(beams)):
+        cell = beams[i, 3] * width + beams[i, 2]
+        if changed[cell] != scan:
+            changed[cell] = scan
+            cells[cell] = min(cells[cell] + HIT, CLAMP)
+    for i in range(len(beams)):
+        dx, dy = beams[i, 2] - beams[i, 0], beams[i, 3] - beams[i, 1]
+        steps = max(abs(dx), abs(dy), 1)
+        step_x, step_y = (dx << 32) // steps, (dy << 32) // steps
+        x, y = (beams[i, 0] << 32) + half, (beams[i, 1] << 32) + half
+        for _ in range(steps):
+            cell = np.uint64(
+                (y >> 32) * width + (x >> 32)
+            )  # unsigned: no test for a negative index
+            if changed[cell] != scan:
+                changed[cell] = scan
+                cells[cell] = max(cells[cell] + MISS, -CLAMP)
+            x += step_x
+            y += step_y
 
 
 class OccupancyGrid:
@@ -98,33 +124,30 @@ class OccupancyGrid:
         """Enter a scan taken from `T_map_base` (3,), unless the robot has stood here for long."""
         if not self._has_news(pose):
             return
-        starts = transform(pose, scan.origins[scan.valid]) / self.resolution
-        ends = transform(pose, scan.points[scan.valid]) / self.resolution
-        sound = np.isfinite(starts).all(axis=1) & np.isfinite(ends).all(axis=1)
-        if not sound.all():
-            self.refused += int(np.sum(~sound))
-            starts, ends = starts[sound], ends[sound]
-        if len(ends) == 0:
-            return
-        low = np.minimum(starts.min(axis=0), ends.min(axis=0))
-        high = np.maximum(starts.max(axis=0), ends.max(axis=0))
-        if not self._cover(low, high):
-            self.refused += len(ends)
+        cells = place(pose, scan.origins, scan.points, scan.valid, self.resolution)
+        beams, box = sound(cells)
+        if len(beams) and not self._cover(box[:2], box[2:]):
+            beams = beams[:0]
+        self.refused += len(cells) - len(beams)
+        if len(beams) == 0:
             return
         self._scans += 1
-        trace(self.logodds, self._last, self._scans, starts - self.corner, ends - self.corner)
+        local = beams.astype(np.int64) - np.concatenate((self.corner, self.corner))
+        trace(self.logodds, self._last, self._scans, local)
 
     def probabilities(self) -> Array:
         """Return (rows, columns) the probability that a cell is occupied, 0.5 where unknown."""
-        return (1.0 / (1.0 + np.exp(-self.logodds))).astype(np.float64)
+        odds = np.exp(self.logodds.astype(np.float64))
+        p: Array = odds / (1.0 + odds)
+        return p
 
     @property
     def origin(self) -> Array:
         """(2,) m, the lower-left corner of cell (0, 0) in map."""
-        return self.corner * self.resolution
+        return np.multiply(self.corner, self.resolution, dtype=np.float64)
 
     def _has_news(self, pose: Array) -> bool:
-        if not np.isfinite(pose).all():
+        if not math.isfinite(pose[0] + pose[1] + pose[2]):
             return True  # its beams are refused, and counted
         last = self._pose
         moved = (
@@ -138,12 +161,12 @@ class OccupancyGrid:
         return self._still <= STILL_SCANS
 
     def _cover(self, low: Array, high: Array) -> bool:
-        """Grow to hold the cells between two corners in cell units; False if that is absurd."""
+        """Grow to hold the cells from low to high; False if that is absurd."""
         first = self.corner
         end = first + np.array(self.logodds.shape[::-1])
-        if len(self.logodds) and (low >= first).all() and (high < end - 1).all():
+        if first[0] <= low[0] and first[1] <= low[1] and high[0] < end[0] and high[1] < end[1]:
             return True
-        low, high = np.floor(low) - MARGIN, np.ceil(high) + MARGIN
+        low, high = low - MARGIN, high + 1 + MARGIN
         if len(self.logodds):
             low, high = np.minimum(low, first), np.maximum(high, end)
         if np.prod(high - low) > MAX_CELLS:

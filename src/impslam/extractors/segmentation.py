@@ -1,0 +1,96 @@
+"""What extractors of geometry share: the valid points in beam order, cut where the surface ends.
+
+A scan that goes all the way round is a ring: it is cut open at its widest gap, so that a wall
+across the first beam stays whole.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from impslam.geometry.kernels import kernel
+from impslam.types import Array, Ints, Scan
+
+_GRAZING = math.sin(math.radians(10.0))  # below 10 deg of incidence range noise rules the spacing
+_HOLE = math.radians(5.0)  # beams lost in a row over more than this may hide anything
+_HOLE_SLOPE = 2.0  # across lost beams a surface is taken to be met at 30 deg or steeper
+_NOISE = 3.0  # standard deviations
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cloud:
+    """Valid points of a scan in beam order, cut into segments.
+
+    Attributes
+    ----------
+    index : (m,) beam of each point
+    points, beams : (m, 2) m, and unit vectors of the beams' directions, in base_link
+    ranges, variances : (m,) m and m^2
+    starts : (k + 1,) segment s holds the points starts[s] to starts[s + 1] - 1
+    """
+
+    index: Ints
+    points: Array
+    beams: Array
+    ranges: Array
+    variances: Array
+    starts: Ints
+
+
+@kernel
+def gap_ratios(
+    points: Array, angles: Array, ranges: Array, variances: Array, spacing: float
+) -> Array:
+    """Return each point's distance to the next (cyclic) over what one surface explains.
+
+    A surface met at 10 deg or steeper spreads neighbouring points over r spacing / sin(10 deg)
+    (Borges and Aldon 2004, adaptive breakpoint detector), plus the noise of both.
+    """
+    n = len(ranges)
+    out = np.empty(n)
+    hole = max(_HOLE, 2.5 * spacing)
+    for i in range(n):
+        j = (i + 1) % n
+        turn = abs(angles[j] - angles[i]) % (2.0 * math.pi)
+        turn = min(turn, 2.0 * math.pi - turn)
+        if turn > hole:
+            out[i] = math.inf
+            continue
+        lost = max(0.0, turn - spacing)
+        reach = min(ranges[i], ranges[j]) * (spacing / _GRAZING + _HOLE_SLOPE * lost)
+        noise = _NOISE * math.sqrt(variances[i] + variances[j])
+        distance = math.hypot(points[j, 0] - points[i, 0], points[j, 1] - points[i, 1])
+        out[i] = distance / (reach + noise)
+    return out
+
+
+def _opening(ratios: Array, ranges: Array) -> int:
+    """Return the point after which to cut the ring: the widest gap, else the farthest point.
+
+    In a closed convex room the farthest point is a corner.
+    """
+    widest = int(np.argmax(ratios))
+    return widest if ratios[widest] > 1.0 else int(np.argmax(ranges))
+
+
+@lru_cache(maxsize=4)
+def segment(scan: Scan) -> Cloud:
+    """Return the valid points of a scan, cut into segments; computed once for all extractors."""
+    index = np.flatnonzero(scan.valid)
+    angles, ranges = scan.angles[index], scan.ranges[index]
+    points, variances = scan.points[index], scan.sigmas[index] ** 2
+    directions = scan.directions[index]
+    beams = np.column_stack((np.cos(directions), np.sin(directions)))
+    if len(index) < 2:
+        return Cloud(index, points, beams, ranges, variances, np.array([0, len(index)]))
+    spacing = abs(float(scan.angles[-1] - scan.angles[0])) / (len(scan.angles) - 1)
+    ratios = gap_ratios(points, angles, ranges, variances, spacing)
+    shift = (_opening(ratios, ranges) + 1) % len(index)
+    order = np.roll(np.arange(len(index)), -shift)
+    cuts = np.flatnonzero(ratios[order] > 1.0) + 1
+    starts = np.unique(np.concatenate(([0], cuts, [len(index)])))
+    return Cloud(index[order], points[order], beams[order], ranges[order], variances[order], starts)

@@ -1,0 +1,94 @@
+"""Walls by split and merge, each step decided by the beams' noise."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from impslam.component import parameter, register
+from impslam.extractors.base import Extractor
+from impslam.extractors.line_segments import Segments, find_segments
+from impslam.extractors.segmentation import segment
+from impslam.geometry.angles import wrap
+from impslam.types import Array, Observation, Scan
+
+
+@lru_cache(maxsize=4)
+def segments_of(scan: Scan, flatness: float, gap: float) -> Segments:
+    """Return the straight pieces of a scan, whatever their length; computed once."""
+    return find_segments(segment(scan), flatness, gap)
+
+
+@register("split_merge")
+class SplitMerge(Extractor):
+    """Walls by split and merge: range gaps, corners, a merge of collinear pieces, an ML line fit.
+
+    The default for walls. A segment between two gaps is split where a point stands off its chord,
+    or where two lines explain it better than one, by more than noise and flatness allow; pieces
+    that are collinear by their covariances are merged unless a beam went through between them.
+    """
+
+    landmark = "wall"
+
+    min_length: float = parameter(
+        0.4, "m", "Shortest wall; legs, boxes and cylinders are narrower.", gt=0.0
+    )
+    min_points: int = parameter(
+        6, "1", "Fewest beams on a wall; from 6 on the residuals tell a line from a curve.", ge=3
+    )
+    flatness: float = parameter(
+        0.005,
+        "m",
+        "Standard deviation of a wall from a straight line; finished walls keep 5 mm over 1 m.",
+        ge=0.0,
+    )
+    gap: float = parameter(
+        1.0, "m", "Widest hidden stretch across which collinear pieces are one wall.", ge=0.0
+    )
+    max_chi2: float = parameter(
+        3.0, "1", "Largest mean squared residual, in variances, of a straight surface.", gt=1.0
+    )
+
+    def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:
+        """Return the walls of the scan; see `Extractor.extract`."""
+        del rng
+        found = segments_of(scan, self.flatness, self.gap)
+        keep = (
+            (found.lengths >= self.min_length)
+            & (found.counts >= self.min_points)
+            & (found.reduced_chi2 <= self.max_chi2)
+        )
+        return [_wall(found, int(k), scan, self.flatness) for k in np.flatnonzero(keep)]
+
+
+def covariance(found: Segments, k: int, scan: Scan, flatness: float) -> Array:
+    """Return the (2, 2) covariance of [rho, alpha] of a segment, of all that is not known of it.
+
+    Noise of the beams (scaled up where the residuals are larger than it), the error that all
+    ranges share, and the wall's own shape: each end is no better known than `flatness`.
+    """
+    rr, ra, aa, b_r, b_a = found.lines[k, 2:7]
+    scale = max(1.0, float(found.reduced_chi2[k]))
+    noise = scale * np.array([[rr, ra], [ra, aa]])
+    shared = scan.bias * np.array([b_r, b_a])
+    first, last = found.end_points[k]
+    alpha = found.lines[k, 1]
+    arm = float(np.array([-math.sin(alpha), math.cos(alpha)]) @ (first + last)) / 2.0
+    tilt = 2.0 * (flatness / found.lengths[k]) ** 2
+    shape = np.array([[flatness**2 / 2.0 + arm * arm * tilt, arm * tilt], [arm * tilt, tilt]])
+    total: Array = noise + np.outer(shared, shared) + shape
+    return total
+
+
+def _wall(found: Segments, k: int, scan: Scan, flatness: float) -> Observation:
+    """Return a segment as a wall whose normal points away from the laser."""
+    rho, alpha = float(found.lines[k, 0]), float(found.lines[k, 1])
+    R = covariance(found, k, scan, flatness)
+    from_laser = rho - math.cos(alpha) * scan.laser[0] - math.sin(alpha) * scan.laser[1]
+    if from_laser < 0.0:
+        rho, alpha = -rho, alpha + math.pi
+        R = R * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    z = np.array([rho, wrap(alpha)])
+    return Observation("wall", z, R, found.beams(k), found.end_points[k])

@@ -101,22 +101,37 @@ def test_short_pieces_and_empty_scans_are_no_walls(rng):
         assert walls(dataclasses.replace(short.scan, valid=valid), rng) == []
 
 
-@pytest.mark.parametrize("bias", [0.0, 0.01])
-def test_covariance_is_honest(rng, bias):
-    # Seen askew, with noise and an error common to each scan's ranges, which bends it by 1-2 mm.
-    wall = np.array([[[1.0, -1.0], [2.2, 1.5]]])
+ASKEW = np.array([[[1.0, -1.0], [2.2, 1.5]]])
+
+
+def longer(scan, by):
+    """The scan with all ranges longer, by a number or by (n,) m."""
+    beams = np.column_stack((np.cos(scan.directions), np.sin(scan.directions)))
+    by = np.broadcast_to(by, scan.ranges.shape)
+    return dataclasses.replace(scan, points=scan.points + by[:, None] * beams)
+
+
+def test_covariance_is_honest(rng):
+    scene = cast(ASKEW, laser=LASER, sigma=0.01)
     d2 = []
     for _ in range(300):
-        scene = cast(wall, laser=LASER, bias=bias, sigma=0.01)
-        scan = scene.scan
-        off = bias * rng.standard_normal() + 0.01 * rng.standard_normal(len(scan.ranges))
-        beams = np.column_stack((np.cos(scan.directions), np.sin(scan.directions)))
-        noisy = dataclasses.replace(scan, points=scan.points + off[:, None] * beams)
-        (o,) = walls(noisy, rng, flatness=0.001)
+        noisy = longer(scene.scan, 0.01 * rng.standard_normal(len(scene.scan.ranges)))
+        (o,) = walls(noisy, rng, flatness=1e-4)
         d, _ = error(o, scene.walls)
         d2.append(d @ np.linalg.solve(o.R, d))
     # Mean of 300 chi-square values of 2 degrees of freedom: 2 +- 0.115; chi2 > n only widens R.
     assert 1.5 < np.mean(d2) < 2.35
+
+
+def test_covariance_has_the_error_that_all_ranges_share(rng):
+    scan = cast(ASKEW, laser=LASER, sigma=0.01).scan
+    (here,) = walls(scan, rng)
+    (far,), (near,) = walls(longer(scan, 1e-4), rng), walls(longer(scan, -1e-4), rng)
+    slope = (far.z - near.z) / 2e-4
+    (shared,) = walls(dataclasses.replace(scan, bias=0.02), rng)
+    np.testing.assert_allclose(
+        shared.R - here.R, 0.02**2 * np.outer(slope, slope), rtol=0.01, atol=1e-9
+    )
 
 
 def test_covariance_has_the_floor_of_a_wall_that_is_not_flat(rng):

@@ -60,6 +60,7 @@ class Carmen(TextSource):
         "rad",
         "angle that FLASER and RLASER beams span, which these lines do not say",
         gt=0,
+        le=2.0 * math.pi,
     )
 
     @classmethod

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import math
 import zlib
 from abc import abstractmethod
 from collections import Counter
@@ -63,7 +64,7 @@ def numbers(tokens: list[bytes]) -> Array:
 
 def finite(what: str, *values: float) -> None:
     """Raise `MessageError` unless the sum, hence every value, is finite."""
-    if not np.isfinite(sum(values)):
+    if not math.isfinite(sum(values)):
         raise MessageError(f"{what} is not finite")
 
 

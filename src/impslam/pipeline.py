@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -106,8 +107,9 @@ class Pipeline:
     def _ready(self, flush: bool) -> Iterator[StepResult]:
         while self._waiting:
             message, sensor, since = self._waiting[0]
-            end = message.stamp + sensor.duration(message)
-            together = self._timeline.ends_at(message.stamp)
+            begin = message.stamp - sensor.delay()
+            end = begin + sensor.duration(message)
+            together = self._timeline.ends_at(begin)
             patient = self._seen - since < MAX_WAIT
             if not (flush or together or self._timeline.covers(end) or not patient):
                 return
@@ -118,8 +120,9 @@ class Pipeline:
 
     def _use(self, message: Message, sensor: Sensor) -> StepResult | None:
         with self._clock("odometry"):
-            increment = self._timeline.take(message.stamp)
-            twist = self._timeline.twist(message.stamp, sensor.duration(message))
+            begin = message.stamp - sensor.delay()
+            increment = replace(self._timeline.take(begin), stamp=message.stamp)
+            twist = self._timeline.twist(begin, sensor.duration(message))
         try:
             with self._clock("sensor"):
                 look = self._gate.passes(increment)

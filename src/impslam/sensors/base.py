@@ -27,6 +27,10 @@ class Sensor(Component):
     consumes: ClassVar[type]
     """The type of message it understands."""
 
+    def delay(self) -> float:
+        """Return how much later than the measurement its stamp is, on the odometry's clock, s."""
+        return 0.0
+
     @abstractmethod
     def observe(
         self, message: Message, twist: Array, rng: np.random.Generator, look: bool = True

@@ -78,8 +78,8 @@ class Lidar2D(Sensor):
         0.0, "m", "standard deviation of the range error that all beams share", ge=0
     )
     deskew: bool = parameter(True, "", "undo the robot's motion during the sweep")
-    time_offset: float = parameter(
-        0.0, "s", "added to the scans' stamps to bring them onto the odometry's clock"
+    latency: float = parameter(
+        0.0, "s", "how much later than its first beam a scan is stamped, on the odometry's clock"
     )
     extractors: dict[str, Any] = Field(
         default_factory=dict, description="what looks for landmarks in the scans, by name"
@@ -94,6 +94,10 @@ class Lidar2D(Sensor):
             else build("extractor", table, f"sensors.*.extractors.{name}")
             for name, table in tables.items()
         }
+
+    def delay(self) -> float:
+        """Return the latency of the stamps."""
+        return self.latency
 
     def duration(self, message: Message) -> float:
         """Return how long the sweep took, in s."""

@@ -1,0 +1,110 @@
+"""The facts of a run as one table: counts, what was dropped, times, versions, hashes."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import platform
+from collections import Counter
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from impslam.observers.base import Observer, Outcome
+from impslam.types import Array, StepResult
+
+PACKAGES = ("impslam", "numpy", "numba", "scipy", "opencv-python-headless")
+
+
+class Distance(Observer):
+    """Adds up the length of the path, of the estimate and of dead reckoning, in m."""
+
+    def __init__(self) -> None:
+        self.path = self.odometry = 0.0
+        self._last: StepResult | None = None
+
+    def step(self, result: StepResult) -> None:
+        """Move on."""
+        if self._last is not None:
+            self.path += math.dist(result.pose[:2], self._last.pose[:2])
+            self.odometry += math.dist(result.odometry[:2], self._last.odometry[:2])
+        self._last = result
+
+
+def summarise(outcome: Outcome, distance: Distance, refused: int) -> dict[str, Any]:
+    """Return what summary.json holds. All that differs from run to run stands under "time"."""
+    kinds = Counter(mark.kind for mark in outcome.landmarks)
+    return {
+        "log": {
+            "path": str(outcome.log),
+            "sha256": outcome.log_sha256,
+            "seconds": _round(outcome.log_seconds),
+        },
+        "config_sha256": hashlib.sha256(config_toml(outcome.config).encode()).hexdigest(),
+        "seed": outcome.config.get("seed"),
+        "counts": dict(sorted(outcome.counts.items())),
+        "landmarks": dict(sorted(kinds.items())),
+        "state_size": outcome.state_size,
+        "path_length_m": {
+            "slam": _round(distance.path, 6),
+            "odometry": _round(distance.odometry, 6),
+        },
+        "dropped": {
+            kind: {"count": dropped.count, "example": dropped.example}
+            for kind, dropped in sorted(outcome.dropped.items())
+        },
+        "grid_beams_refused": refused,
+        "versions": versions(),
+        "time": {
+            "wall_s": _round(outcome.wall_seconds, 3),
+            "real_time_factor": _round(real_time_factor(outcome), 1),
+            "stages_ms": {name: stage_times(t) for name, t in outcome.stages.items()},
+        },
+    }
+
+
+def real_time_factor(outcome: Outcome) -> float:
+    """Return how many seconds of log a second of work went through."""
+    return outcome.log_seconds / outcome.wall_seconds if outcome.wall_seconds > 0.0 else math.nan
+
+
+def stage_times(seconds: Array) -> dict[str, float | None]:
+    """Return mean, median and 99th percentile in ms."""
+    if len(seconds) == 0:
+        return {"mean": None, "p50": None, "p99": None}
+    p50, p99 = np.percentile(seconds, (50, 99))
+    values = {"mean": float(np.mean(seconds)), "p50": float(p50), "p99": float(p99)}
+    return {name: _round(1e3 * value, 4) for name, value in values.items()}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of all that a result may depend on."""
+    found = {"python": platform.python_version(), "platform": platform.platform()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed as a package"
+    return found
+
+
+def config_toml(config: Mapping[str, Any]) -> str:
+    """Return a config as TOML, which knows no null: what is not set is left out."""
+    return tomli_w.dumps(_plain(config))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items() if v is not None}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return value if isinstance(value, str | bool | int | float) else str(value)
+
+
+def _round(value: float, digits: int = 9) -> float | None:
+    return round(value, digits) if math.isfinite(value) else None

@@ -1,0 +1,112 @@
+"""The run folder holds what was promised, and the same bytes every time."""
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+from tests.observers import runs
+
+from impslam.errors import ImpError
+from impslam.evaluation.tum import read_tum
+from impslam.mapping.files import FREE, OCCUPIED, read_landmarks, read_map
+from impslam.observers.recorder import Recorder
+
+PROMISED = {
+    *("trajectory.tum", "odometry.tum", "trajectory.csv", "landmarks.csv"),
+    *("map.pgm", "map.yaml", "summary.json", "config.toml"),
+}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    runs.play([Recorder(tmp_path / "a" / "run")])
+    return tmp_path / "a" / "run"
+
+
+def test_it_writes_the_promised_files_and_no_others(folder):
+    assert {p.name for p in folder.iterdir()} == PROMISED
+
+
+def test_the_path_comes_back_in_order_at_the_logs_stamps(folder):
+    rows = read_tum(folder / "trajectory.tum")
+    results = list(runs.make_results())
+    np.testing.assert_array_equal(rows[:, 0], [r.stamp for r in results])
+    np.testing.assert_allclose(rows[:, 1:3], [r.pose[:2] for r in results], atol=1e-9)
+    turn = rows[:, 3] - [r.pose[2] for r in results]
+    np.testing.assert_allclose(np.sin(turn), 0.0, atol=1e-9)
+    dead = read_tum(folder / "odometry.tum")
+    np.testing.assert_allclose(dead[:, 1:3], [r.odometry[:2] for r in results], atol=1e-9)
+
+
+def test_the_table_holds_the_covariance(folder):
+    table = np.genfromtxt(folder / "trajectory.csv", delimiter=",", names=True)
+    assert table.dtype.names == ("stamp", "x", "y", "theta", "xx", "xy", "xt", "yy", "yt", "tt")
+    for row, result in zip(table, runs.make_results(), strict=True):
+        np.testing.assert_allclose(row["yy"], result.covariance[1, 1], rtol=1e-9)
+        np.testing.assert_allclose(row["tt"], result.covariance[2, 2], rtol=1e-9)
+
+
+def test_the_map_shows_the_room(folder):
+    image = read_map(folder / "map.yaml")
+    left, right, bottom, top = image.extent
+    assert (left, right, bottom, top) == pytest.approx((-3, 3, -2, 4), abs=0.11)
+    assert (image.pixels == FREE).mean() > 0.5
+    assert (image.pixels == OCCUPIED).any()
+
+
+def test_landmarks_summary_and_config(folder):
+    assert [mark.id for mark in read_landmarks(folder / "landmarks.csv")] == [7, 8]
+    facts = json.loads((folder / "summary.json").read_text())
+    assert facts["counts"]["steps"] == 50
+    assert facts["landmarks"] == {"cylinder": 1, "wall": 1}
+    assert facts["dropped"]["nan ranges"]["count"] == 2
+    assert facts["seed"] == 3
+    assert facts["time"]["real_time_factor"] == 250.0
+    assert set(facts["time"]["stages_ms"]["slam"]) == {"mean", "p50", "p99"}
+    assert facts["path_length_m"]["slam"] == pytest.approx(2 * np.pi, rel=0.02)
+    assert facts["versions"]["numpy"] == np.__version__
+    config = tomllib.loads((folder / "config.toml").read_text())
+    assert config["odometry"] == {"kind": "encoders", "track": 0.3}
+
+
+def test_the_same_run_gives_the_same_bytes_but_for_times(tmp_path):
+    for name, seconds in (("a", 1.0), ("b", 2.0)):
+        outcome = runs.make_outcome(wall_seconds=seconds)
+        runs.play([Recorder(tmp_path / name)], outcome=outcome)
+    for name in PROMISED - {"summary.json"}:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    a, b = (json.loads((tmp_path / n / "summary.json").read_text()) for n in "ab")
+    assert a.pop("time") != b.pop("time")
+    assert a == b
+
+
+def test_a_run_that_is_cut_short_leaves_its_path(tmp_path):
+    recorder = Recorder(tmp_path)
+    for result in runs.make_results(250):
+        recorder.step(result)
+    assert len(read_tum(tmp_path / "trajectory.tum")) == 200
+
+
+def test_an_old_run_is_overwritten(folder):
+    runs.play([Recorder(folder)], n=5)
+    assert len(read_tum(folder / "trajectory.tum")) == 5
+
+
+def test_truth_is_kept_where_there_is_one(tmp_path):
+    runs.play([Recorder(tmp_path)], truth=runs.make_truth())
+    assert len(read_tum(tmp_path / "truth.tum")) == 50
+
+
+def test_a_run_without_scans_landmarks_or_time(tmp_path):
+    nothing = {"landmarks": (), "stages": {"slam": np.empty(0)}, "wall_seconds": 0.0}
+    Recorder(tmp_path).finish(runs.make_outcome(**nothing))
+    facts = json.loads((tmp_path / "summary.json").read_text())
+    assert facts["time"]["real_time_factor"] is None
+    assert facts["time"]["stages_ms"]["slam"]["mean"] is None
+
+
+def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ImpError, match="choose another -o"):
+        Recorder(tmp_path / "file" / "run")

@@ -1,0 +1,101 @@
+"""The lidar: mounts, validity, and de-skewing that is exact for constant twists."""
+
+import math
+
+import numpy as np
+import pytest
+
+from impslam.errors import MessageError
+from impslam.geometry.se2 import compose, exp, inverse, transform
+from impslam.sensors.lidar2d import Lidar2D
+from impslam.types import LaserScan
+
+STILL = np.zeros(3)
+
+
+def sweep(ranges, angles=None, rate=0.0, **limits):
+    ranges = np.asarray(ranges, dtype=float)
+    n = len(ranges)
+    angles = np.linspace(-2.0, 2.0, n) if angles is None else np.asarray(angles, dtype=float)
+    return LaserScan(10.0, angles, ranges, rate * np.arange(n), **limits)
+
+
+def observe(lidar, message, twist=STILL):
+    return lidar.observe(message, twist, np.random.default_rng(0)).scan
+
+
+@pytest.mark.parametrize("upside_down", [False, True])
+def test_mount_carries_points_into_base_link(upside_down):
+    mount = (0.2, -0.1, 0.7)
+    scan = observe(Lidar2D(mount=mount, upside_down=upside_down), sweep([1.0, 2.0, 3.0]))
+    sign = -1.0 if upside_down else 1.0
+    angles = sign * np.linspace(-2, 2, 3)
+    in_laser = np.array([1.0, 2.0, 3.0])[:, None] * np.stack([np.cos(angles), np.sin(angles)], 1)
+    np.testing.assert_allclose(scan.points, transform(np.array(mount), in_laser), atol=1e-12)
+    np.testing.assert_allclose(scan.origins, np.tile(mount[:2], (3, 1)))
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("twist", [[0.5, 0.0, 1.2], [2.8, 0.1, -2.0], [1.0, 0.0, 0.0], [0, 0, 1e-5]])
+def test_deskew_puts_a_moving_robots_points_where_they_are(twist, direction):
+    """A world of points, each seen at its own time from its own place."""
+    rng, twist = np.random.default_rng(1), np.array(twist)
+    mount, world = np.array([0.145, 0.02, -0.3]), rng.uniform(-5, 5, (200, 2))
+    offsets = 97.66e-6 * np.arange(200)
+    angles, ranges = np.empty(200), np.empty(200)
+    for i, (point, t) in enumerate(zip(world, offsets, strict=True)):
+        seen = transform(inverse(compose(exp(t * twist), mount)), point[None])[0]
+        angles[i], ranges[i] = math.atan2(seen[1], seen[0]), math.hypot(*seen)
+    order = slice(None, None, direction)
+    message = LaserScan(0.0, angles[order], ranges[order], offsets[order])
+    scan = observe(Lidar2D(mount=tuple(mount)), message, twist)
+    np.testing.assert_allclose(scan.points, world[order], atol=1e-9)
+    skewed = observe(Lidar2D(mount=tuple(mount), deskew=False), message, twist)
+    if np.abs(twist).max() > 0.1:
+        assert np.abs(skewed.points - world[order]).max() > 1e-3
+
+
+def test_origins_and_directions_lead_to_the_points():
+    scan = observe(Lidar2D(mount=(0.1, 0, 0.2)), sweep(np.full(50, 2.0), rate=1e-3), np.array([1, 0, 1.0]))
+    ray = np.stack([np.cos(scan.directions), np.sin(scan.directions)], 1)
+    np.testing.assert_allclose(scan.origins + 2.0 * ray, scan.points, atol=1e-12)
+
+
+def test_invalid_are_zero_nan_inf_negative_codes_and_beyond_limits():
+    ranges = [0.0, math.nan, math.inf, -math.inf, -1.0, 0.019, 0.02, 5.6, 5.7, 3.0]
+    scan = observe(Lidar2D(range_min=0.02, range_max=5.6), sweep(ranges))
+    assert scan.valid.tolist() == [False] * 6 + [True, True, False, True]
+    assert np.isfinite(scan.points).all()
+
+
+def test_limits_are_the_tighter_of_message_and_config():
+    ranges = [0.05, 0.15, 3.0, 4.0]
+    lidar = Lidar2D(range_min=0.1)
+    assert observe(lidar, sweep(ranges, range_min=0.2, range_max=3.5)).valid.tolist() == [
+        False,
+        False,
+        True,
+        False,
+    ]
+    assert observe(lidar, sweep(ranges)).valid.tolist() == [False, True, True, True]
+
+
+def test_the_robots_own_body_is_cut_out():
+    lidar = Lidar2D(angle_min=-1.0, angle_max=1.0)
+    angles = np.array([-1.5, -0.5, 0.5, 1.5])
+    assert observe(lidar, sweep(np.ones(4), angles)).valid.tolist() == [False, True, True, False]
+    turned = np.array([0.0, 0.5, 2 * math.pi - 0.5, math.pi])
+    assert observe(lidar, sweep(np.ones(4), turned)).valid.tolist() == [True, True, True, False]
+
+
+def test_noise_grows_with_range():
+    scan = observe(Lidar2D(sigma=0.01, sigma_per_m=0.005), sweep([1.0, 4.0]))
+    np.testing.assert_allclose(scan.sigmas, [0.015, 0.03])
+
+
+def test_scan_lengths_may_change_and_empty_scans_are_refused():
+    lidar = Lidar2D()
+    assert len(observe(lidar, sweep(np.ones(5))).ranges) == 5
+    assert len(observe(lidar, sweep(np.ones(9))).ranges) == 9
+    with pytest.raises(MessageError, match="no beams"):
+        observe(lidar, sweep([]))

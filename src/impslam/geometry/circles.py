@@ -1,0 +1,245 @@
+"""Circles through range measurements, of unknown or known radius, with their covariance.
+
+A circle is [x, y, radius], perturbed by addition. As for lines, noise of beam i moves its point
+along the beam, hence off the circle by sigma_i times the cosine of incidence, and each point's
+normal is taken where the beam meets the *estimated* circle. The start is Taubin's algebraic fit
+(Taubin 1991; Newton's method on the characteristic polynomial, Chernov 2010, section 5.10), then
+Gauss-Newton. Where a beam goes just past the circle is a measurement too: its tangent ("edge").
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from impslam.errors import ShapeError
+from impslam.geometry.kernels import kernel
+
+Array = npt.NDArray[np.float64]
+
+_ITERATIONS = 25
+_GRAZING2 = 0.01  # cosine^2 at 84 deg: beyond, a beam's width counts for more than its range noise
+_LARGEST = 1e3  # m: what looks like a circle larger than this is a line
+_NO_EDGES = np.empty((0, 5))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CircleFit:
+    """A circle and how well it is known.
+
+    Attributes
+    ----------
+    centre, radius : (2,) m and m
+    covariance : (3, 3) of [x, y, radius] from the beams' independent noise; zero for a known radius
+    bias_jacobian : (3,), change of [x, y, radius] per metre that all ranges are too long
+    chi2 : sum of squared residuals in units of their standard deviations
+    """
+
+    centre: Array
+    radius: float
+    covariance: Array
+    bias_jacobian: Array
+    chi2: float
+
+
+@kernel
+def taubin(points: Array) -> tuple[float, float, float]:
+    """Return x, y, radius of the algebraic circle fit; NaN for points on a line."""
+    n = len(points)
+    mx, my = points[:, 0].mean(), points[:, 1].mean()
+    xx = yy = xy = xz = yz = zz = 0.0
+    for i in range(n):
+        x, y = points[i, 0] - mx, points[i, 1] - my
+        z = x * x + y * y
+        xx += x * x / n
+        yy += y * y / n
+        xy += x * y / n
+        xz += x * z / n
+        yz += y * z / n
+        zz += z * z / n
+    mz, cov = xx + yy, xx * yy - xy * xy
+    a3 = 4.0 * mz
+    a2 = -3.0 * mz * mz - zz
+    a1 = (zz - mz * mz) * mz + 4.0 * cov * mz - xz * xz - yz * yz
+    a0 = xz * (xz * yy - yz * xy) + yz * (yz * xx - xz * xy) - (zz - mz * mz) * cov
+    root = 0.0
+    for _ in range(30):  # from 0 Newton's method descends to the smallest root
+        slope = a1 + root * (2.0 * a2 + 3.0 * a3 * root)
+        if slope == 0.0:
+            break
+        step = (a0 + root * (a1 + root * (a2 + root * a3))) / slope
+        root -= step
+        if abs(step) <= 1e-14 * mz * mz:
+            break
+    det = root * root - root * mz + cov
+    if not abs(det) > 1e-12 * mz * mz:
+        return math.nan, math.nan, math.nan
+    cx = (xz * (yy - root) - yz * xy) / det / 2.0
+    cy = (yz * (xx - root) - xz * xy) / det / 2.0
+    return cx + mx, cy + my, math.sqrt(cx * cx + cy * cy + mz)
+
+
+@kernel
+def _row(circle: Array, point: Array, beam: Array, variance: float, row: Array) -> float:
+    """Write normal (2), residual and cosine of incidence of a point to `row`; return its variance."""
+    dx, dy = point[0] - circle[0], point[1] - circle[1]
+    distance = max(math.hypot(dx, dy), 1e-12)
+    off = distance - circle[2]
+    cosine = (dx * beam[0] + dy * beam[1]) / distance
+    slide = -off * cosine / (cosine * cosine + _GRAZING2)
+    # No farther than a quarter radius: a bad start must not throw points across the circle.
+    slide = min(max(slide, -0.25 * circle[2]), 0.25 * circle[2])
+    qx, qy = dx + slide * beam[0], dy + slide * beam[1]
+    length = max(math.hypot(qx, qy), 1e-12)
+    row[0], row[1], row[2] = qx / length, qy / length, off
+    row[3] = row[0] * beam[0] + row[1] * beam[1]
+    off_variance: float = variance * (row[3] * row[3] + _GRAZING2)
+    return off_variance
+
+
+@kernel
+def _edge_row(circle: Array, edge: Array, row: Array) -> float:
+    """Write the row of a tangent ray [origin, direction, sigma]; return its variance."""
+    vx, vy = circle[0] - edge[0], circle[1] - edge[1]
+    cross = edge[2] * vy - edge[3] * vx
+    side = 1.0 if cross >= 0.0 else -1.0
+    row[0], row[1], row[2], row[3] = side * edge[3], -side * edge[2], abs(cross) - circle[2], 0.0
+    variance: float = edge[4] * edge[4]
+    return variance
+
+
+@kernel
+def _normal_equations(
+    circle: Array,
+    points: Array,
+    beams: Array,
+    variances: Array,
+    edges: Array,
+    info: Array,
+    sums: Array,
+) -> float:
+    """Write information (3, 3), right-hand sides (2, 3) of step and bias; return chi2."""
+    info[:], sums[:] = 0.0, 0.0
+    row, h = np.empty(4), np.ones(3)
+    chi2 = 0.0
+    for i in range(len(points) + len(edges)):
+        if i < len(points):
+            variance = _row(circle, points[i], beams[i], variances[i], row)
+        else:
+            variance = _edge_row(circle, edges[i - len(points)], row)
+        h[0], h[1] = row[0], row[1]
+        w = 1.0 / variance
+        chi2 += w * row[2] * row[2]
+        for a in range(3):
+            sums[0, a] += w * h[a] * row[2]
+            sums[1, a] += w * h[a] * row[3]
+            for b in range(3):
+                info[a, b] += w * h[a] * h[b]
+    return chi2
+
+
+@kernel
+def _inverse(info: Array, known: bool, out: Array) -> bool:
+    """Write the covariance, by cofactors; tell whether there is one."""
+    if known:
+        info[0, 2] = info[1, 2] = info[2, 0] = info[2, 1] = 0.0
+        info[2, 2] = 1.0
+    det = 0.0
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        for d in range(3):
+            e, f = (d + 1) % 3, (d + 2) % 3
+            out[d, a] = info[b, e] * info[c, f] - info[b, f] * info[c, e]
+        det += info[a, 0] * out[0, a]
+    if not det > 1e-13 * info[0, 0] * info[1, 1] * info[2, 2]:
+        return False
+    out /= det
+    if known:
+        out[2, 2] = 0.0
+    return True
+
+
+@kernel
+def fit_circle_core(
+    points: Array, beams: Array, variances: Array, edges: Array, start: Array, known: bool
+) -> tuple[bool, Array, Array, Array, float]:
+    """Fit from a start [x, y, radius]; return success, circle, covariance, bias Jacobian, chi2.
+
+    Parameters
+    ----------
+    points, beams : (n, 2) m, and unit vectors of the beams' directions
+    variances : (n,) m^2, of the range noise
+    edges : (k, 5) origin, unit direction and sigma (m, across) of rays that touch the circle
+    known : the radius is that of the start
+    """
+    circle = start.copy()
+    info, sums, covariance = np.empty((3, 3)), np.empty((2, 3)), np.zeros((3, 3))
+    bias = np.zeros(3)
+    longest = math.inf
+    for _ in range(_ITERATIONS):
+        if not (circle[2] > 0.0 and circle[2] < _LARGEST):
+            return False, circle, covariance, bias, math.nan
+        _normal_equations(circle, points, beams, variances, edges, info, sums)
+        if not _inverse(info, known, covariance):
+            return False, circle, covariance, bias, math.nan
+        step = covariance @ sums[0]
+        longest = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+        circle += step * min(1.0, circle[2] / max(longest, 1e-300))
+        if longest < 1e-9:
+            break
+    chi2 = _normal_equations(circle, points, beams, variances, edges, info, sums)
+    good = _inverse(info, known, covariance) and longest < 1e-4
+    bias = covariance @ sums[1]
+    return good, circle, covariance, bias, chi2
+
+
+@kernel
+def circle_start(points: Array, beams: Array, radius: float) -> Array:
+    """Return a circle [x, y, radius] to start from; `radius` is NaN if unknown."""
+    circle = np.empty(3)
+    if not math.isnan(radius):
+        # The mean of a whole visible arc lies pi / 4 of the radius before the centre.
+        bx, by = beams[:, 0].sum(), beams[:, 1].sum()
+        depth = 0.785 * radius / max(math.hypot(bx, by), 1e-12)
+        circle[0], circle[1] = points[:, 0].mean() + depth * bx, points[:, 1].mean() + depth * by
+        circle[2] = radius
+    else:
+        circle[0], circle[1], circle[2] = taubin(points)
+    return circle
+
+
+def fit_circle(
+    points: Array, directions: Array, sigmas: Array, radius: float | None = None
+) -> CircleFit:
+    """Fit the circle, seen from outside, to points whose noise lies along their beams.
+
+    Parameters
+    ----------
+    points : (n, 2) m, n >= 3 (2 if the radius is known)
+    directions : (n,) rad, of the beams, in the frame of the points
+    sigmas : (n,) m > 0, standard deviation of the ranges
+    radius : m, if it is known
+
+    Raises
+    ------
+    ShapeError
+        If the arrays do not fit each other, or define no circle (points on a line).
+    """
+    n = len(points)
+    least = 3 if radius is None else 2
+    if points.shape != (n, 2) or directions.shape != (n,) or sigmas.shape != (n,) or n < least:
+        raise ShapeError(
+            f"points {points.shape}, directions {directions.shape}, sigmas {sigmas.shape}; "
+            f"expected (n, 2), (n,), (n,) with n >= {least}"
+        )
+    beams = np.column_stack((np.cos(directions), np.sin(directions)))
+    start = circle_start(points, beams, math.nan if radius is None else radius)
+    good, circle, covariance, bias, chi2 = fit_circle_core(
+        points, beams, sigmas**2, _NO_EDGES, start, radius is not None
+    )
+    if not good:
+        raise ShapeError("the points define no circle; give points on an arc, not on a line")
+    return CircleFit(circle[:2], float(circle[2]), covariance, bias, chi2)

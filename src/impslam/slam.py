@@ -42,7 +42,7 @@ class Slam:
         self.lifecycle.move(increment)
         self._odometry = compose(self._odometry, increment.d_pose)
 
-        choice = self.association.assign(observations, self.filter.hypothesise(observations))
+        choice = self.filter.associate(observations, self.association)
 
         self.filter.correct(observations, choice.matches)
         self.filter.note(observations, choice.matches, stamp)
@@ -64,6 +64,7 @@ class Slam:
             self.filter.pose,
             self.filter.covariance,
             self._odometry.copy(),
+            self.filter.pose,
             reading.scan,
             observations,
             choice.matches,

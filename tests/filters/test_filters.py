@@ -24,7 +24,7 @@ def belief(request):
 
 def step(belief, increment, observations):
     belief.predict(increment)
-    choice = Known().assign(observations, belief.hypothesise(observations))
+    choice = belief.associate(observations, Known())
     belief.correct(observations, choice.matches)
     belief.note(observations, choice.matches, increment.stamp)
     belief.extend([observations[i] for i in choice.new], increment.stamp)
@@ -135,6 +135,6 @@ def test_a_new_landmark_is_correlated_with_the_old_ones(belief):
     belief.extend([far], 9.0)
     wide = belief.landmarks()[-1].covariance[0, 0]
     seen = observe(pose)
-    choice = Known().assign(seen, belief.hypothesise(seen))
+    choice = belief.associate(seen, Known())
     belief.correct(seen, choice.matches)
     assert belief.landmarks()[-1].covariance[0, 0] < 0.01 * wide

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, TypeAlias
 
 from impslam.component import Component
 from impslam.types import Array, Ints, Mask, Match, Observation
+
+Joint: TypeAlias = Callable[[Sequence[Observation], Sequence[Match]], tuple[Array, Array]]
+"""Gives the joint innovation and covariance of pairs: `Filter.joint` of whoever asks."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +72,9 @@ class Association(Component):
 
     @abstractmethod
     def assign(
-        self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses]
+        self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
     ) -> Assignment:
-        """Return which observation is which landmark; each landmark at most once."""
+        """Return which observation is which landmark; each landmark at most once.
+
+        `joint` is for those that judge pairs together; the others do not call it.
+        """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from impslam.association.assignment import collect
-from impslam.association.base import Assignment, Association, Hypotheses
+from impslam.association.base import Assignment, Association, Hypotheses, Joint
 from impslam.component import register
 from impslam.types import Mask, Observation
 
@@ -13,9 +13,10 @@ class Known(Association):
     """Each label is one landmark; observations without a label are matched to nothing."""
 
     def assign(
-        self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses]
+        self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
     ) -> Assignment:
         """Pair each labelled observation with the landmark whose label it bears."""
+        del joint
         return collect(
             observations, ((group, *self._choose(observations, group)) for group in hypotheses)
         )

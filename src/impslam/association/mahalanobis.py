@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from impslam.association.assignment import collect, one_to_one
-from impslam.association.base import Assignment, Association, Hypotheses
+from impslam.association.base import Assignment, Association, Hypotheses, Joint
 from impslam.component import parameter, register
 from impslam.types import Mask, Observation
 
@@ -27,9 +27,10 @@ class Mahalanobis(Association):
     )
 
     def assign(
-        self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses]
+        self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
     ) -> Assignment:
         """Minimise the sum of d^2 + log|S| over the pairs inside the gate."""
+        del joint
         return collect(observations, ((group, *self._choose(group)) for group in hypotheses))
 
     def _choose(self, group: Hypotheses) -> tuple[list[tuple[int, int]], Mask]:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from impslam.association.assignment import collect
-from impslam.association.base import Assignment, Association, Hypotheses
+from impslam.association.base import Assignment, Association, Hypotheses, Joint
 from impslam.component import parameter, register
 from impslam.types import Mask, Observation
 
@@ -27,9 +27,10 @@ class Nearest(Association):
     )
 
     def assign(
-        self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses]
+        self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
     ) -> Assignment:
         """Give each observation its nearest landmark; where two want one, the nearer has it."""
+        del joint
         return collect(observations, ((group, *self._choose(group)) for group in hypotheses))
 
     def _choose(self, group: Hypotheses) -> tuple[list[tuple[int, int]], Mask]:

@@ -85,13 +85,14 @@ class Atlas:
             if len(table.ids):
                 yield table, np.array(indices)
 
-    def of(self, matches: Sequence[Match]) -> Iterator[tuple[Table, Ints, list[Match]]]:
-        """Yield the matches by table, with the landmarks' places in it."""
+    def of(self, matches: Sequence[Match]) -> Iterator[tuple[Table, Ints, Ints]]:
+        """Yield each table, the places in it of matched landmarks, and the indices of the matches."""
         for table in self._tables.values():
             place = {int(i): k for k, i in enumerate(table.ids)}
-            some = [match for match in matches if match.landmark in place]
-            if some:
-                yield table, np.array([place[match.landmark] for match in some]), some
+            which = [i for i, match in enumerate(matches) if match.landmark in place]
+            if which:
+                places = np.array([place[matches[i].landmark] for i in which])
+                yield table, places, np.array(which)
 
     def add(
         self, pose: Array, observation: Observation, offset: int, m: Array, stamp: float
@@ -127,10 +128,10 @@ class Atlas:
         stamp: float,
     ) -> None:
         """Widen extents, count, stamp and average the attributes of matched landmarks."""
-        for table, places, some in self.of(matches):
-            seen = [observations[match.observation] for match in some]
+        for table, places, which in self.of(matches):
+            seen = [observations[matches[i].observation] for i in which]
             extents = table.model.extents(pose, table.states(mean, places), seen)
-            own = extents[np.arange(len(some)), np.arange(len(some))]
+            own = extents[np.arange(len(seen)), np.arange(len(seen))]
             table.extents[places, 0] = np.minimum(table.extents[places, 0], own[:, 0])
             table.extents[places, 1] = np.maximum(table.extents[places, 1], own[:, 1])
             table.counts[places] += 1

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-from impslam.association.base import Hypotheses
+from impslam.association.base import Assignment, Association, Hypotheses
 from impslam.component import Component
 from impslam.landmarks.base import LandmarkModel
 from impslam.types import Array, Increment, Ints, Landmark, Match, Observation
@@ -28,6 +28,22 @@ class Filter(Component):
     @abstractmethod
     def hypothesise(self, observations: Sequence[Observation]) -> list[Hypotheses]:
         """Score every observation against every landmark of its kind."""
+
+    @abstractmethod
+    def joint(
+        self, observations: Sequence[Observation], pairs: Sequence[Match]
+    ) -> tuple[Array, Array]:
+        """Return the stacked innovation (rows,) of some pairs and its joint covariance (rows, rows).
+
+        Rows stand in the order of the pairs. An observation or landmark may be in several pairs: the
+        block between two pairs of one observation is without meaning, for they exclude each other.
+        """
+
+    def associate(
+        self, observations: tuple[Observation, ...], association: Association
+    ) -> Assignment:
+        """Return which observation is which landmark; a filter of many beliefs asks for each."""
+        return association.assign(observations, self.hypothesise(observations), self.joint)
 
     @abstractmethod
     def correct(self, observations: Sequence[Observation], matches: Sequence[Match]) -> None:

@@ -88,6 +88,32 @@ def _measure(cross: Array, offsets: Ints, dims: Ints, h_pose: Array, h_m: Array)
 
 
 @kernel
+def _sandwich(P: Array, offsets: Ints, dims: Ints, h_pose: Array, h_m: Array) -> Array:
+    """Return H P H^T (rows, rows) from the entries of P that H touches, whatever the size of P."""
+    rows, size = len(offsets), POSE + h_m.shape[1]
+    h, places = np.zeros((rows, size)), np.zeros((rows, size), np.int64)
+    used = np.zeros(rows, np.int64)
+    for a in range(rows):
+        for c in range(POSE + dims[a]):
+            value = h_pose[a, c] if c < POSE else h_m[a, c - POSE]
+            if value != 0.0:
+                h[a, used[a]] = value
+                places[a, used[a]] = c if c < POSE else offsets[a] + c - POSE
+                used[a] += 1
+    out = np.empty((rows, rows))
+    for a in range(rows):
+        for b in range(a + 1):
+            total = 0.0
+            for c in range(used[a]):
+                i = places[a, c]
+                for d in range(used[b]):
+                    j = places[b, d]
+                    total += h[a, c] * h[b, d] * (P[i, j] if i >= j else P[j, i])
+            out[a, b] = out[b, a] = total
+    return out
+
+
+@kernel
 def _rotate_pose(P: Array, n: int, fx: float, fy: float) -> None:
     """Apply F P F^T with F = I except F[0, 2] = fx and F[1, 2] = fy."""
     for i in range(POSE, n):
@@ -170,6 +196,10 @@ class GaussianBelief:
     def innovation_blocks(self, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
         """Return H P H^T (k, dz, dz) of k landmarks, each measured alone."""
         return _innovation_blocks(self.P, offsets, z_D_pose, z_D_m)
+
+    def measured(self, rows: Rows) -> Array:
+        """Return H P H^T (rows, rows) of measurements that need no correction yet."""
+        return _sandwich(self.P, rows.offsets, rows.dims, rows.h_pose, rows.h_m)
 
     def gain(self, rows: Rows, R: Array) -> Gain:
         """Return the gain of a batch of measurements with noise R (rows, rows)."""

@@ -61,6 +61,13 @@ class Ekf(Filter):
             for table, indices in self._atlas.by_kind(observations)
         ]
 
+    def joint(
+        self, observations: Sequence[Observation], pairs: Sequence[Match]
+    ) -> tuple[Array, Array]:
+        """Return innovation and S = H P H^T + R of all pairs, correlations between them included."""
+        rows, innovation, R = self._stack(observations, pairs)
+        return innovation, self._belief.measured(rows) + R
+
     def correct(self, observations: Sequence[Observation], matches: Sequence[Match]) -> None:
         """Take all matches of a scan in, in one batch (thesis Eq. 2.27-2.29)."""
         if not matches:
@@ -130,33 +137,22 @@ class Ekf(Filter):
     def _stack(
         self, observations: Sequence[Observation], matches: Sequence[Match]
     ) -> tuple[Rows, Array, Array]:
-        """Return H (sparse), the innovation (rows,) and R (rows, rows) of a batch of matches."""
-        blocks = [
-            (
-                table,
-                table.model.predict(self.pose, table.states(self._belief.mean, places)),
-                places,
-                some,
-            )
-            for table, places, some in self._atlas.of(matches)
-        ]
-        total = sum(b[0].model.dim_z * len(b[3]) for b in blocks)
-        rows = Rows(total, max(b[0].model.dim for b in blocks))
+        """Return H (sparse), the innovation (rows,) and R (rows, rows), in the order of the matches."""
+        groups = list(self._atlas.of(matches))
+        sizes = np.zeros(len(matches), np.int64)
+        for table, _, which in groups:
+            sizes[which] = table.model.dim_z
+        starts, total = np.cumsum(sizes) - sizes, int(sizes.sum())
+        rows = Rows(total, max(table.model.dim for table, _, _ in groups))
         innovation, R = np.empty(total), np.zeros((total, total))
-        r = 0
-        for table, prediction, places, some in blocks:
-            dz, dim = table.model.dim_z, table.model.dim
-            for i, match in enumerate(some):
-                observation = observations[match.observation]
-                here = slice(r, r + dz)
-                rows.offsets[here], rows.dims[here] = table.offsets[places[i]], dim
-                rows.h_pose[here], rows.h_m[here, :dim] = (
-                    prediction.z_D_pose[i],
-                    prediction.z_D_m[i],
-                )
-                innovation[here] = table.model.residual(observation.z, prediction.z[i])
-                R[here, here] = observation.R
-                r += dz
+        for table, places, which in groups:
+            model, seen = table.model, [observations[matches[i].observation] for i in which]
+            prediction = model.predict(self.pose, table.states(self._belief.mean, places))
+            here = starts[which][:, None] + np.arange(model.dim_z)  # (matches, dim_z)
+            rows.offsets[here], rows.dims[here] = table.offsets[places][:, None], model.dim
+            rows.h_pose[here], rows.h_m[here, : model.dim] = prediction.z_D_pose, prediction.z_D_m
+            innovation[here] = model.residual(np.array([o.z for o in seen]), prediction.z)
+            R[here[:, :, None], here[:, None]] = np.array([o.R for o in seen])
         return rows, innovation, R
 
     def _retract(self, prior: Array, step: Array) -> None:

@@ -138,9 +138,7 @@ class Tentative(Lifecycle):
             return list(observations)
         if not observations and not self._seen:
             return []
-        choice = self._association.assign(
-            tuple(observations), self._candidates.hypothesise(observations)
-        )
+        choice = self._candidates.associate(tuple(observations), self._association)
         promoted, leaving = [], []
         for match in choice.matches:
             count, first, _ = self._seen[match.landmark]

@@ -15,6 +15,7 @@ import numpy as np
 
 from impslam.config import Config, Keyframes
 from impslam.errors import MessageError, SourceError
+from impslam.geometry.se2 import compose
 from impslam.observers.base import Dropped, Observer, Outcome
 from impslam.odometry.timeline import Timeline
 from impslam.sensors.base import Sensor
@@ -108,7 +109,7 @@ class Pipeline:
         while self._waiting:
             message, sensor, since = self._waiting[0]
             begin = message.stamp - sensor.delay()
-            end = begin + sensor.duration(message)
+            end = max(begin + sensor.duration(message), message.stamp)
             together = self._timeline.ends_at(begin)
             patient = self._seen - since < MAX_WAIT
             if not (flush or together or self._timeline.covers(end) or not patient):
@@ -138,12 +139,21 @@ class Pipeline:
                 "there: check the lidar, or sensors.*.range_min and range_max",
             )
         with self._clock("slam"):
-            return self.slam.step(increment, reading)
+            result = self.slam.step(increment, reading)
+        return result if begin == message.stamp else _at_stamp(result, self._timeline)
 
     @property
     def stages(self) -> dict[str, list[float]]:
         """Seconds per stage."""
         return self._clock.stages
+
+
+def _at_stamp(result: StepResult, timeline: Timeline) -> StepResult:
+    """Carry the pose of a scan that was stamped late on to its stamp, by dead reckoning."""
+    ahead = timeline.ahead(result.stamp)
+    pose, covariance = ahead.advance(result.pose, result.covariance)
+    odometry = compose(result.odometry, ahead.d_pose)
+    return replace(result, pose=pose, covariance=covariance, odometry=odometry)
 
 
 def run(config: Config, source: Source, observers: Iterable[Observer] = ()) -> Outcome:

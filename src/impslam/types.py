@@ -140,6 +140,11 @@ class Increment:
             self.duration + other.duration,
         )
 
+    def advance(self, pose: Array, covariance: Array) -> tuple[Array, Array]:
+        """Return a pose (3,) and its covariance (3, 3), both additive in map, after this motion."""
+        F, V = compose_jacobians(pose, self.d_pose)
+        return compose(pose, self.d_pose), F @ covariance @ F.T + V @ self.covariance @ V.T
+
     def split(self, fraction: float) -> tuple[Increment, Increment]:
         """Cut at a fraction in [0, 1] of its time, at constant twist; the parts compose to it."""
         twist = log(self.d_pose)
@@ -259,14 +264,16 @@ class Landmark:
 class StepResult:
     """What one scan did: immutable, for observers.
 
-    `pose` (3,) is `T_map_base` after the step and `covariance` (3, 3) its own; `odometry` (3,) is
-    dead reckoning from the same start. `new` and `removed` are landmark ids.
+    `pose` (3,) is `T_map_base` at `stamp` and `covariance` (3, 3) its own; `odometry` (3,) is dead
+    reckoning from the same start. `scan_pose` (3,) is where the scan was taken: it differs from
+    `pose` for a sensor that stamps late. `new` and `removed` are landmark ids.
     """
 
     stamp: float
     pose: Array
     covariance: Array
     odometry: Array
+    scan_pose: Array
     scan: Scan | None
     observations: tuple[Observation, ...]
     matches: tuple[Match, ...]

@@ -43,7 +43,7 @@ def make_results(n=50, seed=1):
         match = Match(0, 7, innovation, 1e-4 * np.eye(2), float(innovation @ innovation / 1e-4))
         seen = Observation("cylinder", np.array([1.0, 0.0]), 1e-4 * np.eye(2))
         yield StepResult(
-            stamp, pose, np.diag(sigma**2), true + drift, make_scan(stamp, true),
+            stamp, pose, np.diag(sigma**2), true + drift, pose, make_scan(stamp, true),
             (seen,), (match,) if i else (), () if i else (7,), (),
         )  # fmt: skip
 

@@ -40,9 +40,7 @@ def test_turning_right_wheel_faster_turns_left():
 @given(travel, travel, st.floats(0.1, 1.0))
 def test_jacobian(left, right, track):
     _, by_travel = differential_drive(left, right, track)
-    numeric = jacobian(
-        lambda u: _unwrapped(u, track), np.array([left, right]), step=1e-5
-    )
+    numeric = jacobian(lambda u: _unwrapped(u, track), np.array([left, right]), step=1e-5)
     np.testing.assert_allclose(by_travel, numeric, atol=1e-5)
 
 

@@ -11,11 +11,11 @@ from impslam.types import LaserScan, WheelAngles
 
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_both_files_are_merged_by_time(tmp_path: Path, newline: str) -> None:
-    found, source = read(write_lego(tmp_path / "robot", newline), scan_delay=0.5)
+    found, source = read(write_lego(tmp_path / "robot", newline))
     wheels = [m for m in found if isinstance(m, WheelAngles)]
     scans = [m for m in found if isinstance(m, LaserScan)]
     assert [m.stamp for m in wheels] == [0.0, 0.25, 0.5, 0.75]
-    np.testing.assert_allclose([m.stamp for m in scans], [0.075, 0.325, 0.575])
+    np.testing.assert_allclose([m.stamp for m in scans], [0.575, 0.825, 1.075])
     assert [m.stamp for m in found] == sorted(m.stamp for m in found)
     assert [(m.left, m.right) for m in wheels] == [(100 + i, 200 + i) for i in range(4)]
     np.testing.assert_array_equal(scans[0].ranges, np.full(660, 1.5))

@@ -16,4 +16,4 @@ class GridMapper(Observer):
     def step(self, result: StepResult) -> None:
         """Enter a scan."""
         if result.scan is not None:
-            self.grid.enter(result.pose, result.scan)
+            self.grid.enter(result.scan_pose, result.scan)

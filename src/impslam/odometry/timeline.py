@@ -62,19 +62,11 @@ class Timeline:
         A scan that carries the stamp of the newest odometry message was recorded with it: all motion
         belongs before it, whatever the other stamps say.
         """
-        total = Increment.none(stamp)
-        together = self.ends_at(stamp)
-        while self._pending:
-            first = self._pending[0]
-            begin = first.stamp - first.duration
-            if not together and first.stamp > stamp:
-                if begin < stamp:
-                    head, tail = first.split((stamp - begin) / first.duration)
-                    self._pending[0] = tail
-                    total = total.then(head)
-                break
-            total = total.then(self._pending.popleft())
-        return Increment(stamp, total.d_pose, total.covariance, total.duration)
+        return _consume(self._pending, stamp, together=self.ends_at(stamp))
+
+    def ahead(self, stamp: float) -> Increment:
+        """Return the motion up to a stamp, as far as it is known, and leave it here."""
+        return _consume(self._pending.copy(), stamp, together=self.ends_at(stamp))
 
     def twist(self, stamp: float, duration: float) -> Array:
         """Return the mean body twist (3,) from a stamp on, of what is pending, or the latest one."""
@@ -86,3 +78,18 @@ class Timeline:
         if ahead.duration > 0.0 and ahead.duration >= 0.5 * duration:
             return log(ahead.d_pose) / ahead.duration
         return self._twist
+
+
+def _consume(pending: deque[Increment], stamp: float, together: bool) -> Increment:
+    """Remove from a queue of increments and return the motion up to a stamp, or all of it."""
+    total = Increment.none(stamp)
+    while pending:
+        first = pending[0]
+        begin = first.stamp - first.duration
+        if not together and first.stamp > stamp:
+            if begin < stamp:
+                head, pending[0] = first.split((stamp - begin) / first.duration)
+                total = total.then(head)
+            break
+        total = total.then(pending.popleft())
+    return Increment(stamp, total.d_pose, total.covariance, total.duration)

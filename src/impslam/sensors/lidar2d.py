@@ -77,6 +77,12 @@ class Lidar2D(Sensor):
     bias: float = parameter(
         0.0, "m", "standard deviation of the range error that all beams share", ge=0
     )
+    range_scale: float = parameter(
+        1.0, "1", "true range over measured range, from a calibration", gt=0
+    )
+    range_offset: float = parameter(
+        0.0, "m", "added to the scaled ranges, from a calibration: true = scale * measured + offset"
+    )
     deskew: bool = parameter(True, "", "undo the robot's motion during the sweep")
     latency: float = parameter(
         0.0, "s", "how much later than its first beam a scan is stamped, on the odometry's clock"
@@ -124,7 +130,9 @@ class Lidar2D(Sensor):
         """Return the message as a `Scan`: validated, mounted, de-skewed."""
         low, high = self._limits(message)
         valid = self._valid(message, low, high)
-        ranges = np.where(valid, message.ranges, 0.0)
+        with np.errstate(invalid="ignore"):
+            calibrated = self.range_scale * message.ranges + self.range_offset
+        ranges = np.where(valid, calibrated, 0.0)
         laser = np.array(self.mount)
         points, directions, origins = _place(
             message.angles,

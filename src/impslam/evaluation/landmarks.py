@@ -1,0 +1,129 @@
+"""Landmarks against the truth: which is which, how far off, what is missing and what is false."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from impslam.geometry.angles import wrap
+from impslam.types import Array, Landmark
+
+GATE = 0.5
+"""m: an estimate further off than this is of something else (thesis 5.2.2 associates by 0.5 m)."""
+ANGLE_GATE = math.radians(20.0)
+"""rad: likewise for the direction of walls."""
+
+
+class TrueLandmark(Protocol):
+    """What is known of a landmark: a point's centre, or a wall's foot of the normal and its ends."""
+
+    @property
+    def name(self) -> str:
+        """What people call it."""
+
+    @property
+    def kind(self) -> str:
+        """The landmark model it belongs to."""
+
+    @property
+    def position(self) -> Array:
+        """(2,) m, the centre, or the foot of the normal from the map's origin."""
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Like those of `Landmark`."""
+
+    @property
+    def end_points(self) -> Array | None:
+        """(2, 2) m for walls."""
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkError:
+    """How far off a landmark is.
+
+    `distance` (m) is that of a point, or of the estimated line from the middle of the true wall;
+    `angle` (rad) is between walls; `foot` (m) is between the feet of the normals, as the thesis
+    scores walls (5.2.2), which grows with the wall's distance from the origin.
+    """
+
+    name: str
+    id: int
+    kind: str
+    distance: float
+    angle: float
+    foot: float
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkScore:
+    """What became of the truth and of the estimates.
+
+    `found` is in the order of the truth; `missing` are names; `false` are ids of estimates where
+    there is nothing, `doubles` those of second estimates of something true.
+    """
+
+    found: tuple[LandmarkError, ...]
+    missing: tuple[str, ...]
+    false: tuple[int, ...]
+    doubles: tuple[int, ...]
+
+
+def score_landmarks(
+    estimates: Sequence[Landmark], truth: Sequence[TrueLandmark], gate: float = GATE
+) -> LandmarkScore:
+    """Assign estimates to the truth one to one, so that the sum of the distances is least."""
+    cost = np.array([[_apart(mark, true) for mark in estimates] for true in truth])
+    cost = cost.reshape(len(truth), len(estimates))
+    near = cost <= gate
+    # Outside the gate every pair costs the same and more than all pairs inside could save.
+    worst = 2.0 * gate * (1 + min(cost.shape))
+    pairs = zip(*linear_sum_assignment(np.where(near, cost, worst)), strict=True)
+    chosen = {int(i): int(j) for i, j in pairs if near[i, j]}
+    left = sorted(set(range(len(estimates))) - set(chosen.values()))
+    return LandmarkScore(
+        tuple(_error(estimates[j], truth[i]) for i, j in sorted(chosen.items())),
+        tuple(true.name for i, true in enumerate(truth) if i not in chosen),
+        tuple(estimates[j].id for j in left if not near[:, j].any()),
+        tuple(estimates[j].id for j in left if near[:, j].any()),
+    )
+
+
+def _apart(mark: Landmark, true: TrueLandmark) -> float:
+    """Return how far apart two landmarks are, m; infinite if they cannot be the same."""
+    if mark.kind != true.kind:
+        return math.inf
+    if mark.end_points is None or true.end_points is None:
+        return math.dist(mark.position, true.position)
+    if _angle(mark, true.end_points) > ANGLE_GATE:
+        return math.inf
+    along = true.end_points[1] - true.end_points[0]
+    length = math.hypot(*along)
+    low, high = np.sort((mark.end_points - true.end_points[0]) @ along / length)
+    gap = max(0.0, float(low) - length, -float(high))
+    return math.hypot(_perpendicular(mark, true.end_points), gap)
+
+
+def _error(mark: Landmark, true: TrueLandmark) -> LandmarkError:
+    foot = math.dist(mark.position, true.position)
+    if true.end_points is None:
+        return LandmarkError(true.name, mark.id, mark.kind, foot, 0.0, foot)
+    distance, angle = _perpendicular(mark, true.end_points), _angle(mark, true.end_points)
+    return LandmarkError(true.name, mark.id, mark.kind, distance, angle, foot)
+
+
+def _perpendicular(mark: Landmark, ends: Array) -> float:
+    r, alpha = mark.parameters["r"], mark.parameters["alpha"]
+    x, y = ends.mean(axis=0)
+    return float(abs(x * math.cos(alpha) + y * math.sin(alpha) - r))
+
+
+def _angle(mark: Landmark, ends: Array) -> float:
+    along = ends[1] - ends[0]
+    across = math.atan2(along[1], along[0]) + 0.5 * math.pi
+    return 0.5 * abs(wrap(2.0 * (mark.parameters["alpha"] - across)))

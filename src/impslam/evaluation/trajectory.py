@@ -1,0 +1,159 @@
+"""Trajectories against the truth: alignment, absolute and relative errors.
+
+A trajectory is rows (n, 4) of stamp, x, y, theta. Errors are taken in the truth's frame.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from impslam.errors import ImpError
+from impslam.geometry.angles import wrap
+from impslam.geometry.se2 import transform
+from impslam.types import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """Of absolute errors, in their own unit."""
+
+    count: int
+    rmse: float
+    mean: float
+    median: float
+    max: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pairs:
+    """Estimated and true poses (n, 3) at the same stamps (n,)."""
+
+    stamps: Array
+    estimate: Array
+    truth: Array
+
+    def moved(self, T_truth_estimate: Array) -> Pairs:
+        """Return the pairs with the estimate in another frame."""
+        return Pairs(self.stamps, move(T_truth_estimate, self.estimate), self.truth)
+
+    def aligned(self) -> Pairs:
+        """Return the pairs with the estimate where it fits the truth best."""
+        return self.moved(align(self.estimate[:, :2], self.truth[:, :2]))
+
+
+def statistics(errors: Array) -> Statistics:
+    """Return the statistics of errors (n,), n > 0, by their absolute values."""
+    e = np.abs(errors)
+    rmse = math.sqrt(float(np.mean(e * e)))
+    return Statistics(len(e), rmse, float(e.mean()), float(np.median(e)), float(e.max()))
+
+
+def move(T_a_b: Array, poses_in_b: Array) -> Array:
+    """Return poses (n, 3) given in frame b as poses in frame a."""
+    headings = wrap(poses_in_b[:, 2] + T_a_b[2])
+    return np.column_stack((transform(T_a_b, poses_in_b[:, :2]), headings))
+
+
+def relative(a: Array, b: Array) -> Array:
+    """Return poses b (n, 3) seen from poses a (n, 3), row by row."""
+    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+    x, y = (b[:, :2] - a[:, :2]).T
+    return np.column_stack((c * x + s * y, c * y - s * x, wrap(b[:, 2] - a[:, 2])))
+
+
+def interpolate(trajectory: Array, stamps: Array) -> Array:
+    """Return poses (k, 3) at the stamps, linear in between and held at the ends."""
+    rows = trajectory[np.argsort(trajectory[:, 0], kind="stable")]
+    t, x, y, heading = rows.T
+    columns = (x, y, np.unwrap(heading))
+    poses = np.column_stack([np.interp(stamps, t, column) for column in columns])
+    poses[:, 2] = wrap(poses[:, 2])
+    return poses
+
+
+def associate(estimate: Array, truth: Array, slack: float = 0.1, gap: float = 1.0) -> Pairs:
+    """Pair an estimate with the truth interpolated to its stamps.
+
+    Parameters
+    ----------
+    slack : s, how far before the first and after the last true pose a stamp may lie
+    gap : s, between true poses further apart than this nothing is known
+
+    Raises
+    ------
+    ImpError
+        If no stamp of the estimate lies within the truth.
+    """
+    known = np.sort(truth[:, 0])
+    stamps = estimate[:, 0]
+    after = np.clip(np.searchsorted(known, stamps), 1, max(len(known) - 1, 1))
+    hole = np.diff(known, append=known[-1])[after - 1] > gap
+    exact = np.isin(stamps, known)
+    inside = (stamps >= known[0] - slack) & (stamps <= known[-1] + slack) & (exact | ~hole)
+    if not inside.any():
+        raise ImpError(
+            f"the estimate (from {stamps.min():.3f} to {stamps.max():.3f} s) and the truth (from "
+            f"{known[0]:.3f} to {known[-1]:.3f} s) share no time; check that both use one clock"
+        )
+    chosen = estimate[inside]
+    return Pairs(chosen[:, 0], chosen[:, 1:], interpolate(truth, chosen[:, 0]))
+
+
+def align(points: Array, target: Array) -> Array:
+    """Return the rigid motion (3,) that moves points (n, 2) closest to target (n, 2).
+
+    Umeyama 1991 without scale. In the plane the proper rotation has a closed form, so that no
+    reflection can come out; where all points are one, the rotation is zero.
+    """
+    centre, wanted = points.mean(axis=0), target.mean(axis=0)
+    p, q = points - centre, target - wanted
+    dot = float(np.sum(p * q))
+    cross = float(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]))
+    theta = math.atan2(cross, dot)
+    shift = wanted - transform(np.array([0.0, 0.0, theta]), centre[None])[0]
+    return np.array([shift[0], shift[1], theta])
+
+
+def position_errors(pairs: Pairs) -> Array:
+    """Return (n,) m, the distances to the truth: the absolute trajectory error of each pose."""
+    x, y = (pairs.estimate[:, :2] - pairs.truth[:, :2]).T
+    distances: Array = np.hypot(x, y)
+    return distances
+
+
+def heading_errors(pairs: Pairs) -> Array:
+    """Return (n,) rad, signed."""
+    return np.asarray(wrap(pairs.estimate[:, 2] - pairs.truth[:, 2]))
+
+
+def ate(pairs: Pairs, aligned: bool = True) -> Statistics:
+    """Return the absolute trajectory error in m (Sturm et al. 2012, Eq. 3)."""
+    return statistics(position_errors(pairs.aligned() if aligned else pairs))
+
+
+def rpe(pairs: Pairs, delta: float, unit: str = "m") -> tuple[Statistics, Statistics]:
+    """Return the relative pose error in m and in rad over a stretch (Sturm et al. 2012, Eq. 1-2).
+
+    `delta` is m of true path (unit "m") or s (unit "s"); every pose begins a stretch, which ends at
+    the first pose that is at least delta further on.
+
+    Raises
+    ------
+    ImpError
+        If the trajectory is shorter than delta.
+    """
+    if unit not in ("m", "s"):
+        raise ImpError(f"rpe over {unit!r}: the unit is 'm' or 's'")
+    steps = np.hypot(*np.diff(pairs.truth[:, :2], axis=0).T)
+    along = np.concatenate(([0.0], np.cumsum(steps))) if unit == "m" else pairs.stamps
+    ends = np.searchsorted(along, along + delta * (1.0 - 1e-12))
+    begins = np.flatnonzero(ends < len(along))
+    if len(begins) == 0 or delta <= 0.0:
+        raise ImpError(f"rpe over {delta:g} {unit}: the trajectory has no such stretch")
+    ends = ends[begins]
+    true = relative(pairs.truth[begins], pairs.truth[ends])
+    error = relative(true, relative(pairs.estimate[begins], pairs.estimate[ends]))
+    return statistics(np.hypot(error[:, 0], error[:, 1])), statistics(error[:, 2])

@@ -1,0 +1,44 @@
+"""Normalised errors have the distribution they are tested against."""
+
+import numpy as np
+import pytest
+
+from impslam.evaluation.consistency import chi2_bounds, nees, pose_errors, share_within
+
+
+def draw(rng, n, scale=1.0):
+    A = rng.normal(size=(n, 3, 3))
+    P = A @ A.transpose(0, 2, 1) + 0.1 * np.eye(3)
+    errors = np.linalg.cholesky(P) @ rng.normal(size=(n, 3, 1))
+    return scale * errors[..., 0], P
+
+
+def test_one_value_by_hand():
+    assert nees(np.array([[1.0, 2.0, 3.0]]), np.diag([1.0, 4.0, 9.0])[None]) == pytest.approx([3.0])
+
+
+def test_consistent_errors_average_to_their_degrees_of_freedom(rng):
+    values = nees(*draw(rng, 20000))
+    low, high = chi2_bounds(3, 20000, 0.999)
+    assert low < values.mean() < high
+    assert share_within(values, 1, 3) == pytest.approx(0.95, abs=0.01)
+
+
+def test_overconfidence_shows(rng):
+    values = nees(*draw(rng, 50, scale=2.0))
+    assert values.mean() > chi2_bounds(3, 50)[1]
+
+
+def test_bounds_as_printed_in_tables():
+    assert chi2_bounds(2) == pytest.approx((0.0506, 7.3778), abs=1e-4)
+    assert chi2_bounds(3, 50) == pytest.approx((2.3597, 3.7160), abs=1e-3)
+
+
+def test_headings_are_compared_the_short_way():
+    error = pose_errors(np.array([[0.0, 0.0, 3.1]]), np.array([[0.0, 0.0, -3.1]]))
+    assert error[0, 2] == pytest.approx(6.2 - 2 * np.pi)
+
+
+def test_a_singular_covariance_is_refused():
+    with pytest.raises(np.linalg.LinAlgError):
+        nees(np.ones((1, 3)), np.zeros((1, 3, 3)))

@@ -1,0 +1,112 @@
+"""Landmarks are taken for the right truth, and the rest is missing, false or a double."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from impslam.evaluation.landmarks import score_landmarks
+from impslam.types import Landmark
+
+
+@dataclass
+class True_:
+    name: str
+    kind: str
+    position: np.ndarray
+    parameters: dict = field(default_factory=dict)
+    end_points: np.ndarray | None = None
+
+
+def line(a, b):
+    a, b = np.array(a, float), np.array(b, float)
+    along = (b - a) / np.linalg.norm(b - a)
+    normal = np.array([-along[1], along[0]])
+    r = float(normal @ a)
+    if r < 0:
+        r, normal = -r, -normal
+    return r * normal, {"r": r, "alpha": math.atan2(normal[1], normal[0])}, np.array([a, b])
+
+
+def true_wall(name, a, b):
+    return True_(name, "wall", *line(a, b))
+
+
+def wall(i, a, b):
+    foot, parameters, ends = line(a, b)
+    return Landmark(i, "wall", foot, parameters, np.eye(2), ends, 5, 0.0, 1.0)
+
+
+def cylinder(i, x, y):
+    return Landmark(i, "cylinder", np.array([x, y], float), {}, np.eye(2), None, 5, 0.0, 1.0)
+
+
+def true_cylinder(name, x, y):
+    return True_(name, "cylinder", np.array([x, y], float), {"radius": 0.1})
+
+
+def test_points_are_assigned_so_that_the_sum_is_least():
+    truth = [true_cylinder("a", 0, 0), true_cylinder("b", 0.4, 0)]
+    # Greedy would take 1 for b (0.15) and leave a with 0.5.
+    score = score_landmarks([cylinder(1, 0.25, 0), cylinder(2, 0.8, 0)], truth)
+    assert [(e.name, e.id) for e in score.found] == [("a", 1), ("b", 2)]
+    assert [e.distance for e in score.found] == pytest.approx([0.25, 0.4])
+
+
+def test_missing_false_and_doubles():
+    truth = [true_cylinder("a", 0, 0), true_cylinder("b", 9, 0)]
+    score = score_landmarks([cylinder(1, 0.01, 0), cylinder(2, 0.2, 0), cylinder(3, 5, 5)], truth)
+    assert [e.id for e in score.found] == [1]
+    assert score.missing == ("b",)
+    assert score.doubles == (2,)
+    assert score.false == (3,)
+
+
+@pytest.mark.parametrize("estimates", [[], [cylinder(1, 0, 0)]])
+@pytest.mark.parametrize("truth", [[], [true_cylinder("a", 0, 0)]])
+def test_nothing_is_fine(estimates, truth):
+    score = score_landmarks(estimates, truth)
+    assert len(score.found) == min(len(estimates), len(truth))
+
+
+def test_walls_are_scored_across_and_by_angle():
+    truth = [true_wall("w", (0, 2), (4, 2))]
+    (error,) = score_landmarks([wall(1, (1, 2.03), (3, 2.03))], truth).found
+    assert error.distance == pytest.approx(0.03)
+    assert error.angle == pytest.approx(0.0, abs=1e-12)
+    assert error.foot == pytest.approx(0.03)
+
+
+def test_the_distance_of_feet_grows_with_that_of_the_wall():
+    tilt = 0.01
+    truth = [true_wall("w", (50, 10), (54, 10))]
+    ends = ((50, 10 - 2 * tilt), (54, 10 + 2 * tilt))
+    (error,) = score_landmarks([wall(1, *ends)], truth).found
+    assert error.distance == pytest.approx(0.0, abs=1e-9)
+    assert error.angle == pytest.approx(math.atan(tilt))
+    assert error.foot > 0.4
+
+
+def test_a_walls_direction_and_side_do_not_matter():
+    truth = [true_wall("w", (0, 0), (4, 0))]
+    (error,) = score_landmarks([wall(1, (4, 0.01), (0, 0.01))], truth).found
+    assert error.distance == pytest.approx(0.01)
+    assert error.angle == pytest.approx(0.0, abs=1e-12)
+
+
+def test_collinear_walls_five_metres_apart_are_two():
+    truth = [true_wall("left", (0, 1), (2, 1)), true_wall("right", (7, 1), (9, 1))]
+    score = score_landmarks([wall(1, (7, 1), (9, 1)), wall(2, (0.1, 1), (2, 1))], truth)
+    assert [(e.name, e.id) for e in score.found] == [("left", 2), ("right", 1)]
+
+
+def test_a_wall_across_is_not_the_wall():
+    score = score_landmarks([wall(1, (1, -1), (1, 1))], [true_wall("w", (0, 0), (2, 0))])
+    assert score.missing == ("w",)
+    assert score.false == (1,)
+
+
+def test_kinds_do_not_mix():
+    score = score_landmarks([cylinder(1, 0, 0)], [True_("c", "corner", np.zeros(2))])
+    assert score.missing == ("c",)

@@ -1,0 +1,139 @@
+"""Errors of trajectories: exact where they can be, invariant where they must be."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from impslam.errors import ImpError
+from impslam.evaluation.trajectory import (
+    Pairs,
+    align,
+    associate,
+    ate,
+    heading_errors,
+    interpolate,
+    move,
+    position_errors,
+    relative,
+    rpe,
+    statistics,
+)
+from impslam.geometry.se2 import between, compose, transform
+
+motion = st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.floats(-3.1, 3.1)).map(np.array)
+
+
+def circle(n=100):
+    t = np.linspace(0.0, 10.0, n)
+    return np.c_[t, 2 * np.cos(t), 2 * np.sin(t), np.arctan2(np.cos(t), -np.sin(t))]
+
+
+@given(motion)
+def test_alignment_undoes_any_motion(T):
+    points = circle()[:, 1:3]
+    found = align(transform(T, points), points)
+    np.testing.assert_allclose(compose(found, T), 0.0, atol=1e-9)
+
+
+def test_alignment_never_mirrors(rng):
+    points = rng.normal(size=(20, 2))
+    mirrored = points * [1.0, -1.0]
+    error = transform(align(points, mirrored), points) - mirrored
+    assert np.abs(error).max() > 0.1
+
+
+def test_alignment_is_the_best_motion(rng):
+    points = rng.normal(size=(30, 2))
+    target = transform(np.array([1.0, 2.0, 0.5]), points) + 0.1 * rng.normal(size=(30, 2))
+    best = align(points, target)
+
+    def cost(T):
+        return np.sum((transform(T, points) - target) ** 2)
+
+    for nudge in 1e-3 * np.vstack((np.eye(3), -np.eye(3))):
+        assert cost(best + nudge) > cost(best)
+
+
+def test_alignment_of_a_robot_that_stood_still():
+    T = align(np.ones((5, 2)), np.full((5, 2), 3.0))
+    np.testing.assert_allclose(T, [2.0, 2.0, 0.0])
+
+
+@given(motion)
+def test_the_absolute_error_of_a_moved_copy_is_zero_only_after_alignment(T):
+    truth = circle()
+    estimate = np.c_[truth[:, 0], move(T, truth[:, 1:])]
+    pairs = associate(estimate, truth)
+    assert ate(pairs).max < 1e-8
+    np.testing.assert_allclose(heading_errors(pairs.aligned()), 0.0, atol=1e-9)
+    expected = np.hypot(*(estimate[:, 1:3] - truth[:, 1:3]).T)
+    np.testing.assert_allclose(position_errors(pairs), expected, atol=1e-9)
+
+
+def test_statistics_of_known_errors():
+    s = statistics(np.array([-3.0, 4.0, 0.0, 0.0]))
+    assert (s.count, s.rmse, s.mean, s.median, s.max) == (4, 2.5, 1.75, 1.5, 4.0)
+
+
+def test_interpolation_goes_through_pi_the_short_way():
+    rows = np.array([[0.0, 0.0, 0.0, 3.0], [1.0, 2.0, 4.0, -3.0]])
+    np.testing.assert_allclose(interpolate(rows, np.array([0.5])), [[1.0, 2.0, math.pi]])
+
+
+def test_interpolation_does_not_need_ordered_stamps():
+    rows = circle()
+    shuffled = rows[np.random.default_rng(0).permutation(len(rows))]
+    stamps = np.linspace(0, 10, 31)
+    np.testing.assert_array_equal(interpolate(shuffled, stamps), interpolate(rows, stamps))
+
+
+def test_stamps_outside_the_truth_or_in_its_holes_are_left_out():
+    truth = np.c_[[0.0, 1.0, 5.0, 5.5], np.zeros((4, 3))]
+    stamps = np.array([-1.0, -0.05, 0.5, 1.0, 3.0, 5.0, 5.2, 5.55, 6.0])
+    pairs = associate(np.c_[stamps, np.zeros((9, 3))], truth)
+    np.testing.assert_array_equal(pairs.stamps, [-0.05, 0.5, 1.0, 5.0, 5.2, 5.55])
+
+
+def test_a_single_true_pose_can_be_compared_with():
+    assert len(associate(circle(), circle()[:1]).stamps) == 1
+
+
+def test_no_common_time_is_one_line():
+    late = circle() + np.array([100.0, 0, 0, 0])
+    with pytest.raises(ImpError, match="share no time"):
+        associate(late, circle())
+
+
+@given(motion, motion)
+def test_relative_is_between(a, b):
+    np.testing.assert_allclose(relative(a[None], b[None])[0], between(a, b), atol=1e-9)
+
+
+def test_relative_error_of_a_scaled_path():
+    x = np.linspace(0.0, 10.0, 101)
+    truth = np.c_[x, np.zeros((101, 2))]
+    estimate = truth * [1.02, 1.0, 1.0]
+    metres, radians = rpe(Pairs(x, estimate, truth), 1.0)
+    assert metres.count == 91
+    assert metres.rmse == pytest.approx(0.02)
+    assert radians.max == 0.0
+    assert rpe(Pairs(x, estimate, truth), 2.0, "s")[0].max == pytest.approx(0.04)
+
+
+@given(motion)
+def test_relative_error_does_not_depend_on_the_frame(T):
+    truth = circle()[:, 1:]
+    estimate = truth + [0.01, -0.02, 0.03] * np.sin(np.arange(100.0))[:, None]
+    stamps = circle()[:, 0]
+    here = rpe(Pairs(stamps, estimate, truth), 1.0)
+    there = rpe(Pairs(stamps, estimate, truth).moved(T), 1.0)
+    assert here[0].rmse == pytest.approx(there[0].rmse, rel=1e-6)
+
+
+@pytest.mark.parametrize(("delta", "unit"), [(1e6, "m"), (0.0, "s"), (1.0, "km")])
+def test_stretches_that_cannot_be_are_one_line(delta, unit):
+    with pytest.raises(ImpError, match="rpe over"):
+        rpe(Pairs(circle()[:, 0], circle()[:, 1:], circle()[:, 1:]), delta, unit)

@@ -1,73 +1,16 @@
-"""How far a map lies from the truth, landmark by landmark: what `imp demo` prints.
-
-A point's error is its distance from the truth. A wall's is the largest distance of its estimated ends
-from the true wall's line, so that an error of its angle counts by how much of the wall it displaces.
-"""
+"""What the demo needs to know of the truth: the end of the path, and the corners of the walls."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
 
 from impslam.observers.base import Observer
 from impslam.simulation.world import TrueLandmark
-from impslam.types import Array, Landmark, StepResult, TruePose
-
-NEAR = 0.5
-"""m; an estimate farther than this from every true landmark of its kind shows none of them."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Pair:
-    """A true landmark, what the map has for it (None: missed), and the error in m."""
-
-    true: TrueLandmark
-    found: Landmark | None
-    error: float
-
-
-def compare(truth: Sequence[TrueLandmark], found: Iterable[Landmark]) -> list[Pair]:
-    """Return the nearest estimate for every true landmark, each estimate used once."""
-    left = list(found)
-    near = sorted(
-        (error, i, j)
-        for i, true in enumerate(truth)
-        for j, landmark in enumerate(left)
-        if (error := distance(true, landmark)) <= NEAR
-    )
-    pairs: dict[int, Pair] = {}
-    used: set[int] = set()
-    for error, i, j in near:
-        if i not in pairs and j not in used:
-            used.add(j)
-            pairs[i] = Pair(truth[i], left[j], error)
-    return [pairs.get(i, Pair(true, None, math.inf)) for i, true in enumerate(truth)]
-
-
-def distance(true: TrueLandmark, landmark: Landmark) -> float:
-    """Return how far an estimate is off, in m; infinite for another kind."""
-    if true.kind != landmark.kind:
-        return math.inf
-    if true.end_points is None or landmark.end_points is None:
-        return math.dist(true.position, landmark.position)
-    if not _beside(true.end_points, landmark.end_points):
-        return math.inf
-    start, end = true.end_points
-    along = (end - start) / math.dist(start, end)
-    offsets = (landmark.end_points - start) @ np.array([-along[1], along[0]])
-    return float(np.abs(offsets).max())
-
-
-def _beside(true: Array, found: Array) -> bool:
-    """Tell whether a wall's middle lies between the ends of another, or nearly so."""
-    start, end = true
-    length = math.dist(start, end)
-    middle = float((found.mean(axis=0) - start) @ (end - start)) / length
-    return -NEAR <= middle <= length + NEAR
+from impslam.types import Array, StepResult, TruePose
 
 
 def corners(truth: Sequence[TrueLandmark]) -> list[TrueLandmark]:

@@ -18,7 +18,8 @@ from impslam.cli.console import Base, Common, Settings
 from impslam.cli.job import execute, plan, run_folder
 from impslam.cli.progress import display
 from impslam.cli.simulate import landmarks_path, truth_path, write_log
-from impslam.demo import EndOfRun, compare, corners
+from impslam.demo import EndOfRun, corners
+from impslam.evaluation.landmarks import score_landmarks
 from impslam.geometry.angles import wrap
 from impslam.observers.base import Outcome
 from impslam.simulation.world import TrueLandmark, load_world
@@ -88,21 +89,25 @@ class Clock:
 
 
 def _show_landmarks(truth: list[TrueLandmark], outcome: Outcome) -> None:
-    """Print every true landmark beside the map's; corners, which the walls imply, where found."""
-    implied = [pair for pair in compare(corners(truth), outcome.landmarks) if pair.found]
-    pairs = [*compare(truth, outcome.landmarks), *implied]
+    """Print every true landmark beside the map's; of corners, which walls imply, those found."""
+    score = score_landmarks(outcome.landmarks, [*truth, *corners(truth)])
+    found = {error.name: error for error in score.found}
+    marks = {mark.id: mark for mark in outcome.landmarks}
     rows = []
-    for pair in pairs:
-        true, found = _place(pair.true), _place(pair.found) if pair.found else ("missed", "")
-        error = f"{100 * pair.error:.1f}" if pair.found else "-"
-        rows.append((pair.true.name, *true, *found, error))
-    header = ("landmark", "true", "", "estimated", "", "error, cm")
-    console.show_table(header, rows, numbers=5)
-    matched = {pair.found.id for pair in pairs if pair.found}
-    extra = [landmark for landmark in outcome.landmarks if landmark.id not in matched]
-    for landmark in extra:
-        x, y = _place(landmark)
-        console.say(f"not in the arena: {landmark.kind} {landmark.id} at {x}, {y}")
+    for true in [*truth, *(corner for corner in corners(truth) if corner.name in found)]:
+        estimate, errors = ("missed", ""), ("-", "")
+        if true.name in found:
+            error = found[true.name]
+            estimate = _place(marks[error.id])
+            turn = "" if true.end_points is None else f"{math.degrees(error.angle):.2f}"
+            errors = f"{100 * error.distance:.1f}", turn
+        rows.append((true.name, *_place(true), *estimate, *errors))
+    header = ("landmark", "true", "", "estimated", "", "error, cm", "deg")
+    console.show_table(header, rows, numbers=6)
+    for number in score.false:
+        console.say(f"not in the arena: {marks[number].kind} {' '.join(_place(marks[number]))}")
+    for number in score.doubles:
+        console.say(f"twice in the map: {marks[number].kind} {' '.join(_place(marks[number]))}")
 
 
 def _place(landmark: Landmark | TrueLandmark) -> tuple[str, str]:

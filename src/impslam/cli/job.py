@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -14,29 +13,15 @@ from impslam.component import explain
 from impslam.config import Config, load
 from impslam.errors import ConfigError, ImpError
 from impslam.observers.base import Observer, Outcome
+from impslam.observers.recorder import Recorder
 from impslam.pipeline import run
 from impslam.sources.base import Source, recognise
-from impslam.types import Array, StepResult
 
 FILES = frozenset(
     {"trajectory.tum", "odometry.tum", "trajectory.csv", "landmarks.csv", "map.pgm", "map.yaml"}
-    | {"report.html", "report.png", "summary.json", "config.toml"}
+    | {"report.html", "report.png", "summary.json", "config.toml", "truth.tum"}
 )
 """What a run writes; only these are ever overwritten or removed."""
-
-
-class Way(Observer):
-    """Adds up the length of the path, in m."""
-
-    def __init__(self) -> None:
-        self.length = 0.0
-        self._last: Array | None = None
-
-    def step(self, result: StepResult) -> None:
-        """Move on."""
-        if self._last is not None:
-            self.length += math.dist(result.pose[:2], self._last[:2])
-        self._last = result.pose
 
 
 def plan(log: Path, base: str | None, settings: Sequence[str]) -> tuple[Config, Source]:
@@ -67,27 +52,22 @@ def execute(
 ) -> Outcome:
     """Run a log, write the run folder, and show how far it has come."""
     created = not folder.exists()
+    _clear(folder)
     try:
         with progress.display(quiet) as shown:
-            observers = [progress.Bar(source, shown), *_writers(folder), *more]
-            return run(config, source, observers)
+            recorder = Recorder(folder, config.grid.resolution)
+            return run(config, source, [progress.Bar(source, shown), recorder, *more])
     except ImpError:
-        if created:
-            _clear(folder)
+        _clear(folder)
+        if created and folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
         raise
 
 
-def _writers(folder: Path) -> list[Observer]:
-    del folder  # the recorder is still being built
-    return []
-
-
 def _clear(folder: Path) -> None:
-    """Remove the folder of a run that came to nothing."""
+    """Remove what a run has written, so that no folder holds parts of two runs."""
     for name in FILES:
         (folder / name).unlink(missing_ok=True)
-    if folder.is_dir() and not any(folder.iterdir()):
-        folder.rmdir()
 
 
 def run_folder(wanted: Path | None, name: str, also: Iterable[str] = ()) -> Path:

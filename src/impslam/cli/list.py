@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib.resources import files
-from typing import Any
+from typing import Any, TypeAlias
 
+from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from rich.table import Table
 from rich.text import Text
@@ -18,6 +19,7 @@ from impslam.errors import ConfigError
 from impslam.simulation.world import load_world, shipped_worlds
 
 INDENT = 4
+Row: TypeAlias = tuple[str, ...]
 
 
 def list_components(role: str | None = None, /, *, common: Common | None = None) -> None:
@@ -59,27 +61,38 @@ def _show_names(names: dict[str, str]) -> None:
 
 def _show(component: type[Component]) -> None:
     _print_rows([(component.name, component.describe())], INDENT // 2)
-    rows = [
-        (name, show_default(field), _unit(field), field.description or "")
-        for name, field in component.model_fields.items()
-        if name != "path"  # the log itself, which is not a parameter
-    ]
+    rows = [row for row in parameters(component) if row[0] != "path"]  # the log is no parameter
     if rows:
         _print_rows(rows, 2 * INDENT)
 
 
-def show_default(field: FieldInfo) -> str:
-    """Return a parameter's default as a config file would say it."""
-    if field.is_required():
+def parameters(model: type[BaseModel], prefix: str = "", values: Any = None) -> list[Row]:
+    """Return name, default, unit and sentence of every parameter, those of inner tables dotted."""
+    rows: list[Row] = []
+    for name, field in model.model_fields.items():
+        default = _default(field) if values is None else getattr(values, name)
+        if isinstance(default, BaseModel):
+            rows += parameters(type(default), f"{prefix}{name}.", default)
+        else:
+            rows.append((prefix + name, _say(default), _unit(field), field.description or ""))
+    return rows
+
+
+def _default(field: FieldInfo) -> Any:
+    return ... if field.is_required() else field.get_default(call_default_factory=True)
+
+
+def _say(default: Any) -> str:
+    """Return a default as a config file would say it."""
+    if default is ...:
         return "(required)"
-    default: Any = field.get_default(call_default_factory=True)
     if isinstance(default, bool):
         return str(default).lower()
     if isinstance(default, float):
         return f"{default:.6g}"
     if isinstance(default, tuple):
         return str(list(default))
-    return repr(default) if isinstance(default, str) else str(default)
+    return f'"{default}"' if isinstance(default, str) else str(default)
 
 
 def _unit(field: FieldInfo) -> str:
@@ -88,7 +101,7 @@ def _unit(field: FieldInfo) -> str:
     return "" if unit == "1" else unit
 
 
-def _print_rows(rows: Sequence[tuple[str, ...]], indent: int) -> None:
+def _print_rows(rows: Sequence[Row], indent: int) -> None:
     table = Table.grid(padding=(0, 2, 0, 0))
     for column in range(len(rows[0])):
         last = column == len(rows[0]) - 1

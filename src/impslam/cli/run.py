@@ -10,8 +10,9 @@ from cyclopts import Parameter
 
 from impslam.cli import console
 from impslam.cli.console import Base, Common, Seed, Settings, Topics
-from impslam.cli.job import Way, execute, plan, run_folder, topic_settings
+from impslam.cli.job import execute, plan, run_folder, topic_settings
 from impslam.observers.base import Outcome
+from impslam.observers.summary import Distance, real_time_factor
 
 
 def run(
@@ -38,10 +39,10 @@ def run(
     chosen, source = plan(log, config, changes)
     folder = run_folder(output, log.name.split(".")[0] or log.name)
     quiet = common is not None and common.quiet
-    way = Way()
-    outcome = execute(chosen, source, folder, quiet, [way])
+    distance = Distance()
+    outcome = execute(chosen, source, folder, quiet, [distance])
     if not quiet:
-        show(outcome, way.length, folder)
+        show(outcome, distance.path, folder)
 
 
 def show(outcome: Outcome, length: float, folder: Path) -> None:
@@ -49,14 +50,13 @@ def show(outcome: Outcome, length: float, folder: Path) -> None:
     counts, seconds = outcome.counts, outcome.log_seconds
     kinds = Counter(landmark.kind for landmark in outcome.landmarks)
     found = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())) or "none"
-    speed = seconds / outcome.wall_seconds if outcome.wall_seconds > 0.0 else 0.0
     console.show_facts(
         {
             "log": str(outcome.log),
             "scans": f"{counts['steps']} used",
             "path": f"{length:.2f} m in {seconds:.1f} s",
             "landmarks": found,
-            "time": f"{outcome.wall_seconds:.1f} s, {speed:.0f} times real time",
+            "time": f"{outcome.wall_seconds:.1f} s, {real_time_factor(outcome):.0f} times real time",
         }
     )
     for kind, dropped in outcome.dropped.items():

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from cyclopts import Parameter
 
 from impslam.cli import console
 from impslam.cli.console import Common
 from impslam.cli.progress import display, ticker
+from impslam.evaluation.tum import write_tum
 from impslam.simulation.drive import drive
 from impslam.simulation.simulate import simulate as messages
 from impslam.simulation.world import TrueLandmark, World, load_world
@@ -68,7 +69,7 @@ def write_log(world: World, log: Path, seed: int, shown: Any = None) -> int:
     log.parent.mkdir(parents=True, exist_ok=True)
     with McapWriter(log) as writer:
         truth = list(_recorded(messages(world, seed=seed), writer.write, tick))
-    _write_truth(truth_path(log), truth)
+    write_tum(truth_path(log), np.array([[true.stamp, *true.pose] for true in truth]))
     _write_landmarks(landmarks_path(log), world.landmarks())
     return len(truth)
 
@@ -86,16 +87,6 @@ def _recorded(
             yield latest[message.stamp]
             latest = {stamp: pose for stamp, pose in latest.items() if stamp > message.stamp}
             tick(message.stamp)
-
-
-def _write_truth(path: Path, truth: Iterable[TruePose]) -> None:
-    """Write poses as TUM rows: stamp x y z qx qy qz qw."""
-    rows = []
-    for true in truth:
-        x, y, theta = true.pose
-        turn = f"{math.sin(theta / 2):.12f} {math.cos(theta / 2):.12f}"
-        rows.append(f"{true.stamp:.9f} {x:.9f} {y:.9f} 0 0 0 {turn}\n")
-    path.write_text("".join(rows), "utf-8", newline="\n")
 
 
 def _write_landmarks(path: Path, landmarks: Iterable[TrueLandmark]) -> None:

@@ -1,0 +1,40 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from impslam.cli import main
+
+
+@dataclass(frozen=True)
+class Said:
+    """How a command ended: its exit code and what it printed."""
+
+    code: int
+    out: str
+    err: str
+
+
+Imp = Callable[..., Said]
+
+
+@pytest.fixture
+def imp(capfd: pytest.CaptureFixture[str]) -> Imp:
+    """Call the command line in this process."""
+
+    def call(*words: object) -> Said:
+        code = main([str(word) for word in words])
+        return Said(code, *capfd.readouterr())
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log of ten seconds in a small room, with its truth beside it."""
+    log = tmp_path_factory.mktemp("room") / "room.mcap"
+    assert main(["simulate", "room", "-o", str(log), "--quiet"]) == 0
+    return log

@@ -1,0 +1,34 @@
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from impslam.cli.job import FILES
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory):
+    return tmp_path_factory.mktemp("demo") / "run"
+
+
+def test_the_arena_is_mapped_within_centimetres(imp, demo) -> None:
+    said = imp("demo", "-o", demo)
+    assert said.code == 0, said.err
+    for name in ("wall 1", "wall 2", "wall 3", "wall 4"):
+        assert error(said.out, name) < 2.0
+    for name in ("cylinder 1", "cylinder 2", "cylinder 3"):
+        assert error(said.out, name) < 3.0
+    assert float(re.search(r"estimated .* ([\d.]+) cm", said.out)[1]) < 3.0
+    assert "not in the arena: cylinder" not in said.out
+    assert "not in the arena: wall" not in said.out
+    log = {"arena.mcap", "arena.truth.tum", "arena.landmarks.csv"}
+    assert {path.name for path in demo.iterdir()} == FILES | log
+    again = imp("demo", "-o", demo, "--quiet")  # the same folder serves again
+    assert (again.code, again.out) == (0, "")
+
+
+def error(text: str, name: str) -> float:
+    """Return the error in a landmark's row, in cm."""
+    words = next(line for line in text.splitlines() if name in line).split()
+    return float(words[-2] if name.startswith("wall") else words[-1])

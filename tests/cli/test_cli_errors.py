@@ -1,0 +1,196 @@
+"""Every failure is one line on stderr that says what, where and what to do, and an exit code."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import impslam.cli.config
+from impslam.sources.recording import McapWriter
+from impslam.types import LaserScan, Message, WheelAngles
+
+COMMANDS = ["demo", "run", "simulate", "inspect", "list", "config", "evaluate"]
+
+
+def fails(said, *parts: str, code: int = 2) -> None:
+    """Check that a command ended with one line that names these parts, and nothing else."""
+    assert said.code == code
+    assert said.out == ""
+    assert said.err.startswith("imp: error: ")
+    assert said.err.count("\n") == 1
+    assert said.err.endswith("\n")
+    for part in parts:
+        assert part in said.err
+
+
+@pytest.mark.parametrize("command", ["run", "inspect"])
+def test_missing_log(imp, tmp_path, command) -> None:
+    fails(imp(command, tmp_path / "nope.mcap"), "nope.mcap", "check the path")
+
+
+@pytest.mark.parametrize("command", ["run", "inspect"])
+@pytest.mark.parametrize("content", [b"", b"\x00\x01\xfe" * 500, b"{'not': 'a log'}\n" * 20])
+def test_files_that_are_no_logs(imp, tmp_path, command, content) -> None:
+    log = tmp_path / "bad.log"
+    log.write_bytes(content)
+    fails(imp(command, log), "bad.log")
+
+
+@pytest.mark.parametrize("command", ["run", "inspect"])
+def test_a_folder_that_is_no_log(imp, tmp_path, command) -> None:
+    fails(imp(command, tmp_path), str(tmp_path), "no known log format")
+
+
+def test_truncated_log(imp, room, tmp_path) -> None:
+    log = tmp_path / "cut.mcap"
+    log.write_bytes(room.read_bytes()[:20])
+    fails(imp("run", log, "-o", tmp_path / "run"), "cut.mcap")
+
+
+def test_unknown_preset(imp, room) -> None:
+    fails(imp("run", room, "-c", "imq"), "imq", "did you mean 'imp'?")
+    fails(imp("config", "defalt"), "defalt", "did you mean 'default'?")
+
+
+def test_config_that_is_not_toml(imp, room, tmp_path) -> None:
+    file = tmp_path / "own.toml"
+    file.write_text("[odometry\n")
+    fails(imp("run", room, "-c", file), "own.toml", "not valid TOML")
+
+
+def test_typo_names_the_near_miss(imp, room) -> None:
+    fails(imp("run", room, "--set", "odometry.wheel_radios=0.1"), "wheel_radios", "'wheel_radius'")
+    fails(imp("run", room, "--set", "filtr.kind=ekf"), "filtr", "'filter'")
+    fails(imp("run", room, "--set", "filter.kind=efk"), "efk", "'ekf'")
+
+
+def test_wrong_type_and_bounds(imp, room) -> None:
+    fails(imp("run", room, "--set", "sensors.lidar.sigma=much"), "sensors.lidar.sigma", "'much'")
+    fails(imp("run", room, "--set", "sensors.lidar.sigma=-1"), "sensors.lidar.sigma", "-1")
+    fails(imp("run", room, "--set", "seed=soon"), "seed", "'soon'")
+
+
+def test_settings_without_a_value(imp, room) -> None:
+    fails(imp("run", room, "--set", "seed"), "--set seed", "key=value")
+    fails(imp("run", room, "--topic", "scan"), "--topic scan", "role=name")
+
+
+def test_a_topic_that_is_not_there(imp, room) -> None:
+    fails(imp("run", room, "--topic", "scan=/scam"), "/scam", "'/scan'")
+    fails(imp("run", room, "--topic", "scam=/scan"), "scam")
+
+
+def test_usage(imp, room) -> None:
+    fails(imp("rum", room), "rum", "run")
+    fails(imp("run"), "LOG")
+    fails(imp("run", room, "--outptu", "x"), "--outptu", "--output")
+    fails(imp("run", room, "more"), "more")
+    fails(imp("run", room, "--seed", "x"), "--seed")
+    fails(imp("simulate", "room"), "--output")
+
+
+def test_worlds(imp, tmp_path) -> None:
+    fails(imp("simulate", "arean", "-o", tmp_path / "x.mcap"), "arean", "'arena'")
+    assert list(tmp_path.iterdir()) == []
+
+
+def write(log: Path, messages: list[Message]) -> Path:
+    with McapWriter(log) as writer:
+        for message in messages:
+            writer.write(message)
+    return log
+
+
+def scans() -> list[Message]:
+    angles, none = np.linspace(-1.0, 1.0, 21), np.zeros(21)
+    return [LaserScan(10.0 + i, angles, np.full(21, 2.0), none, 0.1, 9.0) for i in range(3)]
+
+
+def wheels() -> list[Message]:
+    return [WheelAngles(10.0 + i, 0.1 * i, 0.1 * i) for i in range(3)]
+
+
+@pytest.mark.parametrize(
+    ("messages", "lacking"), [(scans(), "no WheelAngles"), (wheels(), "no usable scan")]
+)
+def test_logs_that_lack_something(imp, tmp_path, messages, lacking) -> None:
+    log = write(tmp_path / "half.mcap", messages)
+    folder = tmp_path / "run"
+    fails(imp("run", log, "-o", folder), "half.mcap", lacking, "imp inspect")
+    assert not folder.exists()  # nothing is left of a run that came to nothing
+    said = imp("inspect", log)
+    assert said.code == 0
+    assert "problem: 1 x no " in said.out
+
+
+def test_output_that_is_not_ours(imp, room, tmp_path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    fails(imp("run", room, "-o", tmp_path), "thesis.tex", "new or an empty one")
+    fails(imp("run", room, "-o", tmp_path / "thesis.tex"), "is a file")
+    assert (tmp_path / "thesis.tex").read_text() == "years of work"
+
+
+def test_output_that_cannot_be_made(imp, room, tmp_path) -> None:
+    (tmp_path / "file").write_text("")
+    fails(imp("run", room, "-o", tmp_path / "file" / "run"), "file")
+    fails(imp("simulate", "room", "-o", tmp_path / "file" / "x.mcap"), "file")
+
+
+def test_debug_shows_where(imp, tmp_path) -> None:
+    said = imp("run", tmp_path / "nope", "--debug")
+    assert said.code == 2
+    assert "Traceback" in said.err
+    assert said.err.splitlines()[-1].startswith("imp: error: ")
+
+
+@pytest.mark.parametrize(("error", "code"), [(KeyboardInterrupt(), 130), (RuntimeError("odd"), 1)])
+def test_other_ends(imp, monkeypatch, error, code) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(impslam.cli.config, "load", fail)
+    said = imp("config")
+    assert said.code == code
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert ("--debug" in said.err) == (code == 1)
+
+
+def test_help(imp) -> None:
+    said = imp("--help")
+    assert said.code == 0
+    for command in COMMANDS:
+        assert command in said.out
+        assert imp(command, "--help").code == 0
+    assert imp("--version").out == f"{impslam.__version__}\n"
+
+
+def python(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+
+
+def test_help_does_not_wait_for_numpy() -> None:
+    code = (
+        "import sys; from impslam.cli import main; main(['--help']); print('numpy' in sys.modules)"
+    )
+    assert python(code).stdout.splitlines()[-1] == "False"
+
+
+def test_small_matrices_get_one_thread() -> None:
+    code = "import os, impslam.cli; print(os.environ['OPENBLAS_NUM_THREADS'])"
+    assert python(code).stdout == "1\n"
+
+
+def test_closed_pipe_is_quiet() -> None:
+    code = "from impslam.cli import main; raise SystemExit(main(['list']))"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == ""

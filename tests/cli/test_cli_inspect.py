@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from impslam.sources.recording import McapWriter
+from impslam.types import LaserScan, OdometryPose, WheelAngles
+
+
+def test_room(imp, room) -> None:
+    said = imp("inspect", room)
+    assert said.code == 0
+    words = " ".join(said.out.split())
+    assert "/scan sensor_msgs/msg/LaserScan yes scan 100" in words
+    assert "LaserScan 100 10.0 9.9 0.100 0 0" in words
+    assert "beams 682" in words
+    assert "field of view 239.8 deg" in words
+    assert "sweep 67 ms" in words
+    assert "odometry encoders, 2.1" in words
+    assert "no problem found" in words
+
+
+def scan(stamp: float, n: int = 21, r: float = 2.0) -> LaserScan:
+    return LaserScan(stamp, np.linspace(-1, 1, n), np.full(n, r), np.zeros(n), 0.1, 9.0)
+
+
+@pytest.fixture
+def write(tmp_path):
+    def to_log(messages):
+        with McapWriter(tmp_path / "log.mcap", "imp") as writer:
+            for message in messages:
+                writer.write(message)
+        return tmp_path / "log.mcap"
+
+    return to_log
+
+
+def test_clocks(imp, write) -> None:
+    stamps = [10.0, 10.1, 10.1, 10.05, 10.2, 40.2]
+    log = write([scan(stamp) for stamp in stamps] + [WheelAngles(10.0, 0, 0)])
+    said = imp("inspect", log)
+    assert "LaserScan 6 0.2 30.2 30.000 1 1" in " ".join(said.out.split())
+    for problem in ("gap", "backward stamp", "repeated stamp"):
+        assert f"problem: 1 x {problem}: {log}" in said.out
+
+
+def test_scans_of_changing_length_and_invalid_beams(imp, write) -> None:
+    log = write([scan(1.0, 21), scan(2.0, 31, 0.0), WheelAngles(1.0, 0, 0)])
+    said = imp("inspect", log)
+    assert "beams          21 to 31" in said.out
+    assert "invalid beams  59.6 %" in said.out
+    assert "few valid beams" in said.out
+    assert "not in the log" in said.out
+
+
+def test_clocks_apart(imp, write) -> None:
+    log = write([scan(1.0), scan(2.0), WheelAngles(101.0, 0, 0), WheelAngles(102.0, 0, 0)])
+    assert "--set sensors.lidar.time_offset=100.000" in imp("inspect", log).out
+
+
+def test_the_odometry_that_would_fit(imp, write) -> None:
+    log = write([scan(1.0), OdometryPose(1.0, np.zeros(3)), OdometryPose(2.0, np.ones(3))])
+    assert "choose --set odometry.kind=odometry_pose" in imp("inspect", log).out
+    said = imp("inspect", log, "--set", "odometry.kind=odometry_pose")
+    assert "odometry_pose, 1.41 m, 57 deg" in said.out
+    assert "no problem found" in said.out

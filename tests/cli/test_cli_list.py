@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+import tomllib
+
+import pytest
+import tomli_w
+from pydantic import BaseModel
+
+from impslam.component import components, roles
+from impslam.config import load, presets
+
+
+def test_every_component_and_parameter_is_listed(imp) -> None:
+    said = imp("list")
+    assert said.code == 0
+    words = set(said.out.split())
+    for role in roles():
+        for kind, component in components(role).items():
+            assert {role, kind} <= words
+            for name, field in component.model_fields.items():
+                inner = isinstance(field.get_default(call_default_factory=True), BaseModel)
+                assert name == "path" or inner or name in words
+    assert set(presets()) <= words
+    assert {"arena", "room"} <= words
+
+
+@pytest.mark.parametrize("role", ["odometry", "sensors", "preset", "worlds"])
+def test_one_role(imp, role) -> None:
+    assert imp("list", role).out.splitlines()[0].startswith(role.rstrip("s"))
+
+
+def test_default_unit_and_sentence(imp) -> None:
+    line = next(s for s in imp("list", "odometry").out.splitlines() if " track " in f"{s} ")
+    field = components("odometry")["encoders"].model_fields["track"]
+    assert " m " in line
+    assert str(field.description)[:20] in line
+
+
+def test_inner_tables_are_dotted(imp) -> None:
+    assert "slip.forward" in imp("list", "odometry").out
+
+
+def test_unknown_role(imp) -> None:
+    said = imp("list", "filtre")
+    assert said.code == 2
+    assert "did you mean 'filter'?" in said.err
+
+
+@pytest.mark.parametrize("preset", presets())
+def test_config_round_trip(imp, tmp_path, preset) -> None:
+    said = imp("config", preset, "--set", "seed=7")
+    assert said.code == 0, said.err
+    assert tomllib.loads(said.out)["seed"] == 7
+    file = tmp_path / "config.toml"
+    file.write_text(said.out)
+    assert imp("config", file).out == said.out
+    assert tomli_w.dumps(load(file).resolved()) == said.out  # as text: nan is not equal to nan

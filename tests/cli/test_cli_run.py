@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impslam.cli import main
+from impslam.cli.job import FILES
+
+SAME = sorted(FILES - {"report.html", "report.png", "summary.json"})
+"""Figures that are times stand in the others."""
+
+
+@pytest.fixture(scope="module")
+def done(room, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run of the room."""
+    folder = tmp_path_factory.mktemp("runs") / "first"
+    assert main(["run", str(room), "-o", str(folder), "--quiet", "--seed", "3"]) == 0
+    return folder
+
+
+def test_the_folder_is_complete(done) -> None:
+    assert {path.name for path in done.iterdir()} == FILES
+    assert len(np.loadtxt(done / "trajectory.tum")) == 100
+
+
+def test_a_config_repeats_the_run_to_the_byte(imp, done, room, tmp_path) -> None:
+    said = imp("run", room, "-c", done / "config.toml", "-o", tmp_path)
+    assert said.code == 0, said.err
+    for name in SAME:
+        assert (tmp_path / name).read_bytes() == (done / name).read_bytes(), name
+    assert json.loads((done / "summary.json").read_text())["seed"] == 3
+
+
+def test_what_it_prints(imp, room, tmp_path) -> None:
+    said = imp("run", room, "-o", tmp_path)
+    assert said.code == 0
+    assert said.err == ""  # no progress bar where there is no terminal
+    words = " ".join(said.out.split())
+    assert "scans 100 used" in words
+    assert "2 cylinder, 4 wall" in words
+    assert "times real time" in words
+    assert f"report: {tmp_path / 'report.html'}" in words
+
+
+def test_quiet(imp, room, tmp_path) -> None:
+    assert imp("run", room, "-o", tmp_path, "--quiet").out == ""
+
+
+def test_it_writes_over_a_run_only(imp, room, done, tmp_path) -> None:
+    shutil.copytree(done, tmp_path / "run")
+    (tmp_path / "run" / "notes.txt").write_text("mine")
+    said = imp("run", room, "-o", tmp_path / "run", "--set", "filter.kind=ekf", "--seed", "4")
+    assert said.code == 0
+    assert (tmp_path / "run" / "notes.txt").read_text() == "mine"
+
+
+def test_default_folder(imp, room, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):  # within a second, as like as not
+        assert imp("run", room).code == 0
+    folders = list((tmp_path / "runs").iterdir())
+    assert len(folders) == 2
+    assert all(folder.name.startswith("room-") for folder in folders)
+
+
+def test_settings_and_topics(imp, room, tmp_path) -> None:
+    words = ["--set", "robot=other", "--set", "grid.resolution=0.1", "--topic", "imu="]
+    assert imp("run", room, "-o", tmp_path, *words[:4], "--topic", "scan=/scan").code == 0
+    config = (tmp_path / "config.toml").read_text()
+    assert 'robot = "other"' in config
+    assert "resolution = 0.1" in config
+    assert 'scan = "/scan"' in config
+    assert "resolution: 0.1" in (tmp_path / "map.yaml").read_text()
+
+
+def test_dropped_messages_are_explained(imp, room, tmp_path) -> None:
+    said = imp("run", room, "-o", tmp_path, "--set", "sensors.lidar.range_max=0.1")
+    assert said.code == 0
+    assert "100 x scan without valid beams" in said.out

@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+import csv
+import math
+
+import numpy as np
+
+from impslam.simulation.world import load_world
+from impslam.sources.rosbag import RosBag
+from impslam.types import LaserScan, TruePose
+
+BESIDE = (".mcap", ".truth.tum", ".landmarks.csv")
+
+
+def test_same_seed_same_bytes(imp, room, tmp_path) -> None:
+    for name, seed in (("again", 0), ("other", 1)):
+        assert imp("simulate", "room", "-o", tmp_path / f"{name}.mcap", "--seed", seed).code == 0
+    for ending in BESIDE:
+        assert (tmp_path / f"again{ending}").read_bytes() == (
+            room.with_name(f"room{ending}").read_bytes()
+        )
+    assert (tmp_path / "other.mcap").read_bytes() != room.read_bytes()
+
+
+def test_truth_stands_at_every_scan(room) -> None:
+    with RosBag(path=room) as source:
+        messages = list(source)
+    stamps = [m.stamp for m in messages if isinstance(m, LaserScan)]
+    poses = {m.stamp: m.pose for m in messages if isinstance(m, TruePose)}
+    rows = np.loadtxt(room.with_name("room.truth.tum"))
+    np.testing.assert_allclose(rows[:, 0], stamps, rtol=0.0, atol=1e-9)
+    true = np.array([poses[stamp] for stamp in stamps])
+    np.testing.assert_allclose(rows[:, 1:3], true[:, :2], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(rows[:, [3, 4, 5]], 0.0)
+    yaw = 2.0 * np.arctan2(rows[:, 6], rows[:, 7])
+    np.testing.assert_allclose(yaw, true[:, 2], rtol=0.0, atol=1e-9)
+
+
+def test_true_landmarks(room) -> None:
+    with room.with_name("room.landmarks.csv").open(newline="") as file:
+        rows = {row["name"]: row for row in csv.DictReader(file)}
+    world = load_world("room")
+    assert set(rows) == {part.name for part in (*world.walls, *world.cylinders)}
+    assert float(rows["near"]["x"]), float(rows["near"]["radius"]) == (0.5, 0.1)
+    east = rows["east"]
+    assert east["kind"] == "wall"
+    assert float(east["r"]) == 2.4
+    assert math.isclose(float(east["alpha"]), 0.0)
+    assert [float(east[k]) for k in ("x1", "y1", "x2", "y2")] == [2.4, -0.8, 2.4, 1.8]
+    assert east["radius"] == ""
+
+
+def test_a_world_of_ones_own(imp, tmp_path) -> None:
+    world = tmp_path / "own.toml"
+    world.write_text("[robot]\nwaypoints = [[0.5, 0.0]]\n[[walls]]\nstart=[-1,-1]\nend=[2,-1]\n")
+    said = imp("simulate", world, "-o", tmp_path / "deep" / "log.mcap")
+    assert said.code == 0, said.err
+    assert "'own'" in said.out

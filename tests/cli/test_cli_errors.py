@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 import impslam.cli.config
+from impslam.errors import SourceError
 from impslam.sources.recording import McapWriter
 from impslam.types import LaserScan, Message, WheelAngles
 
@@ -194,3 +196,17 @@ def test_closed_pipe_is_quiet() -> None:
         assert process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == ""
+
+
+def test_log_lines(imp, monkeypatch) -> None:
+    def speak(*_: object) -> None:
+        for level in (logging.DEBUG, logging.INFO, logging.WARNING):
+            logging.getLogger("impslam.sources").log(level, "a %s", "word")
+        raise SourceError("the end")
+
+    monkeypatch.setattr(impslam.cli.config, "load", speak)
+    warning, end = "imp: warning: a word\n", "imp: error: the end\n"
+    assert imp("config").err == warning + end
+    assert imp("config", "--quiet").err == end
+    assert imp("config", "-v").err == "imp: info: a word\n" + warning + end
+    assert imp("config", "--debug").err.startswith("imp: debug: a word\n")

@@ -11,7 +11,6 @@ from typing import Annotated, TypeAlias
 from cyclopts import Parameter
 from rich import box
 from rich.console import Console
-from rich.logging import RichHandler
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
@@ -58,6 +57,17 @@ class Common:
     debug: Flag = False
 
 
+class LogLines(logging.Handler):
+    """One line on stderr for each entry of the log, like the errors, so that both can be searched.
+
+    It writes to whatever `sys.stderr` is at the time: a progress bar takes its place and moves on.
+    """
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write an entry."""
+        sys.stderr.write(f"imp: {record.levelname.lower()}: {record.getMessage()}\n")
+
+
 def configure(common: Common | None) -> None:
     """Show the library's log on stderr, as much of it as was asked for."""
     common = common or Common()
@@ -66,8 +76,7 @@ def configure(common: Common | None) -> None:
     log = logging.getLogger("impslam")
     log.setLevel(level)
     log.propagate = False
-    handler = RichHandler(console=stderr(), show_path=common.debug, show_time=False, markup=False)
-    log.handlers[:] = [handler]
+    log.handlers[:] = [LogLines()]
 
 
 def stdout() -> Console:
@@ -117,6 +126,11 @@ def show_facts(facts: Mapping[str, str]) -> None:
     width = max(map(len, facts))
     for name, value in facts.items():
         say(f"{name:<{width}}  {value}")
+
+
+def show_problem(kind: str, count: int, example: str) -> None:
+    """Print what was wrong with a log: how often, and the first time."""
+    say(f"problem: {count} x {kind}: {example}")
 
 
 def say(text: str = "") -> None:

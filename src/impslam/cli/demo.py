@@ -138,6 +138,8 @@ def _show_times(clock: Clock, outcome: Outcome) -> None:
     parts = [f"{name} {seconds:.1f} s" for name, seconds in clock.parts.items()]
     if clock.compiling > FELT:
         parts.append(f"compile {clock.compiling:.1f} s (once; the next run has it ready)")
-    stages = {name: 1000 * float(np.mean(times)) for name, times in outcome.stages.items()}
+    stages = {name: 1000 * float(np.median(times)) for name, times in outcome.stages.items()}
     console.say("time: " + ", ".join(parts))
-    console.say("per scan: " + ", ".join(f"{name} {ms:.2f} ms" for name, ms in stages.items()))
+    console.say(
+        "median per scan: " + ", ".join(f"{name} {ms:.2f} ms" for name, ms in stages.items())
+    )

@@ -39,8 +39,7 @@ def inspect(
     console.say(f"{log}: {source.name}, preset {config or preset}")
     _show_streams(streams)
     _show_clocks(survey)
-    _show_scans(survey.beams)
-    _show_motion(survey, chosen)
+    console.show_facts(_scan_facts(survey.beams) | _motion_facts(survey, chosen))
     _show_problems(source, survey.problems)
 
 
@@ -75,41 +74,35 @@ def _show_clocks(survey: Survey) -> None:
     console.show_table(header, rows, numbers=6)
 
 
-def _show_scans(beams: Beams) -> None:
+def _scan_facts(beams: Beams) -> dict[str, str]:
     if not beams.counts:
-        return
+        return {"scans": "none"}
     low, high = beams.limits
     counts = sorted(beams.counts)
     several = f" to {counts[-1]}" if len(counts) > 1 else ""
     turns = f", {len(beams.starts)} start angles" if len(beams.starts) > 1 else ""
     sweep = f"{1000 * beams.sweep:.0f} ms" if beams.sweep else "not in the log; taken as instants"
-    console.show_facts(
-        {
-            "beams": f"{counts[0]}{several}",
-            "field of view": f"{math.degrees(beams.field_of_view):.1f} deg{turns}",
-            "sweep": sweep,
-            "range limits": f"{_number(low, 2)} to {_number(high, 2)} m, as the messages say",
-            "valid ranges": f"{beams.nearest:.2f} to {beams.farthest:.2f} m",
-            "invalid beams": f"{100 * beams.share_invalid:.1f} %",
-        }
-    )
+    said = f"{_number(low, 2)} to {_number(high, 2)} m, as the messages say"
+    return {
+        "beams": f"{counts[0]}{several}",
+        "field of view": f"{math.degrees(beams.field_of_view):.1f} deg{turns}",
+        "sweep": sweep,
+        "range limits": "not in the log" if math.isnan(low) and math.isnan(high) else said,
+        "valid ranges": f"{_number(beams.nearest, 2)} to {beams.farthest:.2f} m",
+        "invalid beams": f"{100 * beams.share_invalid:.1f} %",
+    }
 
 
-def _show_motion(survey: Survey, config: Config) -> None:
-    if survey.way or survey.rotation:
-        console.show_facts(
-            {
-                "odometry": f"{config.odometry['kind']}, {survey.way:.2f} m, "
-                f"{math.degrees(survey.rotation):.0f} deg of turns"
-            }
-        )
+def _motion_facts(survey: Survey, config: Config) -> dict[str, str]:
+    way, turns = f"{survey.way:.2f} m", f"{math.degrees(survey.rotation):.0f} deg of turns"
+    return {"odometry": f"{config.odometry['kind']}, {way}, {turns}"}
 
 
 def _show_problems(source: Source, found: Problems) -> None:
     console.say()
     for problems in (source.problems, found):
         for kind, count in problems.counts.items():
-            console.say(f"problem: {count} x {kind}: {problems.examples[kind]}")
+            console.show_problem(kind, count, problems.examples[kind])
     if not (source.problems.counts or found.counts):
         console.say("no problem found")
 

@@ -60,5 +60,5 @@ def show(outcome: Outcome, length: float, folder: Path) -> None:
         }
     )
     for kind, dropped in outcome.dropped.items():
-        console.say(f"{dropped.count} x {kind}, e.g. {dropped.example}")
+        console.show_problem(kind, dropped.count, dropped.example)
     console.say(f"report: {folder / 'report.html'}")

@@ -65,7 +65,9 @@ def landmarks_path(log: Path) -> Path:
 
 def write_log(world: World, log: Path, seed: int, shown: Any = None) -> int:
     """Write a simulated log and its truth; return the number of scans."""
-    tick = ticker(shown, "simulating", drive(world.robot).duration)
+    # Driving takes a moment, so only who watches learns beforehand how long the run will be.
+    duration = 0.0 if shown is None else drive(world.robot).duration
+    tick = ticker(shown, "simulating", duration)
     log.parent.mkdir(parents=True, exist_ok=True)
     with McapWriter(log) as writer:
         truth = list(_recorded(messages(world, seed=seed), writer.write, tick))

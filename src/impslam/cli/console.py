@@ -18,23 +18,33 @@ from rich.text import Text
 WIDTH = 120
 """Columns where there is no terminal to fit."""
 
-Flag: TypeAlias = Annotated[bool, Parameter(negative="")]
+Flag: TypeAlias = Annotated[bool, Parameter(negative="", show_default=False)]
 Settings: TypeAlias = Annotated[
     tuple[str, ...],
-    Parameter(name="--set", negative="", help="override a parameter: --set filter.kind=ekf"),
+    Parameter(
+        name="--set",
+        negative="",
+        show_default=False,
+        help="Override a parameter: --set filter.kind=ekf.",
+    ),
 ]
 Base: TypeAlias = Annotated[
     str | None,
     Parameter(
         name=["--config", "-c"],
-        help="a preset (`imp list presets`) or a TOML file [default: the preset that fits the log]",
+        help="A preset (`imp list presets`) or a TOML file. Default: the preset that fits the log.",
     ),
 ]
 Topics: TypeAlias = Annotated[
     tuple[str, ...],
-    Parameter(name="--topic", negative="", help="which topic plays a role: --topic scan=/scan"),
+    Parameter(
+        name="--topic",
+        negative="",
+        show_default=False,
+        help="Which topic plays a role: --topic scan=/scan.",
+    ),
 ]
-Seed: TypeAlias = Annotated[int | None, Parameter(help="seed of everything that is random")]
+Seed: TypeAlias = Annotated[int | None, Parameter(help="Seed of everything that is random.")]
 
 
 @Parameter(name="*")
@@ -53,7 +63,9 @@ class Common:
     """
 
     quiet: Flag = False
-    verbose: Annotated[bool, Parameter(name=["--verbose", "-v"], negative="")] = False
+    verbose: Annotated[
+        bool, Parameter(name=["--verbose", "-v"], negative="", show_default=False)
+    ] = False
     debug: Flag = False
 
 

@@ -22,7 +22,7 @@ def evaluate(
     *runs: Path,
     truth: Path | None = None,
     relations: Path | None = None,
-    delta: Annotated[float, Parameter(help="stretch of the relative pose error, m")] = 1.0,
+    delta: Annotated[float, Parameter(help="Stretch of the relative pose error, m.")] = 1.0,
     common: Common | None = None,
 ) -> None:
     """Print the errors of runs against a true path (TUM) or against measured relations.

@@ -37,7 +37,7 @@ def run(
     """
     changes = [*settings, *topic_settings(topics), *(() if seed is None else (f"seed={seed}",))]
     chosen, source = plan(log, config, changes)
-    folder = run_folder(output, log.name.split(".")[0] or log.name)
+    folder = run_folder(output, log.resolve().name.split(".")[0] or "log")
     quiet = common is not None and common.quiet
     distance = Distance()
     outcome = execute(chosen, source, folder, quiet, [distance])

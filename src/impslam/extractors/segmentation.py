@@ -15,7 +15,8 @@ import numpy as np
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Scan
 
-_GRAZING = math.sin(math.radians(10.0))  # below 10 deg of incidence range noise rules the spacing
+WALLS = math.radians(10.0)  # below 10 deg of incidence range noise rules the spacing
+OBJECTS = math.radians(25.0)  # what is steeper from point to point is the edge of an object
 _HOLE = math.radians(5.0)  # beams lost in a row over more than this may hide anything
 _HOLE_SLOPE = 2.0  # across lost beams a surface is taken to be met at 30 deg or steeper
 _NOISE = 3.0  # standard deviations
@@ -43,11 +44,11 @@ class Cloud:
 
 @kernel
 def gap_ratios(
-    points: Array, angles: Array, ranges: Array, variances: Array, spacing: float
+    points: Array, angles: Array, ranges: Array, variances: Array, spacing: float, grazing: float
 ) -> Array:
     """Return each point's distance to the next (cyclic) over what one surface explains.
 
-    A surface met at 10 deg or steeper spreads neighbouring points over r spacing / sin(10 deg)
+    A surface met at `grazing` spreads neighbours over r spacing / sin(grazing)
     (Borges and Aldon 2004, adaptive breakpoint detector), plus the noise of both.
     """
     n = len(ranges)
@@ -61,7 +62,7 @@ def gap_ratios(
             out[i] = math.inf
             continue
         lost = max(0.0, turn - spacing)
-        reach = min(ranges[i], ranges[j]) * (spacing / _GRAZING + _HOLE_SLOPE * lost)
+        reach = min(ranges[i], ranges[j]) * (spacing / math.sin(grazing) + _HOLE_SLOPE * lost)
         noise = _NOISE * math.sqrt(variances[i] + variances[j])
         distance = math.hypot(points[j, 0] - points[i, 0], points[j, 1] - points[i, 1])
         out[i] = distance / (reach + noise)
@@ -77,9 +78,17 @@ def _opening(ratios: Array, ranges: Array) -> int:
     return widest if ratios[widest] > 1.0 else int(np.argmax(ranges))
 
 
+def beam_spacing(scan: Scan) -> float:
+    """Return the mean angle between neighbouring beams, rad."""
+    return abs(float(scan.angles[-1] - scan.angles[0])) / max(len(scan.angles) - 1, 1)
+
+
 @lru_cache(maxsize=4)
-def segment(scan: Scan) -> Cloud:
-    """Return the valid points of a scan, cut into segments; computed once for all extractors."""
+def segment(scan: Scan, grazing: float = WALLS) -> Cloud:
+    """Return the valid points of a scan, cut where no surface met at `grazing` explains the gap.
+
+    Computed once for all extractors.
+    """
     index = np.flatnonzero(scan.valid)
     angles, ranges = scan.angles[index], scan.ranges[index]
     points, variances = scan.points[index], scan.sigmas[index] ** 2
@@ -87,8 +96,8 @@ def segment(scan: Scan) -> Cloud:
     beams = np.column_stack((np.cos(directions), np.sin(directions)))
     if len(index) < 2:
         return Cloud(index, points, beams, ranges, variances, np.array([0, len(index)]))
-    spacing = abs(float(scan.angles[-1] - scan.angles[0])) / (len(scan.angles) - 1)
-    ratios = gap_ratios(points, angles, ranges, variances, spacing)
+    spacing = beam_spacing(scan)
+    ratios = gap_ratios(points, angles, ranges, variances, spacing, grazing)
     shift = (_opening(ratios, ranges) + 1) % len(index)
     order = np.roll(np.arange(len(index)), -shift)
     cuts = np.flatnonzero(ratios[order] > 1.0) + 1

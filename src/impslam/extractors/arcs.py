@@ -1,0 +1,209 @@
+"""The whole visible arcs of cylinders in a scan, compiled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from impslam.geometry.circles import circle_start, fit_circle_core
+from impslam.geometry.kernels import kernel
+from impslam.geometry.lines import fit_line_core
+from impslam.types import Array, Ints, Mask
+
+_OUTLIER = 3.5  # standard deviations
+_FITS = 3  # the last two without an end point each, if it lies half on the background
+_LINE_GAIN = 16.0  # chi-square by which a circle must beat a line: one parameter, 4 sigma
+_CORNER_GAIN = 9.0  # chi-square by which a corner (a parameter more) beats a circle: 3 sigma
+_EDGE = 0.5  # of the beam spacing: an edge lies anywhere between a hit and the next miss
+
+COLUMNS = 12  # first, past the last, x, y, radius, covariance (3), bias (3), reduced chi2
+
+
+@kernel
+def find_arcs(
+    points: Array,
+    beams: Array,
+    variances: Array,
+    starts: Ints,
+    sides: Array,
+    limits: Array,
+    origin: Array,
+) -> Array:
+    """Return a row for each segment that is the whole visible side of a cylinder.
+
+    Parameters
+    ----------
+    points, beams, variances, starts : as in `Cloud`
+    sides : (m, 2, 3) direction and range of the beams before and after each point, range inf where
+        nothing came back, 0 where the scan ends
+    limits : known radius (NaN if unknown), least and largest radius (m), fewest points, largest
+        mean chi2, largest relative sigma of the radius, beam spacing (rad)
+    origin : (2,) m, laser
+    """
+    out = np.empty((len(starts), COLUMNS))
+    count = 0
+    for s in range(len(starts) - 1):
+        i, j = starts[s], starts[s + 1]
+        if j - i < limits[3] or not _plausible(points[i:j], sides[i:j], limits, origin):
+            continue
+        p, b, v, n = points[i:j], beams[i:j], variances[i:j], sides[i:j]
+        if _fit_arc(p, b, v, n, limits, origin, out[count]):
+            out[count, :2] += i
+            count += 1
+    return out[:count]
+
+
+@kernel
+def _plausible(points: Array, sides: Array, limits: Array, origin: Array) -> bool:
+    """Tell whether a segment stands before what is beside it, as wide as cylinders may be."""
+    first = math.hypot(points[0, 0] - origin[0], points[0, 1] - origin[1])
+    last = math.hypot(points[-1, 0] - origin[0], points[-1, 1] - origin[1])
+    if sides[0, 0, 2] <= first or sides[-1, 1, 2] <= last:
+        return False
+    width = math.hypot(points[-1, 0] - points[0, 0], points[-1, 1] - points[0, 1])
+    step = limits[6] * first
+    return 0.5 * limits[1] < width + 2.0 * step and width < 2.0 * limits[2] + 4.0 * step
+
+
+@kernel
+def _edges(beams: Array, sides: Array, origin: Array, sigma: float) -> Array:
+    """Return the rays half-way between the outermost hits and the misses beside them."""
+    edges = np.empty((2, 5))
+    for side in range(2):
+        k = 0 if side == 0 else len(beams) - 1
+        x, y = beams[k, 0] + sides[k, side, 0], beams[k, 1] + sides[k, side, 1]
+        length = max(math.hypot(x, y), 1e-12)
+        edges[side, 0], edges[side, 1] = origin[0], origin[1]
+        edges[side, 2], edges[side, 3] = x / length, y / length
+        edges[side, 4] = sigma
+    return edges
+
+
+@kernel
+def _start(points: Array, beams: Array, limits: Array, away: float) -> Array:
+    """Return where the fit starts: the algebraic circle, or one as wide as the arc."""
+    start = circle_start(points, beams, limits[0])
+    if math.isnan(limits[0]) and not (start[2] > 0.5 * limits[1] and start[2] < 2.0 * limits[2]):
+        start = circle_start(points, beams, 0.5 * away * limits[6] * len(points))
+    return start
+
+
+@kernel
+def _fit_arc(
+    points: Array,
+    beams: Array,
+    variances: Array,
+    sides: Array,
+    limits: Array,
+    origin: Array,
+    out: Array,
+) -> bool:
+    """Fit a cylinder to a segment and write its row; tell whether it is one."""
+    known = not math.isnan(limits[0])
+    middle = points[len(points) // 2]
+    away = math.hypot(middle[0] - origin[0], middle[1] - origin[1])
+    start = _start(points, beams, limits, away)
+    i, j = 0, len(points)
+    for _ in range(_FITS):
+        if j - i < limits[3]:
+            return False
+        edges = _edges(beams[i:j], sides[i:j], origin, _EDGE * limits[6] * away)
+        good, circle, cov, bias, chi2 = fit_circle_core(
+            points[i:j], beams[i:j], variances[i:j], edges, start, known
+        )
+        if not good:
+            return False
+        first, last = i, j
+        i, j = _trimmed(points, beams, variances, circle, i, j)
+        if i == first and j == last:
+            break
+    i, j = first, last
+    dof = j - i + 2 - (2 if known else 3)
+    if chi2 > limits[4] * dof or math.sqrt(cov[2, 2]) > limits[5] * circle[2]:
+        return False
+    if not _is_round(points[i:j], beams[i:j], variances[i:j], circle, chi2, limits, origin):
+        return False
+    out[0], out[1], out[2:5] = i, j, circle
+    out[5], out[6], out[7] = cov[0, 0], cov[0, 1], cov[1, 1]
+    out[8:11] = bias
+    out[11] = chi2 / dof
+    return True
+
+
+@kernel
+def _trimmed(
+    points: Array, beams: Array, variances: Array, circle: Array, i: int, j: int
+) -> tuple[int, int]:
+    """Return [i, j) without the outermost points if they are outliers."""
+    a = i + 1 if _off(points[i], beams[i], variances[i], circle) > _OUTLIER**2 else i
+    b = j - 1 if _off(points[j - 1], beams[j - 1], variances[j - 1], circle) > _OUTLIER**2 else j
+    return a, b
+
+
+@kernel
+def _off(point: Array, beam: Array, variance: float, circle: Array) -> float:
+    """Return the squared distance of a point from the circle, in its variances."""
+    dx, dy = point[0] - circle[0], point[1] - circle[1]
+    distance = max(math.hypot(dx, dy), 1e-12)
+    cosine = (dx * beam[0] + dy * beam[1]) / distance
+    off: float = distance - circle[2]
+    return off * off / (variance * (cosine * cosine + 0.01))
+
+
+@kernel
+def _is_round(
+    points: Array,
+    beams: Array,
+    variances: Array,
+    circle: Array,
+    chi2: float,
+    limits: Array,
+    origin: Array,
+) -> bool:
+    """Tell whether a fit is a cylinder: size, whole arc, better than a line or a corner."""
+    radius = circle[2]
+    vx, vy = circle[0] - origin[0], circle[1] - origin[1]
+    distance = math.hypot(vx, vy)
+    if radius < limits[1] or radius > limits[2] or distance <= 1.05 * radius:
+        return False
+    half = math.asin(radius / distance)
+    slack = max(2.0 * limits[6], 0.2 * half)
+    for k in (0, len(points) - 1):
+        bearing = abs(vx * beams[k, 1] - vy * beams[k, 0]) / distance
+        if bearing < math.sin(max(half - slack, 0.0)):
+            return False
+    if not fit_line_core(points, beams, variances, 0.0)[7] > chi2 + _LINE_GAIN:
+        return False
+    return _corner_misfit(points, beams, variances) > chi2 - _CORNER_GAIN
+
+
+@kernel
+def _corner_misfit(points: Array, beams: Array, variances: Array) -> float:
+    """Return the least chi2 of two lines through a segment, each with three points or more."""
+    best, n = math.inf, len(points)
+    for k in range(3, n - 2, max(1, n // 12)):
+        left = fit_line_core(points[:k], beams[:k], variances[:k], 0.0)[7]
+        right = fit_line_core(points[k:], beams[k:], variances[k:], 0.0)[7]
+        best = min(best, left + right)
+    return best
+
+
+@kernel
+def neighbours(index: Ints, directions: Array, ranges: Array, valid: Mask, closed: bool) -> Array:
+    """Return the `sides` of `find_arcs`: what the beams next to each point saw."""
+    n = len(ranges)
+    sides = np.empty((len(index), 2, 3))
+    for k in range(len(index)):
+        for side in range(2):
+            beam = index[k] + (1 if side == 1 else -1)
+            if closed:
+                beam %= n
+            if beam < 0 or beam >= n:
+                sides[k, side, 0], sides[k, side, 1] = math.cos(directions[index[k]]), 0.0
+                sides[k, side, 2] = 0.0
+                continue
+            sides[k, side, 0] = math.cos(directions[beam])
+            sides[k, side, 1] = math.sin(directions[beam])
+            sides[k, side, 2] = ranges[beam] if valid[beam] else math.inf
+    return sides

@@ -1,0 +1,91 @@
+"""Cylinders by a circle fit to whole visible arcs."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydantic import model_validator
+
+from impslam.component import parameter, register
+from impslam.extractors.arcs import find_arcs, neighbours
+from impslam.extractors.base import Extractor
+from impslam.extractors.segmentation import OBJECTS, beam_spacing, segment
+from impslam.types import Array, Observation, Scan
+
+
+@register("circle")
+class Circle(Extractor):
+    """Cylinders: a circle fit to arcs that stand free before the background, seen edge to edge.
+
+    The default for cylinders. A known `radius` makes the range of a centre 4 to 6 times better.
+    What is cut by the end of the scan or by something in front, touches a wall, or fits a line or
+    a corner as well as a circle, is skipped.
+    """
+
+    landmark = "cylinder"
+
+    radius: float | None = parameter(
+        None, "m", "Radius, if all cylinders have the same and it is known.", gt=0.0
+    )
+    radius_min: float = parameter(
+        0.03, "m", "Thinnest cylinder; below, a few millimetres of noise make a circle.", gt=0.0
+    )
+    radius_max: float = parameter(
+        0.4, "m", "Thickest cylinder; pillars and bins are thinner, rounded walls thicker.", gt=0.0
+    )
+    min_points: int = parameter(
+        5,
+        "1",
+        "Fewest beams on a cylinder; three make a circle, two more show that it is one.",
+        ge=4,
+    )
+    max_chi2: float = parameter(
+        3.0, "1", "Largest mean squared residual, in variances, of a round surface.", gt=1.0
+    )
+    max_radius_sigma: float = parameter(
+        0.25, "1", "Largest standard deviation of the radius, as a fraction of it.", gt=0.0
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Circle:
+        if self.radius_min >= self.radius_max:
+            raise ValueError("radius_min must be below radius_max")
+        return self
+
+    def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:
+        """Return the cylinders of the scan; see `Extractor.extract`."""
+        del rng
+        cloud, spacing = segment(scan, OBJECTS), beam_spacing(scan)
+        if len(cloud.index) < self.min_points:
+            return []
+        closed = len(scan.angles) * spacing > 2.0 * math.pi - 0.5 * spacing
+        sides = neighbours(cloud.index, scan.directions, scan.ranges, scan.valid, closed)
+        arcs = find_arcs(
+            cloud.points,
+            cloud.beams,
+            cloud.variances,
+            cloud.starts,
+            sides,
+            self._limits(spacing),
+            scan.origins[cloud.index[0]],
+        )
+        found = [_cylinder(row, cloud.index[int(row[0]) : int(row[1])], scan) for row in arcs]
+        return sorted(found, key=lambda o: int(o.beams[0]))
+
+    def _limits(self, spacing: float) -> Array:
+        low, high = self.radius_min, self.radius_max
+        if self.radius is not None:
+            low, high = 0.99 * self.radius, 1.01 * self.radius
+        known = math.nan if self.radius is None else self.radius
+        return np.array(
+            [known, low, high, self.min_points, self.max_chi2, self.max_radius_sigma, spacing]
+        )
+
+
+def _cylinder(row: Array, beams: np.ndarray, scan: Scan) -> Observation:
+    """Return a row of `find_arcs` as an observation of the centre."""
+    xx, xy, yy = row[5:8] * max(1.0, row[11])
+    shared = scan.bias * row[8:10]
+    R = np.array([[xx, xy], [xy, yy]]) + np.outer(shared, shared)
+    return Observation("cylinder", row[2:4].copy(), R, beams, None, {"radius": float(row[4])})

@@ -1,0 +1,157 @@
+"""The report's section on errors, where the truth is known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from impslam.errors import ImpError
+from impslam.evaluation.consistency import chi2_bounds, nees, pose_errors
+from impslam.evaluation.landmarks import LandmarkScore, TrueLandmark, score_landmarks
+from impslam.evaluation.trajectory import (
+    Pairs,
+    associate,
+    ate,
+    heading_errors,
+    interpolate,
+    move,
+    position_errors,
+    statistics,
+)
+from impslam.geometry.se2 import between, compose, inverse
+from impslam.observers.history import History
+from impslam.observers.page import Line, chart, escape, section, table, tiles
+from impslam.types import Array, Landmark
+
+SAME_PLACE = (0.05, math.radians(3.0))
+"""m and rad: a truth whose first pose is closer to the estimate's is taken to be in map."""
+
+
+def pairs_in_map(history: History) -> Pairs | None:
+    """Return estimate and truth side by side, the truth in map; None without a truth.
+
+    A tracking system has a frame of its own. Its truth is then laid so that both begin at the same
+    pose, which is where the filter's covariance begins, too.
+    """
+    if not len(history.true_path) or not len(history.path):
+        return None
+    try:
+        pairs = associate(history.path, history.true_path)
+    except ImpError:
+        return None
+    first = between(pairs.estimate[0], pairs.truth[0])
+    if math.hypot(first[0], first[1]) < SAME_PLACE[0] and abs(first[2]) < SAME_PLACE[1]:
+        return pairs
+    T_map_truth = compose(pairs.estimate[0], inverse(pairs.truth[0]))
+    return Pairs(pairs.stamps, pairs.estimate, move(T_map_truth, pairs.truth))
+
+
+def section_of(
+    pairs: Pairs | None,
+    history: History,
+    landmarks: Sequence[Landmark],
+    known: Sequence[TrueLandmark],
+) -> str:
+    """Return the section, empty where nothing is known."""
+    parts = []
+    if pairs is not None and len(pairs.stamps) > 1:
+        parts += [_figures(pairs, history), _charts(pairs, history)]
+    if known:
+        parts.append(_landmarks(score_landmarks(landmarks, known), landmarks, known))
+    note = "The truth comes from the log or the simulated world; the filter never sees it."
+    return section("Errors against the truth", *parts, note=note) if parts else ""
+
+
+def _figures(pairs: Pairs, history: History) -> str:
+    alone = associate(history.odometry, np.column_stack((pairs.stamps, pairs.truth)))
+    raw, aligned, wheels = ate(pairs, aligned=False), ate(pairs), ate(alone)
+    turn = statistics(heading_errors(pairs))
+    facts = {
+        "Path error (ATE)": (metres(aligned.rmse), f"RMS, aligned; at most {metres(aligned.max)}"),
+        "From the start": (metres(raw.rmse), f"RMS, not aligned; at most {metres(raw.max)}"),
+        "Odometry alone": (metres(wheels.rmse), "RMS, aligned"),
+        "Heading error": (f"{math.degrees(turn.rmse):.2f}°", "RMS"),
+        "End position": (metres(float(position_errors(pairs)[-1])), "off at the last scan"),
+    }
+    if normalised := _nees(pairs, history):
+        facts["NEES of the pose"] = normalised
+    return tiles(facts)
+
+
+def _nees(pairs: Pairs, history: History) -> tuple[str, str] | None:
+    P = _at(history, pairs.stamps)
+    sure = np.linalg.eigvalsh(P)[:, 0] > 1e-14  # not the first pose, which is so by definition
+    if not sure.any():
+        return None
+    values = nees(pose_errors(pairs.estimate, pairs.truth)[sure], P[sure])
+    low, high = chi2_bounds(3)
+    inside = 100.0 * np.mean(values < high)
+    return (
+        f"{values.mean():.1f}",
+        f"ideal 3; {inside:.0f} % below {high:.1f} ({low:.1f} to {high:.1f})",
+    )
+
+
+def _at(history: History, stamps: Array) -> Array:
+    rows = np.isin(history.path[:, 0], stamps)
+    return history.covariances[rows]
+
+
+def _charts(pairs: Pairs, history: History) -> str:
+    error = pose_errors(pairs.estimate, pairs.truth)
+    sigma = np.sqrt(np.maximum(np.diagonal(_at(history, pairs.stamps), axis1=1, axis2=2), 0.0))
+    t = pairs.stamps
+    charts = [
+        chart(f"{name} error in cm, band 3σ", t, [Line("", 100 * e, look)], 300 * s)
+        for name, look, e, s in (
+            ("x", "a", error[:, 0], sigma[:, 0]),
+            ("y", "b", error[:, 1], sigma[:, 1]),
+        )
+    ]
+    turn, spread = np.degrees(error[:, 2]), 3 * np.degrees(sigma[:, 2])
+    charts.append(chart("Heading error in degrees, band 3σ", t, [Line("", turn, "c")], spread))
+    true = np.column_stack((pairs.stamps, pairs.truth))
+    dead = interpolate(history.odometry, pairs.stamps) - true[:, 1:]
+    lines = [
+        Line("SLAM", 100 * position_errors(pairs), "a"),
+        Line("odometry", 100 * np.hypot(dead[:, 0], dead[:, 1]), "b"),
+    ]
+    charts.append(chart("Distance from the truth in cm", t, lines))
+    return f'<div class="charts">{"".join(charts)}</div>'
+
+
+def _landmarks(
+    score: LandmarkScore, landmarks: Sequence[Landmark], known: Sequence[TrueLandmark]
+) -> str:
+    marks = {mark.id: mark for mark in landmarks}
+    truth = {true.name: true for true in known}
+    rows = [
+        (
+            *(error.name, error.kind, _place(truth[error.name].position)),
+            *(_place(marks[error.id].position), metres(error.distance)),
+            *(f"{math.degrees(error.angle):.2f}°" if error.angle else "", metres(error.foot)),
+        )
+        for error in score.found
+    ]
+    rows += [
+        (name, truth[name].kind, _place(truth[name].position), "missing", "", "", "")
+        for name in score.missing
+    ]
+    header = ("landmark", "kind", "true x, y in m", "estimate", "error", "angle", "of the foot")
+    said = (
+        f"{len(score.found)} of {len(known)} found, {len(score.false)} false, "
+        f"{len(score.doubles)} double. The error of a wall is taken across it, at its middle; x, y "
+        "is the foot of its normal from the origin."
+    )
+    return f'<h2>Landmarks</h2><p class="note">{escape(said)}</p>' + table(header, rows, text=2)
+
+
+def _place(position: Array) -> str:
+    return f"{position[0]:.3f}, {position[1]:.3f}"
+
+
+def metres(value: float) -> str:
+    """Return a length in the unit that suits it."""
+    return f"{100.0 * value:.1f} cm" if value < 1.0 else f"{value:.2f} m"

@@ -1,0 +1,150 @@
+"""The report is one page that needs nothing else, for any run."""
+
+import re
+import time
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from tests.observers import runs
+
+from impslam.observers.base import Dropped
+from impslam.observers.history import History
+from impslam.observers.page import Line, chart
+from impslam.observers.recorder import Recorder
+from impslam.observers.report import Report, duration
+from impslam.simulation.world import TrueLandmark
+
+VOID = {"meta", "img", "path", "br"}
+
+
+class Balanced(HTMLParser):
+    """Checks that every tag is closed in its turn."""
+
+    def __init__(self):
+        super().__init__()
+        self.open = []
+
+    def handle_starttag(self, tag, attrs):
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if tag not in VOID:
+            assert self.open.pop() == tag
+
+
+def true_landmarks():
+    wall = {"r": 3.0, "alpha": 0.0}
+    ends = np.array([[3.0, -2.0], [3.0, 4.0]])
+    return [
+        TrueLandmark("column", "cylinder", np.array([0.0, 1.0]), {"radius": 0.1}),
+        TrueLandmark("east", "wall", np.array([3.0, 0.0]), wall, ends),
+        TrueLandmark("gone", "cylinder", np.array([2.0, 2.0]), {"radius": 0.1}),
+    ]
+
+
+def write(folder, n=50, truth=None, outcome=None, **options):
+    runs.play([Report(folder, **options)], n, truth, outcome)
+    assert (folder / "report.png").read_bytes().startswith(b"\x89PNG")
+    text = (folder / "report.html").read_text()
+    checker = Balanced()
+    checker.feed(text)
+    assert checker.open == []
+    return text
+
+
+def test_the_page_needs_no_network(tmp_path):
+    text = write(tmp_path, truth=runs.make_truth(), truth_landmarks=true_landmarks())
+    assert not re.search(r"https?://|<script|<link|@import|url\(", text)
+    assert 'src="data:image/png;base64,' in text
+    assert 'name="viewport"' in text
+    assert "prefers-color-scheme: dark" in text
+
+
+def test_it_says_what_was_found_and_what_was_dropped(tmp_path):
+    text = write(tmp_path)
+    for words in ("room.log", "1 cylinder, 1 wall", "250×", "nan ranges", "track = 0.3"):
+        assert words in text
+    assert "Errors against the truth" not in text
+
+
+def test_what_a_log_says_cannot_become_part_of_the_page(tmp_path):
+    assert "all &lt;NaN&gt;; check" in write(tmp_path)
+
+
+def test_errors_are_shown_where_the_truth_is_known(tmp_path):
+    text = write(tmp_path, truth=runs.make_truth(), truth_landmarks=true_landmarks())
+    assert "Errors against the truth" in text
+    assert "2 of 3 found, 0 false, 0 double" in text
+    assert "missing" in text
+    assert "NEES" in text
+
+
+def test_a_truth_in_a_frame_of_its_own_begins_where_the_estimate_does(tmp_path):
+    figure = re.compile(r'From the start</div><div class="figure">([^<]+)<')
+    here = write(tmp_path, truth=runs.make_truth())
+    there = write(tmp_path, truth=runs.make_truth(frame=(40.0, -7.0, 2.0)))
+    assert figure.search(here).group(1) == figure.search(there).group(1)
+
+
+def test_a_truth_of_another_time_is_left_out(tmp_path):
+    late = [runs.TruePose(p.stamp + 1e6, p.pose) for p in runs.make_truth()]
+    assert "Errors against" not in write(tmp_path, truth=late)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_a_run_of_hardly_any_scans_has_a_page(tmp_path, n):
+    nothing = {"landmarks": (), "stages": {"slam": np.empty(0)}, "wall_seconds": 0.0, "counts": {}}
+    outcome = runs.make_outcome(n, **nothing)
+    assert "No landmark" in write(tmp_path, n, runs.make_truth(), outcome)
+
+
+def test_the_grid_of_a_recorder_can_be_shared(tmp_path):
+    recorder = Recorder(tmp_path)
+    runs.play([recorder, Report(tmp_path, recorder.grid)])
+    shared = (tmp_path / "report.png").read_bytes()
+    write(tmp_path)
+    assert (tmp_path / "report.png").read_bytes() == shared
+
+
+def test_everything_used_is_said(tmp_path):
+    text = write(tmp_path, outcome=runs.make_outcome(dropped={}))
+    assert "Everything in the log was used" in text
+    many = {f"kind {i}": Dropped(1, "x") for i in range(3)}
+    assert "kind 2" in write(tmp_path, outcome=runs.make_outcome(dropped=many))
+
+
+def test_a_long_run_is_written_soon_and_small(tmp_path):
+    report = Report(tmp_path)
+    results = list(runs.make_results(200))
+    for i in range(14000):
+        result = results[i % 200]
+        moved = type(result)(0.1 * i, *(getattr(result, f) for f in result.__slots__[1:]))
+        report._history.step(moved)
+    begin = time.perf_counter()
+    report.finish(runs.make_outcome())
+    assert time.perf_counter() - begin < 6.0  # 3 s on a quiet core
+    assert (tmp_path / "report.html").stat().st_size < 2e6
+
+
+def test_history_keeps_what_it_saw():
+    history = History()
+    results = list(runs.make_results(5))
+    runs.play([history], 5)
+    np.testing.assert_array_equal(history.covariances, [r.covariance for r in results])
+    np.testing.assert_array_equal(history.odometry[:, 1:], [r.odometry for r in results])
+    np.testing.assert_allclose(history.sigmas[3], np.sqrt(np.diag(results[3].covariance)))
+    assert history.matches[3].tolist() == [1.0, results[3].matches[0].distance2, 2.0]
+
+
+@pytest.mark.parametrize("values", [[0.0, 0.0], [np.nan, np.nan], [1e-9, 2e-9], [-5.0, np.nan]])
+def test_charts_of_odd_values(values):
+    text = chart("t", np.array([0.0, 1.0]), [Line("", np.array(values))], np.array([1.0, 2.0]))
+    assert text.count("tick y") >= 2
+
+
+def test_durations_are_said_as_people_say_them():
+    assert duration(7.25) == "7.2 s"
+    assert duration(754.0) == "12 min 34 s"
+    assert duration(3 * 3600 + 125) == "3 h 02 min"

@@ -64,3 +64,13 @@ def test_the_odometry_that_would_fit(imp, write) -> None:
     said = imp("inspect", log, "--set", "odometry.kind=odometry_pose")
     assert "odometry_pose, 1.41 m, 57 deg" in said.out
     assert "no problem found" in said.out
+
+
+@pytest.mark.real
+def test_real_logs(imp, data_folder) -> None:
+    said = imp("inspect", data_folder / "turtlebot3" / "turtlebot3.bag", "-c", "turtlebot3-waffle")
+    words = " ".join(said.out.split())
+    assert said.code == 0, said.err
+    assert "LaserScan 457 5.0" in words
+    assert "beams 360" in words
+    assert "odometry encoders, 2" in words

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impslam.cli import main
+from impslam.cli import main, progress
 from impslam.cli.job import FILES
+from impslam.evaluation.tum import read_tum
+from impslam.observers import trajectory
 
 SAME = sorted(FILES - {"report.html", "report.png", "summary.json"})
 """Figures that are times stand in the others."""
@@ -81,3 +83,21 @@ def test_dropped_messages_are_explained(imp, room, tmp_path) -> None:
     said = imp("run", room, "-o", tmp_path, "--set", "sensors.lidar.range_max=0.1")
     assert said.code == 0
     assert "problem: 100 x scan without valid beams: " in said.out
+
+
+def test_an_interrupted_run_leaves_whole_rows_and_a_folder_to_use_again(
+    imp, room, tmp_path, monkeypatch
+) -> None:
+    steps = iter(range(60))
+    with monkeypatch.context() as patch:
+        patch.setattr(trajectory, "FLUSH", 10)
+        patch.setattr(progress.Bar, "step", lambda *_: next(steps, None) == 55 and interrupt())
+        said = imp("run", room, "-o", tmp_path)
+    assert (said.code, said.err.count("\n")) == (130, 1)
+    assert read_tum(tmp_path / "trajectory.tum").shape == (50, 4)
+    assert imp("run", room, "-o", tmp_path).code == 0
+    assert read_tum(tmp_path / "trajectory.tum").shape == (100, 4)
+
+
+def interrupt() -> None:
+    raise KeyboardInterrupt

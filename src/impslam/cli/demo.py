@@ -15,10 +15,10 @@ from numba.core import event
 
 from impslam.cli import console
 from impslam.cli.console import Base, Common, Settings
+from impslam.cli.ending import EndOfRun, corners
 from impslam.cli.job import execute, plan, run_folder
 from impslam.cli.progress import display
 from impslam.cli.simulate import landmarks_path, truth_path, write_log
-from impslam.demo import EndOfRun, corners
 from impslam.evaluation.landmarks import score_landmarks
 from impslam.geometry.angles import wrap
 from impslam.observers.base import Outcome
@@ -60,7 +60,7 @@ def demo(
     start = list(map(float, world.robot.start))
     with clock("map and report"):
         chosen, source = plan(log, config, [f"start={start}", f"seed={seed}", *settings])
-        outcome = execute(chosen, source, folder, quiet, [end])
+        outcome = execute(chosen, source, folder, quiet, [end], world.landmarks())
     if not quiet:
         _show_landmarks(world.landmarks(), outcome)
         _show_end(end)

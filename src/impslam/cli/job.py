@@ -12,8 +12,10 @@ from impslam.cli import progress
 from impslam.component import explain
 from impslam.config import Config, load
 from impslam.errors import ConfigError, ImpError
+from impslam.evaluation.landmarks import TrueLandmark
 from impslam.observers.base import Observer, Outcome
 from impslam.observers.recorder import Recorder
+from impslam.observers.report import Report
 from impslam.pipeline import run
 from impslam.sources.base import Source, recognise
 
@@ -48,15 +50,24 @@ def topic_settings(topics: Sequence[str]) -> list[str]:
 
 
 def execute(
-    config: Config, source: Source, folder: Path, quiet: bool, more: Iterable[Observer] = ()
+    config: Config,
+    source: Source,
+    folder: Path,
+    quiet: bool,
+    more: Iterable[Observer] = (),
+    known: Sequence[TrueLandmark] = (),
 ) -> Outcome:
-    """Run a log, write the run folder, and show how far it has come."""
+    """Run a log, write the run folder, and show how far it has come.
+
+    `known` are the true landmarks, for the report alone.
+    """
     created = not folder.exists()
     _clear(folder)
     try:
         with progress.display(quiet) as shown:
             recorder = Recorder(folder, config.grid.resolution)
-            return run(config, source, [progress.Bar(source, shown), recorder, *more])
+            report = Report(folder, recorder.grid, known)
+            return run(config, source, [progress.Bar(source, shown), recorder, report, *more])
     except ImpError:
         _clear(folder)
         if created and folder.is_dir() and not any(folder.iterdir()):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from impslam.demo import EndOfRun, corners
+from impslam.cli.ending import EndOfRun, corners
 from impslam.simulation.world import load_world
 from impslam.types import StepResult, TruePose
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from impslam.component import components
-from impslam.geometry.se2 import compose, transform
+from impslam.geometry.se2 import compose, exp, transform
 from impslam.landmarks.wall import Wall
 from impslam.types import Observation
 from tests.numeric import jacobian, wrapped
@@ -193,3 +193,22 @@ def test_overlap_jacobian_along_the_wall():
     by_m = jacobian(lambda d: place(pose, wall.retract(m[None], d[None])[0]), np.zeros(3))[0]
     np.testing.assert_allclose(overlap.gap_D_pose[0], by_pose, atol=1e-6)
     np.testing.assert_allclose(overlap.gap_D_m[0], by_m, atol=1e-6)
+
+
+def test_no_observation_tells_of_a_motion_of_everything(model, rng):
+    """Robot and map moved together look the same; how a landmark moves agrees with differences."""
+    pose = np.array([2.0, -3.0, 2.5])
+    pose_D_motion = jacobian(lambda xi: compose(exp(xi), pose), np.zeros(3))
+    for observation in observations(model, rng):
+        m = model.initialise(pose, observation).m[None]
+        m_D_motion, seen = model.m_D_motion(m)[0], model.predict(pose, m)
+        np.testing.assert_allclose(
+            seen.z_D_pose[0] @ pose_D_motion + seen.z_D_m[0] @ m_D_motion, 0.0, atol=1e-8
+        )
+
+        def moved(xi, m=m):
+            there = transform(exp(xi), m[0, :2])
+            whole = np.append(there, m[0, 2:] + xi[2])
+            return local(model, m[0], whole)
+
+        np.testing.assert_allclose(m_D_motion, jacobian(moved, np.zeros(3)), atol=1e-8)

@@ -88,6 +88,14 @@ class LandmarkModel(Component):
         """Return landmarks m (k, dim) moved by perturbations delta (k, dim)."""
 
     @abstractmethod
+    def m_D_motion(self, m: Array) -> Array:
+        """Return how landmarks m (k, dim) change as the whole map moves rigidly by a little.
+
+        (k, dim, 3), by a motion [x, y, theta] about the map origin. No observation tells anything of
+        such a motion of map and robot together; filters that care for consistency need to know it.
+        """
+
+    @abstractmethod
     def report(self, m: Array) -> Report:
         """Return one landmark (dim,) in the form users read."""
 

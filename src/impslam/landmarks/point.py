@@ -56,6 +56,13 @@ class Point(LandmarkModel):
         """Return m + delta."""
         return m + delta
 
+    def m_D_motion(self, m: Array) -> Array:
+        """Return [I, (-y, x)]; see `LandmarkModel.m_D_motion`."""
+        out = np.zeros((len(m), 2, 3))
+        out[:, 0, 0] = out[:, 1, 1] = 1.0
+        out[:, 0, 2], out[:, 1, 2] = -m[:, 1], m[:, 0]
+        return out
+
     def report(self, m: Array) -> Report:
         """Return the point itself."""
         return Report(m.copy(), {}, np.eye(2))

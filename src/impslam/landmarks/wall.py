@@ -94,6 +94,16 @@ class Wall(LandmarkModel):
         moved[:, 2] = wrap(m[:, 2] + delta[:, 2])
         return moved
 
+    def m_D_motion(self, m: Array) -> Array:
+        """Return R(phi)^T [I, (-y, x)] over [0, 0, 1]; see `LandmarkModel.m_D_motion`."""
+        c, s = np.cos(m[:, 2]), np.sin(m[:, 2])
+        out = np.zeros((len(m), 3, 3))
+        out[:, 0, 0], out[:, 0, 1], out[:, 1, 0], out[:, 1, 1] = c, s, -s, c
+        out[:, 0, 2] = s * m[:, 0] - c * m[:, 1]
+        out[:, 1, 2] = c * m[:, 0] + s * m[:, 1]
+        out[:, 2, 2] = 1.0
+        return out
+
     def report(self, m: Array) -> Report:
         """Return the foot of the normal from the map origin, r >= 0 and alpha (thesis Fig. 20)."""
         c, s = math.cos(m[2]), math.sin(m[2])

@@ -1,0 +1,84 @@
+"""The right-invariant EKF for SLAM (Barrau & Bonnabel 2015; Zhang et al. 2017).
+
+Robot and map, moved rigidly together, look the same: three directions of the state that nothing
+observes. In the coordinates of the textbook EKF they are the columns of G(x) = d(state)/d(motion) and
+depend on the estimate through the lever arms from the map origin. Each correction changes x, so what
+was unobservable is not quite any more, and out of the mismatch the EKF learns a heading that nothing
+tells (Julier & Uhlmann 2001; Huang, Mourikis & Roumeliotis 2010).
+
+Here the error is (xi, e): xi = [x, y, theta] moves everything, e_i is what remains of a landmark's,
+
+    T = exp(xi) T^,    m_i = exp(xi) m^_i [+] e_i,
+
+in which the three directions are xi alone, for ever. Zhang et al.'s error of a point is e_i plus the
+translation of xi: a constant change of coordinates, which no EKF notices. A wall's e_i is in the wall's
+own frame, as its perturbation is.
+
+**Kept in additive coordinates.** To first order the perturbation that the rest of the package speaks
+is delta = G(x) xi + (0, e). A prediction moves the pose alone; it is that of the EKF exactly, three
+rows of P and no more. A correction moves the state from x to x+ while (xi, e) keep their covariance, so
+that of the perturbation becomes that of
+
+    delta+ = delta + (G(x+) - G(x)) xi,
+
+an update of P of rank two (six with walls): one more pass over half of P for each scan. That alone tells
+this filter from `ekf`. The group's exponential would also turn a correction's translation by half its
+rotation; over 400 steps at 3 degrees each that changes no figure's third digit, so it is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg.blas import dsyr2k
+
+from impslam.component import register
+from impslam.filters.atlas import Atlas
+from impslam.filters.belief import POSE, GaussianBelief
+from impslam.filters.ekf import Ekf
+from impslam.types import Array, Match, Observation
+
+
+def pose_D_motion(pose: Array) -> Array:
+    """Return the Jacobian (3, 3) of a pose by a small rigid motion about the map origin."""
+    return np.array([[1.0, 0.0, -pose[1]], [0.0, 1.0, pose[0]], [0.0, 0.0, 1.0]])
+
+
+def state_D_motion(belief: GaussianBelief, atlas: Atlas) -> Array:
+    """Return G (n, 3): how pose and landmarks change as everything moves rigidly by a little."""
+    G = np.empty((belief.n, 3))
+    G[:POSE] = pose_D_motion(belief.mean)
+    for table in atlas.tables():
+        G[table.columns] = table.model.m_D_motion(table.states(belief.mean))
+    return G
+
+
+def shear(belief: GaussianBelief, A: Array, xi_D_pose: Array) -> None:
+    """Change P to that of delta + A xi, in place.
+
+    A is (n, k), and xi = xi_D_pose delta_pose with xi_D_pose (k, 3).
+    """
+    n, P = belief.n, belief.P
+    pose = belief.pose_covariance()
+    with_xi = np.concatenate([pose, P[POSE:n, :POSE]]) @ xi_D_pose.T  # cov(delta, xi)
+    of_xi = xi_D_pose @ pose @ xi_D_pose.T
+    left, right = (np.zeros((len(P), A.shape[1]), order="F") for _ in range(2))
+    left[:n], right[:n] = A, with_xi + 0.5 * A @ of_xi
+    belief.P = dsyr2k(1.0, left, right, beta=1.0, c=P, lower=1, overwrite_c=1)
+
+
+@register("riekf")
+class RightInvariantEkf(Ekf):
+    """The right-invariant EKF: it cannot learn which way the map lies from looking at it."""
+
+    def correct(self, observations: Sequence[Observation], matches: Sequence[Match]) -> None:
+        """Take all matches in, and carry the covariance over to the new state."""
+        if not matches:
+            return
+        before = state_D_motion(self._belief, self._atlas)
+        xi_D_pose = pose_D_motion(-self.pose)  # the inverse of pose_D_motion(pose)
+        super().correct(observations, matches)
+        A = state_D_motion(self._belief, self._atlas) - before
+        changed = A.any(axis=0)  # points alone leave only the heading's column
+        shear(self._belief, A[:, changed], xi_D_pose[changed])

@@ -1,0 +1,63 @@
+"""The right-invariant EKF: what nothing observes stays unknown, to the last digit."""
+
+import numpy as np
+import pytest
+
+from impslam.component import components
+from impslam.filters.riekf import RightInvariantEkf, pose_D_motion, shear, state_D_motion
+from impslam.geometry.se2 import compose, exp
+from tests.filters.test_belief import random_belief
+from tests.filters.test_filters import step
+from tests.filters.worlds import MODELS, drive, observe
+from tests.numeric import jacobian
+
+
+@pytest.mark.parametrize("k", [1, 3])
+def test_shear_is_s_p_st(rng, k):
+    belief, P, _, _ = random_belief(rng)
+    A, xi_D_pose = rng.normal(size=(belief.n, k)), rng.normal(size=(k, 3))
+    shear(belief, A, xi_D_pose)
+    S = np.eye(belief.n)
+    S[:, :3] += A @ xi_D_pose
+    np.testing.assert_allclose(belief.covariance, S @ P @ S.T, atol=1e-10)
+
+
+def test_pose_moves_with_the_map():
+    pose = np.array([3.0, -2.0, 3.1])
+    numeric = jacobian(lambda xi: compose(exp(xi), pose), np.zeros(3))
+    np.testing.assert_allclose(pose_D_motion(pose), numeric, atol=1e-9)
+
+
+START_SIGMA = 0.3
+
+
+def noisy_run(belief, steps=80):
+    """Yield after each step of a run with points and walls from a start known only roughly."""
+    belief.start(np.zeros(3), START_SIGMA**2 * np.eye(3), MODELS)
+    rng = np.random.default_rng(8)
+    for pose, increment in drive(steps, rng):
+        step(belief, increment, observe(pose, rng))
+        yield belief
+
+
+def about_a_motion_of_everything(belief):
+    """Return the information (3, 3) that a belief holds about where robot and map lie as a whole."""
+    G = state_D_motion(belief.belief, belief._atlas)
+    return G.T @ np.linalg.solve(belief.belief.covariance, G)
+
+
+def test_a_rigid_motion_of_everything_never_gains_information():
+    """What the start gave can only fade: the eigenvalues of its information never grow."""
+    last = np.eye(3) / START_SIGMA**2
+    for belief in noisy_run(RightInvariantEkf()):
+        now = about_a_motion_of_everything(belief)
+        assert np.linalg.eigvalsh(last - now).min() > -1e-6
+        last = now
+    # Only the motion before the first landmark was seen took some of it away.
+    assert np.linalg.eigvalsh(now).min() > 0.98 / START_SIGMA**2
+
+
+def test_the_textbook_filter_gains_it_from_nothing():
+    """On the same run the EKF ends far surer of the map's heading than it was at the start."""
+    *_, belief = noisy_run(components("filter")["ekf"]())
+    assert about_a_motion_of_everything(belief)[2, 2] > 2.0 / START_SIGMA**2

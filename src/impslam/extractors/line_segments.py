@@ -294,14 +294,15 @@ def _share_corners(
     beams: Array,
     variances: Array,
     flat2: float,
-    pieces: Array,
+    pieces: Ints,
     lines: Array,
-    label: Array,
+    label: Ints,
 ) -> None:
     """Give the points where two pieces meet to the line that they are nearer to; fit again."""
     for a in range(len(pieces) - 1):
         b, cut = a + 1, pieces[a, 1]
-        if pieces[b, 0] != cut:
+        # Fragments too short for a piece are shared too.
+        if pieces[b, 0] - cut >= _MIN_PIECE:
             continue
         first, last = pieces[a, 0] + _MIN_PIECE, pieces[b, 1] - _MIN_PIECE
         one, two = lines[a], lines[b]
@@ -309,7 +310,7 @@ def _share_corners(
             cut -= 1
         while cut < last and _nearer(points, beams, variances, flat2, cut, one, two):
             cut += 1
-        if cut != pieces[a, 1]:
+        if cut != pieces[a, 1] or cut != pieces[b, 0]:
             pieces[a, 1] = pieces[b, 0] = cut
             label[pieces[a, 0] : cut], label[cut : pieces[b, 1]] = a, b
             _fit(points, beams, variances, flat2, label, a, one)

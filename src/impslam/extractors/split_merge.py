@@ -63,7 +63,7 @@ class SplitMerge(Extractor):
         return [_wall(found, int(k), scan, self.flatness) for k in np.flatnonzero(keep)]
 
 
-def covariance(found: Segments, k: int, scan: Scan, flatness: float) -> Array:
+def covariance(found: Segments, k: int, bias: float, flatness: float) -> Array:
     """Return the (2, 2) covariance of [rho, alpha] of a segment, of all that is not known of it.
 
     Noise of the beams (scaled up where the residuals are larger than it), the error that all
@@ -72,7 +72,7 @@ def covariance(found: Segments, k: int, scan: Scan, flatness: float) -> Array:
     rr, ra, aa, b_r, b_a = found.lines[k, 2:7]
     scale = max(1.0, float(found.reduced_chi2[k]))
     noise = scale * np.array([[rr, ra], [ra, aa]])
-    shared = scan.bias * np.array([b_r, b_a])
+    shared = bias * np.array([b_r, b_a])
     first, last = found.end_points[k]
     alpha = found.lines[k, 1]
     arm = float(np.array([-math.sin(alpha), math.cos(alpha)]) @ (first + last)) / 2.0
@@ -85,7 +85,7 @@ def covariance(found: Segments, k: int, scan: Scan, flatness: float) -> Array:
 def _wall(found: Segments, k: int, scan: Scan, flatness: float) -> Observation:
     """Return a segment as a wall whose normal points away from the laser."""
     rho, alpha = float(found.lines[k, 0]), float(found.lines[k, 1])
-    R = covariance(found, k, scan, flatness)
+    R = covariance(found, k, scan.bias, flatness)
     from_laser = rho - math.cos(alpha) * scan.laser[0] - math.sin(alpha) * scan.laser[1]
     if from_laser < 0.0:
         rho, alpha = -rho, alpha + math.pi

@@ -63,6 +63,13 @@ def test_missing_false_and_doubles():
     assert score.false == (3,)
 
 
+def test_kinds_that_the_truth_says_nothing_of_are_not_judged():
+    corner = Landmark(9, "corner", np.zeros(2), {}, np.eye(2), None, 5, 0.0, 1.0)
+    score = score_landmarks([corner, cylinder(1, 0, 0)], [true_cylinder("a", 0, 0)])
+    assert score.false == ()
+    assert score.doubles == ()
+
+
 @pytest.mark.parametrize("estimates", [[], [cylinder(1, 0, 0)]])
 @pytest.mark.parametrize("truth", [[], [true_cylinder("a", 0, 0)]])
 def test_nothing_is_fine(estimates, truth):

@@ -77,7 +77,12 @@ class LandmarkScore:
 def score_landmarks(
     estimates: Sequence[Landmark], truth: Sequence[TrueLandmark], gate: float = GATE
 ) -> LandmarkScore:
-    """Assign estimates to the truth one to one, so that the sum of the distances is least."""
+    """Assign estimates to the truth one to one, so that the sum of the distances is least.
+
+    Estimates of kinds that the truth has none of are not judged.
+    """
+    kinds = {true.kind for true in truth}
+    estimates = [mark for mark in estimates if mark.kind in kinds]
     cost = np.array([[_apart(mark, true) for mark in estimates] for true in truth])
     cost = cost.reshape(len(truth), len(estimates))
     near = cost <= gate

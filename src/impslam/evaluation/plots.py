@@ -23,7 +23,8 @@ from impslam.types import Array, Landmark
 
 INK, PALE = "#37424d", "#8a949e"
 PATH, ODOMETRY, TRUTH, WALL, POINT = "#d81b60", "#f2a03d", "#15803d", "#2563eb", "#7c3aed"
-GREYS = ListedColormap(["#eef0f2", "#ffffff", "#9aa4ae"])  # unknown, free, occupied
+UNKNOWN = "#eceef1"
+GREYS = ListedColormap([UNKNOWN, "#ffffff", "#7d8892"])  # unknown, free, occupied
 SIGMAS = 3.0
 MAX_POINTS = 4000
 """Points of a drawn path: more than the picture has pixels along it."""
@@ -47,17 +48,19 @@ def map_png(scene: Scene, dpi: int = 160) -> bytes:
     left, right, bottom, top = _bounds(scene)
     width, height = right - left, top - bottom
     inches = np.array([width, height]) * (9.0 / max(width, 0.9 * height))
-    figure = Figure(figsize=(max(inches[0], 4.5) + 0.8, max(inches[1], 2.5) + 1.4), dpi=dpi)
+    figure = Figure(figsize=tuple(inches), dpi=dpi)
     FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), facecolor=UNKNOWN)
     _draw_grid(axes, scene.image)
-    _draw_paths(axes, scene)
-    _draw_landmarks(axes, scene.landmarks)
+    thickness = float(np.clip(15.0 / max(width, height), 0.5, 1.0))
+    _draw_paths(axes, scene, thickness)
+    _draw_landmarks(axes, scene.landmarks, thickness)
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     _style(axes)
     keys = _keys(scene)
     columns = 3 if inches[0] < 7 else 4
-    figure.legend(handles=keys, loc="outside upper center", ncols=columns, frameon=False)
+    place: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
+    axes.legend(handles=keys, ncols=columns, **place)
     stream = io.BytesIO()
     options = {"Software": None}  # no version in the file: the same picture, the same bytes
     figure.savefig(stream, format="png", bbox_inches="tight", pad_inches=0.12, metadata=options)
@@ -78,13 +81,13 @@ def _bounds(scene: Scene) -> tuple[float, float, float, float]:
 
 def _draw_grid(axes: Any, image: MapImage) -> None:
     classes = (image.pixels == FREE).astype(np.uint8) + 2 * (image.pixels == OCCUPIED)
-    extent, look = image.extent, {"interpolation": "nearest", "resample": True}
-    axes.imshow(classes, cmap=GREYS, vmin=0, vmax=2, extent=extent, zorder=0, **look)
+    look = {"interpolation": "antialiased", "interpolation_stage": "rgba", "extent": image.extent}
+    axes.imshow(classes, cmap=GREYS, vmin=0, vmax=2, zorder=0, **look)
 
 
-def _draw_paths(axes: Any, scene: Scene) -> None:
-    axes.plot(*_thin(scene.odometry).T, color=ODOMETRY, lw=1.0, zorder=2)
-    axes.plot(*_thin(scene.path).T, color=PATH, lw=1.6, zorder=4)
+def _draw_paths(axes: Any, scene: Scene, thickness: float) -> None:
+    axes.plot(*_thin(scene.odometry).T, color=ODOMETRY, lw=1.2 * thickness, zorder=2)
+    axes.plot(*_thin(scene.path).T, color=PATH, lw=1.8 * thickness, zorder=4)
     axes.plot(*_thin(scene.truth).T, color=TRUTH, lw=1.2, ls=(0, (5, 3)), zorder=5)
     if len(scene.path):
         look = {"mec": "white", "mew": 1.2, "zorder": 8, "ls": ""}
@@ -100,7 +103,7 @@ def _thin(path: Array) -> Array:
     return np.vstack((path[:-1:step], path[-1]))
 
 
-def _draw_landmarks(axes: Any, landmarks: Sequence[Landmark]) -> None:
+def _draw_landmarks(axes: Any, landmarks: Sequence[Landmark], thickness: float) -> None:
     labelled = len(landmarks) <= MAX_LABELS
     for mark in landmarks:
         place = mark.position if mark.end_points is None else mark.end_points.mean(axis=0)
@@ -108,7 +111,7 @@ def _draw_landmarks(axes: Any, landmarks: Sequence[Landmark]) -> None:
             _draw_point(axes, mark)
         else:
             ends = {"solid_capstyle": "round", "alpha": 0.75}
-            axes.plot(*mark.end_points.T, color=WALL, lw=3.0, zorder=3, **ends)
+            axes.plot(*mark.end_points.T, color=WALL, lw=3.5 * thickness, zorder=3, **ends)
         if labelled:
             box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.7}
             look = {"ha": "left", "va": "bottom", "fontsize": 7.5, "color": INK, "bbox": box}

@@ -145,7 +145,9 @@ def _landmarks(
         f"{len(score.doubles)} double. The error of a wall is taken across it, at its middle; x, y "
         "is the foot of its normal from the origin."
     )
-    return f'<h2>Landmarks</h2><p class="note">{escape(said)}</p>' + table(header, rows, text=2)
+    return f'<h2>Landmarks against the truth</h2><p class="note">{escape(said)}</p>' + table(
+        header, rows, text=2
+    )
 
 
 def _place(position: Array) -> str:

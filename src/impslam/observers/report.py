@@ -21,6 +21,8 @@ from impslam.observers.page import Line, chart, escape, folded, page, section, t
 from impslam.observers.summary import config_toml, real_time_factor, stage_times, versions
 from impslam.types import Landmark, StepResult, TruePose
 
+ANGLES = {"alpha": "α", "angle": "angle", "heading": "heading"}
+"""Parameters that are angles, and how they are called."""
 NO_LANDMARKS = "<p>No landmark was found. The path is dead reckoning.</p>"
 
 
@@ -79,7 +81,7 @@ class Report(Observer):
 
 MAP_NOTE = (
     "White is free, grey is occupied, pale grey was never seen. Ellipses hold a point with 98.9 % "
-    "probability (3σ). Numbers are those of the landmark table."
+    "probability (3σ). Numbers, where there are few, are those of the landmark table."
 )
 
 
@@ -209,8 +211,8 @@ def parameters(mark: Landmark) -> str:
     names = {"r": "r {:.3f} m", "radius": "radius {:.3f} m"}
     shown = []
     for name, value in mark.parameters.items():
-        if name == "alpha":
-            shown.append(f"α {math.degrees(value):.1f}°")
+        if name in ANGLES:
+            shown.append(f"{ANGLES[name]} {math.degrees(value):.1f}°")
         elif name not in ("x", "y"):
             shown.append(names.get(name, name + " {:g}").format(value))
     return ", ".join(shown)

@@ -142,6 +142,13 @@ def test_output_that_cannot_be_made(imp, room, tmp_path) -> None:
     fails(imp("simulate", "room", "-o", tmp_path / "file" / "x.mcap"), "file")
 
 
+def test_output_within_the_log(imp, tmp_path) -> None:
+    (tmp_path / "a_motors.txt").write_text("M 0 0 0 0 0 0 0 0 0 0\nM 100 9 0 0 0 9 0 0 0 0\n")
+    (tmp_path / "a_scan.txt").write_text("S 0 3 900 900 900\nS 100 3 900 900 900\n")
+    fails(imp("run", tmp_path, "-o", tmp_path / "run"), "within the log", "another -o")
+    assert len(list(tmp_path.iterdir())) == 2
+
+
 def test_debug_shows_where(imp, tmp_path) -> None:
     said = imp("run", tmp_path / "nope", "--debug")
     assert said.code == 2

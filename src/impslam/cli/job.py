@@ -61,6 +61,8 @@ def execute(
 
     `known` are the true landmarks, for the report alone.
     """
+    if folder.resolve().is_relative_to(source.path.resolve()):
+        raise ConfigError(f"{folder}: is within the log, which would change it; give another -o")
     created = not folder.exists()
     _clear(folder)
     try:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
 
 from impslam.association.assignment import collect, one_to_one
 from impslam.association.base import Assignment, Association, Hypotheses, Joint
+from impslam.association.gates import quantile
 from impslam.component import parameter, register
 from impslam.types import Mask, Observation
 
@@ -35,19 +35,8 @@ class Mahalanobis(Association):
 
     def _choose(self, group: Hypotheses) -> tuple[list[tuple[int, int]], Mask]:
         dim = group.innovation.shape[-1]
-        allowed = (group.distance2 < _quantile(self.gate, dim)) & group.possible
-        near = (group.distance2 < _quantile(self.new_gate, dim)) & group.possible
+        allowed = (group.distance2 < quantile(self.gate, dim)) & group.possible
+        near = (group.distance2 < quantile(self.new_gate, dim)) & group.possible
         # log|S| favours the pairing that was predicted best; shifted so that no pair costs less
         # than leaving both apart, hence as many pairs as the gate allows.
         return one_to_one(group.distance2 + group.log_det, allowed), np.asarray(near.any(axis=1))
-
-
-_QUANTILES: dict[tuple[float, int], float] = {}
-
-
-def _quantile(probability: float, dim: int) -> float:
-    """Return the chi-square quantile; scipy takes 60 us for it, a scan asks several times."""
-    key = (probability, dim)
-    if key not in _QUANTILES:
-        _QUANTILES[key] = float(np.asarray(chi2.ppf(probability, dim)))
-    return _QUANTILES[key]

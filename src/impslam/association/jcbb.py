@@ -1,0 +1,135 @@
+"""Joint Compatibility Branch and Bound (Neira & Tardós 2001, IEEE Trans. Robotics 17(6)).
+
+Pairings that pass their gates one by one can still contradict one another: an error of the pose
+moves all innovations of a scan together, and the covariance between them says how. JCBB looks for
+the largest set of pairings that passes the gate as a whole, over all kinds of landmark at once.
+
+One departure from the paper: a set is judged when it is whole. The paper drops a branch as soon as
+its first pairings fail their own gate, which makes the answer depend on the order of observations.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from impslam.association.assignment import collect
+from impslam.association.base import Assignment, Association, Hypotheses, Joint
+from impslam.association.branch_and_bound import NONE, search
+from impslam.association.gates import quantile, quantiles
+from impslam.component import parameter, register
+from impslam.types import Ints, Mask, Observation
+
+T = TypeVar("T", np.int64, np.float64)
+
+
+class _Pair(NamedTuple):
+    """The a-th observation and k-th landmark of a group, d^2 + log det S, and log det R."""
+
+    group: int
+    a: int
+    k: int
+    cost: float
+    noise: float
+
+
+def _starts(sizes: Ints) -> Ints:
+    """Return where each of some adjoining pieces starts, and where the last one ends."""
+    return np.concatenate([[0], np.cumsum(sizes)])
+
+
+def _remaining(values: npt.NDArray[T]) -> npt.NDArray[T]:
+    """Return the sum of the values from each on, and 0 for after the last."""
+    return np.append(values, values[:1] * 0)[::-1].cumsum()[::-1]
+
+
+def _numbered(ids: list[int]) -> Ints:
+    """Return the ids' numbers, from 0."""
+    return np.unique(ids, return_inverse=True)[1]
+
+
+@register("jcbb")
+class Jcbb(Association):
+    """The largest set of pairings that is compatible as a whole (Neira & Tardós 2001)."""
+
+    gate: float = parameter(
+        0.999,
+        "1",
+        "probability that true pairings pass the gate, each alone and all jointly",
+        gt=0,
+        lt=1,
+    )
+    new_gate: float = parameter(
+        0.999999,
+        "1",
+        "an observation within this gate of a landmark, yet not matched, is too near to be new",
+        gt=0,
+        lt=1,
+    )
+    budget: int = parameter(
+        2000,
+        "1",
+        "pairings that the search looks at (about 1 us each); then the best set so far is taken, "
+        "which is compatible but perhaps not the largest",
+        ge=1,
+    )
+
+    def assign(
+        self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
+    ) -> Assignment:
+        """Match the most pairs that are jointly compatible; of as many, the likeliest."""
+        chosen: list[list[tuple[int, int]]] = [[] for _ in hypotheses]
+        options = self._options(observations, hypotheses)
+        if options:
+            for pair in self._search(observations, hypotheses, options, joint):
+                chosen[pair.group].append((pair.a, pair.k))
+        near = [self._near(group) for group in hypotheses]
+        return collect(observations, zip(hypotheses, chosen, near, strict=True))
+
+    def _options(
+        self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses]
+    ) -> list[list[_Pair]]:
+        """Return the individually compatible pairs of each observation, the least ambiguous first.
+
+        The order rests on the scores alone, so that the observations' own order does not matter.
+        """
+        options: dict[int, list[_Pair]] = {}
+        for g, group in enumerate(hypotheses):
+            limit = quantile(self.gate, group.innovation.shape[-1])
+            a, k = np.nonzero((group.distance2 <= limit) & group.possible)
+            noise = np.linalg.slogdet(np.array([observations[i].R for i in group.observations]))[1]
+            costs = (group.distance2 + group.log_det)[a, k].tolist()
+            asked, noises = group.observations[a].tolist(), noise[a].tolist()
+            for i, *pair in zip(asked, a.tolist(), k.tolist(), costs, noises, strict=True):
+                options.setdefault(i, []).append(_Pair(g, *pair))
+        return sorted(options.values(), key=lambda some: (len(some), min(p.cost for p in some)))
+
+    def _search(
+        self,
+        observations: tuple[Observation, ...],
+        hypotheses: list[Hypotheses],
+        options: list[list[_Pair]],
+        joint: Joint,
+    ) -> list[_Pair]:
+        pairs = [pair for some in options for pair in some]
+        matches = [hypotheses[pair.group].match(pair.a, pair.k) for pair in pairs]
+        innovation, S = joint(observations, matches)
+        dims = np.array([len(match.innovation) for match in matches])
+        groups = _starts(np.array([len(some) for some in options]))
+        rest = _remaining(dims[groups[:-1]])
+        best, _ = search(
+            (S, innovation),
+            (_starts(dims), _numbered([match.landmark for match in matches])),
+            groups,
+            rest,
+            _remaining(np.array([some[0].noise for some in options])),
+            quantiles(self.gate, int(rest[0])),
+            self.budget,
+        )
+        return [pairs[p] for p in best if p != NONE]
+
+    def _near(self, group: Hypotheses) -> Mask:
+        limit = quantile(self.new_gate, group.innovation.shape[-1])
+        return np.asarray(((group.distance2 < limit) & group.possible).any(axis=1))

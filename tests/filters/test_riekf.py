@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from impslam.component import components
-from impslam.filters.riekf import RightInvariantEkf, pose_D_motion, shear, state_D_motion
+from impslam.filters.riekf import RightInvariantEkf, shear
+from impslam.filters.symmetry import pose_D_motion, state_D_motion
 from impslam.geometry.se2 import compose, exp
 from tests.filters.test_belief import random_belief
 from tests.filters.test_filters import step

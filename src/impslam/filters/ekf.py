@@ -17,13 +17,13 @@ from pydantic import PrivateAttr
 
 from impslam.association.base import Hypotheses
 from impslam.component import parameter, register
-from impslam.filters.atlas import Atlas
+from impslam.filters.atlas import Atlas, Table
 from impslam.filters.base import Filter
 from impslam.filters.belief import POSE, GaussianBelief, Rows
 from impslam.filters.scoring import score
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose, rotation
-from impslam.landmarks.base import LandmarkModel
+from impslam.landmarks.base import Initial, LandmarkModel, Prediction
 from impslam.types import Array, Increment, Ints, Landmark, Match, Observation
 
 
@@ -89,7 +89,7 @@ class Ekf(Filter):
         ids = []
         for observation in observations:
             table = self._atlas.table(observation.kind)
-            new = table.model.initialise(self.pose, observation)
+            new = self._initialise(table, observation)
             noise = new.m_D_z @ observation.R @ new.m_D_z.T + new.slack
             offset = self._belief.extend(new.m, new.m_D_pose, noise)
             ids.append(self._atlas.add(self.pose, observation, offset, new.m, stamp))
@@ -147,13 +147,21 @@ class Ekf(Filter):
         innovation, R = np.empty(total), np.zeros((total, total))
         for table, places, which in groups:
             model, seen = table.model, [observations[matches[i].observation] for i in which]
-            prediction = model.predict(self.pose, table.states(self._belief.mean, places))
+            prediction = self._expect(table, places)
             here = starts[which][:, None] + np.arange(model.dim_z)  # (matches, dim_z)
             rows.offsets[here], rows.dims[here] = table.offsets[places][:, None], model.dim
             rows.h_pose[here], rows.h_m[here, : model.dim] = prediction.z_D_pose, prediction.z_D_m
             innovation[here] = model.residual(np.array([o.z for o in seen]), prediction.z)
             R[here[:, :, None], here[:, None]] = np.array([o.R for o in seen])
         return rows, innovation, R
+
+    def _expect(self, table: Table, places: Ints) -> Prediction:
+        """Return how landmarks should be seen now; Jacobians at the newest estimates."""
+        return table.model.predict(self.pose, table.states(self._belief.mean, places))
+
+    def _initialise(self, table: Table, observation: Observation) -> Initial:
+        """Return the landmark an observation begins; Jacobians at the newest estimate."""
+        return table.model.initialise(self.pose, observation)
 
     def _retract(self, prior: Array, step: Array) -> None:
         """Set the mean to a prior moved by a step in the perturbations of pose and landmarks."""

@@ -1,0 +1,79 @@
+"""The first-estimates Jacobian EKF for SLAM (Huang, Mourikis & Roumeliotis 2008, 2010).
+
+Robot and map, moved rigidly together, look the same. The textbook EKF evaluates each Jacobian at the
+newest estimate, so that the directions which nothing observes differ from step to step, and it gains
+information along them. Here every Jacobian is evaluated at the first estimate there ever was of a
+thing, which never changes: of a landmark, the state it was entered with; of a pose, the one that was
+predicted before the scan corrected it. The innovations use the newest estimates all the same.
+
+    prediction:  F = d(pose')/d(pose) between the *predicted* poses, [I, J (p' - p_predicted)],
+    correction:  H at the predicted pose and the first states of the landmarks,
+    extension:   a new landmark hangs on the predicted pose.
+
+The price is that the Jacobians keep the first estimates' errors: with poor first sightings the filter
+is worse than one that keeps the symmetry in its coordinates (`riekf`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from pydantic import PrivateAttr
+
+from impslam.component import register
+from impslam.filters.atlas import Table
+from impslam.filters.belief import POSE
+from impslam.filters.ekf import Ekf
+from impslam.filters.symmetry import pose_D_motion
+from impslam.geometry.se2 import compose, rotation
+from impslam.landmarks.base import Initial, LandmarkModel, Prediction
+from impslam.types import Array, Increment, Ints, Observation
+
+
+@register("fej")
+class FirstEstimatesEkf(Ekf):
+    """The EKF with Jacobians at first estimates: what nothing observes stays in one place."""
+
+    _first: Array = PrivateAttr()
+    """(n,), the predicted pose and the landmarks' first states."""
+
+    def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
+        """Begin anew; see `Filter.start`."""
+        super().start(pose, covariance, models)
+        self._first = self.pose
+
+    def predict(self, increment: Increment) -> None:
+        """Move the robot, with F = d(pose')/d(pose) between the predicted poses."""
+        belief, before, predicted = self._belief, self.pose, self._first[:POSE]
+        after = compose(before, increment.d_pose)
+        V = np.eye(POSE)
+        V[:2, :2] = rotation(before[2])
+        noise = V @ increment.covariance @ V.T
+        belief.move(predicted[1] - after[1], after[0] - predicted[0], noise)
+        belief.mean[:POSE] = self._first[:POSE] = after
+
+    def extend(self, observations: Sequence[Observation], stamp: float) -> tuple[int, ...]:
+        """Add landmarks, and remember where they were first thought to be."""
+        ids = super().extend(observations, stamp)
+        new = self._belief.mean[len(self._first) : self._belief.n]
+        self._first = np.concatenate([self._first, new])
+        return ids
+
+    def remove(self, ids: Sequence[int]) -> None:
+        """Marginalise landmarks out."""
+        if ids:
+            stays = self._atlas.remove(ids, self._belief.n)
+            self._belief.keep(stays)
+            self._first = self._first[stays]
+
+    def _expect(self, table: Table, places: Ints) -> Prediction:
+        now = super()._expect(table, places)
+        first = table.model.predict(self._first[:POSE], table.states(self._first, places))
+        return replace(now, z_D_pose=first.z_D_pose, z_D_m=first.z_D_m)
+
+    def _initialise(self, table: Table, observation: Observation) -> Initial:
+        new = super()._initialise(table, observation)
+        m_D_pose = table.model.m_D_motion(new.m[None])[0] @ pose_D_motion(-self._first[:POSE])
+        return replace(new, m_D_pose=m_D_pose)

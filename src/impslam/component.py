@@ -127,8 +127,11 @@ def find(role: str, name: str) -> type[Component]:
     return known[name]
 
 
-def build(role: str, table: Mapping[str, Any], where: str = "") -> Any:
+def build(role: str, table: Any, where: str = "") -> Any:
     """Make a component from a config table whose `kind` names it; the rest are its parameters."""
+    if not isinstance(table, Mapping):
+        here = where or role
+        raise ConfigError(f"{here} = {table!r}: expected a table, e.g. {here}.kind = NAME")
     rest = dict(table)
     if "kind" not in rest:
         raise ConfigError(f"[{where or role}] lacks 'kind'; known: {', '.join(components(role))}")
@@ -144,5 +147,22 @@ def explain(error: ValidationError, where: str, known: Any) -> str:
     first = error.errors()[0]
     path = ".".join(str(part) for part in (where, *first["loc"]) if part != "")
     if first["type"] == "extra_forbidden":
-        return f"{path} is not a parameter; {near_miss(str(first['loc'][-1]), known)}"
-    return f"{path} = {first.get('input')!r}: {first['msg']}"
+        inner = _fields_within(first["loc"][:-1], known)
+        return f"{path} is not a parameter; {near_miss(str(first['loc'][-1]), inner)}"
+    if first["type"] == "missing":
+        return f"{path} is missing; add it"
+    value = repr(first.get("input"))
+    value = value if len(value) <= 60 else f"{value[:57]}..."
+    if first["type"] == "dict_type":
+        return f"{path} = {value}: expected a table, e.g. {path}.kind = NAME"
+    return f"{path} = {value}: {first['msg'].removeprefix('Value error, ')}"
+
+
+def _fields_within(path: tuple[int | str, ...], known: Any) -> Any:
+    """Return the fields of the inner table at a path, or those known where it is no table's."""
+    for part in path:
+        model = getattr(known.get(part), "annotation", None) if isinstance(known, Mapping) else None
+        if not (isinstance(model, type) and issubclass(model, BaseModel)):
+            break
+        known = model.model_fields
+    return known

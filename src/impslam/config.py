@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
 
 from impslam.association.base import Association
 from impslam.component import build, components, explain, near_miss, parameter
@@ -46,7 +46,9 @@ class Keyframes(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    distance: float = parameter(0.05, "m", "a keyframe after this way: a footprint of the beam", ge=0)
+    distance: float = parameter(
+        0.05, "m", "a keyframe after this way: a footprint of the beam", ge=0
+    )
     angle: float = parameter(0.02, "rad", "or after this turn: a few beams' spacing", ge=0)
     seconds: float = parameter(0.5, "s", "or after this time, moving or not", ge=0)
 
@@ -58,7 +60,7 @@ class Config(BaseModel):
 
     robot: str = parameter("robot", "", "name of the robot")
     seed: int = parameter(0, "", "seed of everything that samples", ge=0)
-    start: tuple[float, float, float] = parameter(
+    start: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = parameter(
         (0.0, 0.0, 0.0), "m, m, rad", "pose in map at the start"
     )
     source: Table = parameter({}, "", "parameters of the log reader (topics by role)")
@@ -137,8 +139,13 @@ def presets() -> list[str]:
     )
 
 
-def read_table(name: str | Path) -> Table:
-    """Return the raw table of a preset (by name) or of a TOML file, its `base` merged in."""
+def read_table(name: str | Path, above: tuple[str, ...] = ()) -> Table:
+    """Return the raw table of a preset (by name) or of a TOML file, its `base` merged in.
+
+    `above` are those whose base it is.
+    """
+    if str(name) in above:
+        raise ConfigError(f"{name}: is its own base ({' -> '.join(above)}); name another base")
     path = Path(name)
     if str(name) in presets():
         text = files("impslam").joinpath("presets", f"{name}.toml").read_text("utf-8")
@@ -151,7 +158,7 @@ def read_table(name: str | Path) -> Table:
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{name}: not valid TOML: {error}") from None
     base = table.pop("base", None)
-    return table if base is None else merge(read_table(str(base)), table)
+    return table if base is None else merge(read_table(str(base), (*above, str(name))), table)
 
 
 def _read(path: Path) -> str:

@@ -76,6 +76,29 @@ def test_wrong_type_and_bounds(imp, room) -> None:
     fails(imp("run", room, "--set", "seed=soon"), "seed", "'soon'")
 
 
+@pytest.mark.parametrize(
+    ("setting", "part"),
+    [
+        ("sensors.lidar=3", "sensors.lidar = 3: expected a table"),
+        ("sensors.lidar.extractors.walls=[1]", "walls = [1]: expected a table"),
+        ("filter.kind=none", "filter is missing"),
+        ("odometry.slip.forwad=1", "did you mean 'forward'?"),
+        ("source.path=x", "source.path"),
+        ("start=[nan, 0, 0]", "start.0 = nan"),
+        ("start=[1, 2]", "start.2 is missing"),
+    ],
+)
+def test_odd_settings(imp, room, tmp_path, setting, part) -> None:
+    fails(imp("run", room, "-o", tmp_path, "--set", setting), part)
+
+
+def test_a_base_that_is_its_own(imp, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.toml").write_text('base = "b.toml"')
+    (tmp_path / "b.toml").write_text('base = "a.toml"')
+    fails(imp("config", "a.toml"), "a.toml -> b.toml")
+
+
 def test_settings_without_a_value(imp, room) -> None:
     fails(imp("run", room, "--set", "seed"), "--set seed", "key=value")
     fails(imp("run", room, "--topic", "scan"), "--topic scan", "role=name")

@@ -33,6 +33,8 @@ def plan(log: Path, base: str | None, settings: Sequence[str]) -> tuple[Config, 
         with kind(path=log) as source:
             base = source.preset
     config = load(base, settings)
+    if "path" in config.source:
+        raise ConfigError("source.path is not a parameter; the log is named on the command line")
     try:
         return config, kind(path=log, **config.source)
     except ValidationError as error:

@@ -12,10 +12,12 @@ from impslam.geometry.lines import fit_line_core
 from impslam.types import Array, Ints, Mask
 
 _OUTLIER = 3.5  # standard deviations
+_UNSEEN = 0.3  # of the half-width that may be missing at a side
 _FITS = 3  # the last two without an end point each, if it lies half on the background
-_LINE_GAIN = 16.0  # chi-square by which a circle must beat a line: one parameter, 4 sigma
+_LINE_GAIN = 16.0  # chi-square by which a circle of any radius must beat a line: 4 sigma
 _CORNER_GAIN = 9.0  # chi-square by which a corner (a parameter more) beats a circle: 3 sigma
 _EDGE = 0.5  # of the beam spacing: an edge lies anywhere between a hit and the next miss
+_FADE = 0.1  # of the radius: beams that meet a round side beyond 64 deg may not come back
 
 COLUMNS = 12  # first, past the last, x, y, radius, covariance (3), bias (3), reduced chi2
 
@@ -63,7 +65,8 @@ def _plausible(points: Array, sides: Array, limits: Array, origin: Array) -> boo
         return False
     width = math.hypot(points[-1, 0] - points[0, 0], points[-1, 1] - points[0, 1])
     step = limits[6] * first
-    return 0.5 * limits[1] < width + 2.0 * step and width < 2.0 * limits[2] + 4.0 * step
+    wide: bool = 0.5 * limits[1] < width + 2.0 * step and width < 2.0 * limits[2] + 4.0 * step
+    return wide
 
 
 @kernel
@@ -108,7 +111,9 @@ def _fit_arc(
     for _ in range(_FITS):
         if j - i < limits[3]:
             return False
-        edges = _edges(beams[i:j], sides[i:j], origin, _EDGE * limits[6] * away)
+        edges = _edges(
+            beams[i:j], sides[i:j], origin, math.hypot(_EDGE * limits[6] * away, _FADE * start[2])
+        )
         good, circle, cov, bias, chi2 = fit_circle_core(
             points[i:j], beams[i:j], variances[i:j], edges, start, known
         )
@@ -122,7 +127,7 @@ def _fit_arc(
     dof = j - i + 2 - (2 if known else 3)
     if chi2 > limits[4] * dof or math.sqrt(cov[2, 2]) > limits[5] * circle[2]:
         return False
-    if not _is_round(points[i:j], beams[i:j], variances[i:j], circle, chi2, limits, origin):
+    if not _is_round(points[i:j], beams[i:j], variances[i:j], circle, limits, origin):
         return False
     out[0], out[1], out[2:5] = i, j, circle
     out[5], out[6], out[7] = cov[0, 0], cov[0, 1], cov[1, 1]
@@ -148,7 +153,8 @@ def _off(point: Array, beam: Array, variance: float, circle: Array) -> float:
     distance = max(math.hypot(dx, dy), 1e-12)
     cosine = (dx * beam[0] + dy * beam[1]) / distance
     off: float = distance - circle[2]
-    return off * off / (variance * (cosine * cosine + 0.01))
+    off2: float = off * off / (variance * (cosine * cosine + 0.01))
+    return off2
 
 
 @kernel
@@ -157,7 +163,6 @@ def _is_round(
     beams: Array,
     variances: Array,
     circle: Array,
-    chi2: float,
     limits: Array,
     origin: Array,
 ) -> bool:
@@ -168,14 +173,22 @@ def _is_round(
     if radius < limits[1] or radius > limits[2] or distance <= 1.05 * radius:
         return False
     half = math.asin(radius / distance)
-    slack = max(2.0 * limits[6], 0.2 * half)
+    slack = max(2.0 * limits[6], _UNSEEN * half)
     for k in (0, len(points) - 1):
         bearing = abs(vx * beams[k, 1] - vy * beams[k, 0]) / distance
         if bearing < math.sin(max(half - slack, 0.0)):
             return False
-    if not fit_line_core(points, beams, variances, 0.0)[7] > chi2 + _LINE_GAIN:
+    # That the width is that of the known radius speaks for a cylinder more than a shape that real
+    # surfaces (glossy, narrower than a few beams' footprints) blur: a line may be a little better.
+    known = not math.isnan(limits[0])
+    gain = -_LINE_GAIN if known else _LINE_GAIN
+    chi2 = 0.0
+    for k in range(len(points)):
+        chi2 += _off(points[k], beams[k], variances[k], circle)
+    if not fit_line_core(points, beams, variances, 0.0)[7] > chi2 + gain:
         return False
-    return _corner_misfit(points, beams, variances) > chi2 - _CORNER_GAIN
+    gain = _CORNER_GAIN + _LINE_GAIN if known else _CORNER_GAIN
+    return _corner_misfit(points, beams, variances) > chi2 - gain
 
 
 @kernel

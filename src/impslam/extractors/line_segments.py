@@ -47,7 +47,8 @@ class Segments:
 
     def beams(self, k: int) -> Ints:
         """Return the beams on piece k, in order."""
-        return self.index[self.label == k]
+        beams: Ints = self.index[self.label == k]
+        return beams
 
 
 def find_segments(cloud: Cloud, flatness: float, gap: float) -> Segments:
@@ -95,7 +96,8 @@ def _farthest(
 def _across(beams: Array, variances: Array, flat2: float, k: int, tx: float, ty: float) -> float:
     """Return the variance of a point across a line along (tx, ty)."""
     cosine = tx * beams[k, 1] - ty * beams[k, 0]
-    return variances[k] * (cosine * cosine + 1e-6) + flat2
+    variance: float = variances[k] * (cosine * cosine + 1e-6) + flat2
+    return variance
 
 
 @kernel
@@ -107,7 +109,8 @@ def _misfit(sums: Array, a: int, b: int) -> float:
     xx = sums[b, 3] - sums[a, 3] - w * x * x
     xy = sums[b, 4] - sums[a, 4] - w * x * y
     yy = sums[b, 5] - sums[a, 5] - w * y * y
-    return yy - xy * xy / xx if xx > 0.0 else yy
+    misfit: float = yy - xy * xy / xx if xx > 0.0 else yy
+    return misfit
 
 
 @kernel
@@ -163,10 +166,10 @@ def _split_at(points: Array, beams: Array, variances: Array, flat2: float, i: in
 
 
 @kernel
-def _split(points: Array, beams: Array, variances: Array, starts: Array, flat2: float) -> Array:
-    """Return the straight pieces of all segments: (p, 2) first and past-the-last point, sorted."""
+def _split(points: Array, beams: Array, variances: Array, starts: Ints, flat2: float) -> Ints:
+    """Return the straight pieces of all segments: (p, 3) first and past-the-last point, segment."""
     n = len(points)
-    pieces = np.empty((n, 2), np.int64)
+    pieces = np.empty((n, 3), np.int64)
     stack = np.empty((n + 1, 2), np.int64)
     count = 0
     for s in range(len(starts) - 1):
@@ -179,7 +182,7 @@ def _split(points: Array, beams: Array, variances: Array, starts: Array, flat2: 
                 continue
             k = _split_at(points, beams, variances, flat2, i, j)
             if k == i:
-                pieces[count, 0], pieces[count, 1] = i, j
+                pieces[count, 0], pieces[count, 1], pieces[count, 2] = i, j, s
                 count += 1
             else:  # the first part is handled first, so that pieces come out in order
                 stack[top, 0], stack[top, 1] = k, j
@@ -194,7 +197,7 @@ def _fit(
     beams: Array,
     variances: Array,
     flat2: float,
-    label: Array,
+    label: Ints,
     piece: int,
     out: Array,
 ) -> None:
@@ -219,8 +222,8 @@ def _unlabel(
     beams: Array,
     variances: Array,
     flat2: float,
-    label: Array,
-    which: Array,
+    label: Ints,
+    which: Ints,
     line: Array,
 ) -> bool:
     """Take the label off points that are not on the line; tell if there were any."""
@@ -243,7 +246,7 @@ def _about(line: Array, x: float, y: float, flat2: float, length: float) -> Arra
 
 
 @kernel
-def _collinear(points: Array, one: Array, two: Array, ends: Array, flat2: float) -> bool:
+def _collinear(points: Array, one: Array, two: Array, ends: Ints, flat2: float) -> bool:
     """Tell whether two pieces are on one line, by their covariances at the middle of the gap.
 
     `ends` are the first and last points of both pieces.
@@ -262,7 +265,7 @@ def _collinear(points: Array, one: Array, two: Array, ends: Array, flat2: float)
     shift = flip * b[0] - a[0]
     rr, ra, aa = a[1] + b[1], a[2] + flip * b[2], a[3] + b[3]
     d2 = (aa * shift * shift - 2.0 * ra * shift * turn + rr * turn * turn) / (rr * aa - ra * ra)
-    return d2 < _COLLINEAR
+    return bool(d2 < _COLLINEAR)
 
 
 @kernel
@@ -285,7 +288,8 @@ def _off(points: Array, beams: Array, variances: Array, flat2: float, k: int, li
     """Return the squared distance of a point from a line, in its variances."""
     nx, ny = math.cos(line[1]), math.sin(line[1])
     off = line[0] - nx * points[k, 0] - ny * points[k, 1]
-    return off * off / _across(beams, variances, flat2, k, -ny, nx)
+    off2: float = off * off / _across(beams, variances, flat2, k, -ny, nx)
+    return off2
 
 
 @kernel
@@ -298,11 +302,14 @@ def _share_corners(
     lines: Array,
     label: Ints,
 ) -> None:
-    """Give the points where two pieces meet to the line that they are nearer to; fit again."""
+    """Give the points where two pieces meet to the line that they are nearer to; fit again.
+
+    Pieces of one segment, that is: column 2 of `pieces` is its number.
+    """
     for a in range(len(pieces) - 1):
         b, cut = a + 1, pieces[a, 1]
         # Fragments too short for a piece are shared too.
-        if pieces[b, 0] - cut >= _MIN_PIECE:
+        if pieces[b, 2] != pieces[a, 2] or pieces[b, 0] - cut >= _MIN_PIECE:
             continue
         first, last = pieces[a, 0] + _MIN_PIECE, pieces[b, 1] - _MIN_PIECE
         one, two = lines[a], lines[b]
@@ -328,8 +335,8 @@ def _nearer(
 
 @kernel
 def _merge(
-    points: Array, beams: Array, variances: Array, flat2: float, pieces: Array, gap: float
-) -> tuple[Array, Array]:
+    points: Array, beams: Array, variances: Array, flat2: float, pieces: Ints, gap: float
+) -> tuple[Array, Ints]:
     """Fit the pieces and merge collinear ones; return the fits (NaN if gone) and the labels."""
     p = len(pieces)
     lines = np.full((p, _LINE), np.nan)
@@ -366,8 +373,8 @@ def _merge(
 
 @kernel
 def _find(
-    points: Array, beams: Array, variances: Array, starts: Array, flatness: float, gap: float
-) -> tuple[Array, Array, Array, Array]:
+    points: Array, beams: Array, variances: Array, starts: Ints, flatness: float, gap: float
+) -> tuple[Array, Array, Ints, Ints]:
     """Split, merge and fit; return lines, end points, counts and labels of what is left."""
     flat2 = flatness * flatness
     pieces = _split(points, beams, variances, starts, flat2)

@@ -11,6 +11,7 @@ from impslam.extractors.base import Extractor
 from impslam.extractors.line_segments import Segments
 from impslam.extractors.segmentation import beam_spacing
 from impslam.extractors.split_merge import covariance, segments_of
+from impslam.geometry.angles import wrap
 from impslam.types import Array, Ints, Observation, Scan
 
 _NOISE = 3.0  # standard deviations
@@ -81,44 +82,62 @@ class Corner(Extractor):
         return steep
 
     def _corner(self, found: Segments, a: int, b: int, scan: Scan) -> Observation | None:
-        lines = found.lines[[a, b]]
-        normals = np.column_stack((np.cos(lines[:, 1]), np.sin(lines[:, 1])))
-        inverse = np.linalg.inv(normals)
-        point: Array = inverse @ lines[:, 0]
-        near = np.array([found.end_points[a, 1], found.end_points[b, 0]])
-        if not self._meet(point, near, normals, scan):
+        one, two = found.lines[a].tolist(), found.lines[b].tolist()
+        c1, s1, c2, s2 = math.cos(one[1]), math.sin(one[1]), math.cos(two[1]), math.sin(two[1])
+        det = c1 * s2 - s1 * c2
+        x, y = (s2 * one[0] - s1 * two[0]) / det, (c1 * two[0] - c2 * one[0]) / det
+        point = np.array([x, y])
+        beams = np.concatenate((found.beams(a), found.beams(b)))
+        sigma = float(scan.sigmas[beams[found.counts[a]]])
+        if not (
+            self._meets(point, found.end_points[a, 1], (c1, s1), sigma, scan)
+            and self._meets(point, found.end_points[b, 0], (c2, s2), sigma, scan)
+        ):
             return None
         # n . p = rho, so N dp = drho - (t . p) dalpha, t being the normal turned left.
-        levers = normals[:, 0] * point[1] - normals[:, 1] * point[0]
-        R, shift = np.zeros((2, 2)), np.zeros(2)
-        for side, k in enumerate((a, b)):
-            J = np.outer(inverse[:, side], [1.0, -levers[side]])
-            R += J @ covariance(found, k, 0.0, self.flatness) @ J.T
-            shift += J @ lines[side, 5:7]
-        R += scan.bias**2 * np.outer(shift, shift)
-        if np.linalg.eigvalsh(R)[1] > self.max_sigma**2:
+        J = np.array(
+            [
+                [s2 / det, -s2 * (c1 * y - s1 * x) / det, -s1 / det, s1 * (c2 * y - s2 * x) / det],
+                [-c2 / det, c2 * (c1 * y - s1 * x) / det, c1 / det, -c1 * (c2 * y - s2 * x) / det],
+            ]
+        )
+        shift = scan.bias * (J @ np.array(one[5:7] + two[5:7]))
+        R: Array = np.outer(shift, shift)
+        for side, k in ((J[:, :2], a), (J[:, 2:], b)):
+            R += side @ covariance(found, k, 0.0, self.flatness) @ side.T
+        if _largest_eigenvalue(R) > self.max_sigma**2:
             return None
         far = np.array([found.end_points[a, 0], found.end_points[b, 1]])
-        beams = np.concatenate((found.beams(a), found.beams(b)))
         return Observation("corner", point, R, beams, None, _shape(point, far, scan.laser[:2]))
 
-    def _meet(self, point: Array, near: Array, normals: Array, scan: Scan) -> bool:
-        """Tell whether both sides end at the intersection, but for beam spacing and noise."""
-        sight = near - scan.laser[:2]
-        distance = np.hypot(sight[:, 0], sight[:, 1])
-        cosine = np.abs(np.sum(sight * normals, axis=1)) / np.maximum(distance, 1e-9)
-        step = 2.0 * distance * beam_spacing(scan) / np.maximum(cosine, 0.1)
-        noise = _NOISE * float(np.median(scan.sigmas[scan.valid]))
-        gaps = np.hypot(near[:, 0] - point[0], near[:, 1] - point[1])
-        return bool(np.all(gaps <= self.reach + step + noise))
+    def _meets(
+        self, point: Array, end: Array, normal: tuple[float, float], sigma: float, scan: Scan
+    ) -> bool:
+        """Tell whether a side ends at the intersection, but for beam spacing and noise."""
+        dx, dy = float(end[0] - scan.laser[0]), float(end[1] - scan.laser[1])
+        distance = max(math.hypot(dx, dy), 1e-9)
+        cosine = abs(dx * normal[0] + dy * normal[1]) / distance
+        step = 2.0 * distance * beam_spacing(scan) / max(cosine, 0.1)
+        noise = _NOISE * sigma
+        gap = math.hypot(float(end[0] - point[0]), float(end[1] - point[1]))
+        return gap <= self.reach + step + noise
+
+
+def _largest_eigenvalue(R: Array) -> float:
+    """Return the larger eigenvalue of a symmetric (2, 2) matrix."""
+    half = 0.5 * float(R[0, 0] + R[1, 1])
+    return half + math.hypot(0.5 * float(R[0, 0] - R[1, 1]), float(R[0, 1]))
 
 
 def _shape(point: Array, far: Array, laser: Array) -> dict[str, float]:
     """Return the opening and the heading of the free space, on whose side the laser is."""
-    sides = far - point
-    sides /= np.hypot(sides[:, 0], sides[:, 1])[:, None]
-    angle = math.acos(float(np.clip(sides[0] @ sides[1], -1.0, 1.0)))
-    bisector = sides[0] + sides[1]
-    if np.any(np.linalg.solve(sides.T, laser - point) < 0.0):
-        angle, bisector = 2.0 * math.pi - angle, -bisector
-    return {"angle": angle, "heading": math.atan2(bisector[1], bisector[0])}
+    (ax, ay), (bx, by) = (far - point).tolist()
+    lx, ly = (laser - point).tolist()
+    a, b = math.hypot(ax, ay), math.hypot(bx, by)
+    cross = ax * by - ay * bx
+    angle = abs(math.atan2(cross, ax * bx + ay * by))
+    heading = math.atan2(ay / a + by / b, ax / a + bx / b)
+    # In the wedge between the sides the laser is a positive sum of both.
+    if (lx * by - ly * bx) * cross < 0.0 or (ax * ly - ay * lx) * cross < 0.0:
+        angle, heading = 2.0 * math.pi - angle, wrap(heading + math.pi)
+    return {"angle": angle, "heading": heading}

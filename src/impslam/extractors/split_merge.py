@@ -69,17 +69,19 @@ def covariance(found: Segments, k: int, bias: float, flatness: float) -> Array:
     Noise of the beams (scaled up where the residuals are larger than it), the error that all
     ranges share, and the wall's own shape: each end is no better known than `flatness`.
     """
-    rr, ra, aa, b_r, b_a = found.lines[k, 2:7]
+    _, alpha, rr, ra, aa, b_r, b_a, _ = found.lines[k].tolist()
+    (x1, y1), (x2, y2) = found.end_points[k].tolist()
     scale = max(1.0, float(found.reduced_chi2[k]))
-    noise = scale * np.array([[rr, ra], [ra, aa]])
-    shared = bias * np.array([b_r, b_a])
-    first, last = found.end_points[k]
-    alpha = found.lines[k, 1]
-    arm = float(np.array([-math.sin(alpha), math.cos(alpha)]) @ (first + last)) / 2.0
-    tilt = 2.0 * (flatness / found.lengths[k]) ** 2
-    shape = np.array([[flatness**2 / 2.0 + arm * arm * tilt, arm * tilt], [arm * tilt, tilt]])
-    total: Array = noise + np.outer(shared, shared) + shape
-    return total
+    arm = 0.5 * (math.cos(alpha) * (y1 + y2) - math.sin(alpha) * (x1 + x2))
+    flat2 = flatness * flatness
+    tilt = 2.0 * flat2 / float(found.lengths[k]) ** 2
+    off = scale * ra + bias * bias * b_r * b_a + arm * tilt
+    return np.array(
+        [
+            [scale * rr + bias * bias * b_r * b_r + 0.5 * flat2 + arm * arm * tilt, off],
+            [off, scale * aa + bias * bias * b_a * b_a + tilt],
+        ]
+    )
 
 
 def _wall(found: Segments, k: int, scan: Scan, flatness: float) -> Observation:

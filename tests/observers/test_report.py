@@ -12,7 +12,8 @@ from impslam.observers.base import Dropped
 from impslam.observers.history import History
 from impslam.observers.page import Line, chart
 from impslam.observers.recorder import Recorder
-from impslam.observers.report import Report, duration
+from impslam.observers.report import Report
+from impslam.observers.sections import duration
 from impslam.simulation.world import TrueLandmark
 
 VOID = {"meta", "img", "path", "br"}

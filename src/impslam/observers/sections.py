@@ -1,0 +1,181 @@
+"""The sections of the report: headline figures, uncertainty, landmarks, matches, times, details."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from impslam.observers.base import Outcome
+from impslam.observers.history import History
+from impslam.observers.page import Line, chart, escape, folded, section, table, tiles
+from impslam.observers.summary import config_toml, real_time_factor, stage_times, versions
+from impslam.types import Landmark
+
+ANGLES = {"alpha": "α", "angle": "angle", "heading": "heading"}
+"""Parameters that are angles, and how they are called."""
+NO_LANDMARKS = "<p>No landmark was found. The path is dead reckoning.</p>"
+
+
+def heading(outcome: Outcome, history: History) -> str:
+    """Return the title and the headline figures."""
+    kinds = Counter(mark.kind for mark in outcome.landmarks)
+    found = ", ".join(f"{n} {kind}{'s' * (n > 1)}" for kind, n in sorted(kinds.items()))
+    steps = np.diff(history.path[:, 1:3], axis=0)
+    length = float(np.hypot(*steps.T).sum())
+    scans = len(history.path)
+    speed = real_time_factor(outcome)
+    per_scan = 1e3 * outcome.wall_seconds / scans if scans else math.nan
+    lost = sum(item.count for item in outcome.dropped.values())
+    seconds = outcome.log_seconds
+    facts = {
+        "Scans": (f"{scans:,}", f"{lost:,} problems in the log" if lost else "none dropped"),
+        "Duration": (duration(seconds), f"{scans / seconds:.1f} scans/s" if seconds > 0 else ""),
+        "Path": (f"{length:.1f} m", "estimated"),
+        "Landmarks": (str(len(outcome.landmarks)), found),
+        "Speed": (f"{speed:,.0f}×", f"real time, {per_scan:.2f} ms a scan"),
+    }
+    title = f"<h1>{escape(outcome.log.name)}</h1><p>Mapped by impslam</p>"
+    return f"<header>{title}</header>" + tiles(facts)
+
+
+def duration(seconds: float) -> str:
+    """Return a time as people say it."""
+    if seconds < 120.0:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s"
+
+
+def uncertainty(history: History) -> str:
+    """Return the charts of the filter's own standard deviations."""
+    if len(history.path) < 2:
+        return ""
+    t, sigma = history.path[:, 0], history.sigmas
+    places = [Line("x", 100 * sigma[:, 0], "a"), Line("y", 100 * sigma[:, 1], "b")]
+    charts = (
+        chart("Position, 1σ in cm", t, places),
+        chart("Heading, 1σ in degrees", t, [Line("", np.degrees(sigma[:, 2]), "c")]),
+    )
+    note = (
+        "What the filter says of its own pose. It grows on new ground and falls where known "
+        "landmarks are seen again."
+    )
+    return section("Uncertainty", f'<div class="charts">{"".join(charts)}</div>', note=note)
+
+
+def matching(history: History) -> str:
+    """Return the charts of matches and of normalised innovations."""
+    if len(history.path) < 2:
+        return ""
+    t, (count, nis, dof) = history.path[:, 0], history.matches.T
+    width = max(1, len(t) // 100)
+    parts = len(t) // width
+    edges = np.arange(parts) * width
+    total_nis, total_dof = np.add.reduceat(nis, edges), np.add.reduceat(dof, edges)
+    ratio = np.divide(total_nis, total_dof, out=np.full(parts, np.nan), where=total_dof > 0)
+    mean = np.add.reduceat(count, edges) / np.diff(edges, append=len(t))
+    lines = [Line("", ratio, "a"), Line("ideal", np.ones(parts), "bound")]
+    charts = (
+        chart("Landmarks matched per scan", t[edges], [Line("", mean, "b")]),
+        chart("NIS per degree of freedom", t[edges], lines),
+    )
+    note = (
+        "The normalised innovation squared (NIS) of the matches is 1 per degree of freedom where "
+        "the filter's noise is right; above, it trusts itself too much; below, too little."
+    )
+    return section("Matches", f'<div class="charts">{"".join(charts)}</div>', note=note)
+
+
+def landmark_table(landmarks: Sequence[Landmark]) -> str:
+    """Return the table of landmarks with their uncertainties."""
+    if not landmarks:
+        return section("Landmarks", NO_LANDMARKS)
+    header = ("kind", "id", "x, y in m", "parameters", "length", "1σ", "seen", "first to last")
+    start = min(mark.first_stamp for mark in landmarks)
+    ordered = sorted(landmarks, key=lambda mark: (mark.kind, mark.id))
+    rows = [_landmark_row(mark, start) for mark in ordered]
+    note = (
+        "x, y: a point's centre, or the foot of the normal on a wall from the map's origin. 1σ: of "
+        "x, y of a point; of distance r and direction α of a wall. Times from the first sighting."
+    )
+    return section("Landmarks", table(header, rows), note=note)
+
+
+def _landmark_row(mark: Landmark, start: float) -> tuple[str, ...]:
+    a, b = np.sqrt(np.maximum(np.diag(mark.covariance), 0.0))
+    wall = mark.end_points is not None
+    spread = (
+        f"{100 * a:.1f} cm, {math.degrees(b):.2f}°" if wall else f"{100 * a:.1f}, {100 * b:.1f} cm"
+    )
+    length = "" if mark.end_points is None else f"{math.dist(*mark.end_points):.2f} m"
+    x, y = mark.position
+    return (
+        *(mark.kind, str(mark.id), f"{x:z.3f}, {y:z.3f}", parameters(mark), length, spread),
+        *(
+            f"{mark.observations}×",
+            f"{mark.first_stamp - start:.0f}–{mark.last_stamp - start:.0f} s",
+        ),
+    )
+
+
+def parameters(mark: Landmark) -> str:
+    """Return a landmark's parameters beside its position, for people."""
+    names = {"r": "r {:.3f} m", "radius": "radius {:.3f} m"}
+    shown = []
+    for name, value in mark.parameters.items():
+        if name in ANGLES:
+            shown.append(f"{ANGLES[name]} {math.degrees(value):z.1f}°")
+        elif name not in ("x", "y"):
+            shown.append(names.get(name, name + " {:g}").format(value))
+    return ", ".join(shown)
+
+
+def stages(outcome: Outcome) -> str:
+    """Return the table of times."""
+    rows = []
+    for name, seconds in outcome.stages.items():
+        times = stage_times(seconds)
+        cells = ("–" if value is None else f"{value:.3f}" for value in times.values())
+        rows.append(
+            (name, *cells, f"{100 * np.sum(seconds) / max(outcome.wall_seconds, 1e-9):.0f} %")
+        )
+    header = ("stage", "mean ms", "median ms", "99 % ms", "of the run")
+    note = "Time per scan. The very first run of a version also compiles its kernels."
+    return section("Time", table(header, rows), note=note)
+
+
+def dropped(outcome: Outcome) -> str:
+    """Return the table of what was not used, and why."""
+    if not outcome.dropped:
+        return section("Not used", "<p>Everything in the log was used.</p>")
+    rows = [(kind, f"{d.count:,}", d.example) for kind, d in sorted(outcome.dropped.items())]
+    note = "What was dropped, or looked wrong, with the first example of each kind."
+    header = ("problem", "times", "first example")
+    return section("Not used", table(header, rows, text=3), note=note)
+
+
+def details(outcome: Outcome) -> str:
+    """Return what is needed to repeat the run."""
+    facts = [
+        ("log", outcome.log),
+        ("SHA-256 of the log", outcome.log_sha256),
+        *(
+            (f"version of {name}" if name != "platform" else name, v)
+            for name, v in versions().items()
+        ),
+        ("scalars in the belief", outcome.state_size),
+        *(
+            (f"{name} in the log" if name[0].isupper() else name, f"{n:,}")
+            for name, n in sorted(outcome.counts.items())
+        ),
+    ]
+    config = f"<pre>{escape(config_toml(outcome.config))}</pre>"
+    return section(
+        "To repeat it",
+        folded("Log, versions and counts", table(("what", ""), facts, text=2)),
+        folded("The configuration, as config.toml holds it", config),
+    )

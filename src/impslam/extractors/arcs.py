@@ -104,6 +104,8 @@ def _fit_arc(
 ) -> bool:
     """Fit a cylinder to a segment and write its row; tell whether it is one."""
     known = not math.isnan(limits[0])
+    if not known and not fit_line_core(points, beams, variances, 0.0)[7] > _LINE_GAIN:
+        return False
     middle = points[len(points) // 2]
     away = math.hypot(middle[0] - origin[0], middle[1] - origin[1])
     start = _start(points, beams, limits, away)
@@ -195,7 +197,7 @@ def _is_round(
 def _corner_misfit(points: Array, beams: Array, variances: Array) -> float:
     """Return the least chi2 of two lines through a segment, each with three points or more."""
     best, n = math.inf, len(points)
-    for k in range(3, n - 2, max(1, n // 12)):
+    for k in range(3, n - 2, max(1, n // 8)):
         left = fit_line_core(points[:k], beams[:k], variances[:k], 0.0)[7]
         right = fit_line_core(points[k:], beams[k:], variances[k:], 0.0)[7]
         best = min(best, left + right)

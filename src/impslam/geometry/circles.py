@@ -188,7 +188,7 @@ def fit_circle_core(
         step = covariance @ sums[0]
         longest = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
         circle += step * min(1.0, circle[2] / max(longest, 1e-300))
-        if longest < 1e-9:
+        if longest < 1e-8:
             break
     chi2 = _normal_equations(circle, points, beams, variances, edges, info, sums)
     good = _inverse(info, known, covariance) and longest < 1e-4

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from impslam.association.assignment import collect
 from impslam.association.base import Assignment, Association, Hypotheses, Joint
 from impslam.component import register
@@ -25,14 +27,14 @@ class Known(Association):
     def _choose(
         observations: tuple[Observation, ...], group: Hypotheses
     ) -> tuple[list[tuple[int, int]], Mask]:
-        labels = [observations[i].label for i in group.observations]
         known = {int(label): k for k, label in enumerate(group.labels) if label >= 0}
-        pairs = [
-            (a, known[label])
-            for a, label in enumerate(labels)
-            if label is not None and label in known
-        ]
-        unlabelled = group.observations < 0
-        for a, label in enumerate(labels):
-            unlabelled[a] = label is None
-        return pairs, unlabelled
+        best: dict[int, int] = {}  # a label that is read twice belongs to the nearer
+        taken = np.zeros(len(group.observations), np.bool_)
+        for a, i in enumerate(group.observations):
+            label = observations[i].label
+            k = None if label is None else known.get(label)
+            taken[a] = label is None or k is not None
+            if k is not None:
+                rival = best.get(k, a)
+                best[k] = min(a, rival, key=lambda b: (group.distance2[b, k], b))
+        return [(a, k) for k, a in best.items()], taken

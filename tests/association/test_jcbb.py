@@ -1,0 +1,178 @@
+"""JCBB finds the largest jointly compatible set, where pairs judged alone are misled."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from tests.association.scenes import mapped, pairs, point, wall
+
+from impslam.association.jcbb import Jcbb
+from impslam.association.mahalanobis import Mahalanobis
+from impslam.association.nearest import Nearest
+
+ORIGIN = np.zeros(3)
+GATE = 0.999
+
+
+def enumerate_all(belief, seen):
+    """Return (count, d^2 + log det) of the best compatible set, by trying every one."""
+    options = []
+    for group in belief.hypothesise(seen):
+        inside = (group.distance2 <= chi2.ppf(GATE, 2)) & group.possible
+        options += [
+            [group.match(a, k) for k in np.flatnonzero(inside[a])] for a in range(len(seen))
+        ]
+    best = (0, 0.0)
+    for chosen in itertools.product(*([None, *some] for some in options)):
+        some = [match for match in chosen if match is not None]
+        if not some or len({match.landmark for match in some}) < len(some):
+            continue
+        innovation, S = belief.joint(seen, some)
+        d2 = innovation @ np.linalg.solve(S, innovation)
+        if d2 <= chi2.ppf(GATE, len(innovation)):
+            best = min(best, (-len(some), d2 + np.linalg.slogdet(S)[1]))
+    return -best[0], best[1]
+
+
+def value(belief, seen, choice):
+    """Return (count, d^2 + log det) of a choice."""
+    if not choice.matches:
+        return 0, 0.0
+    innovation, S = belief.joint(seen, choice.matches)
+    d2 = innovation @ np.linalg.solve(S, innovation)
+    return len(choice.matches), d2 + np.linalg.slogdet(S)[1]
+
+
+def random_scene(seed, landmarks=5, seen=4):
+    """A crowded map and a pose error larger than its spacing; one observation in four is spurious."""
+    rng = np.random.default_rng(seed)
+    places, sigma = rng.uniform(1.0, 3.0, (landmarks, 2)), np.array([0.4, 0.4, 0.1])
+    belief = mapped([point(ORIGIN, p, rng=rng) for p in places], sigma=sigma)
+    pose = rng.normal(0.0, sigma)
+    true = [int(k) for k in rng.permutation(landmarks)[:seen]]
+    observations = [point(pose, places[k], rng=rng) for k in true]
+    if seed % 2:
+        observations[0] = point(pose, rng.uniform(1.0, 3.0, 2))
+    return belief, tuple(observations), true
+
+
+def row(error):
+    """A row of four posts half a metre apart, seen from a pose that is off by `error` along it."""
+    places = [(2.0, y) for y in (0.0, 0.5, 1.0, 1.7)]
+    belief = mapped([point(ORIGIN, p) for p in places], sigma=(0.3, 0.3, 0.01))
+    pose = np.array([0.0, error, 0.0])
+    return belief, tuple(point(pose, p) for p in places)
+
+
+def test_a_pose_error_beyond_the_spacing_swaps_nearest_neighbours_but_not_jcbb():
+    """Off by 0.6 m: each post is seen where its neighbour is expected (Neira & Tardós 2001)."""
+    belief, seen = row(0.6)
+    truth = {0: 0, 1: 1, 2: 2, 3: 3}
+    wrong = pairs(belief.associate(seen[1:], Nearest()))
+    assert any(wrong[a] != a + 1 for a in wrong)
+    alone = pairs(belief.associate(seen[1:], Mahalanobis()))
+    assert any(alone[a] != a + 1 for a in alone)
+    assert pairs(belief.associate(seen[1:], Jcbb())) == {a - 1: k for a, k in truth.items() if a}
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_equal_to_enumeration(seed):
+    belief, seen, _ = random_scene(seed)
+    choice = belief.associate(seen, Jcbb())
+    assert value(belief, seen, choice) == pytest.approx(enumerate_all(belief, seen), abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_order_of_observations_does_not_matter(seed):
+    belief, seen, _ = random_scene(seed, landmarks=12, seen=8)
+    here = pairs(belief.associate(seen, Jcbb()))
+    order = np.random.default_rng(seed).permutation(len(seen))
+    there = pairs(belief.associate(tuple(seen[i] for i in order), Jcbb()))
+    assert {int(order[a]): k for a, k in there.items()} == here
+
+
+def test_right_more_often_than_pairs_judged_alone():
+    """Eight of twelve posts seen, pose off by more than their spacing, forty draws."""
+    right = {Jcbb: 0, Mahalanobis: 0}
+    for seed in range(0, 80, 2):
+        belief, seen, true = random_scene(seed, landmarks=12, seen=8)
+        for kind in right:
+            found = pairs(belief.associate(seen, kind()))
+            right[kind] += sum(true[a] == k for a, k in found.items())
+    assert right[Jcbb] > 0.97 * 320
+    assert right[Mahalanobis] < 0.9 * right[Jcbb]
+
+
+def test_spurious_observations_are_rejected():
+    """Something beside a post, inside that post's own gate but out of step with the others."""
+    belief, seen = row(0.2)
+    stray = point(ORIGIN, (2.25, 1.7))
+    alone = belief.associate((stray,), Jcbb())
+    assert len(alone.matches) == 1
+    choice = belief.associate((*seen[:3], stray), Jcbb())
+    assert pairs(choice) == {0: 0, 1: 1, 2: 2}
+    assert choice.new == ()  # too near the post to be new
+
+
+def test_points_and_walls_vote_together():
+    """A wall tells how far off the pose is, and so which post of two is seen."""
+    ends, posts = [[3, -2], [3, 2]], [(2.0, 0.0), (2.5, 0.0)]
+    belief = mapped(
+        [point(ORIGIN, p) for p in posts] + [wall(ORIGIN, ends)], sigma=(0.4, 0.4, 0.01)
+    )
+    pose = np.array([-0.5, 0.0, 0.0])
+    seen = (point(pose, posts[0]), wall(pose, ends))
+    assert pairs(belief.associate(seen[:1], Mahalanobis())) == {0: 1}
+    assert pairs(belief.associate(seen, Jcbb())) == {0: 0, 1: 2}
+
+
+def test_true_pairings_pass_the_joint_gate_at_its_rate(rng):
+    """All innovations of a scan together are chi-square: the joint covariance is the right one."""
+    places, sigma = np.array([[2.0, 0.0], [0.0, 3.0], [-2.0, -1.0]]), np.array([0.05, 0.05, 0.02])
+    values = []
+    for _ in range(400):
+        belief = mapped([point(ORIGIN, p, rng=rng) for p in places], sigma=sigma)
+        pose = rng.normal(0.0, sigma)
+        seen = tuple(point(pose, p, i, rng=rng) for i, p in enumerate(places))
+        choice = belief.associate(seen, Jcbb(gate=1.0 - 1e-12))
+        innovation, S = belief.joint(seen, choice.matches)
+        values.append(innovation @ np.linalg.solve(S, innovation))
+    low, high = chi2.ppf([0.0005, 0.9995], 6 * len(values)) / len(values)
+    assert low < np.mean(values) < high
+
+
+def test_the_joint_covariance_is_that_of_the_dense_formula():
+    """H and P written out in full, for points and walls in mixed order."""
+    seen = (
+        point(ORIGIN, (2, 1)),
+        wall(ORIGIN, [[3, -2], [3, 2]]),
+        point(ORIGIN, (-1, 2)),
+        wall(ORIGIN, [[-2, 3], [2, 3]]),
+    )
+    belief = mapped(seen, moved=(0.3, 0.1, 0.2), sigma=(0.1, 0.2, 0.05))
+    made = {match.observation: match for match in belief.associate(seen, Nearest()).matches}
+    some = [made[i] for i in (3, 0, 2, 1)]
+    innovation, S = belief.joint(seen, some)
+    rows, _, R = belief._stack(seen, some)
+    H = np.zeros((len(innovation), belief.state_size))
+    for r in range(len(H)):
+        H[r, :3] = rows.h_pose[r]
+        size = rows.dims[r]
+        H[r, rows.offsets[r] : rows.offsets[r] + size] = rows.h_m[r, :size]
+    np.testing.assert_allclose(S, H @ belief.belief.covariance @ H.T + R, atol=1e-12)
+    for i, match in enumerate(some):
+        here = slice(2 * i, 2 * i + 2)
+        np.testing.assert_allclose(innovation[here], match.innovation, atol=1e-12)
+        np.testing.assert_allclose(S[here, here], match.S, atol=1e-12)
+
+
+@pytest.mark.parametrize("budget", [1, 10, 40])
+def test_a_search_cut_short_still_returns_compatible_pairs(budget):
+    for seed in range(10):
+        belief, seen, _ = random_scene(seed, landmarks=20, seen=12)
+        choice = belief.associate(seen, Jcbb(budget=budget))
+        assert choice.matches
+        innovation, S = belief.joint(seen, choice.matches)
+        d2 = innovation @ np.linalg.solve(S, innovation)
+        assert d2 <= chi2.ppf(GATE, len(innovation))

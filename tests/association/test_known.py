@@ -1,0 +1,34 @@
+"""Association by label, however far off the observation is."""
+
+import numpy as np
+from tests.association.scenes import mapped, pairs, point
+
+from impslam.association.known import Known
+
+ORIGIN = np.zeros(3)
+
+
+def test_labels_decide_against_all_distance():
+    belief = mapped([point(ORIGIN, (1, 0), 7), point(ORIGIN, (2, 0), 8)])
+    seen = (point(ORIGIN, (1, 0), 8), point(ORIGIN, (50, 50), 7))
+    assert pairs(belief.associate(seen, Known())) == {0: 1, 1: 0}
+
+
+def test_an_unknown_label_is_new_and_no_label_is_neither():
+    belief = mapped([point(ORIGIN, (1, 0), 7)])
+    choice = belief.associate((point(ORIGIN, (1, 0), 9), point(ORIGIN, (1, 0))), Known())
+    assert choice.matches == ()
+    assert choice.new == (0,)
+
+
+def test_landmarks_without_label_are_never_matched():
+    belief = mapped([point(ORIGIN, (1, 0))])
+    assert belief.associate((point(ORIGIN, (1, 0), 0),), Known()).matches == ()
+
+
+def test_a_label_read_twice_is_the_nearer_one_and_the_other_is_not_new():
+    belief = mapped([point(ORIGIN, (1, 0), 7)])
+    seen = (point(ORIGIN, (1.2, 0), 7), point(ORIGIN, (1.1, 0), 7))
+    choice = belief.associate(seen, Known())
+    assert pairs(choice) == {1: 0}
+    assert choice.new == ()

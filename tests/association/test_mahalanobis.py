@@ -1,0 +1,102 @@
+"""The chi-square gate has its stated rate, the choice is the best one, and walls stay apart."""
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+from tests.association.scenes import R_POINT, mapped, move, pairs, point, wall
+
+from impslam.association.assignment import one_to_one
+from impslam.association.mahalanobis import Mahalanobis
+from impslam.geometry.se2 import compose
+
+ORIGIN = np.zeros(3)
+
+
+@pytest.mark.parametrize("gate", [0.9, 0.99])
+def test_the_gate_passes_true_pairings_at_its_rate(gate, rng):
+    """Pose, first and second observation are drawn as the covariances say; 99.9 % bounds."""
+    runs, passed, sigma = 1500, 0, np.array([0.05, 0.03, 0.02])
+    for _ in range(runs):
+        belief = mapped([point(ORIGIN, (2, 1), rng=rng)], sigma=sigma)
+        pose = rng.normal(0.0, sigma)
+        choice = belief.associate((point(pose, (2, 1), rng=rng),), Mahalanobis(gate=gate))
+        passed += len(choice.matches)
+    low, high = binom.ppf([0.0005, 0.9995], runs, gate)
+    assert low <= passed <= high
+
+
+def test_the_whole_choice_is_best_where_greedy_is_not():
+    """Landmarks at 0 and 1, seen at 0.9 and 1.9: the nearest pair (0.9, 1) would waste the other."""
+    belief = mapped([point(ORIGIN, (2, 0)), point(ORIGIN, (3, 0))], sigma=(0.5, 0.5, 1e-3))
+    seen = (point(ORIGIN, (2.9, 0)), point(ORIGIN, (3.9, 0)))
+    assert pairs(belief.associate(seen, Mahalanobis())) == {0: 0, 1: 1}
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_one_to_one_equals_enumeration(seed):
+    rng = np.random.default_rng(seed)
+    cost, allowed = rng.normal(-8.0, 3.0, (4, 4)), rng.random((4, 4)) < 0.6
+    best = (0, 0.0)
+
+    def descend(a, free, count, total):
+        nonlocal best
+        if a == len(cost):
+            best = min(best, (-count, total))
+            return
+        descend(a + 1, free, count, total)
+        for k in free:
+            if allowed[a, k]:
+                descend(a + 1, free - {k}, count + 1, total + cost[a, k])
+
+    descend(0, frozenset(range(4)), 0, 0.0)
+    chosen = one_to_one(cost, allowed)
+    assert all(allowed[pair] for pair in chosen)
+    assert (-len(chosen), sum(cost[pair] for pair in chosen)) == pytest.approx(best)
+
+
+def test_collinear_walls_five_metres_apart_stay_two():
+    belief = mapped([wall(ORIGIN, [[2, -4], [2, -2]])])
+    choice = belief.associate((wall(ORIGIN, [[2, 3], [2, 5]]),), Mahalanobis())
+    assert choice.matches == ()
+    assert choice.new == (0,)
+
+
+def test_a_wall_is_known_again_from_a_later_pose():
+    ends, later = [[4, -3], [4, 3]], np.array([1.5, 1.0, 0.8])
+    belief = mapped([wall(ORIGIN, ends)], moved=later)
+    assert pairs(belief.associate((wall(later, ends),), Mahalanobis())) == {0: 0}
+
+
+def test_opposite_faces_of_a_thin_wall_stay_two():
+    """Seen from either side of a partition 5 cm thick, within the pose's uncertainty."""
+    near, far = [[2, -2], [2, 2]], [[2.05, -2], [2.05, 2]]
+    behind = np.array([4.0, 0.0, 0.0])
+    belief = mapped([wall(ORIGIN, near)], moved=behind, sigma=(0.1, 0.1, 0.02))
+    choice = belief.associate((wall(behind, far),), Mahalanobis())
+    assert choice.matches == ()
+    assert choice.new == (0,)
+
+
+def test_between_the_gates_is_neither_matched_nor_new():
+    belief = mapped([point(ORIGIN, (2, 0))], sigma=(1e-6, 1e-6, 1e-6))
+    sigma = np.sqrt(2.0 * R_POINT[0, 0] + 1e-8)
+    outcome = []
+    for sigmas in (3.5, 4.5, 5.5):  # gates: 3.7 and 5.3 sigma
+        choice = belief.associate((point(ORIGIN, (2 + sigmas * sigma, 0)),), Mahalanobis())
+        outcome.append((len(choice.matches), len(choice.new)))
+    assert outcome == [(1, 0), (0, 0), (0, 1)]
+
+
+def test_the_choice_does_not_depend_on_the_map_frame():
+    """The same scene, twenty metres on and turned, seen from a pose that is known as well."""
+    places = np.array([[2.0, 0.0], [2.4, 0.3], [2.1, 0.9]])
+    seen = (point(ORIGIN, (2.15, 0.05)), point(ORIGIN, (2.3, 0.4)), point(ORIGIN, (2.0, 0.85)))
+    found = []
+    for start in (ORIGIN, np.array([20.0, -7.0, 2.5])):
+        belief = mapped([], moved=start, sigma=(1e-6, 1e-6, 1e-6))
+        assert np.allclose(belief.pose, compose(ORIGIN, start))
+        belief.extend([point(ORIGIN, p) for p in places], 1.0)
+        move(belief, ORIGIN, (0.3, 0.3, 0.05))
+        found.append(pairs(belief.associate(seen, Mahalanobis())))
+    assert found[0] == found[1]
+    assert len(found[0]) == 3

@@ -1,0 +1,88 @@
+"""The setting in which filters are judged by Monte Carlo: a circle among landmarks, and its noise.
+
+It is that of Huang, Mourikis & Roumeliotis 2010 ("Observability-based rules for designing consistent
+EKF SLAM estimators", simulations) in the size that public comparisons of invariant filters took over:
+a robot drives a circle of radius v/omega several times round, feels its speed and turn rate with
+noise, and measures where landmarks in range stand in its own frame. Which landmark is which is known.
+
+Before it sees anything for the first time it has moved one step. That step's error of heading turns
+the whole map, nothing later can mend it, and a filter that grows surer of it is too sure. It makes
+most of the error of position, too: what a filter can win or lose in the mean is little.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from impslam.geometry.se2 import compose, inverse, transform
+from impslam.types import Array, Mask
+
+START_SIGMA = 1e-4
+"""m and rad: the start is the map's origin by definition."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """The robot, its noise, and the ring of landmarks round its circle.
+
+    `wheel_sigma` is that of either wheel's speed; a wheelbase apart, the two make the noise of the
+    robot's speed, `wheel_sigma / sqrt(2)`, and of its turn rate, `sqrt(2) wheel_sigma / wheelbase`.
+    """
+
+    speed: float = 0.25  # m/s
+    turn_rate: float = 0.075  # rad/s
+    dt: float = 1.0  # s
+    steps: int = 400  # poses, the start included
+    wheel_sigma: float = 0.02  # m/s
+    wheelbase: float = 0.5  # m
+    landmarks: int = 15
+    clearance: float = 2.5  # m, from the robot's circle out to the ring of landmarks
+    sigma: float = 0.1  # m, of a landmark's place, each axis
+    min_range: float = 0.5  # m
+    max_range: float = 5.0  # m
+
+    @property
+    def motion_sigmas(self) -> Array:
+        """(3,) standard deviations of an increment: along (m), across (m), turn (rad)."""
+        speed = self.wheel_sigma / math.sqrt(2.0)
+        turn_rate = math.sqrt(2.0) * self.wheel_sigma / self.wheelbase
+        return self.dt * np.array([speed, 0.0, turn_rate])
+
+    def path(self) -> Array:
+        """Return the true poses (steps, 3); each step goes straight, then turns."""
+        d = self.dt * np.array([self.speed, 0.0, self.turn_rate])
+        poses = np.zeros((self.steps, 3))
+        for k in range(1, self.steps):
+            poses[k] = compose(poses[k - 1], d)
+        return poses
+
+    def ring(self) -> Array:
+        """Return the landmarks (landmarks, 2), evenly round the circle's centre."""
+        radius = self.speed / self.turn_rate
+        angles = 2.0 * np.pi * np.arange(1, self.landmarks + 1) / self.landmarks
+        ring = (radius + self.clearance) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        return np.asarray(ring + np.array([0.0, radius]), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """One run's data: felt motion (steps - 1, 3), landmarks as seen (steps - 1, n, 2), and which."""
+
+    truth: Array
+    felt: Array
+    seen: Array
+    in_range: Mask
+
+
+def simulate(setting: Setting, rng: np.random.Generator) -> Drive:
+    """Return a run: the true path is always the same, the noise is not."""
+    truth, places = setting.path(), setting.ring()
+    felt = setting.dt * np.array([setting.speed, 0.0, setting.turn_rate])
+    felt = felt + setting.motion_sigmas * rng.standard_normal((setting.steps - 1, 3))
+    exact = np.array([transform(inverse(pose), places) for pose in truth[1:]])
+    distance = np.hypot(exact[..., 0], exact[..., 1])
+    in_range = (distance > setting.min_range) & (distance < setting.max_range)
+    return Drive(truth, felt, exact + setting.sigma * rng.standard_normal(exact.shape), in_range)

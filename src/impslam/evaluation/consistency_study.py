@@ -1,0 +1,218 @@
+"""Are the filters' uncertainties true, and what do they waste? A Monte Carlo study.
+
+Every filter runs over the same data (see `consistency_setting`). What is reported of it:
+
+- the normalised error squared (NEES) of the pose, ideally 3, over all runs and steps, and the share of
+  steps at which its mean over the runs lies within the 95 % interval of a consistent filter's. Steps
+  of a run are far from independent: the share of a consistent filter scatters widely about 0.95;
+- at check points, the NEES of landmarks (ideally 2) and the normalised innovation squared of a whole
+  scan over its dimension (NIS, ideally 1);
+- the root mean square errors (RMSE) of position and heading, and their ratio to the batch optimum's of
+  the same data up to the same step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+
+from impslam.component import build
+from impslam.evaluation.consistency import nees, pose_errors, share_within
+from impslam.evaluation.consistency_batch import optima
+from impslam.evaluation.consistency_setting import START_SIGMA, Drive, Setting, simulate
+from impslam.filters.base import Filter
+from impslam.types import Array, Increment, Match, Observation
+
+BATCH = "batch optimum"
+CHECK_EVERY = 40
+"""Steps from one check point to the next: a batch optimum costs as much as 30 steps of a filter."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curves:
+    """One estimator's means over the runs, by step: (steps,) each, NaN where it was not asked.
+
+    `nees` is the pose's, `position` the RMSE in m, `heading` in rad; `nees_landmarks` and `nis` at check
+    points only, as is `apart`, the root mean square distance from the batch optimum, m.
+    """
+
+    nees: Array
+    position: Array
+    heading: Array
+    nees_landmarks: Array
+    nis: Array
+    apart: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One estimator's figures over all steps; the ratios are at check points."""
+
+    name: str
+    nees: float
+    in_band: float
+    nees_landmarks: float
+    nis: float
+    position: float  # m
+    heading: float  # rad
+    position_ratio: float
+    heading_ratio: float
+    apart: float  # m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Study:
+    """What came out: a row and curves for each filter, the batch optimum last."""
+
+    setting: Setting
+    runs: int
+    seed: int
+    rows: tuple[Row, ...]
+    curves: Mapping[str, Curves]
+
+
+def consistency_study(
+    filters: Sequence[Mapping[str, Any] | str] = ("ekf", "fej", "riekf"),
+    runs: int = 50,
+    seed: int = 0,
+    processes: int = 1,
+    setting: Setting | None = None,
+) -> Study:
+    """Run every filter over the same simulated runs and compare it with the truth.
+
+    Parameters
+    ----------
+    filters : names of filters, or config tables with `kind` and parameters
+    runs : number of simulated runs; run r's noise depends on (seed, r) alone
+    processes : to share the runs out to; the result does not depend on it
+
+    Raises
+    ------
+    ConfigError
+        If a filter does not exist or refuses its parameters.
+    """
+    setting = setting or Setting()
+    tables = [{"kind": f} if isinstance(f, str) else dict(f) for f in filters]
+    for table in tables:
+        build("filter", table)
+    one = partial(_one_run, tables, setting, seed)
+    if processes == 1:
+        results = [one(run) for run in range(runs)]
+    else:
+        with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+            results = list(pool.map(one, range(runs), chunksize=max(1, runs // (8 * processes))))
+    squares = np.array(results)  # (runs, estimators, figures, steps)
+    curves = {
+        name: Curves(
+            mean[0], np.sqrt(mean[1]), np.sqrt(mean[2]), mean[3], mean[4], np.sqrt(mean[5])
+        )
+        for name, mean in zip([*map(_label, tables), BATCH], squares.mean(axis=0), strict=True)
+    }
+    rows = tuple(_row(name, curve, curves[BATCH], runs) for name, curve in curves.items())
+    return Study(setting, runs, seed, rows, curves)
+
+
+def _label(table: Mapping[str, Any]) -> str:
+    """Return the filter's name, with the parameters that were given."""
+    given = ", ".join(f"{key}={value}" for key, value in table.items() if key != "kind")
+    return f"{table['kind']} ({given})" if given else str(table["kind"])
+
+
+def _row(name: str, curve: Curves, batch: Curves, runs: int) -> Row:
+    check = np.isfinite(batch.nees)
+    asked = np.isfinite(curve.nees)
+    position, heading = (
+        (_rms(a[asked]), _rms(a[check]) / _rms(b[check]))
+        for a, b in ((curve.position, batch.position), (curve.heading, batch.heading))
+    )
+    return Row(
+        name,
+        float(curve.nees[asked].mean()),
+        share_within(curve.nees[asked], runs, 3),
+        float(curve.nees_landmarks[check].mean()),
+        float(curve.nis[check].mean()),
+        position[0],
+        heading[0],
+        position[1],
+        heading[1],
+        _rms(curve.apart[check]),
+    )
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _one_run(tables: Sequence[Mapping[str, Any]], setting: Setting, seed: int, run: int) -> Array:
+    """Return (filters + 1, 6, steps), the means of which make `Curves`; the batch optimum is last."""
+    drive = simulate(setting, np.random.default_rng([seed, run]))
+    checks = range(CHECK_EVERY, setting.steps, CHECK_EVERY)
+    out = np.full((len(tables) + 1, 6, setting.steps), np.nan)
+    best = np.full((setting.steps, 2), np.nan)
+    for optimum in optima(setting, drive, checks):
+        best[optimum.step] = optimum.pose[:2]
+        _judge_pose(out[-1], drive.truth, best, *optimum)
+    for figures, table in zip(out, tables, strict=False):
+        for k, (belief, which, nis) in enumerate(follow(setting, table, drive, checks), start=1):
+            _judge_pose(figures, drive.truth, best, k, belief.pose, belief.covariance)
+            if k in checks:
+                figures[3, k] = _landmark_nees(belief, setting.ring(), which)
+                figures[4, k] = nis
+    return out
+
+
+def _landmark_nees(belief: Filter, places: Array, which: Mapping[int, int]) -> float:
+    """Return the mean NEES of the landmarks."""
+    found = belief.landmarks()
+    errors = np.array([landmark.position - places[which[landmark.id]] for landmark in found])
+    return float(nees(errors, np.array([landmark.covariance for landmark in found])).mean())
+
+
+def _judge_pose(
+    figures: Array, truth: Array, best: Array, k: int, pose: Array, covariance: Array
+) -> None:
+    error = pose_errors(pose[None], truth[k, None])
+    figures[0, k] = nees(error, covariance[None])[0]
+    figures[1, k] = error[0, 0] ** 2 + error[0, 1] ** 2
+    figures[2, k] = error[0, 2] ** 2
+    figures[5, k] = np.sum((pose[:2] - best[k]) ** 2)
+
+
+def follow(
+    setting: Setting, table: Mapping[str, Any], drive: Drive, checks: Sequence[int] = ()
+) -> Iterator[tuple[Filter, Mapping[int, int], float]]:
+    """Run a filter, built from its config table, over the data with known association.
+
+    Yields
+    ------
+    belief : the filter, after each step
+    which : the true landmark's number by the filter's id
+    nis : normalised innovation squared of the scan over its dimension at checks, else NaN
+    """
+    belief: Filter = build("filter", table)
+    models = {"point": build("landmark", {"kind": "point"})}
+    belief.start(drive.truth[0], START_SIGMA**2 * np.eye(3), models)
+    Q, R = np.diag(setting.motion_sigmas**2), setting.sigma**2 * np.eye(2)
+    ids: dict[int, int] = {}  # by the landmark's number
+    for k, d_pose in enumerate(drive.felt, start=1):
+        visible = np.flatnonzero(drive.in_range[k - 1]).tolist()
+        seen = {i: Observation("point", drive.seen[k - 1, i], R) for i in visible}
+        old, new = [i for i in seen if i in ids], [i for i in seen if i not in ids]
+        observations = [seen[i] for i in old]
+        matches = [Match(a, ids[i], R[0], R, 0.0) for a, i in enumerate(old)]
+        belief.predict(Increment(k * setting.dt, d_pose, Q, setting.dt))
+        nis = _nis(*belief.joint(observations, matches)) if k in checks and matches else np.nan
+        belief.correct(observations, matches)
+        entered = belief.extend([seen[i] for i in new], k * setting.dt)
+        ids.update(zip(new, entered, strict=True))
+        yield belief, {number: i for i, number in ids.items()}, nis
+
+
+def _nis(innovation: Array, S: Array) -> float:
+    return float(innovation @ np.linalg.solve(S, innovation)) / len(innovation)

@@ -15,7 +15,7 @@ import numpy as np
 
 from impslam.config import Config, Keyframes
 from impslam.errors import MessageError, SourceError
-from impslam.geometry.se2 import compose
+from impslam.geometry.se2 import compose, inverse
 from impslam.observers.base import Dropped, Observer, Outcome
 from impslam.odometry.timeline import Timeline
 from impslam.sensors.base import Sensor
@@ -108,11 +108,11 @@ class Pipeline:
     def _ready(self, flush: bool) -> Iterator[StepResult]:
         while self._waiting:
             message, sensor, since = self._waiting[0]
-            begin = message.stamp - sensor.delay()
-            end = max(begin + sensor.duration(message), message.stamp)
-            together = self._timeline.ends_at(begin)
+            begin, end = sensor.span(message)
+            together = begin == end and self._timeline.ends_at(message.stamp)
+            known = self._timeline.covers(max(end, message.stamp))
             patient = self._seen - since < MAX_WAIT
-            if not (flush or together or self._timeline.covers(end) or not patient):
+            if not (flush or together or known or not patient):
                 return
             self._waiting.popleft()
             result = self._use(message, sensor)
@@ -121,9 +121,13 @@ class Pipeline:
 
     def _use(self, message: Message, sensor: Sensor) -> StepResult | None:
         with self._clock("odometry"):
-            begin = message.stamp - sensor.delay()
-            increment = replace(self._timeline.take(begin), stamp=message.stamp)
-            twist = self._timeline.twist(begin, sensor.duration(message))
+            begin, end = sensor.span(message)
+            before = self._timeline.take(begin)
+            twist = self._timeline.twist(begin, end - begin)
+            middle = 0.5 * (begin + end)
+            before = before.then(self._timeline.take(min(max(begin, message.stamp), middle)))
+            since = self._timeline.take(middle)
+            increment = replace(before.then(since), stamp=message.stamp)
         try:
             with self._clock("sensor"):
                 look = self._gate.passes(increment)
@@ -140,7 +144,9 @@ class Pipeline:
             )
         with self._clock("slam"):
             result = self.slam.step(increment, reading)
-        return result if begin == message.stamp else _at_stamp(result, self._timeline)
+        if middle == message.stamp:
+            return result
+        return _at_stamp(result, since, self._timeline.ahead(message.stamp))
 
     @property
     def stages(self) -> dict[str, list[float]]:
@@ -148,11 +154,18 @@ class Pipeline:
         return self._clock.stages
 
 
-def _at_stamp(result: StepResult, timeline: Timeline) -> StepResult:
-    """Carry the pose of a scan that was stamped late on to its stamp, by dead reckoning."""
-    ahead = timeline.ahead(result.stamp)
-    pose, covariance = ahead.advance(result.pose, result.covariance)
-    odometry = compose(result.odometry, ahead.d_pose)
+def _at_stamp(result: StepResult, since: Increment, ahead: Increment) -> StepResult:
+    """Carry the pose from the middle of a sweep to its stamp, by dead reckoning.
+
+    `since` is the motion from an earlier stamp to the middle, `ahead` that on to a later one.
+    """
+    motion = replace(
+        ahead,
+        d_pose=compose(inverse(since.d_pose), ahead.d_pose),
+        covariance=since.covariance + ahead.covariance,
+    )
+    pose, covariance = motion.advance(result.pose, result.covariance)
+    odometry = compose(result.odometry, motion.d_pose)
     return replace(result, pose=pose, covariance=covariance, odometry=odometry)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from impslam.geometry.se2 import compose
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
 from impslam.sensors.base import Reading
-from impslam.types import Array, Increment, Landmark, StepResult
+from impslam.types import Array, Increment, Landmark, Observation, StepResult
 
 START_SIGMA = 1e-4
 """m and rad: the start is the map's origin by definition; this only keeps P positive definite."""
@@ -30,13 +31,14 @@ class Slam:
         start: Array | None = None,
     ) -> None:
         self.filter, self.association, self.lifecycle = belief, association, lifecycle
+        self._models = models
         self._odometry = np.zeros(3) if start is None else np.array(start, dtype=np.float64)
         self.filter.start(self._odometry, START_SIGMA**2 * np.eye(3), models)
         self.lifecycle.start(models, association, type(belief)())
 
     def step(self, increment: Increment, reading: Reading) -> StepResult:
         """Take in the motion since the last reading, and the reading itself."""
-        observations, stamp = reading.observations, increment.stamp
+        observations, stamp = self._blur(reading.observations, increment), increment.stamp
 
         self.filter.predict(increment)
         self.lifecycle.move(increment)
@@ -71,6 +73,19 @@ class Slam:
             new,
             tuple(removed),
         )
+
+    def _blur(
+        self, observations: tuple[Observation, ...], increment: Increment
+    ) -> tuple[Observation, ...]:
+        """Add to R what the motion between a reading's moment and an observation's is unsure by."""
+        if increment.duration == 0.0:
+            return observations
+        rate = increment.covariance / increment.duration
+        blurred = []
+        for o in observations:
+            J = self._models[o.kind].z_D_motion(o.z)
+            blurred.append(replace(o, R=o.R + abs(o.delay) * J @ rate @ J.T) if o.delay else o)
+        return tuple(blurred)
 
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the map in the form users read."""

@@ -167,10 +167,10 @@ class Increment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
-    """A sweep made ready for extraction: validated, mounted, and de-skewed to one instant.
+    """A sweep made ready for extraction: validated, mounted, and de-skewed to its middle.
 
     n beams in beam order, every array of length n. `points`, `directions` and `origins` are in
-    base_link as it was at `stamp`; `angles` and `ranges` are still the sensor's own (laser frame).
+    base_link as it was then; `angles` and `ranges` are still the sensor's own (laser frame).
     Only beams with `valid` true have a meaningful range and point.
 
     Attributes
@@ -218,6 +218,7 @@ class Observation:
     end_points : (2, 2) m, first and last point of a wall along increasing beam index, else None
     attributes : further measured properties by name, e.g. {"radius": 0.15} (m)
     label : the landmark's identity where the sensor knows it (barcodes), else None
+    delay : s, how long after the reading's moment its beams were fired, on average (signed)
     """
 
     kind: str
@@ -227,6 +228,7 @@ class Observation:
     end_points: Array | None = None
     attributes: Mapping[str, float] = field(default_factory=dict)
     label: int | None = None
+    delay: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from tests.numeric import jacobian, wrapped
 
 from impslam.component import components
 from impslam.geometry.se2 import compose, exp, transform
 from impslam.landmarks.wall import Wall
 from impslam.types import Observation
-from tests.numeric import jacobian, wrapped
 
 MODELS = {name: cls() for name, cls in components("landmark").items()}
 HEADINGS = [0.0, 0.4, math.pi / 2, 3.0, math.pi - 1e-9, -math.pi + 1e-9, -1.2, 5.9]
@@ -64,6 +64,13 @@ def test_prediction_jacobians(model, theta, rng):
         )
         np.testing.assert_allclose(prediction.z_D_pose[k], by_pose, atol=1e-7)
         np.testing.assert_allclose(prediction.z_D_m[k], by_m, atol=1e-7)
+
+
+def test_motion_jacobian_is_that_of_the_pose_at_the_origin(model, rng):
+    for o in observations(model, rng):
+        m = model.initialise(np.zeros(3), o).m
+        expected = model.predict(np.zeros(3), m[None]).z_D_pose[0]
+        np.testing.assert_allclose(model.z_D_motion(o.z), expected, atol=1e-12)
 
 
 def local(model, m, other):

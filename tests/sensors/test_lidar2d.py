@@ -36,15 +36,18 @@ def test_mount_carries_points_into_base_link(upside_down):
 
 
 @pytest.mark.parametrize("direction", [1, -1])
-@pytest.mark.parametrize("twist", [[0.5, 0.0, 1.2], [2.8, 0.1, -2.0], [1.0, 0.0, 0.0], [0, 0, 1e-5]])
+@pytest.mark.parametrize(
+    "twist", [[0.5, 0.0, 1.2], [2.8, 0.1, -2.0], [1.0, 0.0, 0.0], [0, 0, 1e-5]]
+)
 def test_deskew_puts_a_moving_robots_points_where_they_are(twist, direction):
     """A world of points, each seen at its own time from its own place."""
     rng, twist = np.random.default_rng(1), np.array(twist)
     mount, world = np.array([0.145, 0.02, -0.3]), rng.uniform(-5, 5, (200, 2))
     offsets = 97.66e-6 * np.arange(200)
+    middle = 0.5 * offsets[-1]
     angles, ranges = np.empty(200), np.empty(200)
     for i, (point, t) in enumerate(zip(world, offsets, strict=True)):
-        seen = transform(inverse(compose(exp(t * twist), mount)), point[None])[0]
+        seen = transform(inverse(compose(exp((t - middle) * twist), mount)), point[None])[0]
         angles[i], ranges[i] = math.atan2(seen[1], seen[0]), math.hypot(*seen)
     order = slice(None, None, direction)
     message = LaserScan(0.0, angles[order], ranges[order], offsets[order])
@@ -56,7 +59,9 @@ def test_deskew_puts_a_moving_robots_points_where_they_are(twist, direction):
 
 
 def test_origins_and_directions_lead_to_the_points():
-    scan = observe(Lidar2D(mount=(0.1, 0, 0.2)), sweep(np.full(50, 2.0), rate=1e-3), np.array([1, 0, 1.0]))
+    scan = observe(
+        Lidar2D(mount=(0.1, 0, 0.2)), sweep(np.full(50, 2.0), rate=1e-3), np.array([1, 0, 1.0])
+    )
     ray = np.stack([np.cos(scan.directions), np.sin(scan.directions)], 1)
     np.testing.assert_allclose(scan.origins + 2.0 * ray, scan.points, atol=1e-12)
 

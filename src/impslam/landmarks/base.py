@@ -84,6 +84,10 @@ class LandmarkModel(Component):
         """Return the landmark that would be observed like this from a pose (3,)."""
 
     @abstractmethod
+    def z_D_motion(self, z: Array) -> Array:
+        """Return (dim_z, 3): how an observation changes as base_link moves by [dx, dy, dtheta]."""
+
+    @abstractmethod
     def retract(self, m: Array, delta: Array) -> Array:
         """Return landmarks m (k, dim) moved by perturbations delta (k, dim)."""
 

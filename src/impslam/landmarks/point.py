@@ -52,6 +52,10 @@ class Point(LandmarkModel):
         m_D_pose = np.array([[1.0, 0.0, pose[1] - m[1]], [0.0, 1.0, m[0] - pose[0]]])
         return Initial(m, m_D_pose, rotation(pose[2]), np.zeros((2, 2)))
 
+    def z_D_motion(self, z: Array) -> Array:
+        """Return how a point seen at z moves as base_link does."""
+        return np.array([[-1.0, 0.0, z[1]], [0.0, -1.0, -z[0]]])
+
     def retract(self, m: Array, delta: Array) -> Array:
         """Return m + delta."""
         return m + delta

@@ -85,6 +85,10 @@ class Wall(LandmarkModel):
         slack = np.diag([0.0, spacing**2 / 12.0 + 1e-6, 0.0])
         return Initial(m, m_D_pose, m_D_z, slack)
 
+    def z_D_motion(self, z: Array) -> Array:
+        """Return how a wall seen as z moves as base_link does."""
+        return np.array([[-math.cos(z[1]), -math.sin(z[1]), 0.0], [0.0, 0.0, -1.0]])
+
     def retract(self, m: Array, delta: Array) -> Array:
         """Move the frames in their own axes."""
         c, s = np.cos(m[:, 2]), np.sin(m[:, 2])

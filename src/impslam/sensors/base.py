@@ -27,19 +27,15 @@ class Sensor(Component):
     consumes: ClassVar[type]
     """The type of message it understands."""
 
-    def delay(self) -> float:
-        """Return how much later than the measurement its stamp is, on the odometry's clock, s."""
-        return 0.0
-
     @abstractmethod
     def observe(
         self, message: Message, twist: Array, rng: np.random.Generator, look: bool = True
     ) -> Reading:
-        """Return what the message shows in base_link as it is at the message's stamp.
+        """Return what the message shows in base_link as it is in the middle of its `span`.
 
         Without `look` the scan is made ready but not searched for landmarks.
 
-        `twist` (3,) is the body's [vx, vy, omega] (m/s, m/s, rad/s) from the stamp on, for the
+        `twist` (3,) is the body's mean [vx, vy, omega] (m/s, m/s, rad/s) over the span, for the
         removal of motion distortion.
 
         Raises
@@ -48,7 +44,6 @@ class Sensor(Component):
             If the message cannot be used at all.
         """
 
-    def duration(self, message: Message) -> float:
-        """Return how long after its stamp the measurement went on, in s."""
-        del message
-        return 0.0
+    def span(self, message: Message) -> tuple[float, float]:
+        """Return when the measurement began and ended, s on the odometry's clock."""
+        return message.stamp, message.stamp

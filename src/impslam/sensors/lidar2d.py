@@ -1,13 +1,14 @@
 """A 2D lidar: from what it sent to points in base_link at one instant.
 
-The beams of a sweep start while the robot moves. With a constant body twist xi after the scan's stamp
-the robot is at exp(t xi) when a beam is fired t seconds later; the beam's origin and end are carried
+The beams of a sweep start while the robot moves. With a constant body twist xi the robot is at
+exp(t xi) when a beam is fired t seconds after the middle of the sweep; the beam's origin and end are carried
 through that motion (de-skewed) before they are used.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -101,13 +102,13 @@ class Lidar2D(Sensor):
             for name, table in tables.items()
         }
 
-    def delay(self) -> float:
-        """Return the latency of the stamps."""
-        return self.latency
-
-    def duration(self, message: Message) -> float:
-        """Return how long the sweep took, in s."""
+    def span(self, message: Message) -> tuple[float, float]:
+        """Return when the first and the last beam were fired, s on the odometry's clock."""
         assert isinstance(message, LaserScan)
+        begin = message.stamp - self.latency
+        return begin, begin + self._sweep(message)
+
+    def _sweep(self, message: LaserScan) -> float:
         return float(message.time_offsets.max(initial=0.0)) if self.deskew else 0.0
 
     def observe(
@@ -118,11 +119,14 @@ class Lidar2D(Sensor):
         if len(message.ranges) == 0:
             raise MessageError(f"the scan at {message.stamp:.3f} s has no beams; it is dropped")
         scan = self.scan(message, twist)
+        middle = 0.5 * self._sweep(message)
         found = [
-            observation
+            replace(o, delay=float(message.time_offsets[o.beams].mean()) - middle)
+            if middle and len(o.beams)
+            else o
             for extractor in self.extractors.values()
             if look
-            for observation in extractor.extract(scan, rng)
+            for o in extractor.extract(scan, rng)
         ]
         return Reading(scan, tuple(found))
 
@@ -137,7 +141,7 @@ class Lidar2D(Sensor):
         points, directions, origins = _place(
             message.angles,
             ranges,
-            message.time_offsets,
+            message.time_offsets - 0.5 * self._sweep(message),
             laser,
             -1.0 if self.upside_down else 1.0,
             twist if self.deskew else np.zeros(3),

@@ -8,16 +8,21 @@ sentence; its methods are the role it plays. A role is a direct subclass of `Com
     class Hough(Extractor): ...
 
 Third parties register through the entry-point group `impslam.components`: each entry point names a
-module, and importing it runs its `@register` lines.
+module, and importing it runs its `@register` lines. What is not installed is named by the config's
+`plugins`, as a file or a module.
 """
 
 from __future__ import annotations
 
 import difflib
 import importlib
+import importlib.util
 import pkgutil
+import sys
+import zlib
 from collections.abc import Callable, Mapping
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -67,7 +72,7 @@ def register(name: str) -> Callable[[type[C]], type[C]]:
 
     def add(cls: type[C]) -> type[C]:
         known = _ROLES.setdefault(cls.role, {})
-        if name in known and known[name].__qualname__ != cls.__qualname__:
+        if name in known and _place(known[name]) != _place(cls):
             raise ConfigError(
                 f"{cls.role} {name!r} is registered twice, by {known[name].__module__} and "
                 f"{cls.__module__}; rename one"
@@ -79,6 +84,10 @@ def register(name: str) -> Callable[[type[C]], type[C]]:
     return add
 
 
+def _place(cls: type) -> tuple[str, str]:
+    return cls.__module__, cls.__qualname__
+
+
 def load_components() -> None:
     """Import every room of the package and every installed plug-in, once."""
     for room in _ROOMS:
@@ -86,7 +95,49 @@ def load_components() -> None:
         for module in pkgutil.iter_modules(package.__path__, f"impslam.{room}."):
             importlib.import_module(module.name)
     for entry in entry_points(group="impslam.components"):
-        entry.load()
+        _guarded(f"plug-in {entry.name} = {entry.value}", entry.load)
+
+
+def load_plugin(place: str) -> None:
+    """Import a plug-in, once: a Python file, or a module by its dotted name.
+
+    Raises
+    ------
+    ConfigError
+        If it is missing or cannot be imported.
+    """
+    if not place.endswith(".py"):
+        _guarded(f"plugins: {place}", lambda: importlib.import_module(place))
+        return
+    path = Path(place).resolve()
+    if not path.is_file():
+        raise ConfigError(f"plugins: {place}: no such file; check the path")
+    # Two files of one name in different folders are two modules.
+    name = f"impslam_plugin_{path.stem}_{zlib.crc32(str(path).encode()):08x}"
+    if name not in sys.modules:
+        _guarded(f"plugins: {place}", lambda: _import_file(name, path))
+
+
+def _import_file(name: str, path: Path) -> None:
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    sys.modules[name] = module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+
+
+def _guarded(what: str, load: Callable[[], object]) -> None:
+    """Import something of others; whatever happens in it is told in one line."""
+    try:
+        load()
+    except ConfigError:
+        raise
+    except Exception as error:
+        raise ConfigError(f"{what}: cannot be imported: {type(error).__name__}: {error}") from error
 
 
 def components(role: str) -> Mapping[str, type[Component]]:

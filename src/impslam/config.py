@@ -2,7 +2,8 @@
 
 A config starts from a preset, is overridden by a file, then by `--set key=value`. Its tables name
 components by `kind`; the other keys of a table are that component's parameters. Naming another kind
-drops the parameters of the kind before. `kind = "none"` takes a component out.
+drops the parameters of the kind before. `kind = "none"` takes a component out. `plugins` names files
+or modules whose components are to be known, too.
 """
 
 from __future__ import annotations
@@ -17,7 +18,15 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
 
 from impslam.association.base import Association
-from impslam.component import build, components, explain, near_miss, parameter
+from impslam.component import (
+    build,
+    components,
+    explain,
+    load_components,
+    load_plugin,
+    near_miss,
+    parameter,
+)
 from impslam.errors import ConfigError
 from impslam.filters.base import Filter
 from impslam.landmarks.base import LandmarkModel
@@ -60,6 +69,9 @@ class Config(BaseModel):
 
     robot: str = parameter("robot", "", "name of the robot")
     seed: int = parameter(0, "", "seed of everything that samples", ge=0)
+    plugins: tuple[str, ...] = parameter(
+        (), "", "Python files or modules with further components; a config runs their code"
+    )
     start: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = parameter(
         (0.0, 0.0, 0.0), "m, m, rad", "pose in map at the start"
     )
@@ -158,7 +170,22 @@ def read_table(name: str | Path, above: tuple[str, ...] = ()) -> Table:
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{name}: not valid TOML: {error}") from None
     base = table.pop("base", None)
+    table = _anchored(table, path.parent)
     return table if base is None else merge(read_table(str(base), (*above, str(name))), table)
+
+
+def _anchored(table: Table, folder: Path) -> Table:
+    """Return the table with its plug-in files found from the folder of the file that names them."""
+    places = table.get("plugins")
+    if not isinstance(places, list):
+        return table
+    anchored = [
+        str((folder / place).resolve())
+        if isinstance(place, str) and place.endswith(".py")
+        else place
+        for place in places
+    ]
+    return {**table, "plugins": anchored}
 
 
 def _read(path: Path) -> str:
@@ -204,10 +231,8 @@ def load(base: str | Path = "default", settings: Sequence[str] = ()) -> Config:
     ConfigError
         One line that names the key and what to do: the near miss of a typo, the bound broken.
     """
-    table = read_table(base)
-    for setting in settings:
-        table = merge(table, parse_setting(setting))
-    table = _without_none(table)
+    table = _without_none(_merged(base, settings))
+    _load_plugins(table)
     try:
         config = Config(**table)
     except ValidationError as error:
@@ -215,6 +240,27 @@ def load(base: str | Path = "default", settings: Sequence[str] = ()) -> Config:
     config.make_robot()
     config.make_slam()
     return config
+
+
+def load_plugins(base: str | Path = "default", settings: Sequence[str] = ()) -> None:
+    """Make the components known that a config brings along, for whoever needs them before `load`."""
+    _load_plugins(_merged(base, settings))
+
+
+def _load_plugins(table: Table) -> None:
+    places = table.get("plugins", ())
+    if not isinstance(places, list | tuple) or not all(isinstance(p, str) for p in places):
+        raise ConfigError(f'plugins = {places!r}: expected a list, e.g. plugins = ["my_part.py"]')
+    load_components()  # first, so that a plug-in that takes a known name is the one to be blamed
+    for place in places:
+        load_plugin(place)
+
+
+def _merged(base: str | Path, settings: Sequence[str]) -> Table:
+    table = read_table(base)
+    for setting in settings:
+        table = merge(table, _anchored(parse_setting(setting), Path()))
+    return table
 
 
 def _without_none(table: Table) -> Table:

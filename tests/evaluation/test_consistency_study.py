@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from tests.numeric import wrapped
 
 from impslam.errors import ConfigError
 from impslam.evaluation.consistency_batch import LATERAL_SIGMA, optima
 from impslam.evaluation.consistency_setting import START_SIGMA, Setting, simulate
 from impslam.evaluation.consistency_study import BATCH, consistency_study, follow
 from impslam.geometry.se2 import between, inverse, transform
-from tests.numeric import wrapped
 
 SMALL = Setting(steps=12, landmarks=6)
 NOISELESS = Setting(steps=90, wheel_sigma=1e-6, sigma=1e-6)

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from tests.filters.worlds import CYLINDERS, MODELS, drive, observe
+from tests.numeric import wrapped
 
 from impslam.association.known import Known
 from impslam.component import components
 from impslam.filters.ekf import Ekf
 from impslam.geometry.se2 import compose
 from impslam.types import Increment, Observation
-from tests.filters.worlds import CYLINDERS, MODELS, drive, observe
-from tests.numeric import wrapped
 
 FILTERS = sorted(components("filter"))
 

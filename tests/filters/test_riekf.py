@@ -2,15 +2,15 @@
 
 import numpy as np
 import pytest
+from tests.filters.test_belief import random_belief
+from tests.filters.test_filters import step
+from tests.filters.worlds import MODELS, drive, observe
+from tests.numeric import jacobian
 
 from impslam.component import components
 from impslam.filters.riekf import RightInvariantEkf, shear
 from impslam.filters.symmetry import pose_D_motion, state_D_motion
 from impslam.geometry.se2 import compose, exp
-from tests.filters.test_belief import random_belief
-from tests.filters.test_filters import step
-from tests.filters.worlds import MODELS, drive, observe
-from tests.numeric import jacobian
 
 
 @pytest.mark.parametrize("k", [1, 3])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.numeric import jacobian, wrapped
 
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import (
@@ -18,7 +19,6 @@ from impslam.geometry.se2 import (
     rotation,
     transform,
 )
-from tests.numeric import jacobian, wrapped
 
 coordinate = st.floats(-100, 100)
 angle = st.floats(-math.pi, math.pi)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.filters.worlds import MODELS
 
 from impslam.association.mahalanobis import Mahalanobis
 from impslam.filters.ekf import Ekf
@@ -9,7 +10,6 @@ from impslam.lifecycle.immediate import Immediate
 from impslam.lifecycle.tentative import Tentative
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.types import Increment, LaserScan, Match, Observation
-from tests.filters.worlds import MODELS
 
 R = 1e-4 * np.eye(2)
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.numeric import jacobian
 
 from impslam.errors import MessageError
 from impslam.geometry.se2 import compose
 from impslam.odometry.encoders import Encoders, differential_drive
 from impslam.types import WheelAngles
-from tests.numeric import jacobian
 
 travel = st.floats(-1.0, 1.0)
 

@@ -1,16 +1,18 @@
 """Increments compose exactly, however they are cut."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.numeric import wrapped
 
 from impslam.errors import MessageError
 from impslam.geometry.se2 import compose, exp
 from impslam.odometry.odometry_pose import OdometryPoses
 from impslam.odometry.timeline import Timeline
 from impslam.types import Increment, OdometryPose
-from tests.numeric import wrapped
 
 TWIST = np.array([0.5, 0.1, 0.8])
 
@@ -19,7 +21,7 @@ def increments(stamps):
     q = np.diag([1e-4, 2e-4, 3e-4])
     return [
         Increment(b, exp((b - a) * TWIST), (b - a) * q, b - a)
-        for a, b in zip(stamps[:-1], stamps[1:], strict=True)
+        for a, b in pairwise(stamps)
     ]
 
 

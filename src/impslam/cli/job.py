@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from impslam.cli import progress
 from impslam.component import explain
-from impslam.config import Config, load
+from impslam.config import Config, load, load_plugins
 from impslam.errors import ConfigError, ImpError
 from impslam.evaluation.landmarks import TrueLandmark
 from impslam.observers.base import Observer, Outcome
@@ -28,6 +28,7 @@ FILES = frozenset(
 
 def plan(log: Path, base: str | None, settings: Sequence[str]) -> tuple[Config, Source]:
     """Return the config and the source of a run; without a base, the preset that fits the log."""
+    load_plugins(base or "default", settings)  # the log's reader may be among them
     kind = recognise(log)
     if base is None:
         with kind(path=log) as source:

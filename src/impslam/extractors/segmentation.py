@@ -69,13 +69,24 @@ def gap_ratios(
     return out
 
 
-def _opening(ratios: Array, ranges: Array) -> int:
-    """Return the point after which to cut the ring: the widest gap, else the farthest point.
+@kernel
+def _ring(ratios: Array, ranges: Array) -> tuple[Ints, Ints]:
+    """Return the order of the points once the ring is cut open, and where segments start in it.
 
-    In a closed convex room the farthest point is a corner.
+    It is cut after the widest gap, else, in a closed convex room, at a corner: the farthest point.
     """
-    widest = int(np.argmax(ratios))
-    return widest if ratios[widest] > 1.0 else int(np.argmax(ranges))
+    n = len(ratios)
+    last = np.argmax(ratios)
+    if not ratios[last] > 1.0:
+        last = np.argmax(ranges)
+    order, starts = np.empty(n, np.int64), np.zeros(n + 1, np.int64)
+    count = 1
+    for i in range(n):
+        order[i] = (last + 1 + i) % n
+        if ratios[order[i]] > 1.0 or i == n - 1:
+            starts[count] = i + 1
+            count += 1
+    return order, starts[:count]
 
 
 def beam_spacing(scan: Scan) -> float:
@@ -90,16 +101,21 @@ def segment(scan: Scan, grazing: float = WALLS) -> Cloud:
     Computed once for all extractors.
     """
     index = np.flatnonzero(scan.valid)
-    angles, ranges = scan.angles[index], scan.ranges[index]
-    points, variances = scan.points[index], scan.sigmas[index] ** 2
+    starts = np.array([0, len(index)])
+    if len(index) > 1:
+        ratios = gap_ratios(
+            scan.points[index],
+            scan.angles[index],
+            scan.ranges[index],
+            scan.sigmas[index] ** 2,
+            beam_spacing(scan),
+            grazing,
+        )
+        order, starts = _ring(ratios, scan.ranges[index])
+        index = index[order]
     directions = scan.directions[index]
-    beams = np.column_stack((np.cos(directions), np.sin(directions)))
-    if len(index) < 2:
-        return Cloud(index, points, beams, ranges, variances, np.array([0, len(index)]))
-    spacing = beam_spacing(scan)
-    ratios = gap_ratios(points, angles, ranges, variances, spacing, grazing)
-    shift = (_opening(ratios, ranges) + 1) % len(index)
-    order = np.roll(np.arange(len(index)), -shift)
-    cuts = np.flatnonzero(ratios[order] > 1.0) + 1
-    starts = np.unique(np.concatenate(([0], cuts, [len(index)])))
-    return Cloud(index[order], points[order], beams[order], ranges[order], variances[order], starts)
+    beams = np.empty((len(index), 2))
+    beams[:, 0], beams[:, 1] = np.cos(directions), np.sin(directions)
+    return Cloud(
+        index, scan.points[index], beams, scan.ranges[index], scan.sigmas[index] ** 2, starts
+    )

@@ -13,44 +13,48 @@ from impslam.types import Array, Ints, Landmark, Match, Observation
 
 
 class Table:
-    """The landmarks of one kind, in columns of length k."""
+    """The landmarks of one kind, in columns of length k; ids ascend."""
 
     def __init__(self, model: LandmarkModel) -> None:
         self.model = model
         self.ids: Ints = np.empty(0, np.int64)
         self.labels: Ints = np.empty(0, np.int64)
-        self.offsets: Ints = np.empty(0, np.int64)
         self.extents: Array = np.empty((0, 2))
         self.counts: Ints = np.empty(0, np.int64)
         self.stamps: Array = np.empty((0, 2))
         self.attributes: dict[int, dict[str, float]] = {}
+        self.move(np.empty(0, np.int64))
 
-    @property
-    def columns(self) -> Ints:
-        """Indices into the state (k, dim)."""
-        return self.offsets[:, None] + np.arange(self.model.dim)
+    def move(self, offsets: Ints) -> None:
+        """Say where in the state each landmark begins; `columns` (k, dim) are all its indices."""
+        self.offsets: Ints = offsets
+        self.columns: Ints = offsets[:, None] + np.arange(self.model.dim)
 
     def states(self, mean: Array, places: Ints | None = None) -> Array:
         """Return the states (k, dim) of all landmarks, or of those at some places."""
         columns = self.columns if places is None else self.columns[places]
-        return np.asarray(mean[columns], dtype=np.float64)
+        return mean.take(columns)
 
     def append(self, row: tuple[int, int, int], extent: Array, stamp: float) -> None:
         """Add a landmark: (id, label, offset)."""
-        self.ids, self.labels, self.offsets = (
+        self.ids, self.labels, offsets = (
             np.append(column, value)
             for column, value in zip((self.ids, self.labels, self.offsets), row, strict=True)
         )
+        self.move(offsets)
         self.extents = np.vstack([self.extents, extent])
         self.counts = np.append(self.counts, 1)
         self.stamps = np.vstack([self.stamps, [stamp, stamp]])
 
-    def select(self, keep: Ints) -> None:
-        """Keep the landmarks at these places, forget the others."""
-        for name in ("ids", "labels", "offsets", "extents", "counts", "stamps"):
+    def strike(self, places: list[int]) -> None:
+        """Forget the landmarks at these places."""
+        for number in self.ids[places].tolist():
+            del self.attributes[number]
+        keep = np.ones(len(self.ids), np.bool_)
+        keep[places] = False
+        for name in ("ids", "labels", "extents", "counts", "stamps"):
             setattr(self, name, getattr(self, name)[keep])
-        known = set(self.ids.tolist())
-        self.attributes = {i: a for i, a in self.attributes.items() if i in known}
+        self.move(self.offsets[keep])
 
 
 class Atlas:
@@ -87,12 +91,14 @@ class Atlas:
 
     def of(self, matches: Sequence[Match]) -> Iterator[tuple[Table, Ints, Ints]]:
         """Yield each table, the places in it of matched landmarks, and the indices of the matches."""
+        ids = np.array([match.landmark for match in matches], np.int64)
         for table in self._tables.values():
-            place = {int(i): k for k, i in enumerate(table.ids)}
-            which = [i for i, match in enumerate(matches) if match.landmark in place]
-            if which:
-                places = np.array([place[matches[i].landmark] for i in which])
-                yield table, places, np.array(which)
+            if not len(table.ids):
+                continue
+            places = table.ids.searchsorted(ids)
+            which = np.flatnonzero(table.ids.take(places, mode="clip") == ids)
+            if len(which):
+                yield table, places[which], which
 
     def add(
         self, pose: Array, observation: Observation, offset: int, m: Array, stamp: float
@@ -108,15 +114,16 @@ class Atlas:
 
     def remove(self, ids: Sequence[int], n: int) -> Ints:
         """Strike landmarks out of a state of n scalars; return the indices that stay, sorted."""
-        gone = np.array(ids)
+        gone = set(ids)
         stays = np.ones(n, np.bool_)
         for table in self._tables.values():
-            leaving = np.isin(table.ids, gone)
-            stays[table.columns[leaving]] = False
-            table.select(np.flatnonzero(~leaving))
+            leaving = [k for k, number in enumerate(table.ids.tolist()) if number in gone]
+            if leaving:
+                stays[table.columns[leaving]] = False
+                table.strike(leaving)
         position = np.cumsum(stays) - 1
         for table in self._tables.values():
-            table.offsets = position[table.offsets]
+            table.move(position[table.offsets])
         return np.flatnonzero(stays)
 
     def note(
@@ -131,9 +138,10 @@ class Atlas:
         for table, places, which in self.of(matches):
             seen = [observations[matches[i].observation] for i in which]
             extents = table.model.extents(pose, table.states(mean, places), seen)
-            own = extents[np.arange(len(seen)), np.arange(len(seen))]
-            table.extents[places, 0] = np.minimum(table.extents[places, 0], own[:, 0])
-            table.extents[places, 1] = np.maximum(table.extents[places, 1], own[:, 1])
+            own, known = extents.diagonal().T, table.extents[places]  # (matches, 2)
+            known[:, 0] = np.minimum(known[:, 0], own[:, 0])
+            known[:, 1] = np.maximum(known[:, 1], own[:, 1])
+            table.extents[places] = known
             table.counts[places] += 1
             table.stamps[places, 1] = stamp
             for place, observation in zip(places, seen, strict=True):

@@ -114,6 +114,24 @@ def _sandwich(P: Array, offsets: Ints, dims: Ints, h_pose: Array, h_m: Array) ->
 
 
 @kernel
+def _symmetric(P: Array, o: int, dim: int) -> Array:
+    """Return P[o:o + dim, o:o + dim], full."""
+    block = np.empty((dim, dim))
+    for a in range(dim):
+        for b in range(a + 1):
+            block[a, b] = block[b, a] = P[o + a, o + b]
+    return block
+
+
+@kernel
+def _compact(P: Array, indices: Ints) -> None:
+    """Move the rows and columns at ascending indices to the front, in place."""
+    for b in range(len(indices)):
+        for a in range(b, len(indices)):
+            P[a, b] = P[indices[a], indices[b]]
+
+
+@kernel
 def _rotate_pose(P: Array, n: int, fx: float, fy: float) -> None:
     """Apply F P F^T with F = I except F[0, 2] = fx and F[1, 2] = fy."""
     for i in range(POSE, n):
@@ -175,18 +193,15 @@ class GaussianBelief:
     @property
     def covariance(self) -> Array:
         """P, full and symmetric (n, n); a copy."""
-        lower = np.tril(self.P[: self.n, : self.n])
-        return lower + np.tril(lower, -1).T
+        return _symmetric(self.P, 0, self.n)
 
     def pose_covariance(self) -> Array:
         """Return the pose's (3, 3)."""
-        lower = np.tril(self.P[:POSE, :POSE])
-        return lower + np.tril(lower, -1).T
+        return _symmetric(self.P, 0, POSE)
 
     def block(self, offset: int, dim: int) -> Array:
         """Return a landmark's own covariance (dim, dim)."""
-        lower = np.tril(self.P[offset : offset + dim, offset : offset + dim])
-        return lower + np.tril(lower, -1).T
+        return _symmetric(self.P, offset, dim)
 
     def move(self, fx: float, fy: float, noise: Array) -> None:
         """Propagate P by F, the identity but for d(x, y)/d(theta) = (fx, fy), and add noise."""
@@ -216,28 +231,27 @@ class GaussianBelief:
         """Append a landmark that depends on the pose and on noise (dim, dim); return its offset."""
         o, dim = self.n, len(m)
         self._reserve(o + dim)
-        pose_columns = np.concatenate(
-            [self.pose_covariance(), self.P[POSE:o, :POSE]]
-        )  # (o, 3): P of everything with the pose
-        self.P[o : o + dim, :o] = m_D_pose @ pose_columns.T
-        self.P[o : o + dim, o : o + dim] = m_D_pose @ self.pose_covariance() @ m_D_pose.T + noise
+        pose = self.pose_covariance()
+        self.P[o : o + dim, :POSE] = m_D_pose @ pose
+        self.P[o : o + dim, POSE:o] = m_D_pose @ self.P[POSE:o, :POSE].T
+        self.P[o : o + dim, o : o + dim] = m_D_pose @ pose @ m_D_pose.T + noise
         self.mean[o : o + dim] = m
         self.n = o + dim
         return o
 
     def keep(self, indices: Ints) -> None:
         """Keep these entries of the state (sorted), forget the others."""
-        P = self.P[np.ix_(indices, indices)]
-        mean = self.mean[indices]
-        self.n = 0
-        self._reserve(len(indices), shrink=True)
         self.n = len(indices)
-        self.mean[: self.n] = mean
-        self.P[: self.n, : self.n] = P
+        self.mean[: self.n] = self.mean[indices]
+        _compact(self.P, indices)
+        if len(self.mean) - self.n >= 2 * _BLOCK:
+            self._resize(self.n)
 
-    def _reserve(self, n: int, shrink: bool = False) -> None:
-        if n <= len(self.mean) and not shrink:
-            return
+    def _reserve(self, n: int) -> None:
+        if n > len(self.mean):
+            self._resize(n)
+
+    def _resize(self, n: int) -> None:
         size = -(-n // _BLOCK) * _BLOCK
         mean, P = np.zeros(size), np.zeros((size, size), order="F")
         mean[: self.n] = self.mean[: self.n]

@@ -28,31 +28,28 @@ def rotation(theta: float) -> Array:
 
 def compose(T_a_b: Array, T_b_c: Array) -> Array:
     """Return `T_a_c`, shape (3,)."""
-    c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
-    return np.array(
-        [
-            T_a_b[0] + c * T_b_c[0] - s * T_b_c[1],
-            T_a_b[1] + s * T_b_c[0] + c * T_b_c[1],
-            wrap(float(T_a_b[2] + T_b_c[2])),
-        ]
-    )
+    x, y, theta = T_a_b.tolist()  # plain floats: arithmetic on numpy's takes four times as long
+    d_x, d_y, d_theta = T_b_c.tolist()
+    c, s = math.cos(theta), math.sin(theta)
+    return np.array([x + c * d_x - s * d_y, y + s * d_x + c * d_y, wrap(float(theta + d_theta))])
 
 
 def compose_jacobians(T_a_b: Array, T_b_c: Array) -> tuple[Array, Array]:
     """Return the (3, 3) derivatives of `compose` by its first and its second argument."""
     c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
-    first = np.eye(3)
-    first[0, 2] = -s * T_b_c[0] - c * T_b_c[1]
-    first[1, 2] = c * T_b_c[0] - s * T_b_c[1]
+    d_x, d_y, _ = T_b_c.tolist()
+    first = np.array(
+        [[1.0, 0.0, -s * d_x - c * d_y], [0.0, 1.0, c * d_x - s * d_y], [0.0, 0.0, 1.0]]
+    )
     second = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return first, second
 
 
 def inverse(T_a_b: Array) -> Array:
     """Return `T_b_a`, shape (3,)."""
-    c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
-    x, y = T_a_b[0], T_a_b[1]
-    return np.array([-c * x - s * y, s * x - c * y, wrap(-float(T_a_b[2]))])
+    x, y, theta = T_a_b.tolist()
+    c, s = math.cos(theta), math.sin(theta)
+    return np.array([-c * x - s * y, s * x - c * y, wrap(-float(theta))])
 
 
 def between(T_a_b: Array, T_a_c: Array) -> Array:

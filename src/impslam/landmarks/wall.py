@@ -29,9 +29,25 @@ import numpy as np
 
 from impslam.component import parameter, register
 from impslam.geometry.angles import wrap
+from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import transform
 from impslam.landmarks.base import Initial, LandmarkModel, Overlap, Prediction, Report
 from impslam.types import Array, Observation
+
+_NOWHERE = np.zeros((2, 2))
+
+
+@kernel
+def _extents(m: Array, ends: Array) -> Array:
+    """Return (a, k, 2) where along walls m (k, 3) the ends (a, 2, 2), in map, lie, in order."""
+    out = np.empty((len(ends), len(m), 2))
+    for k in range(len(m)):
+        tx, ty = -math.sin(m[k, 2]), math.cos(m[k, 2])
+        for a in range(len(ends)):
+            one = (ends[a, 0, 0] - m[k, 0]) * tx + (ends[a, 0, 1] - m[k, 1]) * ty
+            two = (ends[a, 1, 0] - m[k, 0]) * tx + (ends[a, 1, 1] - m[k, 1]) * ty
+            out[a, k, 0], out[a, k, 1] = min(one, two), max(one, two)
+    return out
 
 
 @register("wall")
@@ -129,14 +145,8 @@ class Wall(LandmarkModel):
 
     def extents(self, pose: Array, m: Array, observations: list[Observation]) -> Array:
         """Return where along each wall each observed piece begins and ends, from the frame, m."""
-        ends = np.array(
-            [np.zeros((2, 2)) if o.end_points is None else o.end_points for o in observations]
-        ).reshape(-1, 2, 2)
-        in_map = transform(pose, ends)[:, None]  # (a, 1, 2, 2)
-        along = np.stack([-np.sin(m[:, 2]), np.cos(m[:, 2])], axis=-1)[None, :, None]
-        places = ((in_map - m[None, :, None, :2]) * along).sum(axis=-1)
-        places.sort(axis=-1)
-        return np.asarray(places, dtype=np.float64)
+        ends = [_NOWHERE if o.end_points is None else o.end_points for o in observations]
+        return _extents(m, transform(pose, np.array(ends).reshape(-1, 2, 2)))
 
     def overlap(self, pose: Array, m: Array, extents: Array, seen: Array) -> Overlap:
         """Return the gaps between known and seen pieces; see `LandmarkModel.overlap`."""
@@ -151,5 +161,7 @@ class Wall(LandmarkModel):
 
     def outlines(self, m: Array, extents: Array) -> Array:
         """Return the walls' two ends in map."""
-        along = np.stack([-np.sin(m[:, 2]), np.cos(m[:, 2])], axis=-1)
-        return np.asarray(m[:, None, :2] + extents[:, :, None] * along[:, None], dtype=np.float64)
+        out = np.empty((len(m), 2, 2))
+        out[:, :, 0] = m[:, 0, None] - extents * np.sin(m[:, 2, None])
+        out[:, :, 1] = m[:, 1, None] + extents * np.cos(m[:, 2, None])
+        return out

@@ -17,5 +17,5 @@ def own_registry() -> Iterator[None]:
     finally:
         component._ROLES.clear()
         component._ROLES.update(roles)
-        for name in [name for name in sys.modules if name.startswith("impslam_plugin_")]:
+        for name in [n for n in sys.modules if n.startswith(("impslam_plugin_", "tests.toys"))]:
             del sys.modules[name]

@@ -1,0 +1,232 @@
+"""Configs: merging, taking parts out, round trips, and mistakes explained in one line."""
+
+from pathlib import Path
+
+import pytest
+import tomli_w
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.registry import own_registry
+
+from impslam.component import components
+from impslam.config import load, load_plugins, merge, parse_setting, presets, read_table
+from impslam.errors import ConfigError
+from impslam.filters.riekf import RightInvariantEkf
+
+
+def refuse(*settings, base="default"):
+    with pytest.raises(ConfigError) as error:
+        load(base, settings)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+# --------------------------------------------------------------------------- merging
+
+KEYS = st.sampled_from(["a", "b", "c"])
+TABLES = st.recursive(
+    st.dictionaries(KEYS, st.integers()), lambda inner: st.dictionaries(KEYS, inner), max_leaves=8
+)
+
+
+@given(TABLES)
+def test_merging_with_nothing_changes_nothing(table):
+    assert merge(table, {}) == table
+    assert merge({}, table) == table
+    assert merge(table, table) == table
+
+
+@given(TABLES, TABLES, TABLES)
+def test_merging_is_associative(a, b, c):
+    assert merge(merge(a, b), c) == merge(a, merge(b, c))
+
+
+@given(TABLES, TABLES)
+def test_merging_leaves_its_arguments_alone(a, b):
+    before = repr((a, b))
+    merge(a, b)
+    assert repr((a, b)) == before
+
+
+def test_the_same_kind_keeps_the_other_parameters():
+    below = {"filter": {"kind": "ekf", "iterations": 3}}
+    assert merge(below, {"filter": {"kind": "ekf", "tolerance": 0.1}}) == {
+        "filter": {"kind": "ekf", "iterations": 3, "tolerance": 0.1}
+    }
+    assert merge(below, {"filter": {"iterations": 5}})["filter"]["kind"] == "ekf"
+
+
+def test_another_kind_drops_the_parameters_of_the_one_before():
+    below = {"filter": {"kind": "ekf", "iterations": 3}}
+    assert merge(below, {"filter": {"kind": "riekf"}}) == {"filter": {"kind": "riekf"}}
+
+
+def test_lists_are_replaced():
+    assert merge({"start": [1, 2, 3]}, {"start": [4]}) == {"start": [4]}
+
+
+# --------------------------------------------------------------------------- settings
+
+
+@pytest.mark.parametrize(
+    ("setting", "table"),
+    [
+        ("seed=3", {"seed": 3}),
+        ("filter.kind=ekf", {"filter": {"kind": "ekf"}}),
+        ("a.b.c = 1.5", {"a": {"b": {"c": 1.5}}}),
+        ("start=[1.0, 2.0, 3.0]", {"start": [1.0, 2.0, 3.0]}),
+        ("deskew=false", {"deskew": False}),
+        ("topics.scan=/front/scan", {"topics": {"scan": "/front/scan"}}),
+        ("name=a=b", {"name": "a=b"}),
+    ],
+)
+def test_settings(setting, table):
+    assert parse_setting(setting) == table
+
+
+@pytest.mark.parametrize("setting", ["seed", "=3", " = 3"])
+def test_a_setting_without_key_or_value_is_refused(setting):
+    with pytest.raises(ConfigError, match="expected key=value"):
+        parse_setting(setting)
+
+
+def test_later_settings_win():
+    assert load(settings=["seed=1", "seed=2"]).seed == 2
+
+
+# --------------------------------------------------------------------------- loading
+
+
+def test_a_part_is_swapped_by_one_line():
+    config = load("imp", ["filter.kind=riekf", "association.kind=jcbb"])
+    slam = config.make_slam()
+    assert isinstance(slam.filter, RightInvariantEkf)
+    assert slam.association.name == "jcbb"
+
+
+def test_none_takes_a_part_out():
+    config = load("imp", ["sensors.lidar.extractors.corners.kind=none"])
+    assert set(config.sensors["lidar"]["extractors"]) == {"walls", "cylinders"}
+    assert "corners" not in config.resolved()["sensors"]["lidar"]["extractors"]
+    assert "lidar" not in load("imp", ["sensors.lidar.kind=none"]).sensors
+
+
+def test_a_part_that_was_taken_out_can_be_put_back():
+    config = load("thesis-lines", ["sensors.lidar.extractors.cylinders.kind=circle"])
+    assert config.sensors["lidar"]["extractors"]["cylinders"] == {"kind": "circle"}
+
+
+def test_a_needed_part_cannot_be_taken_out():
+    assert "filter" in refuse("filter.kind=none")
+
+
+def test_files_stand_on_presets_and_on_one_another(tmp_path: Path):
+    first, second = tmp_path / "first.toml", tmp_path / "second.toml"
+    first.write_text('base = "imp"\nseed = 5\n[filter]\niterations = 2\n')
+    second.write_text(f"base = '{first.as_posix()}'\nseed = 6\n")
+    config = load(second)
+    assert config.seed == 6
+    assert config.filter == {"kind": "ekf", "iterations": 2}
+    assert config.odometry == load("imp").odometry
+
+
+@pytest.mark.parametrize("preset", presets())
+def test_every_preset_round_trips(preset, tmp_path: Path):
+    """What a run writes down is the whole of its parameters, and loads to the same ones."""
+    file = tmp_path / "config.toml"
+    file.write_text(tomli_w.dumps(load(preset).resolved()))
+    assert tomli_w.dumps(load(file).resolved()) == file.read_text()  # as text: nan is not nan
+
+
+@pytest.mark.parametrize("preset", presets())
+def test_every_preset_names_its_robot_and_begins_with_a_sentence(preset):
+    assert load(preset).robot
+    text = (Path(__file__).parents[1] / f"src/impslam/presets/{preset}.toml").read_text()
+    assert text.startswith("# ")
+
+
+def test_all_presets_of_the_project_are_there():
+    wanted = {"imp", "thesis-points", "thesis-lines", "thesis-both", "default"}
+    assert wanted | {"turtlebot3-waffle", "mines-rover", "lego-robot4"} <= set(presets())
+
+
+@pytest.mark.parametrize("role", ["filter", "association", "lifecycle"])
+def test_every_component_resolves_and_loads_again(role, tmp_path: Path):
+    for name in components(role):
+        resolved = load("imp", [f"{role}.kind={name}"]).resolved()
+        file = tmp_path / "config.toml"
+        file.write_text(tomli_w.dumps(resolved))
+        assert load(file).resolved() == resolved
+
+
+# --------------------------------------------------------------------------- plug-ins
+
+
+def test_a_config_brings_its_plug_ins(tmp_path: Path):
+    part = tmp_path / "part.py"
+    part.write_text((Path(__file__).parent / "toys.py").read_text().replace('"toy"', '"part"'))
+    file = tmp_path / "mine.toml"
+    file.write_text('plugins = ["part.py"]\nbase = "imp"\n')  # from the config's own folder
+    kind = "sensors.lidar.extractors.toys.kind=part"
+    with own_registry():
+        config = load(file, [kind])
+        assert config.plugins == (str(part),)
+        assert config.resolved()["sensors"]["lidar"]["extractors"]["toys"] == {"kind": "part"}
+    with own_registry():
+        load_plugins(file)
+        load("imp", [kind])
+    assert "no extractor is called 'part'" in refuse(kind, base="imp")
+
+
+def test_plug_ins_of_a_setting_are_found_from_here(tmp_path: Path, monkeypatch):
+    (tmp_path / "part.py").write_text("")
+    monkeypatch.chdir(tmp_path)
+    with own_registry():
+        assert load(settings=['plugins=["part.py"]']).plugins == (str(tmp_path / "part.py"),)
+
+
+@pytest.mark.parametrize("value", ["3", '"part.py"', "[1]"])
+def test_plug_ins_are_a_list(value):
+    assert "expected a list" in refuse(f"plugins={value}")
+
+
+# --------------------------------------------------------------------------- mistakes
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("sede=3", "sede is not a parameter; did you mean 'seed'?"),
+        ("seed=-1", "seed"),
+        ("seed=many", "seed"),
+        ("start=[1.0]", "start"),
+        ("start=[nan, 0.0, 0.0]", "start"),
+        ("filter.kind=efk", "did you mean 'ekf'?"),
+        ("filter.iteration=2", "did you mean 'iterations'?"),
+        ("filter=ekf", "filter"),
+        ("grid.resolution=0", "grid.resolution"),
+        ("grid.resolutoin=1", "did you mean 'resolution'?"),
+        ("landmarks.wal.kind=wall", "did you mean 'wall'?"),
+        ("sensors.lidar.extractors.walls.kind=slit_merge", "did you mean 'split_merge'?"),
+        ("sensors.lidar.extractors.walls=true", "sensors"),
+        ("odometry.noise.sidewards=1", "did you mean 'sideways'?"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(setting, said):
+    assert said in refuse(setting)
+
+
+def test_missing_and_broken_files(tmp_path: Path):
+    assert "did you mean 'default'?" in refuse(base="defualt")
+    broken = tmp_path / "broken.toml"
+    broken.write_text("a = [")
+    assert "not valid TOML" in refuse(base=broken)
+    broken.write_bytes(b"\xff\xfe")
+    assert "cannot be read" in refuse(base=broken)
+
+
+def test_a_file_that_is_its_own_base(tmp_path: Path):
+    file = tmp_path / "loop.toml"
+    file.write_text(f"base = '{file.as_posix()}'")
+    with pytest.raises(ConfigError, match="its own base"):
+        read_table(file)

@@ -1,5 +1,7 @@
 """The right-invariant EKF: what nothing observes stays unknown, to the last digit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.filters.test_belief import random_belief
@@ -11,7 +13,9 @@ from impslam.component import components
 from impslam.filters.riekf import RightInvariantEkf, shear
 from impslam.filters.symmetry import pose_D_motion, state_D_motion
 from impslam.geometry.se2 import compose, exp, inverse, transform
-from impslam.types import Increment, Observation
+from impslam.landmarks.base import Prediction
+from impslam.landmarks.point import Point
+from impslam.types import Increment, Match, Observation
 
 
 @pytest.mark.parametrize("k", [1, 3])
@@ -105,3 +109,38 @@ def test_reported_covariances_are_mean_squares_on_the_arc(rng):
         c, s = np.cos(headings), np.sin(headings)
         swung = np.stack([c * place[0] - s * place[1], s * place[0] + c * place[1]], axis=1) - place
         np.testing.assert_allclose(reported, swung.T @ swung / len(swung), rtol=0.15, atol=0.03)
+
+
+class Weighed(Point):
+    """A point with a third number that is seen as it is, as third parties may define one."""
+
+    dim, dim_z = 3, 3
+
+    def predict(self, pose, m):
+        axis = super().predict(pose, m[:, :2])
+        z_D_m = np.zeros((len(m), 3, 3))
+        z_D_m[:, :2, :2], z_D_m[:, 2, 2] = axis.z_D_m, 1.0
+        z_D_pose = np.pad(axis.z_D_pose, ((0, 0), (0, 1), (0, 0)))
+        return Prediction(np.column_stack([axis.z, m[:, 2]]), z_D_pose, z_D_m)
+
+
+def test_kinds_that_extend_a_point_are_carried_too(rng):
+    """What is added to the place neither swings nor moves with the map."""
+    plain, weighed = RightInvariantEkf(), RightInvariantEkf()
+    plain.start(np.zeros(3), 0.1 * np.eye(3), {"cylinder": Point()})
+    weighed.start(np.zeros(3), 0.1 * np.eye(3), {"cylinder": Weighed()})
+    for belief, dim in ((plain, 2), (weighed, 3)):
+        noise = np.random.default_rng(4)
+        for pose, increment in drive(10, noise):
+            seen = [o for o in observe(pose, noise) if o.kind == "cylinder"]
+            seen = [replace(o, z=np.append(o.z, 7.0)[:dim], R=4e-4 * np.eye(dim)) for o in seen]
+            if belief.state_size == 3:
+                initial = belief._belief.extend
+                for o in seen:
+                    m = np.append(transform(pose, o.z[:2]), 7.0)[:dim]
+                    offset = initial(m, np.zeros((dim, 3)), 0.1 * np.eye(dim))
+                    belief._atlas.add(pose, o, offset, m, 0.0)
+            belief.predict(increment)
+            belief.correct(seen, [Match(i, i, None, None, 0.0) for i in range(len(seen))])
+    np.testing.assert_allclose(weighed.pose, plain.pose, atol=1e-12)
+    np.testing.assert_allclose(weighed.covariance, plain.covariance, atol=1e-12)

@@ -117,8 +117,9 @@ class RightInvariantEkf(Ekf):
         now = super()._expect(table, places)
         if not table.model.is_place:
             return now
-        P = self._belief.P
         heading = self._belief.pose_covariance()[:, 2]
-        landmarks = P[table.columns[places], 2]  # (k, 2)
+        landmarks = self._belief.P[table.columns[places], 2]  # (k, dim)
         with_heading = now.z_D_pose @ heading + (now.z_D_m @ landmarks[:, :, None])[:, :, 0]
-        return replace(now, z=now.z - 0.5 * _quarter_turn(with_heading))
+        z = now.z.copy()
+        z[:, :2] -= 0.5 * _quarter_turn(with_heading)
+        return replace(now, z=z)

@@ -71,7 +71,7 @@ class LandmarkModel(Component):
     dim: ClassVar[int]
     dim_z: ClassVar[int]
     is_place: ClassVar[bool] = False
-    """m and z are places [x, y], in map and in base_link: they swing round as a heading errs."""
+    """m and z begin with a place [x, y], in map and in base_link: it swings as a heading errs."""
 
     @abstractmethod
     def predict(self, pose: Array, m: Array) -> Prediction:

@@ -63,7 +63,7 @@ class Point(LandmarkModel):
 
     def m_D_motion(self, m: Array) -> Array:
         """Return [I, (-y, x)]; see `LandmarkModel.m_D_motion`."""
-        out = np.zeros((len(m), 2, 3))
+        out = np.zeros((len(m), self.dim, 3))  # whatever a kind adds to the place stays as it is
         out[:, 0, 0] = out[:, 1, 1] = 1.0
         out[:, 0, 2], out[:, 1, 2] = -m[:, 1], m[:, 0]
         return out

@@ -34,6 +34,7 @@ def test_the_noise_is_as_said(rng):
     np.testing.assert_allclose(felt.std(axis=0), [0.02 / 2**0.5, 0.0, 0.04 * 2**0.5], rtol=0.05)
     exact = transform(inverse(drive.truth[7]), places)
     np.testing.assert_array_equal(drive.in_range[6], (np.linalg.norm(exact, axis=1) < 5.0))
+    assert drive.first_turn(setting) == pytest.approx(felt[0, 2] / (0.04 * 2**0.5))
     errors = drive.seen[6] - exact
     assert 0.05 < errors.std() < 0.15
 
@@ -107,10 +108,11 @@ def test_the_textbook_filter_is_too_sure_and_the_others_are_not():
     """30 runs of the full setting; the bounds leave room for what 30 runs scatter (2026-11)."""
     study = consistency_study(runs=30, seed=1)
     rows = {row.name: row for row in study.rows}
+    assert study.first_turn == pytest.approx(1.0, abs=4.0 * (2.0 / 30.0) ** 0.5)
     assert 3.9 < rows["ekf"].nees < 6.5
     assert rows["ekf"].in_band < 0.6
     for name in ("fej", "riekf"):
-        assert rows[name].nees == pytest.approx(3.0, abs=0.6)
+        assert rows[name].nees - study.first_turn == pytest.approx(2.0, abs=0.5)
         assert rows[name].nees_landmarks == pytest.approx(2.0, abs=0.5)
         assert rows[name].nis == pytest.approx(1.0, abs=0.1)
         assert rows[name].position_ratio < 1.02

@@ -76,6 +76,11 @@ class Drive:
     seen: Array
     in_range: Mask
 
+    def first_turn(self, setting: Setting) -> float:
+        """Return the error of the first step's heading over its standard deviation."""
+        error = self.felt[0, 2] - setting.dt * setting.turn_rate
+        return float(error / setting.motion_sigmas[2])
+
 
 def simulate(setting: Setting, rng: np.random.Generator) -> Drive:
     """Return a run: the true path is always the same, the noise is not."""

@@ -76,7 +76,7 @@ class Corner(Extractor):
             & (found.reduced_chi2 <= self.max_chi2)
         )
         first = np.flatnonzero(good)
-        pairs = np.column_stack((first, np.roll(first, -1)))
+        pairs = np.column_stack((first, np.append(first[1:], first[:1])))
         turn = found.lines[pairs[:, 1], 1] - found.lines[pairs[:, 0], 1]
         steep: Ints = pairs[np.abs(np.sin(turn)) >= math.sin(self.min_angle)]
         return steep

@@ -101,21 +101,20 @@ def segment(scan: Scan, grazing: float = WALLS) -> Cloud:
     Computed once for all extractors.
     """
     index = np.flatnonzero(scan.valid)
+    points, ranges, variances = _take(index, scan.points, scan.ranges, scan.sigmas)
     starts = np.array([0, len(index)])
     if len(index) > 1:
-        ratios = gap_ratios(
-            scan.points[index],
-            scan.angles[index],
-            scan.ranges[index],
-            scan.sigmas[index] ** 2,
-            beam_spacing(scan),
-            grazing,
-        )
-        order, starts = _ring(ratios, scan.ranges[index])
+        angles, spacing = scan.angles[index], beam_spacing(scan)
+        ratios = gap_ratios(points, angles, ranges, variances, spacing, grazing)
+        order, starts = _ring(ratios, ranges)
         index = index[order]
+        points, ranges, variances = _take(index, scan.points, scan.ranges, scan.sigmas)
     directions = scan.directions[index]
     beams = np.empty((len(index), 2))
     beams[:, 0], beams[:, 1] = np.cos(directions), np.sin(directions)
-    return Cloud(
-        index, scan.points[index], beams, scan.ranges[index], scan.sigmas[index] ** 2, starts
-    )
+    return Cloud(index, points, beams, ranges, variances, starts)
+
+
+def _take(index: Ints, points: Array, ranges: Array, sigmas: Array) -> tuple[Array, Array, Array]:
+    """Return points, ranges and variances of some beams."""
+    return points.take(index, axis=0), ranges.take(index), sigmas.take(index) ** 2

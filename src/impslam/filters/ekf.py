@@ -22,7 +22,7 @@ from impslam.filters.base import Filter
 from impslam.filters.belief import POSE, GaussianBelief, Rows
 from impslam.filters.scoring import score
 from impslam.geometry.angles import wrap
-from impslam.geometry.se2 import compose, rotation
+from impslam.geometry.se2 import compose
 from impslam.landmarks.base import Initial, LandmarkModel, Prediction
 from impslam.types import Array, Increment, Ints, Landmark, Match, Observation
 
@@ -49,8 +49,7 @@ class Ekf(Filter):
         """Move the robot: x' = x (+) u, P' = F P F^T + V Q V^T (thesis Eq. 2.23-2.26)."""
         belief, pose, d = self._belief, self.pose, increment.d_pose
         c, s = math.cos(pose[2]), math.sin(pose[2])
-        V = np.eye(POSE)
-        V[:2, :2] = rotation(pose[2])
+        V = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         belief.move(-s * d[0] - c * d[1], c * d[0] - s * d[1], V @ increment.covariance @ V.T)
         belief.mean[:POSE] = compose(pose, d)
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.geometry.angles import wrap
+from impslam.geometry.kernels import kernel
 
 Array = npt.NDArray[np.float64]
 
@@ -59,10 +60,18 @@ def between(T_a_b: Array, T_a_c: Array) -> Array:
 
 def transform(T_a_b: Array, points_in_b: Array) -> Array:
     """Return points of shape (n, 2) given in frame b as points in frame a."""
+    flat = np.ascontiguousarray(points_in_b, dtype=np.float64).reshape(-1, 2)
+    return _transform(T_a_b, flat).reshape(np.shape(points_in_b))
+
+
+@kernel
+def _transform(T_a_b: Array, points: Array) -> Array:
     c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
-    out = np.empty_like(points_in_b, dtype=np.float64)
-    out[..., 0] = T_a_b[0] + c * points_in_b[..., 0] - s * points_in_b[..., 1]
-    out[..., 1] = T_a_b[1] + s * points_in_b[..., 0] + c * points_in_b[..., 1]
+    out = np.empty((len(points), 2))
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        out[i, 0] = T_a_b[0] + c * x - s * y
+        out[i, 1] = T_a_b[1] + s * x + c * y
     return out
 
 

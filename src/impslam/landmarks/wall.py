@@ -38,6 +38,21 @@ _NOWHERE = np.zeros((2, 2))
 
 
 @kernel
+def _predict(pose: Array, m: Array) -> tuple[Array, Array, Array]:
+    """Return z (k, 2), z_D_pose (k, 2, 3) and z_D_m (k, 2, 3)."""
+    n = len(m)
+    z, z_D_pose, z_D_m = np.empty((n, 2)), np.zeros((n, 2, 3)), np.zeros((n, 2, 3))
+    for k in range(n):
+        c, s = math.cos(m[k, 2]), math.sin(m[k, 2])
+        dx, dy = m[k, 0] - pose[0], m[k, 1] - pose[1]
+        z[k, 0] = c * dx + s * dy
+        z[k, 1] = math.pi - (math.pi - (m[k, 2] - pose[2])) % (2.0 * math.pi)  # wrapped
+        z_D_pose[k, 0, 0], z_D_pose[k, 0, 1], z_D_pose[k, 1, 2] = -c, -s, -1.0
+        z_D_m[k, 0, 0], z_D_m[k, 0, 2], z_D_m[k, 1, 2] = 1.0, c * dy - s * dx, 1.0
+    return z, z_D_pose, z_D_m
+
+
+@kernel
 def _extents(m: Array, ends: Array) -> Array:
     """Return (a, k, 2) where along walls m (k, 3) the ends (a, 2, 2), in map, lie, in order."""
     out = np.empty((len(ends), len(m), 2))
@@ -66,17 +81,7 @@ class Wall(LandmarkModel):
 
     def predict(self, pose: Array, m: Array) -> Prediction:
         """Return signed distances and directions of the walls; see `LandmarkModel.predict`."""
-        k = len(m)
-        c, s = np.cos(m[:, 2]), np.sin(m[:, 2])
-        dx, dy = m[:, 0] - pose[0], m[:, 1] - pose[1]
-        z = np.empty((k, 2))
-        z[:, 0] = c * dx + s * dy
-        z[:, 1] = wrap(m[:, 2] - pose[2])
-        z_D_pose = np.zeros((k, 2, 3))
-        z_D_pose[:, 0, 0], z_D_pose[:, 0, 1], z_D_pose[:, 1, 2] = -c, -s, -1.0
-        z_D_m = np.zeros((k, 2, 3))
-        z_D_m[:, 0, 0], z_D_m[:, 0, 2], z_D_m[:, 1, 2] = 1.0, c * dy - s * dx, 1.0
-        return Prediction(z, z_D_pose, z_D_m)
+        return Prediction(*_predict(pose, m))
 
     def residual(self, z: Array, predicted: Array) -> Array:
         """Return observed minus predicted, the angle wrapped."""

@@ -44,11 +44,14 @@ def _verdict(
     """Return -1 if all beams toward a place (2,) end behind it, +1 if some end on it, else 0."""
     bearing = math.atan2(place[1], place[0])
     seen, behind, before = 0, 0, 0
+    reach = half + _NEIGHBOUR
     for turn in (-2.0 * math.pi, 0.0, 2.0 * math.pi):
+        if not directions[0] - reach <= bearing + turn <= directions[-1] + reach:
+            continue
         low = np.searchsorted(directions, bearing + turn - half)
         high = np.searchsorted(directions, bearing + turn + half)
         for b in range(max(int(low) - 1, 0), min(int(high) + 1, len(directions))):
-            if valid[b] and abs(directions[b] - bearing - turn) <= half + _NEIGHBOUR:
+            if valid[b] and abs(directions[b] - bearing - turn) <= reach:
                 seen += 1
                 offset = normal[0] * (points[b, 0] - place[0]) + normal[1] * (
                     points[b, 1] - place[1]
@@ -165,15 +168,14 @@ class Tentative(Lifecycle):
             return []
         limit = float(np.hypot(reach[:, 0], reach[:, 1]).max())
         near = np.hypot(*(outlines.mean(axis=1) - pose[:2]).T) < limit
-        near &= ~np.isin(ids, list(matched))
+        near &= [number not in matched for number in ids.tolist()]
+        balance = self._balance(scan, pose, outlines[near])
         lost = []
-        for number, balance in zip(
-            ids[near], self._balance(scan, pose, outlines[near]), strict=True
-        ):
-            if balance < 0.0:
-                self._scores[int(number)] = self._score(int(number)) + balance
-                if self._scores[int(number)] < 0.0:
-                    lost.append(int(number))
+        for k in np.flatnonzero(balance < 0.0).tolist():
+            number = int(ids[near][k])
+            self._scores[number] = self._score(number) + float(balance[k])
+            if self._scores[number] < 0.0:
+                lost.append(number)
         for number in lost:
             del self._scores[number]
         return lost

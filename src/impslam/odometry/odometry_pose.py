@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-import numpy as np
 from pydantic import PrivateAttr
 
 from impslam.component import parameter, register
@@ -31,7 +30,7 @@ class OdometryPoses(Odometry):
     def update(self, message: Message) -> Increment | None:
         """Return the motion since the previous pose; see `Odometry.update`."""
         assert isinstance(message, OdometryPose)
-        if not np.isfinite(message.pose).all():
+        if not all(map(math.isfinite, message.pose.tolist())):
             raise MessageError(
                 f"odometry pose {message.pose} at {message.stamp:.3f} s is not finite; it is left out"
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 
@@ -82,14 +83,15 @@ class Timeline:
 
 def _consume(pending: deque[Increment], stamp: float, together: bool) -> Increment:
     """Remove from a queue of increments and return the motion up to a stamp, or all of it."""
-    total = Increment.none(stamp)
+    total: Increment | None = None
     while pending:
         first = pending[0]
         begin = first.stamp - first.duration
         if not together and first.stamp > stamp:
             if begin < stamp:
                 head, pending[0] = first.split((stamp - begin) / first.duration)
-                total = total.then(head)
+                total = head if total is None else total.then(head)
             break
-        total = total.then(pending.popleft())
-    return Increment(stamp, total.d_pose, total.covariance, total.duration)
+        first = pending.popleft()
+        total = first if total is None else total.then(first)
+    return Increment.none(stamp) if total is None else replace(total, stamp=stamp)

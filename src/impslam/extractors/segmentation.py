@@ -90,8 +90,9 @@ def _ring(ratios: Array, ranges: Array) -> tuple[Ints, Ints]:
 
 
 def beam_spacing(scan: Scan) -> float:
-    """Return the mean angle between neighbouring beams, rad."""
-    return abs(float(scan.angles[-1] - scan.angles[0])) / max(len(scan.angles) - 1, 1)
+    """Return the mean angle between neighbouring beams, rad; 0 where there are none."""
+    n = len(scan.angles)
+    return abs(float(scan.angles[-1] - scan.angles[0])) / (n - 1) if n > 1 else 0.0
 
 
 @lru_cache(maxsize=4)

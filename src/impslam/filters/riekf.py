@@ -30,6 +30,9 @@ the tangent: what moves by delta to first order moves by 1/2 theta J delta more,
 
 - What is seen of a place has the mean z^ - 1/2 J cov(z, theta). Without this term each scan finds its
   landmarks nearer, on average, than they are, by half the variance of the heading.
+  With iterations the update seeks the mode instead, which needs no such term; its Jacobians are taken
+  at each new state, and carried back to the perturbations before the correction, or they would undo
+  what this filter is for.
 - The covariances of places that users read are mean squares about the estimate, the arc included:
   P + 3/4 (J c) (J c)^T with c = cov(place, theta), since E[theta^4] = 3 var(theta)^2.
 """
@@ -40,11 +43,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from pydantic import PrivateAttr
 from scipy.linalg.blas import dsyr2k
 
 from impslam.component import register
 from impslam.filters.atlas import Table
-from impslam.filters.belief import POSE, GaussianBelief
+from impslam.filters.belief import POSE, GaussianBelief, Rows
 from impslam.filters.ekf import Ekf
 from impslam.filters.symmetry import pose_D_motion, state_D_motion
 from impslam.landmarks.base import Prediction
@@ -80,16 +84,19 @@ def _quarter_turn(v: Array) -> Array:
 class RightInvariantEkf(Ekf):
     """The right-invariant EKF: it cannot learn which way the map lies from looking at it."""
 
+    _prior: tuple[Array, Array] | None = PrivateAttr(default=None)
+    """While correcting: G (n, 3) of the state before, and xi_D_pose there, the inverse of G's pose."""
+
     def correct(self, observations: Sequence[Observation], matches: Sequence[Match]) -> None:
         """Take all matches in, and carry the covariance over to the new state."""
         if not matches:
             return
-        before = state_D_motion(self._belief, self._atlas)
-        xi_D_pose = pose_D_motion(-self.pose)  # the inverse of pose_D_motion(pose)
+        self._prior = state_D_motion(self._belief, self._atlas), pose_D_motion(-self.pose)
         super().correct(observations, matches)
-        A = state_D_motion(self._belief, self._atlas) - before
+        A, xi_D_pose = self._since_prior()
         changed = A.any(axis=0)  # points alone leave only the heading's column
         shear(self._belief, A[:, changed], xi_D_pose[changed])
+        self._prior = None
 
     @property
     def covariance(self) -> Array:
@@ -112,11 +119,28 @@ class RightInvariantEkf(Ekf):
             for m in super().landmarks()
         )
 
+    def _since_prior(self) -> tuple[Array, Array]:
+        """Return A (n, 3) and xi_D_pose (3, 3): perturbations now are those before plus A xi."""
+        assert self._prior is not None
+        before, xi_D_pose = self._prior
+        return state_D_motion(self._belief, self._atlas) - before, xi_D_pose
+
+    def _stack(
+        self, observations: Sequence[Observation], matches: Sequence[Match]
+    ) -> tuple[Rows, Array, Array]:
+        """Return `Ekf._stack`, H in the perturbations before the correction that P speaks of."""
+        rows, innovation, R = super()._stack(observations, matches)
+        if self.iterations > 1 and self._prior is not None:
+            A, xi_D_pose = self._since_prior()
+            H_A = np.array([rows.apply(a) for a in A.T]).T
+            rows.h_pose += H_A @ xi_D_pose
+        return rows, innovation, R
+
     def _expect(self, table: Table, places: Ints) -> Prediction:
         """Return how landmarks should be seen now, in the mean; `Ekf._expect` to second order."""
         now = super()._expect(table, places)
-        if not table.model.is_place:
-            return now
+        if self.iterations > 1 or not table.model.is_place:
+            return now  # the mode that iterations seek is not the mean
         heading = self._belief.pose_covariance()[:, 2]
         landmarks = self._belief.P[table.columns[places], 2]  # (k, dim)
         with_heading = now.z_D_pose @ heading + (now.z_D_m @ landmarks[:, :, None])[:, :, 0]

@@ -1,0 +1,179 @@
+"""Run the real logs and score them: what the tests on real logs and the tables of results share.
+
+The logs and their truths are not part of the project; each function takes the folder they are in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from impslam.config import load
+from impslam.evaluation.landmarks import LandmarkScore, score_landmarks
+from impslam.evaluation.relations import RelationErrors, read_relations, relation_errors
+from impslam.evaluation.trajectory import Statistics, align, associate, ate
+from impslam.geometry.se2 import inverse, transform
+from impslam.observers.base import Observer, Outcome
+from impslam.pipeline import Pipeline, run
+from impslam.simulation.world import TrueLandmark
+from impslam.sources.base import recognise
+from impslam.types import Array, Landmark, OdometryPose, StepResult
+
+
+@dataclass
+class Run(Observer):
+    """What scoring needs of a run; poses as rows of stamp, x, y, theta."""
+
+    path: list[Array] = field(default_factory=list)
+    wheels: list[Array] = field(default_factory=list)
+    covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    walls: list[list[Array]] = field(default_factory=list)
+    outcome: Outcome | None = None
+
+    def step(self, result: StepResult) -> None:
+        """Keep the poses, and the ends of the walls seen, in map."""
+        self.path.append(np.array([result.stamp, *result.pose]))
+        self.wheels.append(np.array([result.stamp, *result.odometry]))
+        self.covariance = result.covariance
+        ends = [o.end_points for o in result.observations if o.end_points is not None]
+        self.walls.append([transform(result.scan_pose, e) for e in ends])
+
+    def finish(self, outcome: Outcome) -> None:
+        """Keep the outcome."""
+        self.outcome = outcome
+
+    @property
+    def landmarks(self) -> tuple[Landmark, ...]:
+        """The final map."""
+        assert self.outcome is not None
+        return self.outcome.landmarks
+
+    @property
+    def speed(self) -> float:
+        """How many times faster than real time."""
+        assert self.outcome is not None
+        return self.outcome.log_seconds / self.outcome.wall_seconds
+
+
+def run_log(log: Path, base: str | None = None, settings: Sequence[str] = ()) -> Run:
+    """Map a log with the preset that fits it, or another one."""
+    kind = recognise(log)
+    if base is None:
+        with kind(path=log) as source:
+            base = source.preset
+    seen = Run()
+    run(load(base, settings), kind(path=log), [seen])
+    return seen
+
+
+def final_covariance(log: Path) -> Array:
+    """Return the joint covariance of pose and map at the end of a log."""
+    kind = recognise(log)
+    with kind(path=log) as source:
+        pipeline = Pipeline(load(source.preset))
+        for message in source:
+            for _ in pipeline.feed(message):
+                pass
+        for _ in pipeline.flush():
+            pass
+    covariance: Array = pipeline.slam.filter.belief.covariance  # type: ignore[attr-defined]  # EKF's
+    return covariance
+
+
+# --------------------------------------------------------------------------- against the truth
+
+
+@dataclass(frozen=True)
+class Score:
+    """A run against a known path and known cylinders, both after the same rigid alignment."""
+
+    path: Statistics
+    wheels: Statistics  # of dead reckoning from the same start, not aligned by itself
+    cylinders: LandmarkScore
+
+    @property
+    def cylinder_rms(self) -> float:
+        """Root mean square of the distances of the cylinders found, m."""
+        return math.sqrt(float(np.mean([e.distance**2 for e in self.cylinders.found])))
+
+
+def score(seen: Run, truth: Array, centres: Array) -> Score:
+    """Score a run against true poses (n, 4) and the true centres (k, 2) of cylinders."""
+    pairs = associate(np.array(seen.path), truth)
+    T_map_truth = align(pairs.truth[:, :2], pairs.estimate[:, :2])
+    known = [
+        TrueLandmark(f"cylinder {i}", "cylinder", place, {})
+        for i, place in enumerate(transform(T_map_truth, centres), 1)
+    ]
+    alone = associate(np.array(seen.wheels), truth).moved(inverse(T_map_truth))
+    return Score(ate(pairs), ate(alone, aligned=False), score_landmarks(seen.landmarks, known))
+
+
+def turtlebot3(data: Path) -> tuple[Run, Score]:
+    """Map the TurtleBot3's bag by its wheels; its /odom is the simulator's truth."""
+    log = data / "turtlebot3" / "turtlebot3.bag"
+    seen = run_log(log, "turtlebot3-waffle")
+    with recognise(log)(path=log) as source:
+        truth = [[m.stamp, *m.pose] for m in source if isinstance(m, OdometryPose)]
+    grid = (-1.1, 0.0, 1.1)
+    return seen, score(seen, np.array(truth), np.array([[x, y] for x in grid for y in grid]))
+
+
+def lego(data: Path) -> tuple[Run, Score]:
+    """Map the LEGO robot's folder; the reference has positions only, in mm and ms."""
+    folder = data / "lego-robot4"
+    seen = run_log(folder)
+    rows = [line.split() for line in (folder / "robot4_reference.txt").read_text().splitlines()]
+    truth = np.array([[int(t) / 1e3, int(x) / 1e3, int(y) / 1e3, 0.0] for _, t, x, y in rows])
+    marks = (folder / "robot_arena_landmarks.txt").read_text().splitlines()
+    centres = np.array([[float(w) / 1e3 for w in line.split()[2:4]] for line in marks if line])
+    return seen, score(seen, truth, centres)
+
+
+def relations(data: Path, name: str) -> tuple[Run, RelationErrors, RelationErrors]:
+    """Map a log of the SLAM benchmarking suite; return also its errors and those of odometry."""
+    seen = run_log(data / name / f"{name}.log")
+    known = read_relations(data / name / f"{name}.relations")
+    path, wheels = np.array(seen.path), np.array(seen.wheels)
+    return seen, relation_errors(path, known), relation_errors(wheels, known)
+
+
+# --------------------------------------------------------------------------- against itself
+
+SAME_WALL = math.radians(10.0)
+APART = 0.6  # m; walls nearer than this, of one direction, are taken to be one
+LONG = 1.0  # m; shorter pieces may be the sides of things
+
+
+def lap_offsets(seen: Run, first: int, second: int) -> Array:
+    """Return how far long walls seen from scan `second` on lie from those seen before `first`, m.
+
+    For each wall of the second lap, the middle of it against the median of all walls of the first
+    lap that run beside it: the nearest would flatter.
+    """
+    before = np.array([w for walls in seen.walls[:first] for w in walls if _length(w) > LONG])
+    after = [w for walls in seen.walls[second:] for w in walls if _length(w) > LONG]
+    offsets = []
+    for wall in after:
+        along = (wall[1] - wall[0]) / _length(wall)
+        normal = np.array([-along[1], along[0]])
+        middle = wall.mean(axis=0)
+        ends = before - middle
+        places = np.sort(ends @ along, axis=1)
+        across = ends @ normal
+        span = np.diff(ends @ along, axis=1)[:, 0]
+        turn = np.abs(np.arctan(np.divide(np.diff(across, axis=1)[:, 0], span)))
+        offset = across[:, 0] - (ends @ along)[:, 0] * np.diff(across, axis=1)[:, 0] / span
+        beside = (places[:, 0] < 0) & (places[:, 1] > 0)
+        same = beside & (turn < SAME_WALL) & (np.abs(offset) < APART)
+        if same.any():
+            offsets.append(float(np.median(offset[same])))
+    return np.abs(np.array(offsets))
+
+
+def _length(wall: Array) -> float:
+    return math.dist(wall[0], wall[1])

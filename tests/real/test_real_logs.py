@@ -1,0 +1,150 @@
+"""The real logs against what is known of them. Figures were measured on 2026-11-21."""
+
+import math
+
+import numpy as np
+import pytest
+from benchmarks.real_logs import final_covariance, lap_offsets, lego, relations, run_log, turtlebot3
+
+from impslam.config import load
+from impslam.sources.base import recognise
+
+pytestmark = [pytest.mark.real]
+
+
+def assert_sound(seen):
+    assert np.isfinite(np.array(seen.path)).all()
+    assert np.linalg.eigvalsh(seen.covariance)[0] > 0.0
+
+
+@pytest.fixture(scope="module")
+def waffle(data_folder):
+    return turtlebot3(data_folder)
+
+
+@pytest.fixture(scope="module")
+def robot4(data_folder):
+    return lego(data_folder)
+
+
+# --------------------------------------------------------------------------- TurtleBot3
+
+
+def test_turtlebot3_finds_the_nine_cylinders_and_no_other(waffle):
+    seen, scored = waffle
+    assert len(scored.cylinders.found) == 9
+    assert scored.cylinders.false == ()
+    assert scored.cylinders.doubles == ()
+    assert_sound(seen)
+
+
+def test_turtlebot3_cylinders_and_path_are_within_two_centimetres(waffle):
+    _, scored = waffle
+    assert scored.cylinder_rms < 0.02  # measured 0.0013
+    assert scored.path.rmse < 0.02  # measured 0.0025
+    assert scored.wheels.rmse > 1.5  # 2.04: the wheels slip
+
+
+def test_turtlebot3_does_not_use_the_truth(waffle):
+    """Odometry poses, the truth here, are no input of the preset."""
+    seen, _ = waffle
+    config = load("turtlebot3-waffle")
+    assert config.make_robot().odometry.consumes.__name__ == "WheelAngles"
+    assert seen.outcome.counts["OdometryPose"] > 2000
+
+
+# --------------------------------------------------------------------------- LEGO robot
+
+
+def test_lego_finds_the_six_cylinders(robot4):
+    seen, scored = robot4
+    assert len(scored.cylinders.found) == 6
+    assert_sound(seen)
+
+
+def test_lego_path_is_within_eight_centimetres(robot4):
+    _, scored = robot4
+    assert load("lego-robot4").odometry["track"] == 0.155  # nominal, not fitted
+    assert scored.path.rmse < 0.08  # measured 0.044
+    assert scored.wheels.rmse > 5 * scored.path.rmse
+
+
+# --------------------------------------------------------------------------- Mines rover
+
+
+@pytest.mark.parametrize("name", ["exp1", "exp2"])
+def test_the_rovers_logs_run_to_the_end(data_folder, name):
+    seen = run_log(data_folder / "urg04lx-encoders" / f"{name}.dat")
+    assert len(seen.path) == {"exp1": 756, "exp2": 641}[name]
+    assert_sound(seen)
+
+
+def test_the_second_lap_of_exp1_falls_on_the_first(data_folder):
+    """Walls seen from scan 355 on, against those seen before scan 300."""
+    seen = run_log(data_folder / "urg04lx-encoders" / "exp1.dat")
+    offsets = lap_offsets(seen, 300, 355)
+    assert len(offsets) > 50
+    assert np.median(offsets) < 0.05
+
+
+# --------------------------------------------------------------------------- buildings
+
+KNOWN = {
+    # scans, of raw odometry by the suite's own arithmetic: metres, degrees
+    "intel": (13631, 7.370, 39.2),
+    "fr079": (4934, 6.50, 30.3),
+    "fr-hospital": (6917, 0.615, 0.64),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(KNOWN))
+def test_buildings_run_to_the_end_without_a_parameter(data_folder, name):
+    scans, metres, degrees = KNOWN[name]
+    seen, errors, wheels = relations(data_folder, name)
+    assert len(seen.path) == scans
+    assert_sound(seen)
+    assert errors.missing == 0
+    # The scorer agrees with the published one on the raw odometry.
+    assert wheels.translation.mean() == pytest.approx(metres, rel=0.02)
+    assert math.degrees(wheels.rotation.mean()) == pytest.approx(degrees, rel=0.02)
+    if name != "fr-hospital":  # its odometry is better than what landmarks add outdoors
+        assert errors.translation.mean() < wheels.translation.mean()
+        assert errors.rotation.mean() < wheels.rotation.mean()
+
+
+@pytest.mark.slow
+def test_the_covariance_is_positive_definite_after_45_minutes(data_folder):
+    P = final_covariance(data_folder / "intel" / "intel.log")
+    np.testing.assert_array_equal(P, P.T)
+    # Scaled to correlations: the smallest eigenvalue is then not that of the units.
+    scale = 1.0 / np.sqrt(np.diag(P))
+    assert np.linalg.eigvalsh(P * np.outer(scale, scale))[0] > 0.0
+    np.linalg.cholesky(P)
+
+
+# --------------------------------------------------------------------------- readers
+
+
+@pytest.mark.parametrize(
+    ("log", "reader", "preset"),
+    [
+        ("turtlebot3/turtlebot3.bag", "rosbag", "turtlebot3-waffle"),
+        ("lego-robot4", "lego", "lego-robot4"),
+        ("urg04lx-encoders/exp1.dat", "dat", "mines-rover"),
+        ("urg04lx-encoders/test_lab2.dat", "dat", "mines-rover"),
+        ("intel/intel.log", "carmen", "default"),
+        ("fr-hospital/fr-hospital.log", "carmen", "default"),
+    ],
+)
+def test_logs_are_recognised(data_folder, log, reader, preset):
+    kind = recognise(data_folder / log)
+    assert kind.name == reader
+    with kind(path=data_folder / log) as source:
+        assert source.preset == preset or reader == "rosbag"
+
+
+def test_a_cut_line_is_counted(data_folder):
+    seen = run_log(data_folder / "urg04lx-encoders" / "test_lab2.dat")
+    assert seen.outcome.dropped["malformed line"].count == 1
+    assert_sound(seen)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from impslam.cli.job import execute, plan
 from impslam.config import load
 from impslam.evaluation.landmarks import LandmarkScore, score_landmarks
 from impslam.evaluation.relations import RelationErrors, read_relations, relation_errors
@@ -59,14 +60,16 @@ class Run(Observer):
         return self.outcome.log_seconds / self.outcome.wall_seconds
 
 
-def run_log(log: Path, base: str | None = None, settings: Sequence[str] = ()) -> Run:
-    """Map a log with the preset that fits it, or another one."""
-    kind = recognise(log)
-    if base is None:
-        with kind(path=log) as source:
-            base = source.preset
+def run_log(
+    log: Path, base: str | None = None, settings: Sequence[str] = (), folder: Path | None = None
+) -> Run:
+    """Map a log with the preset that fits it, or another one; write a run folder if given one."""
+    config, source = plan(log, base, settings)
     seen = Run()
-    run(load(base, settings), kind(path=log), [seen])
+    if folder is None:
+        run(config, source, [seen])
+    else:
+        execute(config, source, folder, quiet=True, more=[seen])
     return seen
 
 
@@ -113,20 +116,20 @@ def score(seen: Run, truth: Array, centres: Array) -> Score:
     return Score(ate(pairs), ate(alone, aligned=False), score_landmarks(seen.landmarks, known))
 
 
-def turtlebot3(data: Path) -> tuple[Run, Score]:
+def turtlebot3(data: Path, folder: Path | None = None) -> tuple[Run, Score]:
     """Map the TurtleBot3's bag by its wheels; its /odom is the simulator's truth."""
     log = data / "turtlebot3" / "turtlebot3.bag"
-    seen = run_log(log, "turtlebot3-waffle")
+    seen = run_log(log, "turtlebot3-waffle", folder=folder)
     with recognise(log)(path=log) as source:
         truth = [[m.stamp, *m.pose] for m in source if isinstance(m, OdometryPose)]
     grid = (-1.1, 0.0, 1.1)
     return seen, score(seen, np.array(truth), np.array([[x, y] for x in grid for y in grid]))
 
 
-def lego(data: Path) -> tuple[Run, Score]:
+def lego(data: Path, out: Path | None = None) -> tuple[Run, Score]:
     """Map the LEGO robot's folder; the reference has positions only, in mm and ms."""
     folder = data / "lego-robot4"
-    seen = run_log(folder)
+    seen = run_log(folder, folder=out)
     rows = [line.split() for line in (folder / "robot4_reference.txt").read_text().splitlines()]
     truth = np.array([[int(t) / 1e3, int(x) / 1e3, int(y) / 1e3, 0.0] for _, t, x, y in rows])
     marks = (folder / "robot_arena_landmarks.txt").read_text().splitlines()
@@ -134,9 +137,11 @@ def lego(data: Path) -> tuple[Run, Score]:
     return seen, score(seen, truth, centres)
 
 
-def relations(data: Path, name: str) -> tuple[Run, RelationErrors, RelationErrors]:
+def relations(
+    data: Path, name: str, folder: Path | None = None
+) -> tuple[Run, RelationErrors, RelationErrors]:
     """Map a log of the SLAM benchmarking suite; return also its errors and those of odometry."""
-    seen = run_log(data / name / f"{name}.log")
+    seen = run_log(data / name / f"{name}.log", folder=folder)
     known = read_relations(data / name / f"{name}.relations")
     path, wheels = np.array(seen.path), np.array(seen.wheels)
     return seen, relation_errors(path, known), relation_errors(wheels, known)

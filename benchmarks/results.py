@@ -1,0 +1,179 @@
+"""Run everything that the README and docs/results.md quote, and write the figures into them.
+
+    python benchmarks/results.py --data ../shared/data              # all, about ten minutes
+    python benchmarks/results.py --data ../shared/data lego exp1    # only these
+    python benchmarks/results.py --list
+
+Each figure stands between `<!-- NAME -->` and `<!-- / -->` in the two files and is replaced there;
+pictures go to docs/images.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from benchmarks import real_logs  # noqa: E402  found from the root of the project
+from benchmarks.arena import arena  # noqa: E402
+
+RUNS = ROOT / "runs" / "results"
+PAGES = [ROOT / "README.md", ROOT / "docs" / "results.md"]
+WIDTH = 900  # px of a picture
+
+
+def picture(name: str, folder: Path) -> None:
+    """Put a run's picture, made smaller, into the docs."""
+    image = cv2.imread(str(folder / "report.png"))
+    assert image is not None
+    scale = min(1.0, WIDTH / image.shape[1])
+    image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    target = ROOT / "docs" / "images" / f"{name}.png"
+    target.parent.mkdir(exist_ok=True)
+    cv2.imwrite(str(target), image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    size = target.stat().st_size / 1e3
+    print(f"  {target.relative_to(ROOT)}: {size:.0f} kB")
+
+
+def cm(metres: float) -> str:
+    """Return a length in cm."""
+    return f"{100 * metres:.1f} cm"
+
+
+def demo(data: Path) -> str:
+    """Map the arena once, by the command that users are told first."""
+    del data
+    from impslam.cli import main  # noqa: PLC0415  only here
+
+    folder = RUNS / "demo"
+    begin = time.perf_counter()
+    assert main(["demo", "-o", str(folder), "--quiet"]) == 0
+    picture("demo", folder)
+    return f"{time.perf_counter() - begin:.0f} s"
+
+
+def seeds(data: Path) -> str:
+    """Map the arena with twenty seeds."""
+    del data
+    scores = [arena(seed) for seed in range(20)]
+    kept = sum(score.kept for score in scores)
+    median = [
+        np.median(v)
+        for v in (
+            [s.worst("cylinder") for s in scores],
+            [s.worst("wall") for s in scores],
+            [s.end for s in scores],
+            [s.wheels for s in scores],
+        )
+    ]
+    return (
+        f"{kept} of 20 seeds within the limits; median over seeds: worst cylinder {cm(median[0])}, "
+        f"worst wall {cm(median[1])}, end {cm(median[2])} (wheels alone {cm(median[3])})"
+    )
+
+
+def known(function: Callable[[Path, Path], tuple[real_logs.Run, real_logs.Score]]) -> Callable:
+    """Return the job of a log with known cylinders and path."""
+
+    def job(data: Path) -> str:
+        name = function.__name__
+        seen, score = function(data, RUNS / name)
+        picture(name, RUNS / name)
+        found, all_ = len(score.cylinders.found), score.cylinders
+        total = found + len(all_.missing)
+        return (
+            f"{found} of {total} cylinders, {len(all_.false) + len(all_.doubles)} false, "
+            f"{cm(score.cylinder_rms)} RMS; path {cm(score.path.rmse)} RMS "
+            f"(wheels alone {score.wheels.rmse:.2f} m); {seen.speed:.0f} times real time"
+        )
+
+    return job
+
+
+def rover(name: str) -> Callable[[Path], str]:
+    """Return the job of a log of the Mines rover."""
+
+    def job(data: Path) -> str:
+        seen = real_logs.run_log(data / "urg04lx-encoders" / f"{name}.dat", folder=RUNS / name)
+        picture(name, RUNS / name)
+        said = f"{len(seen.path)} scans, {len(seen.landmarks)} landmarks"
+        offsets = real_logs.lap_offsets(seen, 300, 355)
+        if name == "exp1" and len(offsets):
+            p50, p90 = np.percentile(offsets, (50, 90))
+            said += (
+                f"; walls of the second lap from those of the first: median {cm(p50)}, "
+                f"90 % within {cm(p90)} ({len(offsets)} walls)"
+            )
+        return f"{said}; {seen.speed:.0f} times real time"
+
+    return job
+
+
+def building(name: str) -> Callable[[Path], str]:
+    """Return the job of a log with measured relations."""
+
+    def job(data: Path) -> str:
+        seen, errors, wheels = real_logs.relations(data, name, RUNS / name)
+        picture(name, RUNS / name)
+        return f"{spread(errors)}; odometry {spread(wheels)}; {seen.speed:.0f} times real time"
+
+    return job
+
+
+def spread(errors: real_logs.RelationErrors) -> str:
+    """Return mean and standard deviation, as the suite's tables give them."""
+    metres, degrees = errors.translation, np.degrees(errors.rotation)
+    return (
+        f"{metres.mean():.3f} ± {metres.std():.3f} m, {degrees.mean():.2f} ± {degrees.std():.2f}° "
+        f"(medians {np.median(metres):.3f} m, {np.median(degrees):.2f}°)"
+    )
+
+
+JOBS: dict[str, Callable[[Path], str]] = {
+    "demo": demo,
+    "seeds": seeds,
+    "turtlebot3": known(real_logs.turtlebot3),
+    "lego": known(real_logs.lego),
+    "exp1": rover("exp1"),
+    "exp2": rover("exp2"),
+    "intel": building("intel"),
+    "fr079": building("fr079"),
+    "fr-hospital": building("fr-hospital"),
+}
+
+
+def enter(name: str, figures: str) -> None:
+    """Replace the figures of a name in the pages."""
+    mark = re.compile(rf"(<!-- {re.escape(name)} -->).*?(<!-- / -->)", re.DOTALL)
+    for page in PAGES:
+        text = page.read_text("utf-8")
+        page.write_text(mark.sub(lambda m: f"{m[1]}{figures}{m[2]}", text), "utf-8")
+
+
+def main() -> None:
+    """Run the jobs named, or all."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("names", nargs="*", help="default: all")
+    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    parser.add_argument("--list", action="store_true", help="print the names and end")
+    arguments = parser.parse_args()
+    if arguments.list:
+        print(" ".join(JOBS))
+        return
+    for name in arguments.names or JOBS:
+        figures = JOBS[name](arguments.data)
+        print(f"{name}: {figures}", flush=True)
+        enter(name, figures)
+
+
+if __name__ == "__main__":
+    main()

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.errors import ShapeError
-from impslam.geometry.se2 import compose, compose_jacobians, exp, log
+from impslam.geometry.se2 import compose_jacobians, compose_uncertain, exp, log
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Ints: TypeAlias = npt.NDArray[np.int64]
@@ -131,19 +131,14 @@ class Increment:
 
     def then(self, other: Increment) -> Increment:
         """Return this increment followed by another, to first order in the errors."""
-        first, second = compose_jacobians(self.d_pose, other.d_pose)
-        covariance = first @ self.covariance @ first.T + second @ other.covariance @ second.T
-        return Increment(
-            other.stamp,
-            compose(self.d_pose, other.d_pose),
-            covariance,
-            self.duration + other.duration,
+        d_pose, covariance = compose_uncertain(
+            self.d_pose, self.covariance, other.d_pose, other.covariance
         )
+        return Increment(other.stamp, d_pose, covariance, self.duration + other.duration)
 
     def advance(self, pose: Array, covariance: Array) -> tuple[Array, Array]:
         """Return a pose (3,) and its covariance (3, 3), both additive in map, after this motion."""
-        F, V = compose_jacobians(pose, self.d_pose)
-        return compose(pose, self.d_pose), F @ covariance @ F.T + V @ self.covariance @ V.T
+        return compose_uncertain(pose, covariance, self.d_pose, self.covariance)
 
     def split(self, fraction: float) -> tuple[Increment, Increment]:
         """Cut at a fraction in [0, 1] of its time, at constant twist; the parts compose to it."""

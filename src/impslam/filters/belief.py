@@ -8,7 +8,7 @@ pose comes first. Everything here touches P in place and in order; nothing forms
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg.blas import dsyrk, dtrsm
+from scipy.linalg.blas import dsyrk, dtrsm, dtrsv
 
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
@@ -145,6 +145,35 @@ def _rotate_pose(P: Array, n: int, fx: float, fy: float) -> None:
     P[2, 1] += fy * tt
 
 
+@kernel
+def _put_rows(
+    rows: tuple[Ints, Ints, Array, Array],
+    starts: Ints,
+    offsets: Ints,
+    z_D_pose: Array,
+    z_D_m: Array,
+) -> None:
+    (row_offsets, row_dims, h_pose, h_m), (k, dz, dim) = rows, z_D_m.shape
+    for i in range(k):
+        for a in range(dz):
+            row = starts[i] + a
+            row_offsets[row], row_dims[row] = offsets[i], dim
+            for b in range(POSE):
+                h_pose[row, b] = z_D_pose[i, a, b]
+            for b in range(dim):
+                h_m[row, b] = z_D_m[i, a, b]
+
+
+@kernel
+def put_blocks(vector: Array, matrix: Array, starts: Ints, parts: Array, blocks: Array) -> None:
+    """Write parts (k, d) and, on the diagonal, blocks (k, d, d) to the rows from `starts` (k,) on."""
+    for i in range(len(starts)):
+        for a in range(parts.shape[1]):
+            vector[starts[i] + a] = parts[i, a]
+            for b in range(parts.shape[1]):
+                matrix[starts[i] + a, starts[i] + b] = blocks[i, a, b]
+
+
 class Rows:
     """The stacked sparse measurement Jacobian H of a scan: each row sees the pose and a landmark.
 
@@ -159,6 +188,11 @@ class Rows:
         self.dims = np.zeros(rows, np.int64)
         self.h_pose = np.zeros((rows, POSE))
         self.h_m = np.zeros((rows, largest))
+
+    def put(self, starts: Ints, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> None:
+        """Enter measurements of k landmarks at some offsets, in the rows from `starts` (k,) on."""
+        rows = self.offsets, self.dims, self.h_pose, self.h_m
+        _put_rows(rows, starts, offsets, z_D_pose, z_D_m)
 
     def apply(self, delta: Array) -> Array:
         """Return H delta (rows,)."""
@@ -177,7 +211,7 @@ class Gain:
 
     def step(self, innovation: Array) -> Array:
         """Return K innovation (n,)."""
-        return np.asarray((self.W @ np.linalg.solve(self.L, innovation))[: self.n])
+        return np.asarray((self.W @ dtrsv(self.L, innovation, lower=1))[: self.n])
 
 
 class GaussianBelief:
@@ -220,7 +254,7 @@ class GaussianBelief:
         """Return the gain of a batch of measurements with noise R (rows, rows)."""
         shape = rows.offsets, rows.dims, rows.h_pose, rows.h_m
         cross = _cross(self.P, self.n, *shape)
-        L = np.linalg.cholesky(_measure(cross, *shape) + R)
+        L: Array = np.linalg.cholesky(_measure(cross, *shape) + R).astype(np.float64, copy=False)
         return Gain(L, dtrsm(1.0, L, cross.T, side=1, lower=1, trans_a=1, overwrite_b=1), self.n)
 
     def shrink(self, gain: Gain) -> None:

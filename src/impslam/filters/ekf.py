@@ -19,7 +19,7 @@ from impslam.association.base import Hypotheses
 from impslam.component import parameter, register
 from impslam.filters.atlas import Atlas, Table
 from impslam.filters.base import Filter
-from impslam.filters.belief import POSE, GaussianBelief, Rows
+from impslam.filters.belief import POSE, GaussianBelief, Rows, put_blocks
 from impslam.filters.scoring import score
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose
@@ -77,7 +77,7 @@ class Ekf(Filter):
             rows, innovation, R = self._stack(observations, matches)
             gain = belief.gain(rows, R)
             moved = delta[2]
-            delta = gain.step(innovation + rows.apply(delta))
+            delta = gain.step(innovation + rows.apply(delta) if delta.any() else innovation)
             self._retract(prior, delta)
             if abs(delta[2] - moved) < self.tolerance:
                 break
@@ -147,11 +147,10 @@ class Ekf(Filter):
         for table, places, which in groups:
             model, seen = table.model, [observations[matches[i].observation] for i in which]
             prediction = self._expect(table, places)
-            here = starts[which][:, None] + np.arange(model.dim_z)  # (matches, dim_z)
-            rows.offsets[here], rows.dims[here] = table.offsets[places][:, None], model.dim
-            rows.h_pose[here], rows.h_m[here, : model.dim] = prediction.z_D_pose, prediction.z_D_m
-            innovation[here] = model.residual(np.array([o.z for o in seen]), prediction.z)
-            R[here[:, :, None], here[:, None]] = np.array([o.R for o in seen])
+            here = starts[which]
+            rows.put(here, table.offsets[places], prediction.z_D_pose, prediction.z_D_m)
+            residual = model.residual(np.array([o.z for o in seen]), prediction.z)
+            put_blocks(innovation, R, here, residual, np.array([o.R for o in seen]))
         return rows, innovation, R
 
     def _expect(self, table: Table, places: Ints) -> Prediction:

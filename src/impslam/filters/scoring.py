@@ -23,7 +23,7 @@ def _distances(innovation: Array, HPH: Array, R: Array) -> tuple[Array, Array, A
     L, y = np.zeros((dz, dz)), np.empty(dz)
     for i in range(a):
         for j in range(k):
-            total, logs = 0.0, 0.0
+            total, root = 0.0, 1.0  # root: that of det S
             for p in range(dz):
                 value = innovation[i, j, p]
                 for q in range(p + 1):
@@ -36,8 +36,8 @@ def _distances(innovation: Array, HPH: Array, R: Array) -> tuple[Array, Array, A
                     value -= L[p, q] * y[q]
                 y[p] = value / L[p, p]
                 total += y[p] * y[p]
-                logs += 2.0 * math.log(L[p, p])
-            distance2[i, j], log_det[i, j] = total, logs
+                root *= L[p, p]
+            distance2[i, j], log_det[i, j] = total, 2.0 * math.log(root)
     return S, distance2, log_det
 
 

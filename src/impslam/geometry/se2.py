@@ -46,6 +46,24 @@ def compose_jacobians(T_a_b: Array, T_b_c: Array) -> tuple[Array, Array]:
     return first, second
 
 
+@kernel
+def compose_uncertain(T_a_b: Array, P: Array, T_b_c: Array, Q: Array) -> tuple[Array, Array]:
+    """Return `T_a_c` and its covariance (3, 3) to first order, from those P and Q of its parts."""
+    c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
+    dx, dy = c * T_b_c[0] - s * T_b_c[1], s * T_b_c[0] + c * T_b_c[1]
+    theta = math.pi - (math.pi - (T_a_b[2] + T_b_c[2])) % (2.0 * math.pi)  # wrapped
+    first = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
+    second = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    out = np.zeros((3, 3))
+    for J, C in ((first, P), (second, Q)):
+        for i in range(3):
+            for j in range(3):
+                for k in range(3):
+                    for m in range(3):
+                        out[i, j] += J[i, k] * C[k, m] * J[j, m]
+    return np.array([T_a_b[0] + dx, T_a_b[1] + dy, theta]), out
+
+
 def inverse(T_a_b: Array) -> Array:
     """Return `T_b_a`, shape (3,)."""
     x, y, theta = T_a_b.tolist()

@@ -17,9 +17,26 @@ from typing import ClassVar
 import numpy as np
 
 from impslam.component import register
+from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import rotation, transform
 from impslam.landmarks.base import Initial, LandmarkModel, Prediction, Report
 from impslam.types import Array, Observation
+
+
+@kernel
+def _predict(pose: Array, m: Array) -> tuple[Array, Array, Array]:
+    """Return z (k, 2), z_D_pose (k, 2, 3) and z_D_m (k, 2, 2)."""
+    n = len(m)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    z, z_D_pose, z_D_m = np.empty((n, 2)), np.empty((n, 2, 3)), np.empty((n, 2, 2))
+    for k in range(n):
+        dx, dy = m[k, 0] - pose[0], m[k, 1] - pose[1]
+        x, y = c * dx + s * dy, c * dy - s * dx
+        z[k, 0], z[k, 1] = x, y
+        z_D_m[k, 0, 0], z_D_m[k, 0, 1], z_D_m[k, 1, 0], z_D_m[k, 1, 1] = c, s, -s, c
+        z_D_pose[k, 0, 0], z_D_pose[k, 0, 1], z_D_pose[k, 0, 2] = -c, -s, y
+        z_D_pose[k, 1, 0], z_D_pose[k, 1, 1], z_D_pose[k, 1, 2] = s, -c, -x
+    return z, z_D_pose, z_D_m
 
 
 @register("point")
@@ -32,16 +49,7 @@ class Point(LandmarkModel):
 
     def predict(self, pose: Array, m: Array) -> Prediction:
         """Return the points in base_link; see `LandmarkModel.predict`."""
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        dx, dy = m[:, 0] - pose[0], m[:, 1] - pose[1]
-        z = np.empty((len(m), 2))
-        z[:, 0], z[:, 1] = c * dx + s * dy, c * dy - s * dx
-        z_D_m = np.empty((len(m), 2, 2))
-        z_D_m[:] = ((c, s), (-s, c))
-        z_D_pose = np.empty((len(m), 2, 3))
-        z_D_pose[:, :, :2] = -z_D_m
-        z_D_pose[:, 0, 2], z_D_pose[:, 1, 2] = z[:, 1], -z[:, 0]
-        return Prediction(z, z_D_pose, z_D_m)
+        return Prediction(*_predict(pose, m))
 
     def residual(self, z: Array, predicted: Array) -> Array:
         """Return observed minus predicted."""

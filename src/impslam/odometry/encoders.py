@@ -92,8 +92,8 @@ class Encoders(Odometry):
         right = self._travel(message.right - last.right) * self.right_left_ratio
         self._refuse_jumps(max(abs(left), abs(right)), duration, message.stamp)
         d_pose, d_pose_D_travel = differential_drive(left, right, self.track)
-        wheels = self.wheel_noise**2 * np.diag([abs(left), abs(right)])  # thesis Eq. 3.19
-        covariance = d_pose_D_travel @ wheels @ d_pose_D_travel.T
+        wheels = self.wheel_noise**2 * np.array([abs(left), abs(right)])  # thesis Eq. 3.19
+        covariance = d_pose_D_travel * wheels @ d_pose_D_travel.T
         covariance += self.slip.covariance(0.5 * (left + right), float(d_pose[2]))
         return Increment(message.stamp, d_pose, covariance, duration)
 

@@ -31,10 +31,6 @@ class MotionNoise(BaseModel):
     def covariance(self, distance: float, angle: float) -> Array:
         """Return (3, 3) for a way of `distance` m and a turn of `angle` rad, in the body frame."""
         distance, angle = abs(distance), abs(angle)
-        return np.diag(
-            [
-                self.forward**2 * distance,
-                self.sideways**2 * distance,
-                self.turn_per_distance**2 * distance + self.turn_per_turn**2 * angle,
-            ]
-        )
+        along, across = self.forward**2 * distance, self.sideways**2 * distance
+        turn = self.turn_per_distance**2 * distance + self.turn_per_turn**2 * angle
+        return np.array([[along, 0.0, 0.0], [0.0, across, 0.0], [0.0, 0.0, turn]])

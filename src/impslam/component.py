@@ -36,6 +36,7 @@ _ROOMS = (
     "filters",
     "landmarks",
     "lifecycle",
+    "matching",
     "odometry",
     "sensors",
     "sources",

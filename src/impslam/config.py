@@ -31,6 +31,7 @@ from impslam.errors import ConfigError
 from impslam.filters.base import Filter
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
+from impslam.matching.base import Matcher
 from impslam.robot import Robot
 from impslam.slam import Slam
 
@@ -78,6 +79,7 @@ class Config(BaseModel):
     source: Table = parameter({}, "", "parameters of the log reader (topics by role)")
     odometry: Table = parameter(..., "", "how motion is felt")
     sensors: dict[str, Table] = parameter(..., "", "what sees, by name")
+    matcher: Table | None = parameter(None, "", "how scans refine the motion between them, if at all")
     landmarks: dict[str, Table] = parameter({}, "", "parameters of landmark models, by kind")
     association: Table = parameter(..., "", "which observation is which landmark")
     lifecycle: Table = parameter(..., "", "when landmarks come and go")
@@ -92,6 +94,11 @@ class Config(BaseModel):
             build("odometry", self.odometry),
             {name: build("sensor", t, f"sensors.{name}") for name, t in self.sensors.items()},
         )
+
+    def make_matcher(self) -> Matcher | None:
+        """Return the scan matcher, or None where the config has none."""
+        matcher: Matcher | None = None if self.matcher is None else build("matcher", self.matcher)
+        return matcher
 
     def make_slam(self) -> Slam:
         """Return the estimator, ready for its first step."""
@@ -113,7 +120,7 @@ class Config(BaseModel):
 
     def resolved(self) -> Table:
         """Return every parameter with its value, defaults included; it loads to the same run."""
-        table = self.model_dump(mode="json", exclude={"odometry", "sensors", "landmarks"})
+        table = self.model_dump(mode="json", exclude={"odometry", "sensors", "landmarks", "matcher"})
         table["odometry"] = _full("odometry", self.odometry)
         table["sensors"] = {}
         for name, sensor in self.sensors.items():
@@ -123,6 +130,8 @@ class Config(BaseModel):
                     key: _full("extractor", value) for key, value in sensor["extractors"].items()
                 }
             table["sensors"][name] = full
+        if self.matcher is not None:
+            table["matcher"] = _full("matcher", self.matcher)
         for role in ("association", "lifecycle", "filter"):
             table[role] = _full(role, getattr(self, role))
         table["landmarks"] = {

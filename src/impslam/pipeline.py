@@ -68,9 +68,9 @@ class Pipeline:
 
     def __init__(self, config: Config) -> None:
         self.robot, self.slam = config.make_robot(), config.make_slam()
-        self._config = config
+        self._matcher = config.make_matcher()
         self._timeline = Timeline()
-        self._waiting: deque[tuple[Message, Sensor, int]] = deque()
+        self._waiting: deque[tuple[Message, Sensor, tuple[float, float], int]] = deque()
         self._rng = np.random.default_rng(config.seed)
         self._clock = Stopwatch()
         self._gate = Gate(config.keyframes)
@@ -87,7 +87,7 @@ class Pipeline:
             self._feel(message)
         sensor = self.robot.sensor_for(message)
         if sensor is not None:
-            self._waiting.append((message, sensor, self._seen))
+            self._waiting.append((message, sensor, sensor.span(message), self._seen))
         yield from self._ready(flush=False)
 
     def flush(self) -> Iterator[StepResult]:
@@ -107,21 +107,21 @@ class Pipeline:
 
     def _ready(self, flush: bool) -> Iterator[StepResult]:
         while self._waiting:
-            message, sensor, since = self._waiting[0]
-            begin, end = sensor.span(message)
+            message, sensor, (begin, end), since = self._waiting[0]
             together = begin == end and self._timeline.ends_at(message.stamp)
             known = self._timeline.covers(max(end, message.stamp))
             patient = self._seen - since < MAX_WAIT
             if not (flush or together or known or not patient):
                 return
             self._waiting.popleft()
-            result = self._use(message, sensor)
+            result = self._use(message, sensor, begin, end)
             if result is not None:
                 yield result
 
-    def _use(self, message: Message, sensor: Sensor) -> StepResult | None:
+    def _use(
+        self, message: Message, sensor: Sensor, begin: float, end: float
+    ) -> StepResult | None:
         with self._clock("odometry"):
-            begin, end = sensor.span(message)
             before = self._timeline.take(begin)
             twist = self._timeline.twist(begin, end - begin)
             middle = 0.5 * (begin + end)
@@ -142,6 +142,9 @@ class Pipeline:
                 f"the scan at {message.stamp:.3f} s has no valid range; the pose is dead-reckoned "
                 "there: check the lidar, or sensors.*.range_min and range_max",
             )
+        if self._matcher is not None and reading.scan is not None:
+            with self._clock("matching"):
+                increment = self._matcher.refine(increment, reading.scan)
         with self._clock("slam"):
             result = self.slam.step(increment, reading)
         if middle == message.stamp:

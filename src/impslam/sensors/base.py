@@ -45,5 +45,8 @@ class Sensor(Component):
         """
 
     def span(self, message: Message) -> tuple[float, float]:
-        """Return when the measurement began and ended, s on the odometry's clock."""
+        """Return when the measurement began and ended, s on the odometry's clock.
+
+        Asked once for each message, in order: a sensor may smooth its stamps.
+        """
         return message.stamp, message.stamp

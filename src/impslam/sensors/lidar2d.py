@@ -12,13 +12,14 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, PrivateAttr, field_validator
 
 from impslam.component import build, parameter, register
 from impslam.errors import MessageError
 from impslam.extractors.base import Extractor
 from impslam.geometry.kernels import kernel
 from impslam.sensors.base import Reading, Sensor
+from impslam.sensors.clock import SweepClock
 from impslam.types import Array, LaserScan, Mask, Message, Scan
 
 
@@ -84,6 +85,9 @@ class Lidar2D(Sensor):
     range_offset: float = parameter(
         0.0, "m", "added to the scaled ranges, from a calibration: true = scale * measured + offset"
     )
+    period: float = parameter(
+        0.0, "s", "time of a revolution, to smooth stamps that jitter; 0: the stamps are true", ge=0
+    )
     deskew: bool = parameter(True, "", "undo the robot's motion during the sweep")
     latency: float = parameter(
         0.0, "s", "how much later than its first beam a scan is stamped, on the odometry's clock"
@@ -91,6 +95,12 @@ class Lidar2D(Sensor):
     extractors: dict[str, Any] = Field(
         default_factory=dict, description="what looks for landmarks in the scans, by name"
     )
+
+    _clock: SweepClock = PrivateAttr()
+
+    def model_post_init(self, context: Any) -> None:
+        """Start the clock."""
+        self._clock = SweepClock(self.period)
 
     @field_validator("extractors")
     @classmethod
@@ -105,7 +115,8 @@ class Lidar2D(Sensor):
     def span(self, message: Message) -> tuple[float, float]:
         """Return when the first and the last beam were fired, s on the odometry's clock."""
         assert isinstance(message, LaserScan)
-        begin = message.stamp - self.latency
+        smoothed = self._clock.smooth(message.stamp) if self.period else message.stamp
+        begin = smoothed - self.latency
         return begin, begin + self._sweep(message)
 
     def _sweep(self, message: LaserScan) -> float:

@@ -1,0 +1,1 @@
+"""Scan matching: the motion between scans, from odometry and the scans themselves."""

@@ -12,7 +12,7 @@ from tests.numeric import jacobian
 from impslam.component import components
 from impslam.filters.riekf import RightInvariantEkf, shear
 from impslam.filters.symmetry import pose_D_motion, state_D_motion
-from impslam.geometry.se2 import compose, exp, inverse, transform
+from impslam.geometry.se2 import compose, exp, transform
 from impslam.landmarks.base import Prediction
 from impslam.landmarks.point import Point
 from impslam.types import Increment, Match, Observation
@@ -68,31 +68,6 @@ def test_the_textbook_filter_gains_it_from_nothing():
     """On the same run the EKF ends far surer of the map's heading than it was at the start."""
     *_, belief = noisy_run(components("filter")["ekf"]())
     assert about_a_motion_of_everything(belief)[2, 2] > 2.0 / START_SIGMA**2
-
-
-def turned_by_chance(sigma, count, rng):
-    """Return a filter that knows 4 points well but its own heading to sigma, and true poses."""
-    belief = RightInvariantEkf()
-    belief.start(np.array([1.0, 2.0, 0.5]), 1e-10 * np.eye(3), MODELS)
-    seen = [o for o in observe(belief.pose) if o.kind == "cylinder"]
-    belief.extend(seen, 0.0)
-    belief.predict(Increment(1.0, np.zeros(3), np.diag([0.0, 0.0, sigma**2]), 1.0))
-    poses = np.tile(belief.pose, (count, 1))
-    poses[:, 2] += sigma * rng.standard_normal(count)
-    return belief, poses
-
-
-def test_expected_places_are_the_mean_over_headings(rng):
-    """After a turn of unknown size places are seen nearer, in the mean, by half its variance."""
-    sigma = 0.2
-    belief, poses = turned_by_chance(sigma, 200_000, rng)
-    table = belief._atlas.table("cylinder")
-    places = np.arange(len(table.ids))
-    m = table.states(belief.belief.mean)
-    mean = np.mean([transform(inverse(pose), m) for pose in poses[:20_000]], axis=0)
-    expected, plain = belief._expect(table, places).z, table.model.predict(belief.pose, m).z
-    assert np.abs(expected - plain).max() > 0.05
-    np.testing.assert_allclose(expected, mean, atol=0.012)
 
 
 def test_reported_covariances_are_mean_squares_on_the_arc(rng):

@@ -25,16 +25,14 @@ an update of P of rank two (six with walls): one more pass over half of P for ea
 the filter from `ekf`. The group's exponential would also turn a correction's translation by half its
 rotation; over 400 steps at 3 degrees each that changes no figure's third digit, so it is left out.
 
-**Second order, where it is cheap.** A place swings round an arc as a heading errs by theta, not along
-the tangent: what moves by delta to first order moves by 1/2 theta J delta more, J a quarter turn.
+**Second order.** A correction is linearised again about its own result, by default: places swing
+round an arc as a heading errs, and a single linearisation finds them nearer, on average, than they
+are. The new Jacobians are carried back to the perturbations before the correction, which P speaks of;
+taken as they are they would undo what this filter is for.
 
-- What is seen of a place has the mean z^ - 1/2 J cov(z, theta). Without this term each scan finds its
-  landmarks nearer, on average, than they are, by half the variance of the heading.
-  With iterations the update seeks the mode instead, which needs no such term; its Jacobians are taken
-  at each new state, and carried back to the perturbations before the correction, or they would undo
-  what this filter is for.
-- The covariances of places that users read are mean squares about the estimate, the arc included:
-  P + 3/4 (J c) (J c)^T with c = cov(place, theta), since E[theta^4] = 3 var(theta)^2.
+The covariances of places that users read are mean squares about the estimate, the arc included. What
+moves by delta to first order as the heading errs by theta moves by 1/2 theta J delta more, J a quarter
+turn: P + 3/4 (J c) (J c)^T with c = cov(place, theta), since E[theta^4] = 3 var(theta)^2.
 """
 
 from __future__ import annotations
@@ -46,13 +44,11 @@ import numpy as np
 from pydantic import PrivateAttr
 from scipy.linalg.blas import dsyr2k
 
-from impslam.component import register
-from impslam.filters.atlas import Table
+from impslam.component import parameter, register
 from impslam.filters.belief import POSE, GaussianBelief, Rows
 from impslam.filters.ekf import Ekf
 from impslam.filters.symmetry import pose_D_motion, state_D_motion
-from impslam.landmarks.base import Prediction
-from impslam.types import Array, Ints, Landmark, Match, Observation
+from impslam.types import Array, Landmark, Match, Observation
 
 
 def shear(belief: GaussianBelief, A: Array, xi_D_pose: Array) -> None:
@@ -84,6 +80,9 @@ def _quarter_turn(v: Array) -> Array:
 class RightInvariantEkf(Ekf):
     """The right-invariant EKF: it cannot learn which way the map lies from looking at it."""
 
+    iterations: int = parameter(
+        4, "1", "linearisations of a correction at most; the second brings it to millimetres", ge=1
+    )
     _prior: tuple[Array, Array] | None = PrivateAttr(default=None)
     """While correcting: G (n, 3) of the state before, and xi_D_pose there, the inverse of G's pose."""
 
@@ -130,20 +129,8 @@ class RightInvariantEkf(Ekf):
     ) -> tuple[Rows, Array, Array]:
         """Return `Ekf._stack`, H in the perturbations before the correction that P speaks of."""
         rows, innovation, R = super()._stack(observations, matches)
-        if self.iterations > 1 and self._prior is not None:
+        if self._prior is not None:
             A, xi_D_pose = self._since_prior()
             H_A = np.array([rows.apply(a) for a in A.T]).T
             rows.h_pose += H_A @ xi_D_pose
         return rows, innovation, R
-
-    def _expect(self, table: Table, places: Ints) -> Prediction:
-        """Return how landmarks should be seen now, in the mean; `Ekf._expect` to second order."""
-        now = super()._expect(table, places)
-        if self.iterations > 1 or not table.model.is_place:
-            return now  # the mode that iterations seek is not the mean
-        heading = self._belief.pose_covariance()[:, 2]
-        landmarks = self._belief.P[table.columns[places], 2]  # (k, dim)
-        with_heading = now.z_D_pose @ heading + (now.z_D_m @ landmarks[:, :, None])[:, :, 0]
-        z = now.z.copy()
-        z[:, :2] -= 0.5 * _quarter_turn(with_heading)
-        return replace(now, z=z)

@@ -71,7 +71,7 @@ class LandmarkModel(Component):
     dim: ClassVar[int]
     dim_z: ClassVar[int]
     is_place: ClassVar[bool] = False
-    """m and z begin with a place [x, y], in map and in base_link: it swings as a heading errs."""
+    """m begins with a place [x, y] in map: it swings on an arc as a heading errs."""
 
     @abstractmethod
     def predict(self, pose: Array, m: Array) -> Prediction:

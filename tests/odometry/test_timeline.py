@@ -19,10 +19,7 @@ TWIST = np.array([0.5, 0.1, 0.8])
 
 def increments(stamps):
     q = np.diag([1e-4, 2e-4, 3e-4])
-    return [
-        Increment(b, exp((b - a) * TWIST), (b - a) * q, b - a)
-        for a, b in pairwise(stamps)
-    ]
+    return [Increment(b, exp((b - a) * TWIST), (b - a) * q, b - a) for a, b in pairwise(stamps)]
 
 
 @given(st.floats(0.0, 1.0))

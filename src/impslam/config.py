@@ -79,7 +79,9 @@ class Config(BaseModel):
     source: Table = parameter({}, "", "parameters of the log reader (topics by role)")
     odometry: Table = parameter(..., "", "how motion is felt")
     sensors: dict[str, Table] = parameter(..., "", "what sees, by name")
-    matcher: Table | None = parameter(None, "", "how scans refine the motion between them, if at all")
+    matcher: Table | None = parameter(
+        None, "", "how scans refine the motion between them, if at all"
+    )
     landmarks: dict[str, Table] = parameter({}, "", "parameters of landmark models, by kind")
     association: Table = parameter(..., "", "which observation is which landmark")
     lifecycle: Table = parameter(..., "", "when landmarks come and go")
@@ -120,7 +122,9 @@ class Config(BaseModel):
 
     def resolved(self) -> Table:
         """Return every parameter with its value, defaults included; it loads to the same run."""
-        table = self.model_dump(mode="json", exclude={"odometry", "sensors", "landmarks", "matcher"})
+        table = self.model_dump(
+            mode="json", exclude={"odometry", "sensors", "landmarks", "matcher"}
+        )
         table["odometry"] = _full("odometry", self.odometry)
         table["sensors"] = {}
         for name, sensor in self.sensors.items():

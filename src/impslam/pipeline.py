@@ -118,9 +118,7 @@ class Pipeline:
             if result is not None:
                 yield result
 
-    def _use(
-        self, message: Message, sensor: Sensor, begin: float, end: float
-    ) -> StepResult | None:
+    def _use(self, message: Message, sensor: Sensor, begin: float, end: float) -> StepResult | None:
         with self._clock("odometry"):
             before = self._timeline.take(begin)
             twist = self._timeline.twist(begin, end - begin)

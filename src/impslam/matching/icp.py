@@ -43,7 +43,7 @@ def _thin(points: Array, spacing: float) -> Mask:
 
 
 @kernel
-def _accumulate(
+def _accumulate(  # noqa: PLR0913, PLR0917  a kernel takes plain arrays
     pose: Array,
     points: Array,
     scale: float,
@@ -131,7 +131,8 @@ class Icp(Matcher):
             return increment
         V = np.eye(3)
         V[:2, :2] = rotation(self._pose[2])
-        prior = np.linalg.inv(V @ increment.covariance @ V.T + _TINY**2 * np.eye(3))
+        spread = V @ increment.covariance @ V.T + _TINY**2 * np.eye(3)
+        prior = np.asarray(np.linalg.inv(spread), dtype=np.float64)
         guess = compose(self._pose, increment.d_pose)
         pose, H, paired = self._descend(guess, prior, points)
         if paired < self.min_share * len(points):

@@ -68,7 +68,7 @@ def _sort_into_cells(
 
 
 @kernel
-def nearest(
+def nearest(  # noqa: PLR0913, PLR0917  a kernel takes plain arrays
     x: float,
     y: float,
     limit: float,
@@ -95,8 +95,16 @@ def nearest(
 
 
 @kernel
-def _new(candidates: Array, spacing: float, points: Array, starts: Ints, order: Ints,
-         origin: Array, cell: float, shape: tuple[int, int]) -> Mask:  # fmt: skip
+def _new(  # noqa: PLR0913, PLR0917  a kernel takes plain arrays
+    candidates: Array,
+    spacing: float,
+    points: Array,
+    starts: Ints,
+    order: Ints,
+    origin: Array,
+    cell: float,
+    shape: tuple[int, int],
+) -> Mask:
     """Tell which candidates (n, 2) have no known point within `spacing`."""
     out = np.empty(len(candidates), np.bool_)
     for i in range(len(candidates)):

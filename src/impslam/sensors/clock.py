@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 _ALPHA = 0.1  # 1: share of a stamp's deviation taken over; averages jitter over some ten sweeps
-_BETA = _ALPHA**2 / 2.0  # 1: the same for the period; critically damped (Kalata 1984, tracking index)
+_BETA = (
+    _ALPHA**2 / 2.0
+)  # 1: the same for the period; critically damped (Kalata 1984, tracking index)
 _GAP = 50  # sweeps: after a longer pause, or a step back, the phase is taken anew
 
 

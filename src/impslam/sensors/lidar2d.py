@@ -1,8 +1,8 @@
 """A 2D lidar: from what it sent to points in base_link at one instant.
 
 The beams of a sweep start while the robot moves. With a constant body twist xi the robot is at
-exp(t xi) when a beam is fired t seconds after the middle of the sweep; the beam's origin and end are carried
-through that motion (de-skewed) before they are used.
+exp(t xi) when a beam is fired t seconds after the middle of the sweep; the beam's origin and end are
+carried through that motion (de-skewed) before they are used.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ class Timeline:
         self._pending: deque[Increment] = deque()
         self._newest = -np.inf
         self._last_stamp = -np.inf
-        self._twist = np.zeros(3)
+        self._latest: Increment | None = None
 
     @property
     def newest(self) -> float:
@@ -43,7 +43,7 @@ class Timeline:
             Increment(self.newest, increment.d_pose, increment.covariance, duration)
         )
         if increment.duration > 0.0:
-            self._twist = log(increment.d_pose) / increment.duration
+            self._latest = increment
 
     def covers(self, stamp: float) -> bool:
         """Tell whether motion is known up to a stamp."""
@@ -78,7 +78,8 @@ class Timeline:
             ahead = ahead.then(increment)
         if ahead.duration > 0.0 and ahead.duration >= 0.5 * duration:
             return log(ahead.d_pose) / ahead.duration
-        return self._twist
+        last = self._latest
+        return np.zeros(3) if last is None else log(last.d_pose) / last.duration
 
 
 def _consume(pending: deque[Increment], stamp: float, together: bool) -> Increment:

@@ -135,6 +135,18 @@ def test_dead_reckoning_is_the_composition_of_the_wheels_increments(bare, tmp_pa
         np.testing.assert_array_equal(result.pose, result.odometry)
 
 
+def test_scan_matching_does_not_change_what_odometry_alone_tells(room, tmp_path):
+    """The matcher refines the filter's motion; the path by odometry is there to compare with."""
+    slipping = [replace(m, left=0.9 * m.left) if isinstance(m, WheelAngles) else m for m in room]
+    without = play(slipping, tmp_path)
+    matched = play(slipping, tmp_path, ["matcher.kind=icp"])
+    for a, b in zip(without.results, matched.results, strict=True):
+        np.testing.assert_allclose(a.odometry, b.odometry, atol=1e-12)
+    assert (
+        matched.worst < 0.05 < np.abs(matched.results[-1].odometry - matched.results[-1].pose).max()
+    )
+
+
 def test_the_same_log_gives_the_same_bytes(room, tmp_path):
     one, two = (play(room, tmp_path, ["sensors.lidar.extractors.walls.kind=ransac"]) for _ in "ab")
     for a, b in zip(one.results, two.results, strict=True):

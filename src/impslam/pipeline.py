@@ -140,11 +140,12 @@ class Pipeline:
                 f"the scan at {message.stamp:.3f} s has no valid range; the pose is dead-reckoned "
                 "there: check the lidar, or sensors.*.range_min and range_max",
             )
+        refined = increment
         if self._matcher is not None and reading.scan is not None:
             with self._clock("matching"):
-                increment = self._matcher.refine(increment, reading.scan)
+                refined = self._matcher.refine(increment, reading.scan)
         with self._clock("slam"):
-            result = self.slam.step(increment, reading)
+            result = self.slam.step(refined, reading, increment)
         if middle == message.stamp:
             return result
         return _at_stamp(result, since, self._timeline.ahead(message.stamp))

@@ -36,13 +36,18 @@ class Slam:
         self.filter.start(self._odometry, START_SIGMA**2 * np.eye(3), models)
         self.lifecycle.start(models, association, type(belief)())
 
-    def step(self, increment: Increment, reading: Reading) -> StepResult:
-        """Take in the motion since the last reading, and the reading itself."""
+    def step(
+        self, increment: Increment, reading: Reading, felt: Increment | None = None
+    ) -> StepResult:
+        """Take in the motion since the last reading, and the reading itself.
+
+        `felt` is the motion by odometry alone, where the increment was refined by more than that.
+        """
         observations, stamp = self._blur(reading.observations, increment), increment.stamp
 
         self.filter.predict(increment)
         self.lifecycle.move(increment)
-        self._odometry = compose(self._odometry, increment.d_pose)
+        self._odometry = compose(self._odometry, (felt or increment).d_pose)
 
         choice = self.filter.associate(observations, self.association)
 

@@ -151,33 +151,32 @@ def relations(
 
 SAME_WALL = math.radians(10.0)
 APART = 0.6  # m; walls nearer than this, of one direction, are taken to be one
-LONG = 1.0  # m; shorter pieces may be the sides of things
+BESIDE = 0.2  # m, of a wall that both laps must show
+LONG = 0.5  # m; shorter pieces may be the sides of things
 
 
 def lap_offsets(seen: Run, first: int, second: int) -> Array:
     """Return how far long walls seen from scan `second` on lie from those seen before `first`, m.
 
-    For each wall of the second lap, the middle of it against the median of all walls of the first
-    lap that run beside it: the nearest would flatter.
+    For each wall of the second lap, the median over all walls of the first lap that run beside it,
+    each taken in the middle of the stretch that both show: the nearest would flatter.
     """
     before = np.array([w for walls in seen.walls[:first] for w in walls if _length(w) > LONG])
     after = [w for walls in seen.walls[second:] for w in walls if _length(w) > LONG]
-    offsets = []
-    for wall in after:
-        along = (wall[1] - wall[0]) / _length(wall)
-        normal = np.array([-along[1], along[0]])
-        middle = wall.mean(axis=0)
-        ends = before - middle
-        places = np.sort(ends @ along, axis=1)
-        across = ends @ normal
-        span = np.diff(ends @ along, axis=1)[:, 0]
-        turn = np.abs(np.arctan(np.divide(np.diff(across, axis=1)[:, 0], span)))
-        offset = across[:, 0] - (ends @ along)[:, 0] * np.diff(across, axis=1)[:, 0] / span
-        beside = (places[:, 0] < 0) & (places[:, 1] > 0)
-        same = beside & (turn < SAME_WALL) & (np.abs(offset) < APART)
-        if same.any():
-            offsets.append(float(np.median(offset[same])))
-    return np.abs(np.array(offsets))
+    offsets = [_apart(wall, before) for wall in after]
+    return np.abs(np.array([offset for offset in offsets if offset is not None]))
+
+
+def _apart(wall: Array, others: Array) -> float | None:
+    """Return the median signed distance (m) of a wall (2, 2) from others (k, 2, 2) beside it."""
+    along = (wall[1] - wall[0]) / _length(wall)
+    normal = np.array([-along[1], along[0]])
+    x, y = (others - wall[0]) @ along, (others - wall[0]) @ normal
+    slope = np.diff(y)[:, 0] / np.diff(x)[:, 0]
+    low, high = np.maximum(x.min(axis=1), 0.0), np.minimum(x.max(axis=1), _length(wall))
+    offset = y[:, 0] + slope * (0.5 * (low + high) - x[:, 0])
+    same = (high - low > BESIDE) & (np.abs(slope) < SAME_WALL) & (np.abs(offset) < APART)
+    return float(np.median(offset[same])) if same.any() else None
 
 
 def _length(wall: Array) -> float:

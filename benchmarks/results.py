@@ -28,14 +28,14 @@ from benchmarks.arena import arena  # noqa: E402
 
 RUNS = ROOT / "runs" / "results"
 PAGES = [ROOT / "README.md", ROOT / "docs" / "results.md"]
-WIDTH = 900  # px of a picture
+SIZE = 1000  # px of a picture, the longer side
 
 
 def picture(name: str, folder: Path) -> None:
     """Put a run's picture, made smaller, into the docs."""
     image = cv2.imread(str(folder / "report.png"))
     assert image is not None
-    scale = min(1.0, WIDTH / image.shape[1])
+    scale = min(1.0, SIZE / max(image.shape[:2]))
     image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     target = ROOT / "docs" / "images" / f"{name}.png"
     target.parent.mkdir(exist_ok=True)

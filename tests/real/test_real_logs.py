@@ -83,8 +83,8 @@ def test_the_second_lap_of_exp1_falls_on_the_first(data_folder):
     """Walls seen from scan 355 on, against those seen before scan 300."""
     seen = run_log(data_folder / "urg04lx-encoders" / "exp1.dat")
     offsets = lap_offsets(seen, 300, 355)
-    assert len(offsets) > 50
-    assert np.median(offsets) < 0.05
+    assert len(offsets) > 30  # 60
+    assert np.median(offsets) < 0.05  # measured 0.016
 
 
 # --------------------------------------------------------------------------- buildings

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -105,13 +106,14 @@ def _thin(path: Array) -> Array:
 
 def _draw_landmarks(axes: Any, landmarks: Sequence[Landmark], thickness: float) -> None:
     labelled = len(landmarks) <= MAX_LABELS
+    walls = [mark.end_points for mark in landmarks if mark.end_points is not None]
+    look: dict[str, Any] = {"capstyle": "round", "alpha": 0.75, "zorder": 3}
+    # All at once: an artist for each takes 1 ms.
+    axes.add_collection(LineCollection(walls, colors=WALL, linewidths=3.5 * thickness, **look))
     for mark in landmarks:
         place = mark.position if mark.end_points is None else mark.end_points.mean(axis=0)
         if mark.end_points is None:
             _draw_point(axes, mark)
-        else:
-            ends = {"solid_capstyle": "round", "alpha": 0.75}
-            axes.plot(*mark.end_points.T, color=WALL, lw=3.5 * thickness, zorder=3, **ends)
         if labelled:
             box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.7}
             look = {"ha": "left", "va": "bottom", "fontsize": 7.5, "color": INK, "bbox": box}

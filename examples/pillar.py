@@ -39,9 +39,6 @@ class Pillar(Point):
     def z_D_motion(self, z: Array) -> Array:
         return np.pad(super().z_D_motion(z), A_ROW[1:])
 
-    def m_D_motion(self, m: Array) -> Array:
-        return np.pad(super().m_D_motion(m[:, :2]), A_ROW)
-
     def report(self, m: Array) -> Report:
         return Report(m[:2].copy(), {"radius": float(m[2])}, np.eye(2, 3))
 

@@ -1,0 +1,106 @@
+"""Time per scan of the whole pipeline, by stage, against the beams of a scan and the size of the map.
+
+    python benchmarks/pipeline.py
+
+The arena is simulated with lidars of several resolutions and mapped, with its own landmarks alone
+and beside many that lie elsewhere. "messages" is the work on the messages between scans, "kernels"
+the part of the total spent in compiled code (numba and BLAS), "python" the rest: interpreter, numpy
+on small arrays, bookkeeping. Reading a log is not in it. Medians over scans, warm-up left out.
+"""
+# ruff: noqa: E402  threads are limited before numpy is imported
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from itertools import takewhile
+from typing import Any
+
+for _library in ("OPENBLAS", "MKL", "OMP"):  # one core
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+
+from impslam.config import load
+from impslam.filters import belief
+from impslam.pipeline import Pipeline
+from impslam.simulation.robot import Lidar, SimulatedRobot
+from impslam.simulation.simulate import simulate
+from impslam.simulation.world import load_world
+from impslam.types import Message, Observation
+
+BEAMS = (180, 360, 682)
+ELSEWHERE = (0, 100, 300)  # landmarks
+SPAN = 340.0 * 2.0 * np.pi / 1024.0  # rad to each side, of the URG-04LX
+WARM, SECONDS = 30, 40.0
+
+
+class Kernels:
+    """Adds up the time spent in compiled code that Python calls."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+    def watch(self) -> None:
+        """Time every kernel of the package from now on; each must have been compiled before."""
+        for name, module in list(sys.modules.items()):
+            if name.startswith("impslam."):
+                for key, value in list(vars(module).items()):
+                    if isinstance(value, Dispatcher):
+                        setattr(module, key, self._timed(value))
+        for key in ("dsyrk", "dtrsm", "dtrsv"):
+            setattr(belief, key, self._timed(getattr(belief, key)))
+
+    def _timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        def timed(*args: Any, **named: Any) -> Any:
+            begin = time.perf_counter()
+            result = function(*args, **named)
+            self.seconds += time.perf_counter() - begin
+            return result
+
+        return timed
+
+
+def main() -> None:
+    logs = {beams: record(beams) for beams in BEAMS}
+    kernels = Kernels()
+    for log in logs.values():  # compiles, or loads what is compiled
+        measure(log, 0, kernels)
+    kernels.watch()
+    rows = {(b, e): measure(log, e, kernels) for b, log in logs.items() for e in ELSEWHERE}
+    print("ms per scan, medians")
+    print("beams  elsewhere  " + "  ".join(f"{name:>8}" for name in next(iter(rows.values()))))
+    for (beams, elsewhere), row in rows.items():
+        print(f"{beams:5d}  {elsewhere:9d}  " + "  ".join(f"{ms:8.3f}" for ms in row.values()))
+
+
+def record(beams: int) -> list[Message]:
+    """Return what the robot records in the arena with a lidar of so many beams."""
+    lidar = Lidar(beams=beams, angle_min=-SPAN, angle_step=2.0 * SPAN / (beams - 1))
+    messages = simulate(load_world("arena"), SimulatedRobot(lidar=lidar))
+    first = next(messages)
+    return [first, *takewhile(lambda message: message.stamp < first.stamp + SECONDS, messages)]
+
+
+def measure(log: Sequence[Message], elsewhere: int, kernels: Kernels) -> dict[str, float]:
+    """Return medians over scans, in ms, by name."""
+    pipeline = Pipeline(load("imp"))
+    far = np.random.default_rng(0).uniform(100.0, 200.0, (elsewhere, 2))
+    pipeline.slam.filter.extend([Observation("cylinder", p, np.eye(2) * 1e-4) for p in far], 0.0)
+    totals, begin, compiled = [], time.perf_counter(), kernels.seconds
+    for message in log:
+        for _ in pipeline.feed(message):
+            totals.append((time.perf_counter() - begin, kernels.seconds - compiled))
+            begin, compiled = time.perf_counter(), kernels.seconds
+    table = {name: np.array(times[: len(totals)]) for name, times in pipeline.stages.items()}
+    total, within = np.array(totals).T
+    table["messages"] = total - sum(table.values())
+    table |= {"total": total, "kernels": within, "python": total - within}
+    return {name: 1e3 * float(np.median(times[WARM:])) for name, times in table.items()}
+
+
+if __name__ == "__main__":
+    main()

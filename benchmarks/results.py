@@ -17,8 +17,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
+from PIL import Image  # matplotlib brings it
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -33,13 +33,11 @@ SIZE = 1000  # px of a picture, the longer side
 
 def picture(name: str, folder: Path) -> None:
     """Put a run's picture, made smaller, into the docs."""
-    image = cv2.imread(str(folder / "report.png"))
-    assert image is not None
-    scale = min(1.0, SIZE / max(image.shape[:2]))
-    image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    image = Image.open(folder / "report.png").convert("RGB")
+    image.thumbnail((SIZE, SIZE))
     target = ROOT / "docs" / "images" / f"{name}.png"
     target.parent.mkdir(exist_ok=True)
-    cv2.imwrite(str(target), image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    image.quantize(128).save(target, optimize=True)
     size = target.stat().st_size / 1e3
     print(f"  {target.relative_to(ROOT)}: {size:.0f} kB")
 

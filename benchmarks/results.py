@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -136,6 +137,20 @@ def spread(errors: real_logs.RelationErrors) -> str:
     )
 
 
+def ekf(data: Path) -> str:
+    """Time a step of the filter by the benchmark of its own."""
+    del data
+    script = [sys.executable, str(ROOT / "benchmarks" / "ekf.py")]
+    said = subprocess.run(script, capture_output=True, text=True, check=True).stdout
+    rows = [line.split() for line in said.splitlines()]
+    steps = {row[0]: row for row in rows if len(row) == 7 and row[0].isdigit()}
+    times = ", ".join(f"{float(steps[n][4]):.2f} ms with {n}" for n in ("10", "100", "500"))
+    return (
+        f"{times} and {float(steps['1000'][4]):.2f} ms with 1000 landmarks "
+        f"({float(steps['1000'][6]):.1f} times the time of moving half of P through memory)"
+    )
+
+
 JOBS: dict[str, Callable[[Path], str]] = {
     "demo": demo,
     "seeds": seeds,
@@ -146,6 +161,7 @@ JOBS: dict[str, Callable[[Path], str]] = {
     "intel": building("intel"),
     "fr079": building("fr079"),
     "fr-hospital": building("fr-hospital"),
+    "ekf": ekf,
 }
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from impslam.association.assignment import collect, one_to_one
@@ -10,10 +12,19 @@ from impslam.association.gates import quantile
 from impslam.component import parameter, register
 from impslam.types import Mask, Observation
 
+_DOUBT = 2.0 * math.log(
+    10.0
+)  # between even odds and ten to one against, an observation stays unused
+
 
 @register("mahalanobis")
 class Mahalanobis(Association):
-    """Chi-square gate on the innovation, then the most likely one-to-one assignment."""
+    """Chi-square gate on the innovation, then the most likely one-to-one assignment.
+
+    A gate alone takes the first wall it meets once the pose is uncertain by metres. So a pairing must
+    also be likelier than that the observation shows something else of its kind: N(nu; 0, S) above the
+    density of such things in measurement space (Bar-Shalom & Fortmann 1988, ch. 9; Reid 1979, Eq. 16).
+    """
 
     gate: float = parameter(
         0.999, "1", "probability that a true pairing passes the chi-square gate", gt=0, lt=1
@@ -25,6 +36,13 @@ class Mahalanobis(Association):
         gt=0,
         lt=1,
     )
+    density: float = parameter(
+        1.0,
+        "1/z",
+        "other landmarks of the kind in a unit of measurement space: walls in 1 m and 1 rad, points "
+        "in 1 m^2; one, as in a furnished room",
+        gt=0,
+    )
 
     def assign(
         self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
@@ -35,8 +53,9 @@ class Mahalanobis(Association):
 
     def _choose(self, group: Hypotheses) -> tuple[list[tuple[int, int]], Mask]:
         dim = group.innovation.shape[-1]
-        allowed = (group.distance2 < quantile(self.gate, dim)) & group.possible
-        near = (group.distance2 < quantile(self.new_gate, dim)) & group.possible
-        # log|S| favours the pairing that was predicted best; shifted so that no pair costs less
-        # than leaving both apart, hence as many pairs as the gate allows.
-        return one_to_one(group.distance2 + group.log_det, allowed), np.asarray(near.any(axis=1))
+        # -2 log of the odds that this is the landmark, against that it is another like it.
+        cost = group.distance2 + group.log_det + dim * math.log(2.0 * math.pi)
+        cost += 2.0 * math.log(self.density)
+        allowed = (group.distance2 < quantile(self.gate, dim)) & group.possible & (cost < 0.0)
+        near = (group.distance2 < quantile(self.new_gate, dim)) & group.possible & (cost < _DOUBT)
+        return one_to_one(cost, allowed), np.asarray(near.any(axis=1))

@@ -22,6 +22,7 @@ from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import between, compose, rotation, transform
 from impslam.matching.base import Matcher
 from impslam.matching.local_map import LocalMap, nearest, normals
+from impslam.noise import MotionNoise
 from impslam.types import Array, Increment, Ints, Mask, Scan
 
 _TINY = 1e-6  # m, rad: floor of the prior's standard deviations, so that it has an inverse
@@ -101,6 +102,11 @@ class Icp(Matcher):
     min_share: float = parameter(
         0.4, "1", "share of the scan's points that must find a partner", gt=0, le=1
     )
+    drift: MotionNoise = parameter(
+        MotionNoise(forward=0.03, sideways=0.02, turn_per_distance=0.02, turn_per_turn=0.04),
+        "",
+        "what matched motion strays by all the same: surfaces are not the same from everywhere",
+    )
     _map: LocalMap = PrivateAttr()
     _pose: Array = PrivateAttr(default_factory=lambda: np.zeros(3))
     _way: float = PrivateAttr(0.0)
@@ -137,23 +143,16 @@ class Icp(Matcher):
         pose, H, paired = self._descend(guess, prior, points)
         if paired < self.min_share * len(points):
             return increment
-        covariance = V.T @ np.linalg.inv(prior + H) @ V
         d_pose = between(self._pose, pose)
-        return Increment(
-            increment.stamp, d_pose, 0.5 * (covariance + covariance.T), increment.duration
-        )
-
-    def _first_scale(self, prior: Array, points: Array) -> float:
-        """Return how far apart partners may be at first, m: three sigmas of the prior at the points."""
-        spread = np.linalg.inv(prior)
-        lever = float(np.median(np.hypot(points[:, 0], points[:, 1])))
-        sigma = math.sqrt(max(spread[0, 0], spread[1, 1])) + lever * math.sqrt(spread[2, 2])
-        return min(max(3.0 * sigma, 2.0 * self.sigma), self.reach)
+        covariance = V.T @ np.linalg.inv(prior + H) @ V
+        covariance = 0.5 * (covariance + covariance.T)
+        covariance += self.drift.covariance(math.hypot(d_pose[0], d_pose[1]), float(d_pose[2]))
+        return Increment(increment.stamp, d_pose, covariance, increment.duration)
 
     def _descend(self, guess: Array, prior: Array, points: Array) -> tuple[Array, Array, int]:
         """Return the best pose, the information of the scan at it, and the number of pairs."""
         known = self._map
-        pose, scale = guess.copy(), self._first_scale(prior, points)
+        pose, scale = guess.copy(), self.reach
         for _ in range(self.iterations):
             H, g, paired = _accumulate(
                 pose,
@@ -169,7 +168,7 @@ class Icp(Matcher):
             step = np.linalg.solve(prior + H, g - prior @ away)
             pose = pose + step
             done = np.abs(step).max() < 1e-4 and scale <= self.sigma
-            scale = max(0.6 * scale, self.sigma)  # from catching all to trusting the near
+            scale = max(0.5 * scale, self.sigma)  # from catching all to trusting the near
             if done:
                 break
         return pose, H, paired

@@ -18,8 +18,8 @@ from pydantic import PrivateAttr
 from impslam.component import parameter, register
 from impslam.errors import MessageError
 from impslam.geometry.se2 import exp
+from impslam.noise import MotionNoise
 from impslam.odometry.base import Odometry
-from impslam.odometry.noise import MotionNoise
 from impslam.types import Array, Increment, Message, WheelAngles
 
 _SMALL = 1e-3  # rad: below it the series are exact to 1e-13, the closed forms no longer

@@ -10,8 +10,8 @@ from pydantic import PrivateAttr
 from impslam.component import parameter, register
 from impslam.errors import MessageError
 from impslam.geometry.se2 import between
+from impslam.noise import MotionNoise
 from impslam.odometry.base import Odometry
-from impslam.odometry.noise import MotionNoise
 from impslam.types import Increment, Message, OdometryPose
 
 

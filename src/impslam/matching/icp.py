@@ -21,9 +21,9 @@ from impslam.component import parameter, register
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import between, compose, rotation, transform
 from impslam.matching.base import Matcher
-from impslam.matching.local_map import LocalMap, nearest, normals
+from impslam.matching.local_map import LocalMap, Surfaces, nearest, normals
 from impslam.noise import MotionNoise
-from impslam.types import Array, Increment, Ints, Mask, Scan
+from impslam.types import Array, Increment, Mask, Scan
 
 _TINY = 1e-6  # m, rad: floor of the prior's standard deviations, so that it has an inverse
 
@@ -44,42 +44,89 @@ def _thin(points: Array, spacing: float) -> Mask:
 
 
 @kernel
-def _accumulate(  # noqa: PLR0913, PLR0917  a kernel takes plain arrays
-    pose: Array,
-    points: Array,
-    scale: float,
-    sigma: float,
-    known: Array,
-    directions: Array,
-    flat: Mask,
-    starts: Ints,
-    order: Ints,
-    origin: Array,
-    cell: float,
-    shape: tuple[int, int],
-) -> tuple[Array, Array, int]:
-    """Return J^T W J (3, 3), J^T W e (3,) at a pose, and how many points have a partner."""
-    H, g, paired = np.zeros((3, 3)), np.zeros(3), 0
+def _accumulate(
+    pose: Array, points: Array, scale: float, sigma: float, known: Surfaces, H: Array, g: Array
+) -> int:
+    """Add J^T W J to H (3, 3) and J^T W e to g (3,); return how many points have a partner."""
+    paired = 0
     c, s = math.cos(pose[2]), math.sin(pose[2])
     J = np.empty(3)
     for i in range(len(points)):
         rx, ry = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
         x, y = pose[0] + rx, pose[1] + ry
-        k = nearest(x, y, cell, known, starts, order, origin, cell, shape)
+        k = nearest(x, y, known.cell, known)
         if k < 0:
             continue
         paired += 1
-        for axis in range(1 if flat[k] else 2):
-            nx = directions[k, 0] if flat[k] else 1.0 - axis
-            ny = directions[k, 1] if flat[k] else 1.0 * axis
-            e = nx * (known[k, 0] - x) + ny * (known[k, 1] - y)
+        flat = known.flat[k]
+        for axis in range(1 if flat else 2):
+            nx = known.normals[k, 0] if flat else 1.0 - axis
+            ny = known.normals[k, 1] if flat else 1.0 * axis
+            e = nx * (known.points[k, 0] - x) + ny * (known.points[k, 1] - y)
             w = 1.0 / (1.0 + (e / scale) ** 2) ** 2 / sigma**2
             J[0], J[1], J[2] = nx, ny, ny * rx - nx * ry
             for a in range(3):
                 g[a] += w * J[a] * e
                 for b in range(3):
                     H[a, b] += w * J[a] * J[b]
-    return H, g, paired
+    return paired
+
+
+@kernel
+def _solve(A: Array, b: Array) -> Array:
+    """Return x (3,) of A x = b for a symmetric positive definite A (3, 3), by Cholesky."""
+    L, x = np.zeros((3, 3)), np.empty(3)
+    for i in range(3):
+        for j in range(i + 1):
+            entry = A[i, j]
+            for k in range(j):
+                entry -= L[i, k] * L[j, k]
+            L[i, j] = math.sqrt(entry) if i == j else entry / L[j, j]
+    for i in range(3):
+        x[i] = b[i]
+        for k in range(i):
+            x[i] -= L[i, k] * x[k]
+        x[i] /= L[i, i]
+    for i in range(2, -1, -1):
+        for k in range(i + 1, 3):
+            x[i] -= L[k, i] * x[k]
+        x[i] /= L[i, i]
+    return x
+
+
+@kernel
+def _descend(
+    guess: Array, prior: Array, points: Array, known: Surfaces, sigma: float, iterations: int
+) -> tuple[Array, Array, int]:
+    """Return the best pose (3,), the scan's information at it (3, 3), and the number of pairs.
+
+    `prior` (3, 3) is the information of the guess. Partners are sought within a cell throughout, but
+    trusted from that distance down to sigma as the pose settles.
+    """
+    pose, scale = guess.copy(), known.cell
+    H, g, away, paired = np.zeros((3, 3)), np.zeros(3), np.zeros(3), 0
+    for _ in range(iterations):
+        H[:], g[:] = 0.0, 0.0
+        paired = _accumulate(pose, points, scale, sigma, known, H, g)
+        for a in range(3):
+            away[a] = pose[a] - guess[a]
+        for a in range(3):
+            for b in range(3):
+                g[a] -= prior[a, b] * away[b]
+        step = _solve(prior + H, g)
+        pose += step
+        if np.abs(step).max() < 1e-4 and scale <= sigma:
+            break
+        scale = max(0.5 * scale, sigma)
+    return pose, H, paired
+
+
+def _gap(scan: Scan) -> float:
+    """Return how far apart neighbours of one surface may be: three beams' spacing, and 5 cm."""
+    if len(scan.angles) < 2 or not scan.valid.any():
+        return 0.0
+    spacing = abs(float(scan.angles[-1] - scan.angles[0])) / (len(scan.angles) - 1)
+    return 0.05 + 3.0 * spacing * float(np.median(scan.ranges[scan.valid]))
 
 
 @register("icp")
@@ -114,11 +161,7 @@ class Icp(Matcher):
     def refine(self, increment: Increment, scan: Scan) -> Increment:
         """Return the motion since the previous scan; see `Matcher.refine`."""
         points = scan.points[scan.valid]
-        spread = float(np.median(np.abs(np.diff(scan.angles)))) if len(points) > 1 else 0.0
-        gap = (
-            0.05 + 3.0 * spread * float(np.median(scan.ranges[scan.valid])) if len(points) else 0.0
-        )
-        directions, flat = normals(points, gap)
+        directions, flat = normals(points, _gap(scan))
         keep = _thin(points, self.spacing)
         points, directions, flat = points[keep], directions[keep], flat[keep]
         refined = self._match(increment, points)
@@ -133,14 +176,16 @@ class Icp(Matcher):
         self._map = LocalMap(self.reach, self.spacing, self.memory)
 
     def _match(self, increment: Increment, points: Array) -> Increment:
-        if len(points) < 10 or len(self._map.points) < 10:
+        if len(points) < 10 or len(self._map.surfaces.points) < 10:
             return increment
         V = np.eye(3)
         V[:2, :2] = rotation(self._pose[2])
         spread = V @ increment.covariance @ V.T + _TINY**2 * np.eye(3)
         prior = np.asarray(np.linalg.inv(spread), dtype=np.float64)
         guess = compose(self._pose, increment.d_pose)
-        pose, H, paired = self._descend(guess, prior, points)
+        pose, H, paired = _descend(
+            guess, prior, points, self._map.surfaces, self.sigma, self.iterations
+        )
         if paired < self.min_share * len(points):
             return increment
         d_pose = between(self._pose, pose)
@@ -148,27 +193,3 @@ class Icp(Matcher):
         covariance = 0.5 * (covariance + covariance.T)
         covariance += self.drift.covariance(math.hypot(d_pose[0], d_pose[1]), float(d_pose[2]))
         return Increment(increment.stamp, d_pose, covariance, increment.duration)
-
-    def _descend(self, guess: Array, prior: Array, points: Array) -> tuple[Array, Array, int]:
-        """Return the best pose, the information of the scan at it, and the number of pairs."""
-        known = self._map
-        pose, scale = guess.copy(), self.reach
-        for _ in range(self.iterations):
-            H, g, paired = _accumulate(
-                pose,
-                points,
-                scale,
-                self.sigma,
-                known.points,
-                known.normals,
-                known.flat,
-                *known.index,
-            )
-            away = pose - guess
-            step = np.linalg.solve(prior + H, g - prior @ away)
-            pose = pose + step
-            done = np.abs(step).max() < 1e-4 and scale <= self.sigma
-            scale = max(0.5 * scale, self.sigma)  # from catching all to trusting the near
-            if done:
-                break
-        return pose, H, paired

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,16 +47,37 @@ def _near(points: Array, a: int, b: int, gap: float) -> bool:
     return math.hypot(points[a, 0] - points[b, 0], points[a, 1] - points[b, 1]) < gap
 
 
+class Surfaces(NamedTuple):
+    """Known points (n, 2), their normals (n, 2) and flatness (n,), sorted into square cells.
+
+    The points of cell (x, y) are `order[starts[x * ny + y] : starts[x * ny + y + 1]]`.
+    """
+
+    points: Array
+    normals: Array
+    flat: Mask
+    starts: Ints
+    order: Ints
+    origin: Array
+    cell: float
+    nx: int
+    ny: int
+
+
 @kernel
-def _sort_into_cells(
-    points: Array, origin: Array, cell: float, nx: int, ny: int
-) -> tuple[Ints, Ints]:
-    """Return where each cell begins (nx * ny + 1,) in an order (n,) of the points by cell."""
+def _sort_into_cells(points: Array, cell: float) -> tuple[Ints, Ints, Array, int, int]:
+    """Return `starts`, `order`, `origin`, `nx` and `ny` of `Surfaces` for points (n, 2)."""
+    low, high = np.zeros(2), np.zeros(2)
+    for i in range(len(points)):
+        for axis in range(2):
+            value = points[i, axis]
+            low[axis] = value if i == 0 else min(low[axis], value)
+            high[axis] = value if i == 0 else max(high[axis], value)
+    nx, ny = int((high[0] - low[0]) / cell) + 1, int((high[1] - low[1]) / cell) + 1
     starts, order = np.zeros(nx * ny + 1, np.int64), np.empty(len(points), np.int64)
     cells = np.empty(len(points), np.int64)
     for i in range(len(points)):
-        x = int((points[i, 0] - origin[0]) / cell)
-        y = int((points[i, 1] - origin[1]) / cell)
+        x, y = int((points[i, 0] - low[0]) / cell), int((points[i, 1] - low[1]) / cell)
         cells[i] = x * ny + y
         starts[cells[i] + 1] += 1
     for c in range(nx * ny):
@@ -64,80 +86,56 @@ def _sort_into_cells(
     for i in range(len(points)):
         order[filled[cells[i]]] = i
         filled[cells[i]] += 1
-    return starts, order
+    return starts, order, low, nx, ny
 
 
 @kernel
-def nearest(  # noqa: PLR0913, PLR0917  a kernel takes plain arrays
-    x: float,
-    y: float,
-    limit: float,
-    points: Array,
-    starts: Ints,
-    order: Ints,
-    origin: Array,
-    cell: float,
-    shape: tuple[int, int],
-) -> int:
-    """Return the index of the nearest point within `limit` <= cell, or -1."""
-    cx, cy = int((x - origin[0]) / cell), int((y - origin[1]) / cell)
+def nearest(x: float, y: float, limit: float, known: Surfaces) -> int:
+    """Return the index of the nearest known point within `limit` <= cell, or -1."""
+    cx = math.floor((x - known.origin[0]) / known.cell)
+    cy = math.floor((y - known.origin[1]) / known.cell)
     best, found = limit * limit, -1
-    low, high = max(cy - 1, 0), min(cy + 2, shape[1])
+    low, high = max(cy - 1, 0), min(cy + 2, known.ny)
     if low >= high:
         return -1
-    for i in range(max(cx - 1, 0), min(cx + 2, shape[0])):
-        row = i * shape[1]
-        for k in range(starts[row + low], starts[row + high]):
-            dx, dy = points[order[k], 0] - x, points[order[k], 1] - y
+    for i in range(max(cx - 1, 0), min(cx + 2, known.nx)):
+        for k in range(known.starts[i * known.ny + low], known.starts[i * known.ny + high]):
+            j = known.order[k]
+            dx, dy = known.points[j, 0] - x, known.points[j, 1] - y
             if dx * dx + dy * dy < best:
-                best, found = dx * dx + dy * dy, order[k]
+                best, found = dx * dx + dy * dy, j
     return found
 
 
 @kernel
-def _new(  # noqa: PLR0913, PLR0917  a kernel takes plain arrays
-    candidates: Array,
-    spacing: float,
-    points: Array,
-    starts: Ints,
-    order: Ints,
-    origin: Array,
-    cell: float,
-    shape: tuple[int, int],
-) -> Mask:
+def _new(candidates: Array, spacing: float, known: Surfaces) -> Mask:
     """Tell which candidates (n, 2) have no known point within `spacing`."""
     out = np.empty(len(candidates), np.bool_)
     for i in range(len(candidates)):
-        x, y = candidates[i]
-        out[i] = nearest(x, y, spacing, points, starts, order, origin, cell, shape) < 0
+        out[i] = nearest(candidates[i, 0], candidates[i, 1], spacing, known) < 0
     return out
 
 
 class LocalMap:
-    """Points (n, 2), normals (n, 2) and flatness (n,) of the last `memory` metres of way."""
+    """The surfaces seen on the last `memory` metres of way."""
 
     def __init__(self, cell: float, spacing: float, memory: float) -> None:
-        self.cell, self._spacing, self._memory = cell, spacing, memory
-        self.points, self.normals = np.empty((0, 2)), np.empty((0, 2))
-        self.flat = np.empty(0, np.bool_)
+        self._cell, self._spacing, self._memory = cell, spacing, memory
         self._way = np.empty(0)
-        self._index()
+        self.surfaces = self._sorted(np.empty((0, 2)), np.empty((0, 2)), np.empty(0, np.bool_))
 
     def add(self, points: Array, directions: Array, flat: Mask, way: float) -> None:
         """Enter the points that are new here, and forget those seen too long ago."""
-        new = _new(points, self._spacing, self.points, *self.index)
+        known = self.surfaces
+        new = _new(points, self._spacing, known)
         old = self._way > way - self._memory
-        self.points = np.vstack([self.points[old], points[new]])
-        self.normals = np.vstack([self.normals[old], directions[new]])
-        self.flat = np.concatenate([self.flat[old], flat[new]])
         self._way = np.concatenate([self._way[old], np.full(int(new.sum()), way)])
-        self._index()
+        self.surfaces = self._sorted(
+            np.concatenate([known.points[old], points[new]]),
+            np.concatenate([known.normals[old], directions[new]]),
+            np.concatenate([known.flat[old], flat[new]]),
+        )
 
-    def _index(self) -> None:
-        margin = 2.0 * self.cell
-        low = self.points.min(axis=0, initial=np.inf) if len(self.points) else np.zeros(2)
-        high = self.points.max(axis=0, initial=-np.inf) if len(self.points) else np.zeros(2)
-        origin = np.asarray(low, dtype=np.float64) - margin
-        nx, ny = (int(v) + 1 for v in (high + margin - origin) / self.cell)
-        starts, order = _sort_into_cells(self.points, origin, self.cell, nx, ny)
-        self.index = (starts, order, origin, self.cell, (nx, ny))
+    def _sorted(self, points: Array, directions: Array, flat: Mask) -> Surfaces:
+        starts, order, origin, nx, ny = _sort_into_cells(points, self._cell)
+        return Surfaces(points, directions, flat, starts, order, origin, self._cell, nx, ny)

@@ -45,16 +45,22 @@ def _thin(points: Array, spacing: float) -> Mask:
 
 @kernel
 def _accumulate(
-    pose: Array, points: Array, scale: float, sigma: float, known: Surfaces, H: Array, g: Array
+    pose: Array,
+    points: Array,
+    scale: float,
+    limit: float,
+    sigma: float,
+    known: Surfaces,
+    normal: Array,
 ) -> int:
-    """Add J^T W J to H (3, 3) and J^T W e to g (3,); return how many points have a partner."""
+    """Add [J^T W J, J^T W e] to normal (3, 4); return how many points have a partner."""
     paired = 0
     c, s = math.cos(pose[2]), math.sin(pose[2])
     J = np.empty(3)
     for i in range(len(points)):
         rx, ry = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
         x, y = pose[0] + rx, pose[1] + ry
-        k = nearest(x, y, known.cell, known)
+        k = nearest(x, y, limit, known)
         if k < 0:
             continue
         paired += 1
@@ -66,9 +72,9 @@ def _accumulate(
             w = 1.0 / (1.0 + (e / scale) ** 2) ** 2 / sigma**2
             J[0], J[1], J[2] = nx, ny, ny * rx - nx * ry
             for a in range(3):
-                g[a] += w * J[a] * e
+                normal[a, 3] += w * J[a] * e
                 for b in range(3):
-                    H[a, b] += w * J[a] * J[b]
+                    normal[a, b] += w * J[a] * J[b]
     return paired
 
 
@@ -96,29 +102,36 @@ def _solve(A: Array, b: Array) -> Array:
 
 @kernel
 def _descend(
-    guess: Array, prior: Array, points: Array, known: Surfaces, sigma: float, iterations: int
+    guess: Array,
+    prior: Array,
+    points: Array,
+    known: Surfaces,
+    reach: float,
+    sigma: float,
+    iterations: int,
 ) -> tuple[Array, Array, int]:
     """Return the best pose (3,), the scan's information at it (3, 3), and the number of pairs.
 
-    `prior` (3, 3) is the information of the guess. Partners are sought within a cell throughout, but
-    trusted from that distance down to sigma as the pose settles.
+    `prior` (3, 3) is the information of the guess. Partners are trusted from `reach` down to sigma as
+    the pose settles, and sought no farther than ten sigma or four times what is trusted: beyond, the
+    kernel gives them no weight.
     """
-    pose, scale = guess.copy(), known.cell
-    H, g, away, paired = np.zeros((3, 3)), np.zeros(3), np.zeros(3), 0
+    pose, scale = guess.copy(), reach
+    normal, g, paired = np.zeros((3, 4)), np.zeros(3), 0
     for _ in range(iterations):
-        H[:], g[:] = 0.0, 0.0
-        paired = _accumulate(pose, points, scale, sigma, known, H, g)
+        normal[:] = 0.0
+        limit = min(max(4.0 * scale, 10.0 * sigma), reach)
+        paired = _accumulate(pose, points, scale, limit, sigma, known, normal)
         for a in range(3):
-            away[a] = pose[a] - guess[a]
-        for a in range(3):
+            g[a] = normal[a, 3]
             for b in range(3):
-                g[a] -= prior[a, b] * away[b]
-        step = _solve(prior + H, g)
+                g[a] -= prior[a, b] * (pose[b] - guess[b])
+        step = _solve(prior + normal[:, :3], g)
         pose += step
         if np.abs(step).max() < 1e-4 and scale <= sigma:
             break
         scale = max(0.5 * scale, sigma)
-    return pose, H, paired
+    return pose, normal[:, :3].copy(), paired
 
 
 def _gap(scan: Scan) -> float:
@@ -143,7 +156,7 @@ class Icp(Matcher):
     reach: float = parameter(
         0.5, "m", "a point and its partner are at most this far apart: the odometry's error", gt=0
     )
-    spacing: float = parameter(0.04, "m", "points nearer to each other are one", gt=0)
+    spacing: float = parameter(0.05, "m", "points nearer to each other are one", gt=0)
     memory: float = parameter(6.0, "m", "points are forgotten after so much way", gt=0)
     iterations: int = parameter(15, "1", "linearisations at most", ge=1)
     min_share: float = parameter(
@@ -173,7 +186,7 @@ class Icp(Matcher):
 
     def model_post_init(self, context: object) -> None:
         """Begin with an empty map."""
-        self._map = LocalMap(self.reach, self.spacing, self.memory)
+        self._map = LocalMap(0.5 * self.reach, self.spacing, self.memory)
 
     def _match(self, increment: Increment, points: Array) -> Increment:
         if len(points) < 10 or len(self._map.surfaces.points) < 10:
@@ -184,7 +197,7 @@ class Icp(Matcher):
         prior = np.asarray(np.linalg.inv(spread), dtype=np.float64)
         guess = compose(self._pose, increment.d_pose)
         pose, H, paired = _descend(
-            guess, prior, points, self._map.surfaces, self.sigma, self.iterations
+            guess, prior, points, self._map.surfaces, self.reach, self.sigma, self.iterations
         )
         if paired < self.min_share * len(points):
             return increment

@@ -91,14 +91,16 @@ def _sort_into_cells(points: Array, cell: float) -> tuple[Ints, Ints, Array, int
 
 @kernel
 def nearest(x: float, y: float, limit: float, known: Surfaces) -> int:
-    """Return the index of the nearest known point within `limit` <= cell, or -1."""
-    cx = math.floor((x - known.origin[0]) / known.cell)
-    cy = math.floor((y - known.origin[1]) / known.cell)
+    """Return the index of the nearest known point within `limit`, or -1."""
+    dx, dy = x - known.origin[0], y - known.origin[1]
     best, found = limit * limit, -1
-    low, high = max(cy - 1, 0), min(cy + 2, known.ny)
+    low = max(math.floor((dy - limit) / known.cell), 0)
+    high = min(math.floor((dy + limit) / known.cell) + 1, known.ny)
     if low >= high:
         return -1
-    for i in range(max(cx - 1, 0), min(cx + 2, known.nx)):
+    left = max(math.floor((dx - limit) / known.cell), 0)
+    right = min(math.floor((dx + limit) / known.cell) + 1, known.nx)
+    for i in range(left, right):
         for k in range(known.starts[i * known.ny + low], known.starts[i * known.ny + high]):
             j = known.order[k]
             dx, dy = known.points[j, 0] - x, known.points[j, 1] - y

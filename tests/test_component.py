@@ -112,6 +112,7 @@ def test_installed_plug_ins_are_imported(monkeypatch):
     """An entry point names a module; importing it registers what is in it."""
     entry = EntryPoint("toys", "tests.toys", "impslam.components")
     monkeypatch.setattr(component, "entry_points", lambda group: [entry] if group else [])
+    component.load_components()
     assert find("extractor", "toy").describe() == "A toy."
 
 

@@ -15,6 +15,7 @@ module, and importing it runs its `@register` lines. What is not installed is na
 from __future__ import annotations
 
 import difflib
+import functools
 import importlib
 import importlib.util
 import pkgutil
@@ -148,16 +149,20 @@ def _guarded(what: str, load: Callable[[], object]) -> None:
         raise ConfigError(f"{what}: cannot be imported: {type(error).__name__}: {error}") from error
 
 
+@functools.cache
+def _load_once() -> None:
+    load_components()
+
+
 def components(role: str) -> Mapping[str, type[Component]]:
     """Return the registered components of a role, by name."""
-    if role not in _ROLES:
-        load_components()
+    _load_once()
     return dict(sorted(_ROLES.get(role, {}).items()))
 
 
 def roles() -> list[str]:
     """Return the names of all roles that have a component."""
-    load_components()
+    _load_once()
     return sorted(_ROLES)
 
 
@@ -178,9 +183,6 @@ def find(role: str, name: str) -> type[Component]:
         If there is none; the message names the near miss.
     """
     known = components(role)
-    if name not in known:
-        load_components()
-        known = components(role)
     if name not in known:
         raise ConfigError(f"no {role} is called {name!r}; {near_miss(name, known)}")
     return known[name]

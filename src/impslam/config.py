@@ -57,7 +57,10 @@ class Keyframes(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     distance: float = parameter(
-        0.12, "m", "a keyframe after this way: errors of surfaces repeat over a few decimetres", ge=0
+        0.12,
+        "m",
+        "a keyframe after this way: errors of surfaces repeat over a few decimetres",
+        ge=0,
     )
     angle: float = parameter(0.06, "rad", "or after this turn: beams fall elsewhere", ge=0)
     seconds: float = parameter(0.5, "s", "or after this time, moving or not", ge=0)

@@ -123,7 +123,7 @@ def test_points_and_walls_vote_together():
     )
     pose = np.array([-0.5, 0.0, 0.0])
     seen = (point(pose, posts[0]), wall(pose, ends))
-    assert pairs(belief.associate(seen[:1], Mahalanobis())) == {0: 1}
+    assert pairs(belief.associate(seen[:1], Mahalanobis(density=1e-6))) == {0: 1}
     assert pairs(belief.associate(seen, Jcbb())) == {0: 0, 1: 2}
 
 

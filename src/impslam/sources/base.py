@@ -11,7 +11,7 @@ from typing import ClassVar, NamedTuple, Self
 
 from pydantic import PrivateAttr
 
-from impslam.component import Component, components, load_components
+from impslam.component import Component, components
 from impslam.errors import SourceError
 from impslam.types import Message
 
@@ -156,7 +156,6 @@ def recognise(path: Path) -> type[Source]:
         raise SourceError(f"{path}: no such file or folder; check the path")
     if path.is_file() and path.stat().st_size == 0:
         raise SourceError(f"{path}: the file is empty; record or copy it again")
-    load_components()  # all of them, even where a reader was imported by itself
     known = components("source")
     for cls in known.values():
         if issubclass(cls, Source) and cls.recognises(path):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import binom
+from scipy.stats import binom, multivariate_normal
 from tests.association.scenes import R_POINT, mapped, move, pairs, point, wall
 
 from impslam.association.assignment import one_to_one
@@ -10,6 +10,7 @@ from impslam.association.mahalanobis import Mahalanobis
 from impslam.geometry.se2 import compose
 
 ORIGIN = np.zeros(3)
+ALONE = 1e-6  # 1/m^2: next to nothing else of the kind, so that gates and sums alone decide
 
 
 @pytest.mark.parametrize("gate", [0.9, 0.99])
@@ -29,7 +30,7 @@ def test_the_whole_choice_is_best_where_greedy_is_not():
     """Landmarks at 0 and 1, seen at 0.9 and 1.9: the nearest pair (0.9, 1) would waste the other."""
     belief = mapped([point(ORIGIN, (2, 0)), point(ORIGIN, (3, 0))], sigma=(0.5, 0.5, 1e-3))
     seen = (point(ORIGIN, (2.9, 0)), point(ORIGIN, (3.9, 0)))
-    assert pairs(belief.associate(seen, Mahalanobis())) == {0: 0, 1: 1}
+    assert pairs(belief.associate(seen, Mahalanobis(density=ALONE))) == {0: 0, 1: 1}
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -82,7 +83,8 @@ def test_between_the_gates_is_neither_matched_nor_new():
     sigma = np.sqrt(2.0 * R_POINT[0, 0] + 1e-8)
     outcome = []
     for sigmas in (3.5, 4.5, 5.5):  # gates: 3.7 and 5.3 sigma
-        choice = belief.associate((point(ORIGIN, (2 + sigmas * sigma, 0)),), Mahalanobis())
+        seen = point(ORIGIN, (2 + sigmas * sigma, 0))
+        choice = belief.associate((seen,), Mahalanobis(density=ALONE))
         outcome.append((len(choice.matches), len(choice.new)))
     assert outcome == [(1, 0), (0, 0), (0, 1)]
 
@@ -100,3 +102,62 @@ def test_the_choice_does_not_depend_on_the_map_frame():
         found.append(pairs(belief.associate(seen, Mahalanobis())))
     assert found[0] == found[1]
     assert len(found[0]) == 3
+
+
+# --------------------------------------------------------------------------- density
+
+
+def outcome(density, belief, seen):
+    choice = belief.associate((seen,), Mahalanobis(density=density))
+    return len(choice.matches), len(choice.new)
+
+
+@pytest.mark.parametrize(
+    ("sigma", "expected"),
+    [
+        (0.01, (1, 0)),
+        (0.3, (1, 0)),
+        (1.0, (0, 0)),  # 1 / (2 pi) per m^2 at best, below 1 per m^2, but not by ten to one
+        (5.0, (0, 1)),  # 160 to one that it is another
+    ],
+)
+def test_a_wide_gate_with_one_landmark_inside_does_not_suffice(sigma, expected):
+    """Seen exactly where it is expected: only how well that is known differs."""
+    belief = mapped([point(ORIGIN, (2, 0))], sigma=(sigma, sigma, 1e-6))
+    assert outcome(1.0, belief, point(ORIGIN, (2, 0))) == expected
+
+
+@pytest.mark.parametrize("landmark", ["point", "wall"])
+def test_the_density_decides_where_the_odds_are_even(landmark):
+    """Matched while N(nu; 0, S) is above the density, new once ten times below it."""
+    if landmark == "point":
+        first, again = point(ORIGIN, (2, 1)), point(ORIGIN, (2.2, 0.9))
+    else:
+        first = wall(ORIGIN, [[2, -2], [2, 2]])
+        again = wall(ORIGIN, [[2.2, -2], [2.1, 2]])
+    belief = mapped([first], sigma=(0.2, 0.2, 0.05))
+    (match,) = belief.associate((again,), Mahalanobis(density=ALONE)).matches
+    likelihood = multivariate_normal(cov=match.S).pdf(match.innovation)
+    assert outcome(0.99 * likelihood, belief, again) == (1, 0)
+    assert outcome(1.01 * likelihood, belief, again) == (0, 0)
+    assert outcome(9.9 * likelihood, belief, again) == (0, 0)
+    assert outcome(10.1 * likelihood, belief, again) == (0, 1)
+
+
+def test_a_tight_pair_is_kept_beside_one_that_is_too_vague():
+    """Two landmarks, one of them known to metres only: just the other is matched."""
+    belief = mapped([point(ORIGIN, (2, 0))], sigma=(2.0, 2.0, 1e-6))
+    belief.extend([point(ORIGIN, (1, 1))], 1.0)  # relative to the robot known to centimetres
+    seen = (point(ORIGIN, (2, 0)), point(ORIGIN, (1, 1)))
+    assert pairs(belief.associate(seen, Mahalanobis())) == {1: 1}
+
+
+def test_without_others_of_its_kind_a_wide_pair_is_taken():
+    belief = mapped([point(ORIGIN, (2, 0))], sigma=(5.0, 5.0, 1e-6))
+    assert outcome(ALONE, belief, point(ORIGIN, (2, 0))) == (1, 0)
+
+
+@pytest.mark.parametrize("density", [0.0, -1.0])
+def test_the_density_is_positive(density):
+    with pytest.raises(ValueError, match="density"):
+        Mahalanobis(density=density)

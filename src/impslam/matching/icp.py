@@ -53,7 +53,10 @@ def _accumulate(
     known: Surfaces,
     normal: Array,
 ) -> int:
-    """Add [J^T W J, J^T W e] to normal (3, 4); return how many points have a partner."""
+    """Add [J^T W J, J^T W e] to normal (3, 4); return how many points have a partner.
+
+    points (n, 3) are x, y, and 1 for points of a flat surface, 0 for lone ones.
+    """
     paired = 0
     c, s = math.cos(pose[2]), math.sin(pose[2])
     J = np.empty(3)
@@ -63,8 +66,11 @@ def _accumulate(
         k = nearest(x, y, limit, known)
         if k < 0:
             continue
-        paired += 1
         flat = known.flat[k]
+        # A point of a surface that meets a lone one is that surface's end in view, which moves along.
+        if points[i, 2] > 0.0 and not flat:
+            continue
+        paired += 1
         for axis in range(1 if flat else 2):
             nx = known.normals[k, 0] if flat else 1.0 - axis
             ny = known.normals[k, 1] if flat else 1.0 * axis
@@ -177,7 +183,7 @@ class Icp(Matcher):
         directions, flat = normals(points, _gap(scan))
         keep = _thin(points, self.spacing)
         points, directions, flat = points[keep], directions[keep], flat[keep]
-        refined = self._match(increment, points)
+        refined = self._match(increment, np.column_stack([points, flat]))
         self._pose = compose(self._pose, refined.d_pose)
         self._way += math.hypot(refined.d_pose[0], refined.d_pose[1]) + abs(refined.d_pose[2])
         turned = directions @ rotation(self._pose[2]).T

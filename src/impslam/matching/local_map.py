@@ -10,7 +10,8 @@ import numpy as np
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Mask
 
-REACH = 3  # beams on either side that a normal is fitted to
+REACH = 3  # beams on either side that a normal is fitted to at least
+WINDOW = 0.15  # m on either side that it is fitted to: long against the noise of a beam, 1 to 3 cm
 
 
 @kernel
@@ -24,9 +25,17 @@ def normals(points: Array, gap: float) -> tuple[Array, Mask]:
     out, flat = np.zeros((n, 2)), np.zeros(n, np.bool_)
     for i in range(n):
         low = high = i
-        while low > 0 and i - low < REACH and _near(points, low, low - 1, gap):
+        while (
+            low > 0
+            and _near(points, low, low - 1, gap)
+            and (i - low < REACH or _near(points, i, low - 1, WINDOW))
+        ):
             low -= 1
-        while high < n - 1 and high - i < REACH and _near(points, high, high + 1, gap):
+        while (
+            high < n - 1
+            and _near(points, high, high + 1, gap)
+            and (high - i < REACH or _near(points, i, high + 1, WINDOW))
+        ):
             high += 1
         if high - low < 3:
             continue

@@ -125,14 +125,15 @@ class Pipeline:
             middle = 0.5 * (begin + end)
             before = before.then(self._timeline.take(min(max(begin, message.stamp), middle)))
             since = self._timeline.take(middle)
-            increment = replace(before.then(since), stamp=message.stamp)
+            motion = before.then(since)
+            increment = replace(motion, stamp=message.stamp)
         try:
             with self._clock("sensor"):
                 look = self._gate.passes(increment)
                 reading = sensor.observe(message, twist, self._rng, look)
         except MessageError as error:
             self.problems.add("scan", str(error))
-            self._timeline.put_back(increment)
+            self._timeline.put_back(motion)
             return None
         if reading.scan is not None and not reading.scan.valid.any():
             self.problems.add(

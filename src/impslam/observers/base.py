@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from impslam.types import Array, Landmark, StepResult, TruePose
 
 
@@ -61,8 +59,3 @@ class Observer:
 
     def finish(self, outcome: Outcome) -> None:
         """See the end of the run."""
-
-
-def pose_rows(results: list[StepResult]) -> Array:
-    """Return (n, 4) rows stamp, x, y, theta of a list of results."""
-    return np.array([[r.stamp, *r.pose] for r in results]).reshape(-1, 4)

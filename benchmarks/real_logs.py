@@ -20,9 +20,8 @@ from impslam.evaluation.trajectory import Statistics, align, associate, ate
 from impslam.geometry.se2 import inverse, transform
 from impslam.observers.base import Observer, Outcome
 from impslam.pipeline import Pipeline, run
-from impslam.simulation.world import TrueLandmark
 from impslam.sources.base import recognise
-from impslam.types import Array, Landmark, OdometryPose, StepResult
+from impslam.types import Array, Landmark, OdometryPose, StepResult, TrueLandmark
 
 
 @dataclass

@@ -55,6 +55,24 @@ class OdometryPose:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Velocity:
+    """Speed forward in m/s and turn rate in rad/s, which hold from `stamp` until the next one."""
+
+    stamp: float
+    speed: float
+    turn_rate: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steering:
+    """A car's wheel speed in m/s and steering angle in rad (left positive), until the next one."""
+
+    stamp: float
+    speed: float
+    angle: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Imu:
     """Angular velocity (3,) rad/s, linear acceleration (3,) m/s^2, orientation quaternion xyzw."""
 
@@ -81,6 +99,8 @@ class LaserScan:
     `time_offsets` (n,) is when each beam was fired after `stamp`, which is that of beam 0;
     `ranges` (n,) are as received: 0, NaN, inf, negative and error codes included.
     `range_min` and `range_max` are what the message itself says, NaN where it says nothing.
+    `intensities` (n,) in the device's own unit tell how bright the echoes were, None where it
+    does not say.
     """
 
     stamp: float
@@ -89,23 +109,62 @@ class LaserScan:
     time_offsets: Array
     range_min: float = float("nan")
     range_max: float = float("nan")
+    intensities: Array | None = None
 
     def __post_init__(self) -> None:
         n = len(self.ranges)
         check_shape("LaserScan.ranges", self.ranges, n)
         check_shape("LaserScan.angles", self.angles, n)
         check_shape("LaserScan.time_offsets", self.time_offsets, n)
+        if self.intensities is not None:
+            check_shape("LaserScan.intensities", self.intensities, n)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detections:
+    """Landmarks that a sensor detected itself at `stamp`, as range and bearing in its own frame.
+
+    `ranges` (n,) m; `bearings` (n,) rad, counter-clockwise about +z, 0 along +x; `labels` (n,) int64
+    are the identities that it read off them, -1 where it read none; `diameters` (n,) m, NaN where
+    it measured none.
+    """
+
+    stamp: float
+    ranges: Array
+    bearings: Array
+    labels: Ints
+    diameters: Array
+
+    def __post_init__(self) -> None:
+        n = len(self.ranges)
+        check_shape("Detections.ranges", self.ranges, n)
+        check_shape("Detections.bearings", self.bearings, n)
+        check_shape("Detections.labels", self.labels, n)
+        check_shape("Detections.diameters", self.diameters, n)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TruePose:
-    """`T_map_base` (3,) from a simulator or a tracking system; for scoring, never for the filter."""
+    """`T_map_base` (3,) from a simulator or a tracking system; for scoring, never for the filter.
+
+    The heading is NaN where only the position was tracked.
+    """
 
     stamp: float
     pose: Array
 
 
-Message: TypeAlias = WheelAngles | OdometryPose | Imu | Image | LaserScan | TruePose
+Message: TypeAlias = (
+    WheelAngles
+    | OdometryPose
+    | Velocity
+    | Steering
+    | Imu
+    | Image
+    | LaserScan
+    | Detections
+    | TruePose
+)
 
 
 # --------------------------------------------------------------------------- estimation
@@ -179,6 +238,7 @@ class Scan:
     bias : m, standard deviation of the error that all beams of this sensor share
     range_max : m, beyond it the sensor sees nothing
     laser : (3,) `T_base_laser`
+    intensities : (n,) how bright the echoes were, in the device's unit, or None
     """
 
     stamp: float
@@ -192,6 +252,7 @@ class Scan:
     bias: float
     range_max: float
     laser: Array
+    intensities: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -255,6 +316,21 @@ class Landmark:
     observations: int
     first_stamp: float
     last_stamp: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrueLandmark:
+    """A landmark as it is; for scoring, never for the filter.
+
+    `position` (2,) m is a centre, or the foot of the normal from the map's origin; `parameters` are
+    like those of `Landmark`; `end_points` (2, 2) m for walls, else None.
+    """
+
+    name: str
+    kind: str
+    position: Array
+    parameters: Mapping[str, float]
+    end_points: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ from impslam.observers.page import Line, chart
 from impslam.observers.recorder import Recorder
 from impslam.observers.report import Report
 from impslam.observers.sections import duration
-from impslam.simulation.world import TrueLandmark
+from impslam.types import TrueLandmark
 
 VOID = {"meta", "img", "path", "br"}
 

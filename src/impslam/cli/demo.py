@@ -22,8 +22,8 @@ from impslam.cli.simulate import landmarks_path, truth_path, write_log
 from impslam.evaluation.landmarks import score_landmarks
 from impslam.geometry.angles import wrap
 from impslam.observers.base import Outcome
-from impslam.simulation.world import TrueLandmark, load_world
-from impslam.types import Array, Landmark
+from impslam.simulation.world import load_world
+from impslam.types import Array, Landmark, TrueLandmark
 
 WORLD = "arena"
 FELT = 0.5  # s of compiling that are worth a word

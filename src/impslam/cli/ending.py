@@ -9,8 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from impslam.observers.base import Observer
-from impslam.simulation.world import TrueLandmark
-from impslam.types import Array, StepResult, TruePose
+from impslam.types import Array, StepResult, TrueLandmark, TruePose
 
 
 def corners(truth: Sequence[TrueLandmark]) -> list[TrueLandmark]:

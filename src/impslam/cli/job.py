@@ -12,12 +12,12 @@ from impslam.cli import progress
 from impslam.component import explain
 from impslam.config import Config, load, load_plugins
 from impslam.errors import ConfigError, ImpError
-from impslam.evaluation.landmarks import TrueLandmark
 from impslam.observers.base import Observer, Outcome
 from impslam.observers.recorder import Recorder
 from impslam.observers.report import Report
 from impslam.pipeline import run
 from impslam.sources.base import Source, recognise
+from impslam.types import TrueLandmark
 
 FILES = frozenset(
     {"trajectory.tum", "odometry.tum", "trajectory.csv", "landmarks.csv", "map.pgm", "map.yaml"}
@@ -62,7 +62,7 @@ def execute(
 ) -> Outcome:
     """Run a log, write the run folder, and show how far it has come.
 
-    `known` are the true landmarks, for the report alone.
+    `known` are the true landmarks, for the report alone, where the source does not tell them.
     """
     if folder.resolve().is_relative_to(source.path.resolve()):
         raise ConfigError(f"{folder}: is within the log, which would change it; give another -o")
@@ -71,7 +71,7 @@ def execute(
     try:
         with progress.display(quiet) as shown:
             recorder = Recorder(folder, config.grid.resolution)
-            report = Report(folder, recorder.grid, known)
+            report = Report(folder, recorder.grid, known or source.true_landmarks())
             return run(config, source, [progress.Bar(source, shown), recorder, report, *more])
     except ImpError:
         _clear(folder)

@@ -16,9 +16,9 @@ from impslam.cli.progress import display, ticker
 from impslam.evaluation.tum import write_tum
 from impslam.simulation.drive import drive
 from impslam.simulation.simulate import simulate as messages
-from impslam.simulation.world import TrueLandmark, World, load_world
+from impslam.simulation.world import World, load_world
 from impslam.sources.recording import McapWriter
-from impslam.types import LaserScan, Message, TruePose
+from impslam.types import LaserScan, Message, TrueLandmark, TruePose
 
 LANDMARK_COLUMNS = ("name", "kind", "x", "y", "r", "alpha", "radius", "x1", "y1", "x2", "y2")
 

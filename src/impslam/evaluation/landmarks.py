@@ -3,43 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from impslam.geometry.angles import wrap
-from impslam.types import Array, Landmark
+from impslam.types import Array, Landmark, TrueLandmark
 
 GATE = 0.5
 """m: an estimate further off than this is of something else (thesis 5.2.2 associates by 0.5 m)."""
 ANGLE_GATE = math.radians(20.0)
 """rad: likewise for the direction of walls."""
-
-
-class TrueLandmark(Protocol):
-    """What is known of a landmark: a point's centre, or a wall's foot of the normal and its ends."""
-
-    @property
-    def name(self) -> str:
-        """What people call it."""
-
-    @property
-    def kind(self) -> str:
-        """The landmark model it belongs to."""
-
-    @property
-    def position(self) -> Array:
-        """(2,) m, the centre, or the foot of the normal from the map's origin."""
-
-    @property
-    def parameters(self) -> Mapping[str, float]:
-        """Like those of `Landmark`."""
-
-    @property
-    def end_points(self) -> Array | None:
-        """(2, 2) m for walls."""
 
 
 @dataclass(frozen=True, slots=True)

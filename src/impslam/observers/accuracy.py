@@ -9,7 +9,7 @@ import numpy as np
 
 from impslam.errors import ImpError
 from impslam.evaluation.consistency import chi2_bounds, nees, pose_errors
-from impslam.evaluation.landmarks import LandmarkScore, TrueLandmark, score_landmarks
+from impslam.evaluation.landmarks import LandmarkScore, score_landmarks
 from impslam.evaluation.trajectory import (
     Pairs,
     associate,
@@ -23,7 +23,7 @@ from impslam.evaluation.trajectory import (
 from impslam.geometry.se2 import between, compose, inverse
 from impslam.observers.history import History
 from impslam.observers.page import Line, chart, escape, section, table, tiles
-from impslam.types import Array, Landmark
+from impslam.types import Array, Landmark, TrueLandmark
 
 SAME_PLACE = (0.05, math.radians(3.0))
 """m and rad: a truth whose first pose is closer to the estimate's is taken to be in map."""

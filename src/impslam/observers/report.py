@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from impslam.evaluation.landmarks import TrueLandmark
 from impslam.mapping.files import MapImage, map_image
 from impslam.mapping.grid import OccupancyGrid
 from impslam.observers import accuracy
@@ -25,7 +24,7 @@ from impslam.observers.sections import (
     stages,
     uncertainty,
 )
-from impslam.types import Landmark, StepResult, TruePose
+from impslam.types import Landmark, StepResult, TrueLandmark, TruePose
 
 
 class Report(Observer):

@@ -169,6 +169,7 @@ class Lidar2D(Sensor):
             self.bias,
             high,
             laser,
+            message.intensities,
         )
 
     def _limits(self, message: LaserScan) -> tuple[float, float]:

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
@@ -20,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from impslam.component import near_miss, parameter
 from impslam.errors import ConfigError
-from impslam.types import Array
+from impslam.types import Array, TrueLandmark
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Point = tuple[Finite, Finite]
@@ -125,21 +124,6 @@ class Drive(Part):
     radius: float = parameter(0.25, "m", "radius of the robot's outline", gt=0.0)
     rest: float = parameter(1.0, "s", "standing still before and after", ge=0.0)
     limit: float = parameter(math.inf, "s", "the run ends by this time, path done or not", ge=1.0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrueLandmark:
-    """A landmark as it is: position (2,) is a centre, or the foot of the normal from the origin.
-
-    `parameters` are x, y, radius (m) of a cylinder, and r (m), alpha (rad) of a wall;
-    `end_points` (2, 2) m for walls.
-    """
-
-    name: str
-    kind: str
-    position: Array
-    parameters: Mapping[str, float]
-    end_points: Array | None = None
 
 
 class World(Part):

@@ -13,7 +13,7 @@ from pydantic import PrivateAttr
 
 from impslam.component import Component, components
 from impslam.errors import SourceError
-from impslam.types import Message
+from impslam.types import Message, TrueLandmark
 
 GAP = 10.0  # s; at walking pace a robot is then in another room, beyond what any gate bridges
 
@@ -77,6 +77,10 @@ class Source(Component):
     @abstractmethod
     def __iter__(self) -> Iterator[Message]:  # type: ignore[override]
         """Yield messages in file order."""
+
+    def true_landmarks(self) -> list[TrueLandmark]:
+        """Return the surveyed landmarks that come with the log, in its own frame; for scoring."""
+        return []
 
     @abstractmethod
     def streams(self) -> list[Stream]:

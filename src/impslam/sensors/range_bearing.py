@@ -1,0 +1,65 @@
+"""A sensor that detects landmarks itself: barcodes in a camera, beacons, trees by a lidar's driver.
+
+What it measured as range and bearing becomes Cartesian observations in base_link (`landmarks.point`);
+that they come from a range and a bearing lives on in the shape of R.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+
+from impslam.component import parameter, register
+from impslam.errors import MessageError
+from impslam.geometry.polar import to_cartesian
+from impslam.geometry.se2 import rotation, transform
+from impslam.sensors.base import Reading, Sensor
+from impslam.types import Array, Detections, Message, Observation
+
+
+@register("range_bearing")
+class RangeBearing(Sensor):
+    """A sensor that gives landmarks by range and bearing, with or without their identity."""
+
+    consumes: ClassVar[type] = Detections
+
+    mount: tuple[float, float, float] = parameter(
+        (0.0, 0.0, 0.0), "m, m, rad", "pose [x, y, yaw] of the sensor on base_link"
+    )
+    landmark: str = parameter("point", "", "kind of landmark that it detects")
+    range_min: float = parameter(0.0, "m", "nearer detections are left out", ge=0)
+    range_max: float = parameter(math.inf, "m", "farther detections are left out", gt=0)
+    sigma_range: float = parameter(0.05, "m", "standard deviation of the range at range 0", gt=0)
+    sigma_range_per_m: float = parameter(0.0, "1", "how much it grows with range", ge=0)
+    sigma_bearing: float = parameter(0.01, "rad", "standard deviation of the bearing", gt=0)
+
+    def observe(
+        self, message: Message, twist: Array, rng: np.random.Generator, look: bool = True
+    ) -> Reading:
+        """Return an observation for each detection that is usable; see `Sensor.observe`."""
+        del twist, rng
+        assert isinstance(message, Detections)
+        usable = np.isfinite(message.ranges) & np.isfinite(message.bearings)
+        if len(usable) and not usable.any():
+            raise MessageError(f"no detection at {message.stamp:.3f} s is finite; it is dropped")
+        with np.errstate(invalid="ignore"):
+            usable &= (message.ranges > self.range_min) & (message.ranges <= self.range_max)
+        seen = np.flatnonzero(usable) if look else ()
+        return Reading(None, tuple(self._observation(message, int(i)) for i in seen))
+
+    def _observation(self, message: Detections, i: int) -> Observation:
+        distance, bearing = float(message.ranges[i]), float(message.bearings[i])
+        label, diameter = int(message.labels[i]), float(message.diameters[i])
+        sigma = self.sigma_range + self.sigma_range_per_m * distance
+        z, R = to_cartesian(distance, bearing, np.diag([sigma**2, self.sigma_bearing**2]))
+        mount = np.array(self.mount)
+        turn = rotation(mount[2])
+        return Observation(
+            self.landmark,
+            transform(mount, z),
+            turn @ R @ turn.T,
+            attributes={} if math.isnan(diameter) else {"radius": 0.5 * diameter},
+            label=label if label >= 0 else None,
+        )

@@ -1,0 +1,59 @@
+"""A sensor that detects landmarks itself: what it measured, seen from base_link."""
+
+import math
+
+import numpy as np
+import pytest
+
+from impslam.errors import MessageError
+from impslam.geometry.se2 import transform
+from impslam.sensors.range_bearing import RangeBearing
+from impslam.types import Detections
+
+RNG, STILL = np.random.default_rng(0), np.zeros(3)
+
+
+def detections(ranges, bearings, labels=None, diameters=None):
+    n = len(ranges)
+    return Detections(
+        7.0,
+        np.array(ranges, np.float64),
+        np.array(bearings, np.float64),
+        np.full(n, -1) if labels is None else np.array(labels, np.int64),
+        np.full(n, np.nan) if diameters is None else np.array(diameters, np.float64),
+    )
+
+
+def test_a_detection_is_where_the_mount_and_the_bearing_put_it():
+    sensor = RangeBearing(mount=(1.0, 2.0, math.pi / 2))
+    reading = sensor.observe(detections([3.0], [math.pi / 2], [5], [0.4]), STILL, RNG)
+    (seen,) = reading.observations
+    np.testing.assert_allclose(seen.z, [-2.0, 2.0], atol=1e-12)
+    assert reading.scan is None
+    assert (seen.kind, seen.label, dict(seen.attributes)) == ("point", 5, {"radius": 0.2})
+
+
+def test_its_covariance_is_that_of_many_noisy_detections():
+    sensor = RangeBearing(
+        mount=(0.3, -0.2, 0.7), sigma_range=0.02, sigma_range_per_m=0.01, sigma_bearing=0.02
+    )
+    (seen,) = sensor.observe(detections([4.0], [0.5]), STILL, RNG).observations
+    noise = RNG.standard_normal((200_000, 2)) * [0.02 + 0.01 * 4.0, 0.02]
+    r, bearing = 4.0 + noise[:, 0], 0.5 + noise[:, 1]
+    places = transform(
+        np.array(sensor.mount), np.stack([r * np.cos(bearing), r * np.sin(bearing)], 1)
+    )
+    np.testing.assert_allclose(seen.R, np.cov(places.T), rtol=0.02, atol=2e-5)
+
+
+def test_what_is_not_finite_or_out_of_limits_is_left_out():
+    sensor = RangeBearing(range_min=0.5, range_max=6.0)
+    message = detections([1.0, math.nan, 0.4, 6.1, -1.0, 2.0], [0.0, 0.0, 0.0, 0.0, 0.0, math.inf])
+    assert len(sensor.observe(message, STILL, RNG).observations) == 1
+    assert sensor.observe(message, STILL, RNG, look=False).observations == ()
+
+
+def test_a_message_of_nothing_finite_is_refused_and_an_empty_one_is_not():
+    with pytest.raises(MessageError, match=r"no detection at 7\.000 s is finite"):
+        RangeBearing().observe(detections([math.nan], [0.0]), STILL, RNG)
+    assert RangeBearing().observe(detections([], []), STILL, RNG).observations == ()

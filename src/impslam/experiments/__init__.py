@@ -1,0 +1,1 @@
+"""The thesis's experiments and the studies that go beyond it, as `imp reproduce` runs them."""

@@ -21,6 +21,7 @@ COMMANDS = {
     "run": ("run:run", "Map a log: write its path, landmarks, grid and report into a folder."),
     "simulate": ("simulate:simulate", "Write what the robot would have recorded in a world."),
     "evaluate": ("evaluate:evaluate", "Score runs against the truth or measured relations."),
+    "reproduce": ("reproduce:reproduce", "Run the thesis's experiments: its tables and figures."),
     "inspect": ("inspect:inspect", "Print what is in a log, and what is wrong with it."),
     "list": ("list:list_components", "Print the components of each role and their parameters."),
     "config": ("config:config", "Print every parameter of a preset or file, as TOML."),

@@ -1,0 +1,125 @@
+"""`imp reproduce`: the tables and figures of the thesis again, and the studies that go beyond it."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import time
+from collections.abc import Iterable
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from impslam.cli import console
+from impslam.cli.console import Common
+from impslam.cli.progress import display
+from impslam.component import near_miss
+from impslam.errors import ConfigError
+from impslam.experiments.base import Experiment, Job, Part
+from impslam.experiments.write import FIGURES, PAGE, write
+
+EXPERIMENTS = {
+    "points": ("arena:points", "Table 1: the arena by point features"),
+    "lines": ("arena:lines", "Table 2: the arena by linear features"),
+    "both": ("arena:both", "Table 3: the arena by both"),
+    "corridor": ("corridor:corridor", "5.2.4: the uncontrolled corridor"),
+    "figures": ("chapter4:figures", "the figures of Chapter IV"),
+    "extractors": ("extractors:extractors", "all extractors on the same labelled scans"),
+    "consistency": ("consistency:consistency", "are the filters' uncertainties true?"),
+}
+"""Where each experiment is, in the order of the page; imported when it is asked for."""
+ALL = "all"
+
+
+def reproduce(
+    *experiments: str,
+    seeds: Annotated[
+        int | None,
+        Parameter(help="Simulated runs of each experiment. Default: enough for a first look."),
+    ] = None,
+    jobs: Annotated[
+        int | None, Parameter(name=["--jobs", "-j"], help="Processes. Default: all cores.")
+    ] = None,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    common: Common | None = None,
+) -> None:
+    """Run experiments of the thesis and write their tables and figures into a folder.
+
+    The folder holds report.html, a PNG for each figure, and figures.json with the numbers.
+
+    Parameters
+    ----------
+    experiments
+        Any of points, lines, both, corridor, figures, extractors, consistency. Default: all.
+    output
+        The folder to write to. Default: runs/reproduce-DATE-TIME.
+    """
+    names = _chosen(experiments)
+    for what, number in (("--seeds", seeds), ("--jobs", jobs)):
+        if number is not None and number < 1:
+            raise ConfigError(f"{what} {number}: must be at least 1")
+    folder = _folder(output)
+    quiet = common is not None and common.quiet
+    parts = []
+    with display(quiet) as shown:
+        for name in names:
+            job = Job(seeds, jobs or os.cpu_count() or 1, Progress(shown, name))
+            parts.append(_experiment(name)(job))
+    said = ["imp", "reproduce", *experiments, *(["--seeds", str(seeds)] if seeds else [])]
+    write(folder, parts, shlex.join(said))
+    if not quiet:
+        _show(parts)
+        console.say(f"report: {folder / PAGE}")
+
+
+class Progress:
+    """Shows what an experiment does, in a bar for each of its stages."""
+
+    def __init__(self, shown: Any, name: str) -> None:
+        self._shown, self._name = shown, name
+        self._tasks: dict[str, Any] = {}
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        """Move on; see `experiments.base.Tick`."""
+        if self._shown is None:
+            return
+        if what not in self._tasks:
+            self._tasks[what] = self._shown.add_task(f"{self._name}: {what}", total=total)
+        self._shown.update(self._tasks[what], completed=done, total=total)
+
+
+def _chosen(words: Iterable[str]) -> list[str]:
+    asked = list(words) or [ALL]
+    for word in asked:
+        if word != ALL and word not in EXPERIMENTS:
+            known = [ALL, *EXPERIMENTS]
+            raise ConfigError(f"reproduce {word}: no such experiment; {near_miss(word, known)}")
+    return [name for name in EXPERIMENTS if ALL in asked or name in asked]
+
+
+def _experiment(name: str) -> Experiment:
+    module, function = EXPERIMENTS[name][0].split(":")
+    experiment: Experiment = getattr(import_module(f"impslam.experiments.{module}"), function)
+    return experiment
+
+
+def _folder(wanted: Path | None) -> Path:
+    """Return the folder to write to: an earlier one of this command may be used again."""
+    if wanted is None:
+        return Path("runs") / f"reproduce-{time.strftime('%Y%m%d-%H%M%S')}"
+    if wanted.exists() and not wanted.is_dir():
+        raise ConfigError(f"{wanted}: is a file; give -o a folder")
+    if wanted.exists() and any(wanted.iterdir()) and not (wanted / FIGURES).exists():
+        raise ConfigError(f"{wanted}: holds something else; give -o a new or an empty folder")
+    return wanted
+
+
+def _show(parts: Iterable[Part]) -> None:
+    for part in parts:
+        console.say(f"\n{part.title}\n")
+        for shown in part.tables:
+            numbers = len(shown.header) - shown.text
+            console.show_table(shown.header, shown.rows, shown.title, numbers)
+            console.say(shown.note + "\n" if shown.note else "")

@@ -1,0 +1,95 @@
+"""`imp reproduce`: chooses experiments, writes one page, pictures and numbers, and refuses what it must."""
+
+import base64
+import json
+import re
+
+import pytest
+
+from impslam.cli import main
+from impslam.cli import reproduce as command
+from impslam.experiments.base import Job, Part, Picture, Table
+
+PNG = b"\x89PNG\r\n\x1a\n and so on"
+
+
+def double(x):
+    return 2 * x
+
+
+@pytest.fixture(autouse=True)
+def toys(monkeypatch):
+    """Two experiments that take no time."""
+
+    def toy(name):
+        def experiment(job):
+            found = job.map(double, range(job.seeds or 3), "doubling")
+            shown = Table(
+                "Distances", ("what <b>", "m"), [("wall", f"{sum(found)}")], note="a note"
+            )
+            return Part(
+                name,
+                f"The {name}",
+                "First.\n\nSecond.",
+                [shown],
+                [Picture(name, PNG, "A & B")],
+                {"sum": sum(found)},
+            )
+
+        return experiment
+
+    monkeypatch.setattr(command, "EXPERIMENTS", {"points": ("", ""), "lines": ("", "")})
+    monkeypatch.setattr(command, "_experiment", toy)
+
+
+def test_all_is_written_to_one_page_with_pictures_and_numbers(tmp_path, capsys):
+    assert main(["reproduce", "-o", str(tmp_path / "out"), "--seeds", "4", "-j", "1"]) == 0
+    out = tmp_path / "out"
+    assert (out / "points.png").read_bytes() == PNG
+    assert json.loads((out / "figures.json").read_text())["lines"] == {"sum": 12}
+    text = (out / "report.html").read_text()
+    assert re.findall(r"<h2>The (\w+)</h2>", text) == ["points", "lines"]
+    assert base64.b64encode(PNG).decode() in text
+    assert "what &lt;b&gt;" in text
+    assert "A &amp; B" in text
+    assert "imp reproduce --seeds 4" in text
+    assert "<p>First.</p><p>Second.</p>" in text
+    said = capsys.readouterr().out
+    assert "wall" in said
+    assert "12" in said
+    assert "report.html" in said
+
+
+def test_only_what_is_asked_for_runs_in_the_order_of_the_page(tmp_path):
+    assert main(["reproduce", "lines", "points", "-o", str(tmp_path), "-j", "1", "--quiet"]) == 0
+    assert list(json.loads((tmp_path / "figures.json").read_text()))[2:] == ["points", "lines"]
+    assert main(["reproduce", "lines", "-o", str(tmp_path), "-j", "1", "--quiet"]) == 0
+    assert "points" not in json.loads((tmp_path / "figures.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["pionts"], "no such experiment; did you mean 'points'"),
+        (["points", "--seeds", "0"], "--seeds 0: must be at least 1"),
+        (["points", "-j", "-2"], "--jobs -2: must be at least 1"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_line(words, complaint, tmp_path, capsys):
+    assert main(["reproduce", *words, "-o", str(tmp_path / "new")]) == 2
+    assert complaint in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_folder_of_something_else_is_left_alone(tmp_path, capsys):
+    (tmp_path / "letter.txt").write_text("dear")
+    assert main(["reproduce", "points", "-o", str(tmp_path)]) == 2
+    assert "holds something else" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["letter.txt"]
+
+
+def test_work_is_shared_out_in_order_whatever_the_processes():
+    told = []
+    job = Job(processes=2, tick=lambda *step: told.append(step))
+    assert job.map(double, range(5), "work") == [0, 2, 4, 6, 8]
+    assert told == [("work", done, 5) for done in range(6)]

@@ -4,14 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from impslam.cli.ending import EndOfRun, corners
-from impslam.simulation.world import load_world
+from impslam.cli.ending import EndOfRun
 from impslam.types import StepResult, TruePose
-
-
-def test_corners_of_a_room() -> None:
-    places = {tuple(corner.position) for corner in corners(load_world("room").landmarks())}
-    assert places == {(-0.6, -0.8), (2.4, -0.8), (2.4, 1.8), (-0.6, 1.8)}
 
 
 def test_truth_at_the_last_scan() -> None:

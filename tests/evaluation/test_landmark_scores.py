@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from impslam.evaluation.landmarks import score_landmarks
+from impslam.evaluation.landmarks import corners, score_landmarks
+from impslam.simulation.world import load_world
 from impslam.types import Landmark
 
 
@@ -117,3 +118,8 @@ def test_a_wall_across_is_not_the_wall():
 def test_kinds_do_not_mix():
     score = score_landmarks([cylinder(1, 0, 0)], [True_("c", "corner", np.zeros(2))])
     assert score.missing == ("c",)
+
+
+def test_corners_of_a_room() -> None:
+    places = {tuple(corner.position) for corner in corners(load_world("room").landmarks())}
+    assert places == {(-0.6, -0.8), (2.4, -0.8), (2.4, 1.8), (-0.6, 1.8)}

@@ -15,11 +15,11 @@ from numba.core import event
 
 from impslam.cli import console
 from impslam.cli.console import Base, Common, Settings
-from impslam.cli.ending import EndOfRun, corners
+from impslam.cli.ending import EndOfRun
 from impslam.cli.job import execute, plan, run_folder
 from impslam.cli.progress import display
 from impslam.cli.simulate import landmarks_path, truth_path, write_log
-from impslam.evaluation.landmarks import score_landmarks
+from impslam.evaluation.landmarks import corners, score_landmarks
 from impslam.geometry.angles import wrap
 from impslam.observers.base import Outcome
 from impslam.simulation.world import load_world

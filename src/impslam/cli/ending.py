@@ -1,30 +1,11 @@
-"""What the demo needs to know of the truth: the end of the path, and the corners of the walls."""
+"""What the demo needs to know of the truth: where the path ends."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from itertools import combinations
-
-import numpy as np
 
 from impslam.observers.base import Observer
-from impslam.types import Array, StepResult, TrueLandmark, TruePose
-
-
-def corners(truth: Sequence[TrueLandmark]) -> list[TrueLandmark]:
-    """Return where two true walls meet, as landmarks of the kind corner."""
-    walls = [wall for wall in truth if wall.end_points is not None]
-    found = []
-    for one, other in combinations(walls, 2):
-        assert one.end_points is not None
-        assert other.end_points is not None
-        for place in one.end_points:
-            if any(np.allclose(place, end, atol=1e-6) for end in other.end_points):
-                name = f"corner of {one.name} and {other.name}"
-                values = {"x": float(place[0]), "y": float(place[1])}
-                found.append(TrueLandmark(name, "corner", place, values))
-    return found
+from impslam.types import Array, StepResult, TruePose
 
 
 class EndOfRun(Observer):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -73,6 +74,21 @@ def score_landmarks(
         tuple(estimates[j].id for j in left if not near[:, j].any()),
         tuple(estimates[j].id for j in left if near[:, j].any()),
     )
+
+
+def corners(truth: Sequence[TrueLandmark]) -> list[TrueLandmark]:
+    """Return where two true walls meet, as landmarks of the kind corner."""
+    walls = [wall for wall in truth if wall.end_points is not None]
+    found = []
+    for one, other in combinations(walls, 2):
+        assert one.end_points is not None
+        assert other.end_points is not None
+        for place in one.end_points:
+            if any(np.allclose(place, end, atol=1e-6) for end in other.end_points):
+                name = f"corner of {one.name} and {other.name}"
+                values = {"x": float(place[0]), "y": float(place[1])}
+                found.append(TrueLandmark(name, "corner", place, values))
+    return found
 
 
 def _apart(mark: Landmark, true: TrueLandmark) -> float:

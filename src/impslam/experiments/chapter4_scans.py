@@ -1,0 +1,219 @@
+"""Simulated scans with the truth beside them: what an extractor finds, and which of it is there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from impslam.component import build
+from impslam.config import load
+from impslam.extractors.base import Extractor
+from impslam.extractors.jump import candidates, derivative
+from impslam.extractors.readings import usable
+from impslam.geometry.se2 import between, log, transform
+from impslam.simulation.drive import Trajectory, drive
+from impslam.simulation.robot import Lidar, SimulatedRobot
+from impslam.simulation.scene import Scene, distance_to_segments
+from impslam.simulation.simulate import simulate
+from impslam.simulation.world import Person, World, load_world
+from impslam.types import Array, Ints, LaserScan, Observation, Scan
+
+RATE = 1.0
+"""Hz: every tenth scan of the lidar; the scene hardly changes in between."""
+SAME = 0.15
+"""m: a finding further than this from everything true is spurious: the radius of a cylinder."""
+SAME_ANGLE = math.radians(10.0)
+"""rad: likewise for the direction of walls: the bin of the thesis's Hough transform (5.2.2)."""
+SURFACE = 0.5
+"""m: a flat thing shorter than this (jambs of doors) is no wall."""
+ON_LEG = 0.05
+"""m: readings nearer than this to a leg's surface are of it: five times the range noise at 2 m."""
+SEEN = 5
+"""Readings on someone's legs that make them seen: those on one leg 4 m away."""
+LONG = 1.0
+"""m: a spurious wall of this length runs along several things: boxes and cylinders are shorter."""
+
+ARENA, CORRIDOR, PEOPLE = "arena", "corridor", "arena with people"
+WALKERS = (
+    Person(waypoints=((-1.4, 4.3), (0.1, 4.3)), speed=0.8, returns=True),
+    Person(waypoints=((-0.75, 0.6), (-0.75, 2.6)), speed=0.8, returns=True),
+)
+"""Two people who pace the arena: one across it, one beside the first cylinder."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """A scan and how things truly were in its middle.
+
+    `pose` (3,) is `T_map_base`; `legs` (k, 3) m are x, y and radius in map, two of each person.
+    """
+
+    number: int
+    time: float
+    scan: Scan
+    pose: Array
+    scene: Scene
+    leaves: Array
+    legs: Array
+
+    @property
+    def people_seen(self) -> int:
+        """How many people the scan shows by `SEEN` readings or more."""
+        points = transform(self.pose, self.scan.points[usable(self.scan)])
+        apart = np.hypot(*(points[:, None] - self.legs[None, :, :2]).T)  # (k, n)
+        on = np.abs(apart - self.legs[:, 2, None]) < ON_LEG
+        each = on.reshape(-1, 2, len(points)).any(axis=1).sum(axis=1)
+        return int(np.count_nonzero(each >= SEEN))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """What an extractor finds in a scan, parted by what is there."""
+
+    shot: Shot
+    true: tuple[Observation, ...]
+    spurious: tuple[Observation, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Jumps:
+    """Range and derivative as `jump` sees them, and where an object begins and ends.
+
+    `angles`, `ranges` (n,) rad and m, 0 where nothing came back; `slopes` (n - 1,) m/rad, each at
+    `between` (n - 1,) rad; `objects` (m, 2) are the first and last beam of each object.
+    """
+
+    angles: Array
+    ranges: Array
+    between: Array
+    slopes: Array
+    objects: Ints
+
+    @property
+    def falls(self) -> Ints:
+        """Indices (m,) of the slopes by which the objects begin."""
+        return self.objects[:, 0] - 1
+
+    @property
+    def rises(self) -> Ints:
+        """Indices (m,) of the slopes by which they end."""
+        return self.objects[:, 1]
+
+
+def jumps(scan: Scan, threshold: float) -> Jumps:
+    """Return what the jump extractor (thesis 4.1.2) makes of a scan before it judges objects."""
+    ranges = np.where(usable(scan), scan.ranges, 0.0)
+    slopes = derivative(scan.angles, ranges)
+    objects = np.array(candidates(slopes, threshold), dtype=np.int64).reshape(-1, 2)
+    middles = 0.5 * (scan.angles[:-1] + scan.angles[1:])
+    return Jumps(scan.angles, ranges, middles, slopes, objects)
+
+
+def world_of(name: str) -> World:
+    """Return a shipped world, or the arena with people."""
+    if name == PEOPLE:
+        return load_world(ARENA).model_copy(update={"people": WALKERS})
+    return load_world(name)
+
+
+def shots(world: World, seed: int = 0) -> Iterator[Shot]:
+    """Yield the scans of a run at `RATE`, through the thesis's sensor, de-skewed by true motion."""
+    robot = SimulatedRobot(encoders=None, imu=None, lidar=Lidar(rate=RATE), truth_rate=RATE)
+    sensor = load("thesis-points").make_robot().sensors["lidar"]
+    trajectory, scene = drive(world.robot), Scene(world)
+    scans = (m for m in simulate(world, robot, seed) if isinstance(m, LaserScan))
+    for number, message in enumerate(scans):
+        begin, end = (t - robot.start_time for t in sensor.span(message))
+        twist = _twist(trajectory, begin, end)
+        scan = sensor.observe(message, twist, np.random.default_rng(seed), look=False).scan
+        assert scan is not None
+        middle = 0.5 * (begin + end)
+        pose = trajectory.at(np.array([middle]))[0]
+        yield Shot(number, begin, scan, pose, scene, scene.leaves(middle), scene.legs(middle))
+
+
+def _twist(trajectory: Trajectory, begin: float, end: float) -> Array:
+    first, last = trajectory.at(np.array([begin, end]))
+    return log(between(first, last)) / max(end - begin, 1e-9)
+
+
+def extractor(preset: str, kind: str, *settings: str) -> Extractor:
+    """Return an extractor of a preset's lidar ("walls", "cylinders"), with settings of its own."""
+    where = f"sensors.lidar.extractors.{kind}"
+    config = load(preset, [f"{where}.{setting}" for setting in settings])
+    made: Extractor = build("extractor", config.sensors["lidar"]["extractors"][kind])
+    return made
+
+
+def sight(shot: Shot, extractor: Extractor, seed: int = 0) -> Sighting:
+    """Return what the extractor finds; its dice depend on the seed and the scan alone."""
+    found = extractor.extract(shot.scan, np.random.default_rng([seed, shot.number]))
+    there = [is_there(shot, finding) for finding in found]
+    true = tuple(o for o, yes in zip(found, there, strict=True) if yes)
+    return Sighting(shot, true, tuple(o for o, yes in zip(found, there, strict=True) if not yes))
+
+
+def is_there(shot: Shot, finding: Observation) -> bool:
+    """Tell whether a finding is of something true.
+
+    A cylinder is if the axis of a standing one lies within `SAME` of its centre; a wall if a flat
+    surface of `SURFACE` or more (wall, door, wall of a room; no box) comes within `SAME` of the
+    middle of the stretch it was seen on, and within `SAME_ANGLE` of its direction.
+    """
+    if finding.end_points is None:
+        centre = transform(shot.pose, finding.z[None])[0]
+        apart = np.hypot(*(shot.scene.circles[:, :2] - centre).T)
+        return bool((apart <= SAME).any())
+    start, end = transform(shot.pose, finding.end_points)
+    faces = surfaces(shot)
+    along = faces[:, 2:] - faces[:, :2]
+    heading = math.atan2(end[1] - start[1], end[0] - start[0])
+    turn = np.arctan2(along[:, 1], along[:, 0]) - heading
+    near = distance_to_segments(0.5 * (start + end), faces) <= SAME
+    return bool((near & (np.abs(np.sin(turn)) <= math.sin(SAME_ANGLE))).any())
+
+
+def surfaces(shot: Shot) -> Array:
+    """Return the flat surfaces (s, 4) m in map that count as walls."""
+    bare = Scene(shot.scene.world.model_copy(update={"boxes": ()}))
+    faces = np.vstack([bare.segments, shot.leaves])
+    return faces[np.hypot(*(faces[:, 2:] - faces[:, :2]).T) >= SURFACE]
+
+
+def first(sightings: Sequence[Sighting], rule: Callable[[Sighting], bool]) -> tuple[Sighting, bool]:
+    """Return the first that obeys the rule and True, or the most spurious one and False."""
+    for sighting in sightings:
+        if rule(sighting):
+            return sighting, True
+    return max(sightings, key=lambda sighting: len(sighting.spurious)), False
+
+
+def rates(sightings: Iterable[Sighting]) -> dict[str, float]:
+    """Return how many scans, and true, spurious and long spurious findings per scan."""
+    seen = list(sightings)
+    return {
+        "scans": len(seen),
+        "true_per_scan": sum(len(s.true) for s in seen) / len(seen),
+        "spurious_per_scan": sum(len(s.spurious) for s in seen) / len(seen),
+        "long_spurious_per_scan": sum(len(long_ones(s)) for s in seen) / len(seen),
+    }
+
+
+def long_ones(sighting: Sighting) -> list[Observation]:
+    """Return the spurious walls of `LONG` or more."""
+    walls = [(o, o.end_points) for o in sighting.spurious]
+    return [o for o, ends in walls if ends is not None and math.dist(*ends) >= LONG]
+
+
+def on_people(sighting: Sighting) -> int:
+    """Return how many spurious cylinders have a leg within `SAME` of their centre."""
+    legs = sighting.shot.legs[:, :2]
+    centres = [
+        transform(sighting.shot.pose, o.z[None])[0]
+        for o in sighting.spurious
+        if o.end_points is None
+    ]
+    return sum(bool((np.hypot(*(legs - centre).T) <= SAME).any()) for centre in centres)

@@ -5,16 +5,19 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
+from scipy.io import savemat
 
 from impslam.errors import ImpError
 from impslam.sources.base import Source, recognise
 from impslam.sources.recording import McapWriter
 from impslam.types import (
+    Detections,
     Image,
     Imu,
     LaserScan,
     Message,
     OdometryPose,
+    Steering,
     TruePose,
     WheelAngles,
 )
@@ -89,7 +92,48 @@ def write_mcap(path: Path) -> Path:
     return path
 
 
+def write_acfr_carpark(path: Path) -> Path:
+    """Two fixes, three readings of the wheels and two scans, of which the second shows a beacon."""
+    echoes = np.zeros((2, 361), np.uint16)
+    echoes[1, 180:182] = 8192
+    table = {
+        "Time": [1.0, 1.125, 1.25, 1.375, 1.5, 1.625, 1.75],
+        "Sensor": [2, 1, 3, 2, 3, 1, 2],
+        "Index": [1, 1, 1, 2, 2, 2, 3],
+        "TimeGPS": [1.125, 1.625],
+        "GPSLon": [4.0, 4.5],
+        "GPSLat": [-2.0, -2.25],
+        "Time_VS": [1.0, 1.375, 1.75],
+        "Velocity": [0.5, 0.75, 1.0],
+        "Steering": [0.0, 0.125, -0.25],
+        "TimeLaser": [1.25, 1.5],
+        "Laser": np.full((2, 361), 5.5),
+        "Intensity": echoes,
+    }
+    with path.open("wb") as file:
+        savemat(file, table)
+    return path
+
+
+def write_acfr_park(folder: Path) -> Path:
+    folder.mkdir()
+    cells = np.empty(3, object)
+    cells[:] = [
+        np.array([[8.0, 16.0], [0.5, 2.0], [0.25, 0.75]]),
+        np.zeros((0, 0)),
+        np.ones((3, 1)),
+    ]
+    u = np.array([[1.0, 1.5, 2.0, 0.0], [0.0, 0.125, 0.25, 0.5]])
+    trees = {"time": [1.0, 1.25, 1.5, 1.75], "u": u, "TLsr": [1.125, 1.25, 1.625], "zt": cells}
+    savemat(folder / "log.mat", trees)
+    gps = {"timeGps": [1125, 1500], "Lo_m": [4.0, 4.5], "La_m": [-2.0, -2.25]}
+    savemat(folder / "gps.mat", gps)
+    return folder
+
+
 WRITERS: dict[str, Callable[[Path], Path]] = {
+    "acfr_carpark": write_acfr_carpark,
+    "acfr_park": write_acfr_park,
     "carmen": write_carmen,
     "dat": write_dat,
     "lego": write_lego,
@@ -125,8 +169,15 @@ def read_or_refuse(path: Path) -> None:
 def assert_sound(message: Message) -> None:
     assert math.isfinite(message.stamp)
     match message:
-        case OdometryPose() | TruePose():
+        case OdometryPose():
             assert np.isfinite(message.pose).all()
+        case TruePose():  # the heading is not always tracked
+            assert np.isfinite(message.pose[:2]).all()
+        case Steering():
+            assert math.isfinite(message.speed)
+            assert math.isfinite(message.angle)
+        case Detections():
+            assert message.ranges.dtype == message.bearings.dtype == np.float64
         case WheelAngles():
             assert math.isfinite(message.left)
             assert math.isfinite(message.right)

@@ -1,0 +1,73 @@
+"""Retro-reflective beacons, by the brightness of their echoes.
+
+A lidar that tells how bright an echo was sees a reflector as one beam or a few that are far brighter
+than all else, so that nothing about its shape needs to be known, and nothing else looks like it: the
+surest of landmarks. What remains open is where within the beams it stands: the beam's spacing is what
+its direction is known by (Guivant et al. 2000, sec. 3).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from impslam.component import parameter, register
+from impslam.extractors.base import Extractor
+from impslam.extractors.readings import usable
+from impslam.extractors.segmentation import beam_spacing
+from impslam.geometry.angles import wrap
+from impslam.geometry.polar import to_cartesian
+from impslam.types import Array, Ints, Observation, Scan
+
+
+@register("reflector")
+class Reflector(Extractor):
+    """Beacons: neighbouring beams of bright echoes, as points."""
+
+    landmark = "point"
+
+    threshold: float = parameter(
+        1.0, "device", "echoes at least so bright are a reflector's, in the lidar's unit", gt=0
+    )
+    max_gap: float = parameter(0.5, "m", "bright echoes further apart are of two reflectors", gt=0)
+    max_size: float = parameter(
+        1.0, "m", "what is wider is no beacon but a sign, a number plate or a wall in the sun", gt=0
+    )
+    min_beams: int = parameter(1, "1", "fewest bright beams on a reflector", ge=1)
+    radius: float = parameter(
+        0.0, "m", "of the post that carries it: so far behind its surface stands its axis", ge=0
+    )
+    sigma_surface: float = parameter(
+        0.02, "m", "how far from its middle a reflector may be hit, as a standard deviation", ge=0
+    )
+
+    def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:
+        """Return the reflectors of the scan; see `Extractor.extract`."""
+        del rng
+        if scan.intensities is None:
+            return []
+        with np.errstate(invalid="ignore"):
+            bright = np.flatnonzero(usable(scan) & (scan.intensities >= self.threshold))
+        if len(bright) == 0:
+            return []
+        steps = np.hypot(*np.diff(scan.points[bright], axis=0).T)
+        groups = np.split(bright, np.flatnonzero(steps > self.max_gap) + 1)
+        spacing = beam_spacing(scan)
+        return [self._beacon(scan, beams, spacing) for beams in groups if self._fits(scan, beams)]
+
+    def _fits(self, scan: Scan, beams: Ints) -> bool:
+        width = np.ptp(scan.points[beams], axis=0)
+        return len(beams) >= self.min_beams and math.hypot(*width) <= self.max_size
+
+    def _beacon(self, scan: Scan, beams: Ints, spacing: float) -> Observation:
+        """Return the middle of the beams, and what noise and the beams' spacing leave open."""
+        n, first = len(beams), float(scan.directions[beams[0]])
+        direction = first + float(np.mean(wrap(scan.directions[beams] - first)))
+        distance = float(scan.ranges[beams].mean())
+        along = float(np.mean(scan.sigmas[beams] ** 2)) / n + scan.bias**2 + self.sigma_surface**2
+        # Each end of a row of beams is known to one spacing: uniform, so 1/12 of its square.
+        across = spacing**2 / 12.0 + (self.sigma_surface / max(distance, self.sigma_surface)) ** 2
+        point, R = to_cartesian(distance + self.radius, direction, np.diag([along, across]))
+        origin: Array = scan.origins[beams].mean(axis=0)
+        return Observation("point", origin + point, R + 1e-12 * np.eye(2), beams)

@@ -1,0 +1,220 @@
+"""The car of the Australian Centre for Field Robotics: its logs in MATLAB files (Guivant and Nebot).
+
+`acfr_carpark`: Time, Sensor and Index list what came when: fixes of a GPS (1), speed and steering (2),
+scans of a SICK LMS with the brightness of their echoes (3). `estbeac` in a file beside it holds the
+surveyed beacons.
+
+`acfr_park` (Victoria Park): u (speed, steering) at `time`, and what a tree detector made of the scans:
+zt (range, bearing from the right, diameter) at `TLsr`. The scans themselves are elsewhere. A file beside
+it has the fixes of a GPS at `timeGps`, in ms.
+
+Both are in metres, seconds and radians, the GPS in a local plane; it tells no heading.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Callable, Iterator
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import PrivateAttr
+
+from impslam.component import register
+from impslam.errors import MessageError, SourceError
+from impslam.sources.base import Located, Stream
+from impslam.sources.matlab import MatlabSource, column, read_variables, same_length
+from impslam.sources.text import beam_angles, beam_times, finite
+from impslam.types import Array, Detections, LaserScan, Message, Steering, TrueLandmark, TruePose
+
+STEP = math.radians(0.5)  # between beams, from right to left
+RIGHT = math.radians(-90.0)  # the first beam
+RANGE_MAX = 81.0  # m; a SICK LMS says 81.91 for no echo, and other codes from 81.83 on
+
+
+@register("acfr_carpark")
+class Carpark(MatlabSource):
+    """ACFR car with scans: Time, Sensor, Index and what they list."""
+
+    default_preset: ClassVar[str] = "carpark"
+    needs: ClassVar[frozenset[str]] = frozenset(
+        {"Time", "Sensor", "Index", "TimeGPS", "GPSLon", "GPSLat"}
+        | {"Time_VS", "Velocity", "Steering", "TimeLaser", "Laser", "Intensity"}
+    )
+    _events: list[tuple[int, int]] = PrivateAttr(default_factory=list)
+    _makers: dict[int, Callable[[int], Message]] = PrivateAttr(default_factory=dict)
+
+    def _open(self, log: Path) -> int:
+        values = read_variables(log, self.needs)
+        columns = {n: column(log, values, n) for n in self.needs - {"Laser", "Intensity"}}
+        _check(log, columns, "Time", "Sensor", "Index")
+        _check(log, columns, "TimeGPS", "GPSLon", "GPSLat")
+        _check(log, columns, "Time_VS", "Velocity", "Steering")
+        ranges, echoes = _table(log, values, "Laser"), _table(log, values, "Intensity")
+        if ranges.shape != echoes.shape or len(ranges) != len(columns["TimeLaser"]):
+            raise SourceError(f"{log}: Laser, Intensity and TimeLaser do not fit; copy it again")
+        gps = np.column_stack([columns[n] for n in ("TimeGPS", "GPSLon", "GPSLat")])
+        wheels = np.column_stack([columns[n] for n in ("Time_VS", "Velocity", "Steering")])
+        self._makers = {
+            1: lambda i: _fix(*gps[i]),
+            2: lambda i: _steering(*wheels[i]),
+            3: lambda i: _scan(columns["TimeLaser"][i], ranges[i], echoes[i]),
+        }
+        sensors, indices = np.nan_to_num(columns["Sensor"]), np.nan_to_num(columns["Index"])
+        self._events = [(int(s), int(i) - 1) for s, i in zip(sensors, indices, strict=True)]
+        return len(self._events)
+
+    def _messages(self) -> Iterator[Located]:
+        for number, (sensor, index) in enumerate(self._events, 1):
+            self._done = number
+            try:
+                message = self._message(sensor, index)
+            except (IndexError, MessageError) as error:
+                self._problems.add("malformed event", f"{self.path}:{number}: {error}; dropped")
+            else:
+                yield Located(message, number, type(message).__name__)
+
+    def _message(self, sensor: int, index: int) -> Message:
+        if sensor not in self._makers or index < 0:
+            raise MessageError(f"no sensor {sensor} has a reading {index + 1}")
+        return self._makers[sensor](index)
+
+    def _close(self) -> None:
+        self._events, self._makers = [], {}
+
+    def true_landmarks(self) -> list[TrueLandmark]:
+        """Return the surveyed beacons of the file beside the log."""
+        survey = self._beside(frozenset({"estbeac"}))
+        if survey is None:
+            return []
+        places = _table(survey, read_variables(survey, frozenset({"estbeac"})), "estbeac")
+        return [
+            TrueLandmark(f"beacon {i}", "point", place[:2], {})
+            for i, place in enumerate(places, 1)
+            if len(place) > 1 and np.isfinite(place[:2]).all()
+        ]
+
+    def streams(self) -> list[Stream]:
+        """Return GPS, wheels and laser, and the survey where it is there."""
+        counts = {s: sum(sensor == s for sensor, _ in self._events) for s in self._makers}
+        found = [
+            Stream("GPS", "TruePose", counts[1], used=False, note="positions, for scoring only"),
+            Stream("wheels", "Steering", counts[2], used=True, note="speed and steering"),
+            Stream("laser", "LaserScan", counts[3], used=True, note="SICK LMS, with brightness"),
+        ]
+        beacons = self.true_landmarks()
+        if beacons:
+            note = "surveyed, for scoring only"
+            found.append(Stream("estbeac", "beacons", len(beacons), used=False, note=note))
+        return found
+
+
+@register("acfr_park")
+class Park(MatlabSource):
+    """ACFR car among trees (Victoria Park): u, zt and their times."""
+
+    default_preset: ClassVar[str] = "victoria-park"
+    needs: ClassVar[frozenset[str]] = frozenset({"time", "u", "TLsr", "zt"})
+    gps: ClassVar[frozenset[str]] = frozenset({"timeGps", "Lo_m", "La_m"})
+    _wheels: Array = PrivateAttr(default_factory=lambda: np.empty((0, 3)))
+    _fixes: Array = PrivateAttr(default_factory=lambda: np.empty((0, 3)))
+    _trees: list[tuple[float, Any]] = PrivateAttr(default_factory=list)
+
+    def _open(self, log: Path) -> int:
+        values = read_variables(log, self.needs)
+        times, u = column(log, values, "time"), _table(log, values, "u")
+        if u.shape != (2, len(times)):
+            raise SourceError(f"{log}: u is not two rows as long as time; copy it again")
+        cells, seen = values["zt"].ravel(), column(log, values, "TLsr")
+        same_length(log, TLsr=seen, zt=cells)
+        self._wheels = np.column_stack((times, u.T))
+        self._trees = list(zip(seen.tolist(), cells, strict=True))
+        self._fixes = np.empty((0, 3))
+        if (beside := self._beside(self.gps)) is not None:
+            values = read_variables(beside, self.gps)
+            columns = {n: column(beside, values, n) for n in self.gps}
+            _check(beside, columns, "timeGps", "Lo_m", "La_m")
+            milliseconds, east, north = (columns[n] for n in ("timeGps", "Lo_m", "La_m"))
+            self._fixes = np.column_stack((milliseconds / 1000.0, east, north))
+        return len(self._wheels) + len(self._trees) + len(self._fixes)
+
+    def _messages(self) -> Iterator[Located]:
+        self._done = 0
+        # Streams are not sorted; merging only says whose turn it is, the motion up to a scan first.
+        yield from heapq.merge(
+            self._read("wheels", self._wheels, _steering),
+            self._read("GPS", self._fixes, _fix),
+            self._read("trees", self._trees, _trees),
+            key=attrgetter("message.stamp"),
+        )
+
+    def _read(self, stream: str, rows: Any, make: Callable[..., Message]) -> Iterator[Located]:
+        for number, row in enumerate(rows, 1):
+            self._done += 1
+            try:
+                message = make(*row)
+            except MessageError as error:
+                where = f"{self.path}:{number}: {stream}"
+                self._problems.add(f"malformed {stream}", f"{where}: {error}; dropped")
+            else:
+                yield Located(message, number, stream)
+
+    def _close(self) -> None:
+        self._wheels = self._fixes = np.empty((0, 3))
+        self._trees = []
+
+    def streams(self) -> list[Stream]:
+        """Return wheels, trees, and the GPS where it is there."""
+        n, fixes = len(self._wheels), len(self._fixes)
+        found = [
+            Stream("u", "Steering", n, used=True, note="speed and steering"),
+            Stream("zt", "Detections", len(self._trees), used=True, note="trees"),
+        ]
+        if fixes:
+            note = "positions, for scoring only"
+            found.append(Stream("timeGps, Lo_m, La_m", "TruePose", fixes, used=False, note=note))
+        return found
+
+
+def _check(path: Path, columns: dict[str, Array], *names: str) -> None:
+    same_length(path, **{name: columns[name] for name in names})
+
+
+def _table(path: Path, values: Any, name: str) -> Array:
+    array: npt.NDArray[Any] = values[name]
+    if array.dtype.kind not in "fiu" or array.ndim != 2:
+        raise SourceError(f"{path}: {name} is no table of numbers; copy it again")
+    return array.astype(np.float64)
+
+
+def _fix(stamp: float, x: float, y: float) -> TruePose:
+    finite("stamp or position", stamp, x, y)
+    return TruePose(float(stamp), np.array([x, y, math.nan]))
+
+
+def _steering(stamp: float, speed: float, angle: float) -> Steering:
+    finite("stamp, speed or steering", stamp, speed, angle)
+    return Steering(float(stamp), float(speed), float(angle))
+
+
+def _scan(stamp: float, ranges: Array, echoes: Array) -> LaserScan:
+    finite("stamp", stamp)
+    n = len(ranges)
+    angles = beam_angles(n, RIGHT, STEP)
+    return LaserScan(
+        float(stamp), angles, ranges, beam_times(n), range_max=RANGE_MAX, intensities=echoes
+    )
+
+
+def _trees(stamp: float, cell: Any) -> Detections:
+    finite("stamp", stamp)
+    rows = np.asarray(cell)
+    if rows.dtype.kind not in "fiu" or (rows.size and (rows.ndim != 2 or len(rows) != 3)):
+        raise MessageError(f"detections of shape {rows.shape} instead of three rows")
+    ranges, bearings, diameters = rows.astype(np.float64).reshape(3, -1)
+    labels = np.full(len(ranges), -1, np.int64)
+    return Detections(stamp, ranges, bearings + RIGHT, labels, diameters)

@@ -9,13 +9,14 @@ from typing import TypeAlias
 from impslam.experiments.base import Job, Part, Picture
 from impslam.experiments.chapter4_scans import (
     ARENA,
+    CLEAR,
     CORRIDOR,
     LONG,
     PEOPLE,
     SAME,
-    SEEN,
     Shot,
     Sighting,
+    doubles,
     extractor,
     first,
     jumps,
@@ -136,7 +137,8 @@ def _counts(sighting: Sighting, occurs: bool = True) -> dict[str, float]:
         "true": len(sighting.true),
         "spurious": len(sighting.spurious),
         "long_spurious": len(long_ones(sighting)),
-        "people_seen": sighting.shot.people_seen,
+        "doubles": doubles(sighting),
+        "on_legs": sighting.shot.on_legs,
         "occurs": occurs,
     }
 
@@ -205,13 +207,13 @@ def _finds(sighting: Sighting) -> str:
 def _ransac(arena: Found) -> list[Drawn]:
     from impslam.experiments import chapter4_plot as plot  # noqa: PLC0415  matplotlib, 0.3 s
 
-    good, fine = first(arena["ransac"], lambda s: len(s.true) >= 3 and not s.spurious)
+    good, fine = first(arena["ransac"], lambda s: len(s.true) >= 3 and _is_good(s))
     bad, occurs = first(arena["ransac"], lambda s: bool(long_ones(s)))
     alike = "Extractor ransac, its own defaults (the thesis prints none). "
     right = (
         f"Thesis Fig. 15. Walls by RANSAC where it does well: {_finds(good)}. "
         + alike
-        + _where(good, "the first with three true walls or more and no spurious one", fine)
+        + _where(good, "the first with three true walls, none twice, and no spurious one", fine)
     )
     wrong = (
         f"Thesis Fig. 16. Walls by RANSAC where it fails: {_finds(bad)}, {len(long_ones(bad))} of "
@@ -229,6 +231,10 @@ def _ransac(arena: Found) -> list[Drawn]:
     ]
 
 
+def _is_good(sighting: Sighting) -> bool:
+    return not sighting.spurious and doubles(sighting) == 0
+
+
 def _hough(arena: Found, thesis: Thesis) -> list[Drawn]:
     from impslam.experiments import chapter4_plot as plot  # noqa: PLC0415  matplotlib, 0.3 s
 
@@ -236,7 +242,7 @@ def _hough(arena: Found, thesis: Thesis) -> list[Drawn]:
     same = arena["hough"][bad.shot.number]
     walls = (
         "Thesis Fig. 17. Walls by the Hough transform in the scan in which RANSAC fails (Fig. 16): "
-        f"{_finds(same)}. Directions come in steps of 10°, which is how far a wall's line may lie "
+        f"{_finds(same)}. Directions come in steps of 10°, so that a wall's line may lie up to 5° "
         "askew. Extractor hough, preset thesis-lines: 10° and 2 cm bins."
     )
     image = (
@@ -260,11 +266,15 @@ def _hough(arena: Found, thesis: Thesis) -> list[Drawn]:
 def _people(found: Found, name: str, number: str) -> Drawn:
     from impslam.experiments import chapter4_plot as plot  # noqa: PLC0415  matplotlib, 0.3 s
 
-    most = max(s.shot.people_seen for s in found["hough"])
-    chosen, _ = first(found["hough"], lambda s: s.shot.people_seen == most)
-    rule = f"the first of those that show the most people ({most}, by {SEEN} readings or more each)"
+    chosen = max(found["hough"], key=lambda s: s.shot.on_legs if s.shot.is_clear else 0)
+    other = found["ransac"][chosen.shot.number]
     caption = (
-        f"Thesis Fig. {number}. The Hough transform with people in the scene: {_finds(chosen)}. "
-        "Extractor hough, preset thesis-lines. " + _where(chosen, rule)
+        f"Thesis Fig. {number}. The Hough transform with people in the scene: {_finds(chosen)}; "
+        f"RANSAC in the same scan: {_finds(other)}. Extractor hough, preset thesis-lines. "
+        + _where(
+            chosen,
+            f"the one with the most readings on legs ({chosen.shot.on_legs}) of those with nobody "
+            f"nearer than {CLEAR:g} m",
+        )
     )
     return Picture(name, plot.png(plot.people_figure(chosen)), caption), _counts(chosen)

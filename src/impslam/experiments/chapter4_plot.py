@@ -29,7 +29,7 @@ from impslam.types import Array, Observation
 
 TRUE, SPURIOUS = "#2563eb", "#d81b60"
 WORLD, ROUND, LEG, FIELD = "#c2c8cf", "#d5d9de", "#f2c38d", "#eef4fb"
-READING = "#5b6671"
+READING, BOW = "#5b6671", "#f2a03d"
 WIDTH = 8.6  # in
 POOL = 4  # cells of the accumulator drawn as one: single ones would be thinner than a dot
 MARGIN = 0.35  # m round what is shown
@@ -58,7 +58,8 @@ def _figure(width: float, height: float) -> Figure:
 def jumps_figure(sighting: Sighting, seen: Jumps, threshold: float, radius: float) -> Figure:
     """Draw the scan from above, its ranges, and their derivative with the jumps (Fig. 11)."""
     figure = _figure(WIDTH + 1.4, 6.4)
-    above, right = figure.subfigures(1, 2, width_ratios=(1.0, 2.2))
+    panels: Any = figure.subfigures(1, 2, width_ratios=(1.0, 2.2))
+    above, right = panels
     _scan(above.subplots(), sighting, _bounds(sighting.shot), radius)
     _legend(above, sighting, 2)
     ranges, slopes = right.subplots(2, 1, sharex=True)
@@ -100,8 +101,8 @@ def _slopes(axes: Axes, seen: Jumps, threshold: float) -> None:
     axes.plot(degrees[ends], seen.slopes[ends], "^", color="#f2a03d", label="ends", **look)
     # Linear up to the threshold, logarithmic beyond: a lost beam jumps ten times as far.
     axes.set_yscale("symlog", linthresh=threshold, linscale=1.0)
-    ticks = threshold * np.array([1.0, 4.0, 16.0])
-    axes.set_yticks([*-ticks[::-1], 0.0, *ticks], [f"{t:g}" for t in (*-ticks[::-1], 0.0, *ticks)])
+    ticks = threshold * np.array([-16.0, -4.0, -1.0, 0.0, 1.0, 4.0, 16.0])
+    axes.set_yticks(ticks, [f"{tick:g}".replace("-", "−") for tick in ticks])
     axes.minorticks_off()
 
 
@@ -137,7 +138,7 @@ def people_figure(sighting: Sighting) -> Figure:
 
 
 def _is_wide(box: Sequence[float]) -> bool:
-    return box[1] - box[0] > box[3] - box[2]
+    return box[1] - box[0] > 1.5 * (box[3] - box[2])
 
 
 def _bounds(shot: Shot) -> tuple[float, float, float, float]:
@@ -151,8 +152,8 @@ def _bounds(shot: Shot) -> tuple[float, float, float, float]:
 def _size(box: Sequence[float], width: float, tallest: float) -> tuple[float, float]:
     """Return the inches of a figure of this box, with room for labels and a legend."""
     ratio = (box[3] - box[2]) / (box[1] - box[0])
-    height = min((width - 0.9) * ratio, tallest)
-    return max(height / ratio + 0.9, 4.2), height + 1.3
+    height = min((width - 0.75) * ratio, tallest)
+    return max(height / ratio + 0.75, 4.2), height + 1.1
 
 
 def _scan(
@@ -283,13 +284,13 @@ def peak(finding: Observation, hough: Hough) -> tuple[float, float]:
 
 def hough_figure(sighting: Sighting, hough: Hough) -> Figure:
     """Draw the binary image with the lines found, and the accumulator with their cells."""
-    figure = _figure(WIDTH + 1.2, 5.2)
-    left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.2))
+    figure = _figure(WIDTH + 1.2, 4.75)
+    left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.02))
     white = pixels(sighting.shot.scan.points[usable(sighting.shot.scan)], hough)
     left.set_facecolor("black")
-    left.plot(*white.T, "s", ms=1.6, mew=0, color="white", label="reading")
-    middle = hough.size // 2
-    left.plot(middle, middle, marker=(3, 0, 180), ms=9, color="#f2a03d", ls="", label="robot")
+    left.plot(*white.T, "s", ms=1.6, mew=0, color="white")
+    middle = hough.size // 2  # it looks down: Eq. 4.13 turns x forward into rows
+    left.plot(middle, middle, marker=(3, 0, 180), ms=9, color=BOW, ls="")
     left.set(xlim=(0, hough.size), ylim=(hough.size, 0), aspect="equal")
     left.set(xlabel="column in pixels", ylabel="row in pixels")
     _cells(figure, right, white, hough)
@@ -322,18 +323,26 @@ def _cells(figure: Figure, axes: Axes, white: Array, hough: Hough) -> None:
 
 def _mark(image: Axes, cells: Axes, sighting: Sighting, hough: Hough) -> None:
     """Draw each wall as a line across the image and a ring about its cell."""
-    pairs = ((sighting.true, "#3b82f6", "true"), (sighting.spurious, "#e8337a", "spurious"))
-    for found, colour, word in pairs:
-        for number, finding in enumerate(found):
+    keys = [
+        Line2D([], [], marker="s", ls="", ms=6, mfc="white", mec="black", label="reading"),
+        Line2D([], [], marker=(3, 0, 180), ls="", ms=9, color=BOW, label="robot"),
+    ]
+    for found, colour, word in (
+        (sighting.true, TRUE, "true"),
+        (sighting.spurious, SPURIOUS, "spurious"),
+    ):
+        ring: dict[str, Any] = {"marker": "o", "ms": 11, "mfc": "none", "mec": colour, "mew": 1.8}
+        for finding in found:
             theta, distance = peak(finding, hough)
-            label = f"wall, {word} ({len(found)})" if number == 0 else None
             normal = np.array([math.cos(theta), math.sin(theta)])
             ends = distance * normal + np.outer([-1e4, 1e4], [-normal[1], normal[0]])
-            image.plot(*ends.T, color=colour, lw=1.4, alpha=0.8, label=label)
-            ring: dict[str, Any] = {"ms": 11, "mfc": "none", "mec": colour, "mew": 1.8, "ls": ""}
-            cells.plot(math.degrees(theta), distance, "o", label=label, **ring)
+            image.plot(*ends.T, color=colour, lw=1.4)
+            cells.plot(math.degrees(theta), distance, ls="", **ring)
+        if found:
+            label = f"wall, {word} ({len(found)})"
+            keys.append(Line2D([], [], color=colour, lw=1.4, label=label, **ring))
+    image.figure.legend(handles=keys, loc="outside upper center", ncols=4, **_LEGEND)
     for axes in (image, cells):
-        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, **_LEGEND)
         axes.tick_params(colors=PALE, labelcolor=INK, labelsize=9)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import compress
+from operator import not_
 
 import numpy as np
 
@@ -31,8 +33,8 @@ SURFACE = 0.5
 """m: a flat thing shorter than this (jambs of doors) is no wall."""
 ON_LEG = 0.05
 """m: readings nearer than this to a leg's surface are of it: five times the range noise at 2 m."""
-SEEN = 5
-"""Readings on someone's legs that make them seen: those on one leg 4 m away."""
+CLEAR = 1.0
+"""m: someone nearer to the robot than this would hide all else."""
 LONG = 1.0
 """m: a spurious wall of this length runs along several things: boxes and cylinders are shorter."""
 
@@ -60,13 +62,16 @@ class Shot:
     legs: Array
 
     @property
-    def people_seen(self) -> int:
-        """How many people the scan shows by `SEEN` readings or more."""
+    def on_legs(self) -> int:
+        """How many readings are on people's legs."""
         points = transform(self.pose, self.scan.points[usable(self.scan)])
-        apart = np.hypot(*(points[:, None] - self.legs[None, :, :2]).T)  # (k, n)
-        on = np.abs(apart - self.legs[:, 2, None]) < ON_LEG
-        each = on.reshape(-1, 2, len(points)).any(axis=1).sum(axis=1)
-        return int(np.count_nonzero(each >= SEEN))
+        apart = np.hypot(*(points[:, None] - self.legs[None, :, :2]).T) - self.legs[:, 2, None]
+        return int((np.abs(apart) <= ON_LEG).any(axis=0).sum())
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether nobody is nearer to the robot than `CLEAR`."""
+        return bool((np.hypot(*(self.legs[:, :2] - self.pose[:2]).T) >= CLEAR).all())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +142,8 @@ def shots(world: World, seed: int = 0) -> Iterator[Shot]:
 
 def _twist(trajectory: Trajectory, begin: float, end: float) -> Array:
     first, last = trajectory.at(np.array([begin, end]))
-    return log(between(first, last)) / max(end - begin, 1e-9)
+    twist: Array = log(between(first, last)) / max(end - begin, 1e-9)
+    return twist
 
 
 def extractor(preset: str, kind: str, *settings: str) -> Extractor:
@@ -151,36 +157,50 @@ def extractor(preset: str, kind: str, *settings: str) -> Extractor:
 def sight(shot: Shot, extractor: Extractor, seed: int = 0) -> Sighting:
     """Return what the extractor finds; its dice depend on the seed and the scan alone."""
     found = extractor.extract(shot.scan, np.random.default_rng([seed, shot.number]))
-    there = [is_there(shot, finding) for finding in found]
-    true = tuple(o for o, yes in zip(found, there, strict=True) if yes)
-    return Sighting(shot, true, tuple(o for o, yes in zip(found, there, strict=True) if not yes))
+    true = [what_is_there(shot, finding) >= 0 for finding in found]
+    return Sighting(shot, tuple(compress(found, true)), tuple(compress(found, map(not_, true))))
 
 
-def is_there(shot: Shot, finding: Observation) -> bool:
-    """Tell whether a finding is of something true.
+def what_is_there(shot: Shot, finding: Observation) -> int:
+    """Return which true thing a finding is of, -1 if of none.
 
-    A cylinder is if the axis of a standing one lies within `SAME` of its centre; a wall if a flat
-    surface of `SURFACE` or more (wall, door, wall of a room; no box) comes within `SAME` of the
-    middle of the stretch it was seen on, and within `SAME_ANGLE` of its direction.
+    A cylinder is of the standing one (of `scene.circles`) whose axis lies within `SAME` of its
+    centre. A wall is of the flat surface (of `surfaces`) that comes within `SAME` of the middle of
+    the stretch it was seen on, and within `SAME_ANGLE` of its direction. The nearest is taken.
     """
     if finding.end_points is None:
         centre = transform(shot.pose, finding.z[None])[0]
-        apart = np.hypot(*(shot.scene.circles[:, :2] - centre).T)
-        return bool((apart <= SAME).any())
+        return _nearest(np.hypot(*(shot.scene.circles[:, :2] - centre).T))
     start, end = transform(shot.pose, finding.end_points)
     faces = surfaces(shot)
     along = faces[:, 2:] - faces[:, :2]
     heading = math.atan2(end[1] - start[1], end[0] - start[0])
     turn = np.arctan2(along[:, 1], along[:, 0]) - heading
-    near = distance_to_segments(0.5 * (start + end), faces) <= SAME
-    return bool((near & (np.abs(np.sin(turn)) <= math.sin(SAME_ANGLE))).any())
+    apart = distance_to_segments(0.5 * (start + end), faces)
+    return _nearest(np.where(np.abs(np.sin(turn)) <= math.sin(SAME_ANGLE), apart, np.inf))
+
+
+def _nearest(apart: Array) -> int:
+    if len(apart) == 0 or apart.min() > SAME:
+        return -1
+    return int(apart.argmin())
+
+
+def doubles(sighting: Sighting) -> int:
+    """Return how many of the true findings are of something that another one is of, too."""
+    things = [what_is_there(sighting.shot, finding) for finding in sighting.true]
+    return len(things) - len(set(things))
 
 
 def surfaces(shot: Shot) -> Array:
-    """Return the flat surfaces (s, 4) m in map that count as walls."""
+    """Return the flat surfaces (s, 4) m in map that count as walls.
+
+    Walls, doors and the walls of rooms behind them from `SURFACE` on; no boxes.
+    """
     bare = Scene(shot.scene.world.model_copy(update={"boxes": ()}))
     faces = np.vstack([bare.segments, shot.leaves])
-    return faces[np.hypot(*(faces[:, 2:] - faces[:, :2]).T) >= SURFACE]
+    lengths = np.hypot(*(faces[:, 2:] - faces[:, :2]).T)
+    return np.asarray(faces[lengths >= SURFACE])
 
 
 def first(sightings: Sequence[Sighting], rule: Callable[[Sighting], bool]) -> tuple[Sighting, bool]:

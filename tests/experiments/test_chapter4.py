@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,7 +73,7 @@ def shot_of(pose: Array = POSE, legs: Array | None = None) -> Shot:
     circles = np.vstack([np.column_stack([CYLINDERS, np.full(3, 0.1524)]), legs])
     seen = cast(room(LEFT, RIGHT, BOTTOM, TOP), circles, pose=pose)
     scene = Scene(load_world(ARENA))
-    return Shot(0, 0.0, seen.scan, pose, scene, np.empty((0, 4)), legs)
+    return Shot(0, 0.0, seen.scan, pose, scene, scene.segments, np.empty((0, 4)), legs)
 
 
 def wall(start: tuple[float, float], end: tuple[float, float], pose: Array = POSE) -> Observation:
@@ -96,8 +97,7 @@ def one_cylinder() -> tuple[Shot, int, int]:
     """Return a scan of a cylinder in a room, and the first and last beam on it."""
     seen = cast(room(-2.0, 3.0, -2.0, 2.0), np.array([[1.2, 0.5, 0.1524]]))
     on = seen.beams_on_circle(0)
-    scene = Scene(load_world(ARENA))
-    shot = Shot(0, 0.0, seen.scan, np.zeros(3), scene, np.empty((0, 4)), np.empty((0, 3)))
+    shot = replace(shot_of(), scan=seen.scan, pose=np.zeros(3))
     return shot, int(on[0]), int(on[-1])
 
 

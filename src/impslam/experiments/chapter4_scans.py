@@ -17,9 +17,10 @@ from impslam.extractors.jump import candidates, derivative
 from impslam.extractors.readings import usable
 from impslam.geometry.se2 import between, log, transform
 from impslam.simulation.drive import Trajectory, drive
+from impslam.simulation.lidar import LidarSimulator
 from impslam.simulation.robot import Lidar, SimulatedRobot
 from impslam.simulation.scene import Scene, distance_to_segments
-from impslam.simulation.simulate import simulate
+from impslam.simulation.simulate import sweep_times
 from impslam.simulation.world import Person, World, load_world
 from impslam.types import Array, Ints, LaserScan, Observation, Scan
 
@@ -50,7 +51,9 @@ WALKERS = (
 class Shot:
     """A scan and how things truly were in its middle.
 
-    `pose` (3,) is `T_map_base`; `legs` (k, 3) m are x, y and radius in map, two of each person.
+    `pose` (3,) is `T_map_base`. In map: `surfaces` (s, 4) m are the flat things that count as walls
+    (walls, doors and the walls of rooms behind them, from `SURFACE` on; no boxes), `leaves` (l, 4) m
+    those of the doors that ever open, `legs` (k, 3) m x, y and radius, two of each person.
     """
 
     number: int
@@ -58,6 +61,7 @@ class Shot:
     scan: Scan
     pose: Array
     scene: Scene
+    surfaces: Array
     leaves: Array
     legs: Array
 
@@ -126,18 +130,29 @@ def world_of(name: str) -> World:
 
 def shots(world: World, seed: int = 0) -> Iterator[Shot]:
     """Yield the scans of a run at `RATE`, through the thesis's sensor, de-skewed by true motion."""
-    robot = SimulatedRobot(encoders=None, imu=None, lidar=Lidar(rate=RATE), truth_rate=RATE)
     sensor = load("thesis-points").make_robot().sensors["lidar"]
+    robot = SimulatedRobot(lidar=Lidar(rate=RATE))
+    assert robot.lidar is not None
     trajectory, scene = drive(world.robot), Scene(world)
-    scans = (m for m in simulate(world, robot, seed) if isinstance(m, LaserScan))
-    for number, message in enumerate(scans):
-        begin, end = (t - robot.start_time for t in sensor.span(message))
-        twist = _twist(trajectory, begin, end)
+    bare = Scene(world.model_copy(update={"boxes": ()}))
+    standing = walls_among(bare.segments)
+    lidar = LidarSimulator(robot.lidar, scene, trajectory, np.random.default_rng(seed))
+    for number, time in enumerate(sweep_times(robot, trajectory).tolist()):
+        message = LaserScan(time, lidar.angles, lidar.ranges(time), lidar.time_offsets)
+        twist = _twist(trajectory, *sensor.span(message))
         scan = sensor.observe(message, twist, np.random.default_rng(seed), look=False).scan
         assert scan is not None
-        middle = 0.5 * (begin + end)
+        middle = time + 0.5 * lidar.duration
         pose = trajectory.at(np.array([middle]))[0]
-        yield Shot(number, begin, scan, pose, scene, scene.leaves(middle), scene.legs(middle))
+        leaves, legs = scene.leaves(middle), scene.legs(middle)
+        surfaces = np.vstack([standing, walls_among(leaves)])
+        yield Shot(number, time, scan, pose, scene, surfaces, leaves, legs)
+
+
+def walls_among(segments: Array) -> Array:
+    """Return the segments (s, 4) m that are long enough for a wall."""
+    lengths = np.hypot(*(segments[:, 2:] - segments[:, :2]).T)
+    return np.asarray(segments[lengths >= SURFACE])
 
 
 def _twist(trajectory: Trajectory, begin: float, end: float) -> Array:
@@ -165,18 +180,17 @@ def what_is_there(shot: Shot, finding: Observation) -> int:
     """Return which true thing a finding is of, -1 if of none.
 
     A cylinder is of the standing one (of `scene.circles`) whose axis lies within `SAME` of its
-    centre. A wall is of the flat surface (of `surfaces`) that comes within `SAME` of the middle of
+    centre. A wall is of the flat surface (of `Shot.surfaces`) that comes within `SAME` of the middle of
     the stretch it was seen on, and within `SAME_ANGLE` of its direction. The nearest is taken.
     """
     if finding.end_points is None:
         centre = transform(shot.pose, finding.z[None])[0]
         return _nearest(np.hypot(*(shot.scene.circles[:, :2] - centre).T))
     start, end = transform(shot.pose, finding.end_points)
-    faces = surfaces(shot)
-    along = faces[:, 2:] - faces[:, :2]
+    along = shot.surfaces[:, 2:] - shot.surfaces[:, :2]
     heading = math.atan2(end[1] - start[1], end[0] - start[0])
     turn = np.arctan2(along[:, 1], along[:, 0]) - heading
-    apart = distance_to_segments(0.5 * (start + end), faces)
+    apart = distance_to_segments(0.5 * (start + end), shot.surfaces)
     return _nearest(np.where(np.abs(np.sin(turn)) <= math.sin(SAME_ANGLE), apart, np.inf))
 
 
@@ -190,17 +204,6 @@ def doubles(sighting: Sighting) -> int:
     """Return how many of the true findings are of something that another one is of, too."""
     things = [what_is_there(sighting.shot, finding) for finding in sighting.true]
     return len(things) - len(set(things))
-
-
-def surfaces(shot: Shot) -> Array:
-    """Return the flat surfaces (s, 4) m in map that count as walls.
-
-    Walls, doors and the walls of rooms behind them from `SURFACE` on; no boxes.
-    """
-    bare = Scene(shot.scene.world.model_copy(update={"boxes": ()}))
-    faces = np.vstack([bare.segments, shot.leaves])
-    lengths = np.hypot(*(faces[:, 2:] - faces[:, :2]).T)
-    return np.asarray(faces[lengths >= SURFACE])
 
 
 def first(sightings: Sequence[Sighting], rule: Callable[[Sighting], bool]) -> tuple[Sighting, bool]:

@@ -57,7 +57,7 @@ def map_png(scene: Scene, dpi: int = 160) -> bytes:
     _draw_paths(axes, scene, thickness)
     _draw_landmarks(axes, scene.landmarks, thickness)
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
-    _style(axes)
+    style(axes)
     keys = _keys(scene)
     columns = 3 if inches[0] < 7 else 4
     place: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
@@ -132,7 +132,8 @@ def _draw_point(axes: Any, mark: Landmark) -> None:
     axes.add_patch(ellipse)
 
 
-def _style(axes: Any) -> None:
+def style(axes: Any) -> None:
+    """Give axes of a map their labels and quiet colours."""
     axes.set_xlabel("x in m", color=INK)
     axes.set_ylabel("y in m", color=INK)
     axes.tick_params(colors=PALE, labelcolor=INK, labelsize=9)

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from impslam.geometry.kernels import kernel
-from impslam.types import Array
+from impslam.types import Array, Ints
 
 
 @kernel
@@ -50,21 +50,63 @@ def ray_circle(ray: Array, x: float, y: float, radius: float) -> tuple[float, fl
 
 
 @kernel
-def nearest_standing(
-    ray: Array, segments: Array, circles: Array, best: float
-) -> tuple[float, float]:
-    """Return the nearest hit below `best` among segments (s, 4) and circles (c, 3)."""
-    cosine = 0.0
+def nearest(ray: Array, segments: Array, circles: Array, best: float) -> tuple[float, float, int]:
+    """Return the nearest hit below `best` among segments (s, 4) and circles (c, 3).
+
+    The last value is what was hit: 0 to s - 1 a segment, s to s + c - 1 a circle, -1 nothing.
+    """
+    cosine, which = 0.0, -1
     for i in range(len(segments)):
         s = segments[i]
         t, c = ray_segment(ray, s[0], s[1], s[2], s[3])
         if t < best:
-            best, cosine = t, c
+            best, cosine, which = t, c, i
     for i in range(len(circles)):
         t, c = ray_circle(ray, circles[i, 0], circles[i, 1], circles[i, 2])
         if t < best:
-            best, cosine = t, c
-    return best, cosine
+            best, cosine, which = t, c, len(segments) + i
+    return best, cosine, which
+
+
+@kernel
+def trace(
+    lasers: Array,
+    angles: Array,
+    fractions: Array,
+    standing: tuple[Array, Array],
+    moving: tuple[Array, Array],
+    reach: float,
+) -> tuple[Array, Array, Ints]:
+    """Return range (n,), cosine of incidence (n,) and what was hit (n,) by n beams.
+
+    Beyond `reach` they are inf, 0 and -1. What was hit is counted through the standing segments,
+    the standing circles, the moving segments and the moving circles, in this order.
+
+    Parameters
+    ----------
+    lasers : (n, 3) pose of the laser in map as each beam is fired
+    angles : (n,) rad, beams in the laser frame
+    fractions : (n,) in [0, 1], time of each beam within the sweep
+    standing : segments (s, 4) [x0, y0, x1, y1] and circles (c, 3) [x, y, radius]
+    moving : segments (2, m, 4) and circles (2, k, 3) at the sweep's beginning and end
+    reach : m
+    """
+    n = len(angles)
+    ranges, cosines, hits = np.full(n, np.inf), np.zeros(n), np.full(n, -1)
+    ray = np.empty(4)
+    for i in range(n):
+        heading = lasers[i, 2] + angles[i]
+        ray[0], ray[1] = lasers[i, 0], lasers[i, 1]
+        ray[2], ray[3] = math.cos(heading), math.sin(heading)
+        segments = moving[0][0] + fractions[i] * (moving[0][1] - moving[0][0])
+        circles = moving[1][0] + fractions[i] * (moving[1][1] - moving[1][0])
+        best, cosine, hit = nearest(ray, standing[0], standing[1], reach)
+        found, other, mover = nearest(ray, segments, circles, best)
+        if found < best:
+            best, cosine, hit = found, other, len(standing[0]) + len(standing[1]) + mover
+        if best < reach:
+            ranges[i], cosines[i], hits[i] = best, cosine, hit
+    return ranges, cosines, hits
 
 
 @kernel
@@ -78,28 +120,7 @@ def sweep(
 ) -> tuple[Array, Array]:
     """Return range (n,) and cosine of incidence (n,) of n beams; inf and 0 beyond `reach`.
 
-    Parameters
-    ----------
-    lasers : (n, 3) pose of the laser in map as each beam is fired
-    angles : (n,) rad, beams in the laser frame
-    fractions : (n,) in [0, 1], time of each beam within the sweep
-    standing : segments (s, 4) [x0, y0, x1, y1] and circles (c, 3) [x, y, radius]
-    moving : segments (2, m, 4) and circles (2, k, 3) at the sweep's beginning and end
-    reach : m
+    The parameters are those of `trace`.
     """
-    n = len(angles)
-    ranges, cosines = np.full(n, np.inf), np.zeros(n)
-    ray = np.empty(4)
-    for i in range(n):
-        heading = lasers[i, 2] + angles[i]
-        ray[0], ray[1] = lasers[i, 0], lasers[i, 1]
-        ray[2], ray[3] = math.cos(heading), math.sin(heading)
-        segments = moving[0][0] + fractions[i] * (moving[0][1] - moving[0][0])
-        circles = moving[1][0] + fractions[i] * (moving[1][1] - moving[1][0])
-        best, cosine = nearest_standing(ray, standing[0], standing[1], reach)
-        found, other = nearest_standing(ray, segments, circles, best)
-        if found < best:
-            best, cosine = found, other
-        if best < reach:
-            ranges[i], cosines[i] = best, cosine
+    ranges, cosines, _ = trace(lasers, angles, fractions, standing, moving, reach)
     return ranges, cosines

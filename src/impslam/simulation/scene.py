@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,23 @@ from impslam.geometry.se2 import rotation
 from impslam.simulation.walk import Walk
 from impslam.simulation.world import Box, Door, Wall, World
 from impslam.types import Array
+
+
+class Thing(NamedTuple):
+    """What a beam can hit.
+
+    Attributes
+    ----------
+    kind : "wall", "doorway" (a jamb), "room" (behind a door), "door" (its leaf), "box", "cylinder"
+        or "person" (a leg)
+    part : which of the world's walls, doors, boxes, ... it is or belongs to
+    """
+
+    kind: str
+    part: int
+
+
+Straight = tuple[Thing, Array]
 
 
 @dataclass(frozen=True)
@@ -25,13 +43,36 @@ class Scene:
     @cached_property
     def segments(self) -> Array:
         """Everything straight that stands: walls, doorways, shut doors, boxes; (s, 4) m."""
-        rows = [_leaf(wall, door, 0.0) for wall, door in self._hung if not door.open]
-        for wall in self.world.walls:
-            doors = [door for door in self.world.doors if wall.name and door.wall == wall.name]
-            rows += _pierced(wall, doors)
-        for box in self.world.boxes:
-            rows += _outline(box)
-        return np.array(rows).reshape(-1, 4)
+        return np.array([row for _, row in self._straight]).reshape(-1, 4)
+
+    @cached_property
+    def things(self) -> tuple[Thing, ...]:
+        """What there is, in the order of `segments`, `circles`, `leaves` and `legs`."""
+        world = self.world
+        return (
+            *(thing for thing, _ in self._straight),
+            *(Thing("cylinder", number) for number in range(len(world.cylinders))),
+            *(Thing("door", number) for number, door in enumerate(world.doors) if door.open),
+            *(Thing("person", number) for number in range(len(world.people)) for _ in "lr"),
+        )
+
+    @cached_property
+    def _straight(self) -> list[Straight]:
+        rows = [
+            (Thing("door", number), _leaf(wall, door, 0.0))
+            for number, (wall, door) in enumerate(self._hung)
+            if not door.open
+        ]
+        for number, wall in enumerate(self.world.walls):
+            holes = [
+                (k, door)
+                for k, door in enumerate(self.world.doors)
+                if wall.name and door.wall == wall.name
+            ]
+            rows += _pierced(wall, number, holes)
+        for number, box in enumerate(self.world.boxes):
+            rows += [(Thing("box", number), row) for row in _outline(box)]
+        return rows
 
     @cached_property
     def circles(self) -> Array:
@@ -87,27 +128,29 @@ def distance_to_segments(point: Array, segments: Array) -> Array:
     return np.asarray(np.hypot(*(start + part[:, None] * along - point).T))
 
 
-def _pierced(wall: Wall, doors: Sequence[Door]) -> list[Array]:
+def _pierced(wall: Wall, number: int, holes: Sequence[tuple[int, Door]]) -> list[Straight]:
     """Return the pieces of a wall between its doors, and what is seen of the doorways."""
-    rows: list[Array] = []
-    begin = 0.0
-    for door in sorted(doors, key=lambda door: door.at):
-        rows.append(_piece(wall, (begin, 0.0), (door.at, 0.0)))
-        rows += _doorway(wall, door)
+    rows: list[Straight] = []
+    begin, thing = 0.0, Thing("wall", number)
+    for k, door in sorted(holes, key=lambda hole: hole[1].at):
+        rows.append((thing, _piece(wall, (begin, 0.0), (door.at, 0.0))))
+        rows += _doorway(wall, door, k)
         begin = door.at + door.width
-    return [*rows, _piece(wall, (begin, 0.0), (wall.length, 0.0))]
+    return [*rows, (thing, _piece(wall, (begin, 0.0), (wall.length, 0.0)))]
 
 
-def _doorway(wall: Wall, door: Door) -> list[Array]:
+def _doorway(wall: Wall, door: Door, number: int) -> list[Straight]:
     """Return both jambs and, if there is one, the room behind."""
     left, right, depth = door.at, door.at + door.width, door.recess
-    corners = [[(left, 0.0), (left, depth)], [(right, 0.0), (right, depth)]]
+    jambs = [[(left, 0.0), (left, depth)], [(right, 0.0), (right, depth)]]
+    rows = [(Thing("doorway", number), _piece(wall, a, b)) for a, b in jambs]
     if door.room is not None:
         middle, half = 0.5 * (left + right), 0.5 * door.room[0]
         west, east, back = middle - half, middle + half, depth + door.room[1]
-        corners.append([(left, depth), (west, depth), (west, back), (east, back)])
-        corners[-1] += [(east, depth), (right, depth)]
-    return [_piece(wall, a, b) for line in corners for a, b in pairwise(line)]
+        corners = [(left, depth), (west, depth), (west, back), (east, back)]
+        corners += [(east, depth), (right, depth)]
+        rows += [(Thing("room", number), _piece(wall, a, b)) for a, b in pairwise(corners)]
+    return rows
 
 
 def _piece(wall: Wall, a: tuple[float, float], b: tuple[float, float]) -> Array:

@@ -1,0 +1,252 @@
+"""Simulated scans in which it is known what every beam hit, and hence what is there to be found.
+
+A beam's label is the thing that an exact ray meets from the laser's pose at the beam's own time, in
+the same scene that made the ranges. A wall that doors or cylinders cut into pieces is one thing; the
+sides of a box, a leaf, a jamb, a wall of a room behind a door are one each, and so is a leg.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Hashable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from impslam.geometry.angles import wrap
+from impslam.geometry.se2 import between, inverse, log, transform
+from impslam.sensors.lidar2d import Lidar2D
+from impslam.simulation.drive import Trajectory, drive
+from impslam.simulation.lidar import LidarSimulator, laser_poses
+from impslam.simulation.raycast import trace
+from impslam.simulation.robot import Lidar
+from impslam.simulation.scene import Scene
+from impslam.simulation.world import Drive, Person, World
+from impslam.types import Array, Ints, LaserScan, Scan
+
+MIN_BEAMS = {"wall": 10, "cylinder": 5}
+"""Beams from which on a thing counts as visible: a tenth of an arena's wall; three make a circle, and
+two more show that it is one."""
+MIN_SPAN = 0.3
+"""m, from the first to the last of the places where beams hit a wall that counts as visible."""
+LANDMARKS = ("wall", "room", "cylinder")
+"""Things that stand for good and are to be found."""
+CLEARANCE = 0.25  # m, between people and walls or the robot's middle
+NEAR, FAR = 0.7, 3.5  # m, how far from the robot people walk past
+SPEED = 1.2  # m/s, of people
+TRIES = 1000  # places drawn before a scan stays emptier than it should be
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """How scans are taken: with which lidar, standing or driving, and with how many people in sight."""
+
+    name: str
+    lidar: Lidar
+    driving: bool
+    people: int
+
+
+STANDING = Condition(
+    "standing, noise alone",
+    Lidar(bias_sigma=0.0, resolution=0.0, divergence=0.0, dropout=0.0),
+    driving=False,
+    people=0,
+)
+DRIVING = Condition("driving, all faults", Lidar(), driving=True, people=0)
+PEOPLE = Condition("the same with people", Lidar(), driving=True, people=2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """A thing that beams of a scan hit, in base_link in the middle of the sweep.
+
+    Attributes
+    ----------
+    thing : "wall", "door", "cylinder", "person", ...: see `impslam.simulation.scene.Thing`
+    kind : "wall" for all that is straight, "cylinder" for all that is round
+    z : (2,) what an observation of this kind would be without error
+    radius : m; NaN of what is straight
+    ends : (2, 2) m, first and last place that beams hit
+    beams : that hit it and were read
+    """
+
+    thing: str
+    kind: str
+    z: Array
+    radius: float
+    ends: Array
+    beams: Ints
+
+    @property
+    def visible(self) -> bool:
+        """It is a landmark of which enough is seen to be found."""
+        long = self.kind != "wall" or math.dist(*self.ends) >= MIN_SPAN
+        return self.thing in LANDMARKS and len(self.beams) >= MIN_BEAMS[self.kind] and long
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelledScan:
+    """A scan, what is seen in it, and how its beams truly were.
+
+    Attributes
+    ----------
+    origins, directions : (n, 2) m and (n,) rad, as in the scan, but by the exact motion
+    sigmas : (n,) m, true noise of the ranges
+    bias : m, true standard deviation of the error that all beams share
+    """
+
+    scan: Scan
+    seen: tuple[Seen, ...]
+    origins: Array
+    directions: Array
+    sigmas: Array
+    bias: float
+
+
+def labelled_scans(
+    world: World, condition: Condition, seed: int, count: int
+) -> Iterator[LabelledScan]:
+    """Yield scans at moments spread evenly over the drive, the same for every condition.
+
+    Each is of a lidar of its own, so that the errors that the beams of one lidar share are
+    independent between scans.
+    """
+    streams = np.random.SeedSequence([seed, zlib.crc32(world.name.encode())]).spawn(3)
+    places, noise, walkers = (np.random.default_rng(stream) for stream in streams)
+    standing = world.model_copy(update={"people": ()})
+    trajectory = _trajectory(world.robot)
+    sweep = condition.lidar.beam_time * condition.lidar.beams
+    scene = Scene(standing)
+    for number in range(count):
+        time = (number + float(places.random())) / count * (trajectory.duration - sweep)
+        path = trajectory if condition.driving else _stopped(trajectory, time)
+        if condition.people:
+            around = path.at(np.array([time]))[0]
+            people = passing(scene, around, time, condition.people, walkers)
+            crowded = standing.model_copy(update={"people": people})
+            yield take(Scene(crowded), path, time, condition.lidar, noise)
+        else:
+            yield take(scene, path, time, condition.lidar, noise)
+
+
+@lru_cache(maxsize=8)
+def _trajectory(plan: Drive) -> Trajectory:
+    return drive(plan)
+
+
+def _stopped(trajectory: Trajectory, time: float) -> Trajectory:
+    """Return the trajectory of a robot that stands where this one is at a time."""
+    (pose,) = trajectory.at(np.array([time]))
+    return Trajectory(
+        np.array([0.0, trajectory.duration]), np.stack((pose, pose)), np.zeros((1, 2))
+    )
+
+
+def passing(
+    scene: Scene, pose: Array, time: float, count: int, rng: np.random.Generator
+) -> tuple[Person, ...]:
+    """Return people who are in sight of the robot at a time, each walking in some direction."""
+    people: list[Person] = []
+    for _ in range(TRIES):
+        if len(people) == count:
+            break
+        bearing, part = rng.uniform(-math.pi, math.pi), rng.random()
+        away = math.sqrt(NEAR**2 + part * (FAR**2 - NEAR**2))  # evenly over the area
+        sight = np.array([*pose[:2], bearing])
+        free = _free_way(scene, sight, time, away + CLEARANCE)
+        place = pose[:2] + away * np.array([math.cos(bearing), math.sin(bearing)])
+        if free and scene.clearance(place, time) > CLEARANCE:
+            people.append(_walker(place, time, rng.uniform(-math.pi, math.pi)))
+    return tuple(people)
+
+
+def _free_way(scene: Scene, sight: Array, time: float, length: float) -> bool:
+    standing, moving = (scene.segments, scene.circles), scene.moving(time, time)
+    ranges, _, _ = trace(sight[None], np.zeros(1), np.zeros(1), standing, moving, length)
+    return bool(np.isinf(ranges[0]))
+
+
+def _walker(place: Array, time: float, heading: float) -> Person:
+    """Return someone who comes by a place at a time."""
+    walked = min(1.0, SPEED * time)  # less where the run has only just begun
+    step = np.array([math.cos(heading), math.sin(heading)])
+    (x0, y0), (x1, y1) = (place - walked * step).tolist(), (place + step).tolist()
+    start = max(time - walked / SPEED, 0.0)
+    return Person(waypoints=((x0, y0), (x1, y1)), start=start, speed=SPEED)
+
+
+def take(
+    scene: Scene, path: Trajectory, time: float, lidar: Lidar, rng: np.random.Generator
+) -> LabelledScan:
+    """Return the sweep that begins at a time, de-skewed with the true motion, and its labels."""
+    simulator = LidarSimulator(lidar, scene, path, rng)
+    offsets = simulator.time_offsets
+    message = LaserScan(time, simulator.angles, simulator.ranges(time), offsets, *simulator.limits)
+    begin, middle, end = path.at(time + np.array([0.0, 0.5, 1.0]) * simulator.duration)
+    twist = log(between(begin, end)) / max(simulator.duration, 1e-9)
+    sensor = Lidar2D(
+        mount=lidar.mount,
+        sigma=max(lidar.sigma, 1e-9),
+        sigma_per_m=lidar.sigma_rate,
+        bias=lidar.bias_sigma,
+    )
+    scan = sensor.scan(message, twist)
+    lasers = laser_poses(path.at(time + offsets), lidar.mount)
+    standing, moving = (
+        (scene.segments, scene.circles),
+        scene.moving(time, time + simulator.duration),
+    )
+    fractions = offsets / max(simulator.duration, 1e-9)
+    exact, _, hits = trace(lasers, simulator.angles, fractions, standing, moving, lidar.range_max)
+    exact, hits = np.where(np.isfinite(exact), exact, 0.0), np.where(scan.valid, hits, -1)
+    rays = _seen_from(middle, lasers, simulator.angles)
+    places = rays[0] + exact[:, None] * np.column_stack((np.cos(rays[1]), np.sin(rays[1])))
+    rows = [*standing[0], *standing[1], *0.5 * moving[0].sum(0), *0.5 * moving[1].sum(0)]
+    seen = tuple(
+        (_straight if len(rows[k]) == 4 else _round)(
+            scene.things[k].kind, rows[k], beams, places[beams], inverse(middle), scan.laser
+        )
+        for k, beams in _hit(scene, hits)
+    )
+    sigmas = lidar.sigma + lidar.sigma_rate * exact
+    return LabelledScan(scan, seen, *rays, sigmas, lidar.bias_sigma)
+
+
+def _seen_from(pose: Array, lasers: Array, angles: Array) -> tuple[Array, Array]:
+    """Return origins (n, 2) and directions (n,) of beams of lasers in map (n, 3) from a pose."""
+    return transform(inverse(pose), lasers[:, :2]), wrap(lasers[:, 2] + angles - pose[2])
+
+
+def _hit(scene: Scene, hits: Ints) -> list[tuple[int, Ints]]:
+    """Return the first piece of each thing that was hit, and the beams that hit any of them."""
+    pieces: dict[Hashable, list[int]] = {}
+    for which in np.unique(hits[hits >= 0]).tolist():
+        thing = scene.things[which]
+        pieces.setdefault(thing if thing.kind == "wall" else which, []).append(which)
+    return [(these[0], np.flatnonzero(np.isin(hits, these))) for these in pieces.values()]
+
+
+def _straight(
+    thing: str, row: Array, beams: Ints, places: Array, T_base_map: Array, laser: Array
+) -> Seen:
+    start, end = transform(T_base_map, row.reshape(2, 2))
+    tangent = (end - start) / np.hypot(*(end - start))
+    normal = np.array([tangent[1], -tangent[0]])
+    rho = float(normal @ start)
+    if float(normal @ laser[:2]) > rho:
+        rho, normal = -rho, -normal
+    along = places @ tangent
+    ends = rho * normal + np.array([[along.min()], [along.max()]]) * tangent
+    z = np.array([rho, wrap(math.atan2(normal[1], normal[0]))])
+    return Seen(thing, "wall", z, math.nan, ends, beams)
+
+
+def _round(
+    thing: str, row: Array, beams: Ints, places: Array, T_base_map: Array, laser: Array
+) -> Seen:
+    del laser
+    centre = transform(T_base_map, row[None, :2])[0]
+    return Seen(thing, "cylinder", centre, float(row[2]), places[[0, -1]], beams)

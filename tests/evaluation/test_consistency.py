@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from impslam.evaluation.consistency import chi2_bounds, nees, pose_errors, share_within
+from impslam.evaluation.consistency import (
+    chi2_bounds,
+    nees,
+    pose_errors,
+    resampled_means,
+    share_within,
+)
 
 
 def draw(rng, n, scale=1.0):
@@ -42,3 +48,16 @@ def test_headings_are_compared_the_short_way():
 def test_a_singular_covariance_is_refused():
     with pytest.raises(np.linalg.LinAlgError):
         nees(np.ones((1, 3)), np.zeros((1, 3, 3)))
+
+
+def test_resampled_means_scatter_as_the_mean_does(rng):
+    values = rng.normal([1.0, -5.0], [1.0, 3.0], size=(400, 2))
+    means = resampled_means(values, rng, times=4000)
+    np.testing.assert_allclose(means.mean(axis=0), values.mean(axis=0), atol=0.01)
+    np.testing.assert_allclose(means.std(axis=0), values.std(axis=0) / 20.0, rtol=0.05)
+
+
+def test_resampling_keeps_the_steps_of_a_run_together(rng):
+    run = rng.normal(size=(30, 1))
+    means = resampled_means(np.hstack([run, -run]), rng)
+    np.testing.assert_allclose(means[:, 0], -means[:, 1], atol=1e-12)

@@ -43,3 +43,13 @@ def share_within(values: Array, runs: int, dof: int, confidence: float = 0.95) -
     """Return which part of means over `runs` (n,) lies within its bounds; ideally `confidence`."""
     low, high = chi2_bounds(dof, runs, confidence)
     return float(np.mean((values >= low) & (values <= high)))
+
+
+def resampled_means(values: Array, rng: np.random.Generator, times: int = 500) -> Array:
+    """Return means (times, n) over runs drawn anew with replacement from values (runs, n).
+
+    The bootstrap (Efron 1979): they scatter about the mean as it does about the truth.
+    """
+    runs = len(values)
+    counts = rng.multinomial(runs, np.full(runs, 1.0 / runs), size=times)
+    return np.asarray(counts @ values / runs)

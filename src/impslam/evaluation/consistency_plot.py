@@ -1,43 +1,112 @@
-"""The picture of a consistency study: NEES against its band, errors beside the batch optimum's.
+"""Pictures of consistency: NEES against its band, errors beside the batch optimum's.
 
 Importing this module imports matplotlib (0.3 s); import it where a picture is drawn.
 """
 
 from __future__ import annotations
 
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 from impslam.evaluation.consistency import chi2_bounds
 from impslam.evaluation.consistency_study import BATCH, Curves, Study
 from impslam.types import Array
 
-COLOURS = ("#d81b60", "#2563eb", "#15803d", "#f2a03d", "#7c3aed", "#0891b2")
-INK, PALE = "#37424d", "#e5e7ea"
+COLOURS = ("#d81b60", "#e08a00", "#2563eb", "#15803d", "#7c3aed", "#0891b2")
+INK, PALE = "#37424d", "#dfe3e8"
+IDEAL = 3.0  # the pose's degrees of freedom
 
 
 def draw_study(study: Study) -> Figure:
-    """Return a figure of three panels over the steps; save it with `figure.savefig(path)`."""
-    figure = Figure(figsize=(8.0, 9.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    nees, position, heading = figure.subplots(3, 1, sharex=True)
-    nees.axhspan(*chi2_bounds(3, study.runs), color=PALE, label="95 % of a consistent filter's")
+    """Return a figure of NEES and RMSE over the steps; save it with `figure.savefig(path)`."""
+    figure, (nees, position, heading) = _panels(7.6, (2.0, 1.2, 1.2))
+    _band(nees, study.runs)
     colours = iter(COLOURS * len(study.curves))
     for name, curves in study.curves.items():
         colour = INK if name == BATCH else next(colours)
         for axes, values in zip((nees, position, heading), _shown(curves), strict=True):
             _line(axes, name, values, colour)
-    nees.set_ylabel(f"pose NEES, mean of {study.runs} runs")
-    nees.set_ylim(0.0, 10.0)
-    position.set_ylabel("position RMSE [m]")
-    heading.set_ylabel("heading RMSE [deg]")
+    _finish_nees(nees, f"pose NEES\nmean of {study.runs} runs")
+    position.set_ylabel("position\nRMSE [m]")
+    heading.set_ylabel("heading\nRMSE [deg]")
     heading.set_xlabel("step")
-    nees.legend(loc="upper left", ncols=2, frameon=False, fontsize="small")
-    for axes in (nees, position, heading):
-        axes.spines[["top", "right"]].set_visible(False)
+    heading.set_xlim(0, study.setting.steps)
+    for axes in (position, heading):
+        axes.set_ylim(bottom=0.0)
     return figure
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NeesPanel:
+    """A panel of mean pose NEES (n,) by time (n,) in s, a curve for each name."""
+
+    title: str
+    runs: int
+    times: Array
+    curves: Mapping[str, Array]
+
+
+def draw_nees(shown: Sequence[NeesPanel]) -> Figure:
+    """Return a figure of panels one below the other, each with the band of its number of runs."""
+    figure, panels = _panels(1.0 + 2.0 * len(shown), (1.0,) * len(shown))
+    names = dict.fromkeys(name for panel in shown for name in panel.curves)
+    colours = dict(zip(names, COLOURS[::2] * len(names), strict=False))
+    for axes, panel in zip(panels, shown, strict=True):
+        _band(axes, panel.runs)
+        for name, values in panel.curves.items():
+            axes.plot(panel.times, values, "-", color=colours[name], label=name, lw=1.1)
+        axes.set_title(f"{panel.title} ({panel.runs} runs)", fontsize="medium", loc="left")
+        axes.set_ylabel("pose NEES")
+        axes.set_ylim(0.0, 8.0)
+        legend = axes.legend(loc="lower right", ncols=3, frameon=False, fontsize="small")
+        legend.set_bbox_to_anchor((1.0, 0.95), axes.transAxes)
+    panels[-1].set_xlim(shown[0].times[0], shown[0].times[-1])
+    panels[-1].set_xlabel("time [s]")
+    return figure
+
+
+def as_png(figure: Figure) -> bytes:
+    """Return the figure as a PNG, the same bytes for the same picture."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=160, metadata={"Software": None})
+    return stream.getvalue()
+
+
+def _panels(height: float, ratios: tuple[float, ...]) -> tuple[Figure, list[Axes]]:
+    """Return a figure and its panels, one below the other."""
+    figure = Figure(figsize=(8.0, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios, squeeze=False)
+    panels: list[Axes] = list(grid[:, 0])
+    for axes in panels:
+        axes.spines[["top", "right"]].set_visible(False)
+    return figure, panels
+
+
+def _band(axes: Axes, runs: int) -> None:
+    """Draw where a consistent filter's mean lies."""
+    axes.axhspan(*chi2_bounds(3, runs), color=PALE, lw=0, label="consistent, 95 %")
+    axes.axhline(IDEAL, color="white", lw=1.0)
+
+
+def _finish_nees(axes: Axes, label: str) -> None:
+    """Name the axis, logarithmic for what is too sure by far, with room for the legend."""
+    drawn = [np.asarray(line.get_ydata(), dtype=np.float64) for line in axes.lines]
+    highest = max(float(np.max(values, initial=IDEAL)) for values in drawn)
+    axes.set_yscale("log")
+    axes.set_ylim(1.0, 2.0 * highest)
+    axes.set_yticks([n for n in (1, 2, 3, 5, 10, 20, 50, 100, 200, 500) if n < 2.0 * highest])
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.set_ylabel(label)
+    axes.legend(loc="upper left", ncols=5, frameon=False, fontsize="small")
 
 
 def _shown(curves: Curves) -> tuple[Array, Array, Array]:

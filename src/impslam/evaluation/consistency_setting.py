@@ -8,6 +8,9 @@ noise, and measures where landmarks in range stand in its own frame. Which landm
 Before it sees anything for the first time it has moved one step. That step's error of heading turns
 the whole map, nothing later can mend it, and a filter that grows surer of it is too sure. It makes
 most of the error of position, too: what a filter can win or lose in the mean is little.
+
+`LONG_LOOP` is the same robot on a long way: it sees landmarks only near it, and those of the start
+only when it comes back, with an error of metres that nothing corrected in between.
 """
 
 from __future__ import annotations
@@ -65,6 +68,12 @@ class Setting:
         angles = 2.0 * np.pi * np.arange(1, self.landmarks + 1) / self.landmarks
         ring = (radius + self.clearance) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         return np.asarray(ring + np.array([0.0, radius]), dtype=np.float64)
+
+
+HUANG = Setting()
+"""Circles of 21 m, 4.7 of them; most landmarks are in sight most of the time."""
+LONG_LOOP = Setting(speed=0.5, turn_rate=0.025, steps=520, landmarks=60)
+"""A circle of 126 m, twice round; 4 of 60 landmarks in sight at a time, each for a dozen metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,16 +11,13 @@ import pytest
 from tests.extractors.scans import cast, room
 
 from impslam.experiments.base import Job, Part
-from impslam.experiments.chapter4 import Thesis, figures
+from impslam.experiments.chapter4 import figures
+from impslam.experiments.chapter4_hough import accumulator, hough_figure, peak, pixels
 from impslam.experiments.chapter4_plot import (
     SPURIOUS,
     TRUE,
-    accumulator,
-    hough_figure,
     jumps_figure,
-    peak,
     people_figure,
-    pixels,
     scan_figure,
 )
 from impslam.experiments.chapter4_scans import (
@@ -30,6 +27,7 @@ from impslam.experiments.chapter4_scans import (
     SAME_ANGLE,
     Shot,
     Sighting,
+    Thesis,
     doubles,
     first,
     jumps,
@@ -232,10 +230,13 @@ def test_readings_on_legs_are_those_that_met_them() -> None:
     assert shot_of().is_clear
 
 
-def test_where_no_scan_obeys_the_rule_the_most_spurious_is_given() -> None:
+def test_where_no_scan_obeys_the_rule_the_nearest_is_given() -> None:
+    def most(sighting: Sighting) -> int:
+        return len(sighting.spurious)
+
     a, b = Sighting(shot_of(), (), ()), Sighting(shot_of(), (), (cylinder(0.0, 0.0),))
-    assert first([a, b], lambda s: not s.spurious) == (a, True)
-    assert first([a, b], lambda s: len(s.spurious) > 3) == (b, False)
+    assert first([a, b], lambda s: not s.spurious, most) == (a, True)
+    assert first([a, b], lambda s: len(s.spurious) > 3, most) == (b, False)
 
 
 def test_dice_depend_on_seed_and_scan_alone(arena: list[Shot], thesis: Thesis) -> None:
@@ -351,6 +352,18 @@ def test_the_filter_keeps_spurious_cylinders_out(part: Part) -> None:
     corridor = part.figures["runs"]["corridor"]
     assert corridor["low"]["spurious_per_scan"] > 0.1
     assert corridor["filtered"]["spurious_per_scan"] < 0.1 * corridor["low"]["spurious_per_scan"]
+
+
+def test_hough_draws_fewer_long_lines_through_people(part: Part) -> None:
+    runs = part.figures["runs"]
+    people, empty = runs[PEOPLE], runs[ARENA]
+    assert people["hough"]["long_spurious_per_scan"] < people["ransac"]["long_spurious_per_scan"]
+    for run in (people, empty):  # the short ones, which the text speaks of
+        short = {
+            name: run[name]["spurious_per_scan"] - run[name]["long_spurious_per_scan"]
+            for name in ("hough", "ransac")
+        }
+        assert short["hough"] > short["ransac"]
 
 
 def test_the_same_again_whatever_the_job(part: Part) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeAlias
 
+from impslam.experiments import chapter4_plot as plot
 from impslam.experiments.base import Job, Part, Picture
+from impslam.experiments.chapter4_hough import POOL, hough_figure
 from impslam.experiments.chapter4_scans import (
     ARENA,
     CLEAR,
@@ -14,59 +16,21 @@ from impslam.experiments.chapter4_scans import (
     LONG,
     PEOPLE,
     SAME,
-    Shot,
+    Found,
     Sighting,
+    Thesis,
     doubles,
-    extractor,
     first,
     jumps,
     long_ones,
     on_people,
     rates,
     shots,
-    sight,
     world_of,
 )
-from impslam.extractors.base import Extractor
-from impslam.extractors.filtered_jump import FilteredJump
-from impslam.extractors.hough import Hough
-from impslam.extractors.jump import Jump
 
 SEED = 0
 WORLDS = (ARENA, CORRIDOR, PEOPLE)
-Found: TypeAlias = Mapping[str, list[Sighting]]
-"""What each extractor finds, by its field in `Thesis`, in the scans of a run."""
-
-
-@dataclass(frozen=True, slots=True)
-class Thesis:
-    """The thesis's extractors with its presets' parameters.
-
-    `low` is the plain jump extractor with the low threshold of the filtered one.
-    """
-
-    jump: Jump
-    low: Jump
-    filtered: FilteredJump
-    ransac: Extractor
-    hough: Hough
-
-    @classmethod
-    def presets(cls) -> Thesis:
-        """Read them off `thesis-points` and `thesis-lines`."""
-        jump = extractor("thesis-points", "cylinders", "kind=jump")
-        filtered = extractor("thesis-points", "cylinders")
-        hough = extractor("thesis-lines", "walls")
-        assert isinstance(jump, Jump)
-        assert isinstance(filtered, FilteredJump)
-        assert isinstance(hough, Hough)
-        low = jump.model_copy(update={"threshold": filtered.threshold})
-        return cls(jump, low, filtered, extractor("thesis-lines", "walls", "kind=ransac"), hough)
-
-    def look(self, seen: list[Shot]) -> Found:
-        """Return what each of them finds in some scans."""
-        named = {name: getattr(self, name) for name in self.__slots__}
-        return {name: [sight(shot, e) for shot in seen] for name, e in named.items()}
 
 
 def figures(job: Job) -> Part:
@@ -122,11 +86,14 @@ def _text(found: Mapping[str, Found]) -> str:
         f"surface (wall or door, no box) comes within {SAME:g} m of the middle of the stretch it was "
         "seen on with a direction within 10° of its own."
         "\n\n"
-        f"Over the whole runs, spurious walls per scan (those of {LONG:g} m and more, across several "
-        f"things, in brackets): RANSAC {lines('ransac')}; Hough {lines('hough')}. Spurious cylinders "
-        f"per scan of the corridor: {per_scan(CORRIDOR, 'low')} from jumps above the low threshold, "
-        f"{per_scan(CORRIDOR, 'jump')} above the high one, {per_scan(CORRIDOR, 'filtered')} after "
-        "the filter."
+        f"Over the whole runs, spurious walls per scan (in brackets those of {LONG:g} m and more, longer "
+        f"than any box or cylinder): RANSAC {lines('ransac')}; Hough {lines('hough')}. What the thesis "
+        "says of Hough shows in the arena with people: it gives fewer long ones. Short "
+        "chords of cylinders and boxes it takes for walls more often than RANSAC does."
+        "\n\n"
+        f"Spurious cylinders per scan of the corridor: {per_scan(CORRIDOR, 'low')} from jumps above "
+        f"the low threshold, {per_scan(CORRIDOR, 'jump')} above the high one, "
+        f"{per_scan(CORRIDOR, 'filtered')} after the filter."
     )
 
 
@@ -143,43 +110,53 @@ def _counts(sighting: Sighting, occurs: bool = True) -> dict[str, float]:
     }
 
 
-def _where(sighting: Sighting, rule: str, occurs: bool = True) -> str:
-    """Say which scan it is, and by which rule."""
+def _where(sighting: Sighting, which: str, what: str, occurs: bool = True) -> str:
+    """Say which scan it is, and by which rule: which one ("the first") of those with what."""
     at = f"{sighting.shot.scene.world.name}, {sighting.shot.time:.0f} s"
     if occurs:
-        return f"Scan ({at}): {rule}."
-    return f"No scan of this run is {rule}; this one ({at}) comes nearest."
+        return f"Scan ({at}): {which} {what}."
+    return f"It does not occur: no scan of this run is one {what}. This one ({at}) comes nearest."
+
+
+def _clean(sighting: Sighting) -> int:
+    return len(sighting.true) - doubles(sighting) - 2 * len(sighting.spurious)
+
+
+def _spoiled(sighting: Sighting) -> int:
+    return len(sighting.spurious)
 
 
 def _jumps(arena: Found, thesis: Thesis) -> Drawn:
-    from impslam.experiments import chapter4_plot as plot  # noqa: PLC0415  matplotlib, 0.3 s
-
-    chosen, occurs = first(arena["jump"], lambda s: len(s.true) >= 2 and not s.spurious)
+    clean = sorted(arena["jump"], key=lambda s: int((~s.shot.scan.valid).sum()))
+    chosen, occurs = first(clean, lambda s: len(s.true) >= 2 and not s.spurious, _clean)
+    which = "the one with the fewest beams lost (the thesis's arena lies within range) of those"
     threshold, radius = thesis.jump.threshold, thesis.jump.radius
     figure = plot.jumps_figure(chosen, jumps(chosen.shot.scan, threshold), threshold, radius)
+    lost = " Lost beams, read as 0, jump as well: the drawback that the thesis names."
     caption = (
         "Thesis Fig. 11. Above the range by the angle of the beam, below its derivative: an object "
         f"begins where it falls below -{threshold:g} m/rad and ends where it rises above "
         f"+{threshold:g} m/rad (the scale is linear in between and logarithmic beyond). On the left "
-        "the cylinders that come of it. Lost beams, read as 0, jump as well: the drawback that the "
-        "thesis names. Extractor jump, radius as in the preset thesis-points. "
-        + _where(chosen, "the first with two true cylinders or more and no spurious one", occurs)
+        f"the cylinders that come of it.{'' if chosen.shot.scan.valid.all() else lost} Extractor "
+        "jump, radius as in the preset thesis-points. "
+        + _where(chosen, which, "with two true cylinders or more and no spurious one", occurs)
     )
     return Picture("fig11-jumps", plot.png(figure), caption), _counts(chosen, occurs)
 
 
 def _cylinders(corridor: Found, thesis: Thesis) -> list[Drawn]:
-    from impslam.experiments import chapter4_plot as plot  # noqa: PLC0415  matplotlib, 0.3 s
-
-    bad, occurs = first(corridor["low"], lambda s: len(s.true) >= 1 and len(s.spurious) >= 2)
+    bad, occurs = first(
+        corridor["low"], lambda s: len(s.true) >= 1 and len(s.spurious) >= 2, _spoiled
+    )
     high = corridor["jump"][bad.shot.number]
     good = corridor["filtered"][bad.shot.number]
-    rule = "the first with a true cylinder and two spurious ones or more"
+    what = "with a true cylinder and two spurious ones or more"
     spurious = (
         f"Thesis Fig. 13. Jumps above a low threshold ({thesis.low.threshold:g} m/rad) taken for "
         f"cylinders: {_finds(bad)}, {on_people(bad)} of these on the legs of people. Above "
-        f"{thesis.jump.threshold:g} m/rad: {_finds(high)}. Extractor jump. "
-        + _where(bad, rule, occurs)
+        f"{thesis.jump.threshold:g} m/rad: {_finds(high)}. The circles have the radius that is "
+        f"assumed, {thesis.jump.radius:g} m. Extractor jump. "
+        + _where(bad, "the first", what, occurs)
     )
     filtered = (
         f"Thesis Fig. 14. The scan of Fig. 13 after the filters for count (at least "
@@ -201,26 +178,28 @@ def _cylinders(corridor: Found, thesis: Thesis) -> list[Drawn]:
 
 
 def _finds(sighting: Sighting) -> str:
-    return f"{len(sighting.true)} true, {len(sighting.spurious)} spurious"
+    twice = doubles(sighting)
+    again = f" ({twice} of them a second line on the same wall)" if twice else ""
+    return f"{len(sighting.true)} true{again}, {len(sighting.spurious)} spurious"
 
 
 def _ransac(arena: Found) -> list[Drawn]:
-    from impslam.experiments import chapter4_plot as plot  # noqa: PLC0415  matplotlib, 0.3 s
-
-    good, fine = first(arena["ransac"], lambda s: len(s.true) >= 3 and _is_good(s))
-    bad, occurs = first(arena["ransac"], lambda s: bool(long_ones(s)))
+    good, fine = first(
+        arena["ransac"], lambda s: len(s.true) >= 3 and not s.spurious and not doubles(s), _clean
+    )
+    bad, occurs = _across(arena)
     alike = "Extractor ransac, its own defaults (the thesis prints none). "
     right = (
         f"Thesis Fig. 15. Walls by RANSAC where it does well: {_finds(good)}. "
         + alike
-        + _where(good, "the first with three true walls, none twice, and no spurious one", fine)
+        + _where(good, "the first", "with three true walls, none twice, and no spurious one", fine)
     )
     wrong = (
         f"Thesis Fig. 16. Walls by RANSAC where it fails: {_finds(bad)}, {len(long_ones(bad))} of "
         f"these of {LONG:g} m or more. A sample of readings on different things gives a line that "
         "enough others happen to lie near. "
         + alike
-        + _where(bad, f"the first with a spurious wall of {LONG:g} m or more", occurs)
+        + _where(bad, "the first", f"with a spurious wall of {LONG:g} m or more", occurs)
     )
     return [
         (Picture("fig15-ransac", plot.png(plot.scan_figure(good)), right), _counts(good, fine)),
@@ -231,14 +210,13 @@ def _ransac(arena: Found) -> list[Drawn]:
     ]
 
 
-def _is_good(sighting: Sighting) -> bool:
-    return not sighting.spurious and doubles(sighting) == 0
+def _across(arena: Found) -> tuple[Sighting, bool]:
+    """Return the first scan in which RANSAC draws a wall across several things."""
+    return first(arena["ransac"], lambda s: bool(long_ones(s)), _spoiled)
 
 
 def _hough(arena: Found, thesis: Thesis) -> list[Drawn]:
-    from impslam.experiments import chapter4_plot as plot  # noqa: PLC0415  matplotlib, 0.3 s
-
-    bad, _ = first(arena["ransac"], lambda s: bool(long_ones(s)))
+    bad, _ = _across(arena)
     same = arena["hough"][bad.shot.number]
     walls = (
         "Thesis Fig. 17. Walls by the Hough transform in the scan in which RANSAC fails (Fig. 16): "
@@ -248,33 +226,30 @@ def _hough(arena: Found, thesis: Thesis) -> list[Drawn]:
     image = (
         "The same scan as the Hough transform sees it (thesis 4.2.4). Left the binary image of "
         f"{thesis.hough.size} x {thesis.hough.size} px, the robot in its middle (Eq. 4.13); right "
-        "the accumulator (Eq. 4.12), with rings about the cells of the walls that were found; four "
-        "distances are drawn as one cell, the strongest of them. A wall at an angle between two "
+        "the accumulator (Eq. 4.12), with rings about the cells of the walls that were found; "
+        f"{POOL} distances are drawn as one cell, the strongest of them. A wall at an angle between two "
         "bins fills several cells; it is kept once."
     )
     return [
         (Picture("fig17-hough", plot.png(plot.scan_figure(same)), walls), _counts(same)),
         (
-            Picture(
-                "fig17-hough-accumulator", plot.png(plot.hough_figure(same, thesis.hough)), image
-            ),
+            Picture("fig17-hough-accumulator", plot.png(hough_figure(same, thesis.hough)), image),
             _counts(same),
         ),
     ]
 
 
 def _people(found: Found, name: str, number: str) -> Drawn:
-    from impslam.experiments import chapter4_plot as plot  # noqa: PLC0415  matplotlib, 0.3 s
-
     chosen = max(found["hough"], key=lambda s: s.shot.on_legs if s.shot.is_clear else 0)
     other = found["ransac"][chosen.shot.number]
     caption = (
         f"Thesis Fig. {number}. The Hough transform with people in the scene: {_finds(chosen)}; "
-        f"RANSAC in the same scan: {_finds(other)}. Extractor hough, preset thesis-lines. "
+        f"RANSAC in the same scan: {_finds(other)}. Extractor hough, preset thesis-lines; its "
+        "directions come in steps of 10°. "
         + _where(
             chosen,
-            f"the one with the most readings on legs ({chosen.shot.on_legs}) of those with nobody "
-            f"nearer than {CLEAR:g} m",
+            f"the one with the most readings on legs ({chosen.shot.on_legs}) of those",
+            f"with nobody nearer than {CLEAR:g} m",
         )
     )
     return Picture(name, plot.png(plot.people_figure(chosen)), caption), _counts(chosen)

@@ -1,4 +1,4 @@
-"""The drawings of Chapter IV: ranges and their derivative, scans from above, the Hough transform.
+"""The drawings of Chapter IV: ranges and their derivative, scans from above.
 
 Importing this module imports matplotlib (0.3 s); import it where a picture is drawn. Figures are
 drawn on their own canvas, without pyplot and its global state.
@@ -7,7 +7,6 @@ drawn on their own canvas, without pyplot and its global state.
 from __future__ import annotations
 
 import io
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,23 +14,21 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
-from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Polygon, Wedge
 
 from impslam.evaluation.plots import INK, PALE
 from impslam.experiments.chapter4_scans import Jumps, Shot, Sighting
-from impslam.extractors.hough import Hough
 from impslam.extractors.readings import usable
 from impslam.geometry.se2 import compose, transform
 from impslam.types import Array, Observation
 
 TRUE, SPURIOUS = "#2563eb", "#d81b60"
 WORLD, ROUND, LEG, FIELD = "#c2c8cf", "#d5d9de", "#f2c38d", "#eef4fb"
-READING, BOW = "#5b6671", "#f2a03d"
+READING = "#5b6671"
+LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 9, "columnspacing": 1.2}
 WIDTH = 8.6  # in
-POOL = 4  # cells of the accumulator drawn as one: single ones would be thinner than a dot
 MARGIN = 0.35  # m round what is shown
 ROBOT = 0.25  # m, radius of the robot's outline
 
@@ -46,7 +43,8 @@ def png(figure: Figure, dpi: int = 150) -> bytes:
     return stream.getvalue()
 
 
-def _figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure of so many inches on its own canvas."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -57,7 +55,7 @@ def _figure(width: float, height: float) -> Figure:
 
 def jumps_figure(sighting: Sighting, seen: Jumps, threshold: float, radius: float) -> Figure:
     """Draw the scan from above, its ranges, and their derivative with the jumps (Fig. 11)."""
-    figure = _figure(WIDTH + 1.4, 6.4)
+    figure = new_figure(WIDTH + 1.4, 6.4)
     panels: Any = figure.subfigures(1, 2, width_ratios=(1.0, 2.2))
     above, right = panels
     _scan(above.subplots(), sighting, _bounds(sighting.shot), radius)
@@ -66,13 +64,15 @@ def jumps_figure(sighting: Sighting, seen: Jumps, threshold: float, radius: floa
     degrees = np.degrees(seen.angles)
     echo = seen.ranges > 0.0
     ranges.plot(degrees[echo], seen.ranges[echo], ".", ms=2.5, color=READING, label="range")
-    ranges.plot(degrees[~echo], seen.ranges[~echo], "x", ms=5, color=SPURIOUS, label="no echo: 0")
+    if not echo.all():
+        look: dict[str, Any] = {"ms": 5, "color": SPURIOUS, "label": "no echo: 0"}
+        ranges.plot(degrees[~echo], seen.ranges[~echo], "x", **look)
     _objects(ranges, slopes, sighting, seen)
     _slopes(slopes, seen, threshold)
     ranges.set_ylabel("range in m")
     slopes.set(ylabel="d range / d angle in m/rad", xlabel="angle of the beam in degrees")
     for axes in (ranges, slopes):
-        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, **_LEGEND)
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, **LEGEND)
         _style(axes)
     return figure
 
@@ -115,7 +115,7 @@ def scan_figure(sighting: Sighting, radius: float = 0.0) -> Figure:
     `radius` (m) is that of the cylinders found.
     """
     box = _bounds(sighting.shot)
-    figure = _figure(*_size(box, WIDTH, 7.4))
+    figure = new_figure(*_size(box, WIDTH, 7.4))
     _scan(figure.subplots(), sighting, box, radius)
     _legend(figure, sighting, 4 if _is_wide(box) else 2)
     return figure
@@ -126,7 +126,7 @@ def people_figure(sighting: Sighting) -> Figure:
     box = _bounds(sighting.shot)
     wide = _is_wide(box)
     width, height = _size(box, WIDTH if wide else WIDTH / 2, 6.4)
-    figure = _figure(width, 2 * height) if wide else _figure(2 * width, height)
+    figure = new_figure(width, 2 * height) if wide else new_figure(2 * width, height)
     panels = list(figure.subplots(2 if wide else 1, 1 if wide else 2, squeeze=False).flat)
     bare = Sighting(sighting.shot, (), ())
     _scan(panels[0], bare, box, 0.0, readings=False)
@@ -176,7 +176,7 @@ def _scan(
 
 def _legend(figure: Any, sighting: Sighting, columns: int) -> None:
     """Put the legend above a figure of scans from above."""
-    figure.legend(handles=_keys(sighting), loc="outside upper center", ncols=columns, **_LEGEND)
+    figure.legend(handles=_keys(sighting), loc="outside upper center", ncols=columns, **LEGEND)
 
 
 def _field(axes: Axes, shot: Shot) -> None:
@@ -243,110 +243,6 @@ def _keys(sighting: Sighting) -> list[Any]:
 
 def _dot(label: str, face: str, edge: str) -> Line2D:
     return Line2D([], [], marker="o", ls="", ms=7, mfc=face, mec=edge, label=label)
-
-
-# --------------------------------------------------------------------------- the Hough transform
-
-
-def pixels(scan_points: Array, hough: Hough) -> Array:
-    """Return the white pixels (k, 2), columns and rows, of points in base_link (Eq. 4.13)."""
-    middle = hough.size // 2
-    x, y = scan_points.T / hough.resolution
-    both = np.unique(np.rint(np.column_stack((middle - y, middle + x))), axis=0)
-    inside = ((both >= 0.0) & (both < hough.size)).all(axis=1)
-    return np.asarray(both[inside], dtype=np.float64)
-
-
-def accumulator(white: Array, hough: Hough) -> tuple[Array, Array, Array]:
-    """Return the votes (t, m) of white pixels (k, 2), the angles (t,) rad and distances (m,) px.
-
-    Thesis Eq. 4.10 to 4.12: a pixel votes, for each angle, for the cell of its distance.
-    """
-    thetas: Array = np.arange(0.0, math.pi - 1e-9, hough.angle_bin, dtype=np.float64)
-    step = hough.rho_bin / hough.resolution
-    cells = math.ceil(math.sqrt(2.0) * hough.size / step)
-    distances: Array = step * np.arange(-cells, cells + 1, dtype=np.float64)
-    votes = np.zeros((len(thetas), len(distances)))
-    for row, theta in zip(votes, thetas, strict=True):
-        off = white @ np.array([math.cos(theta), math.sin(theta)])
-        np.add.at(row, np.rint(off / step).astype(np.int64) + cells, 1.0)
-    return votes, thetas, distances
-
-
-def peak(finding: Observation, hough: Hough) -> tuple[float, float]:
-    """Return angle in [0, pi) and distance in px, in the image, of a wall in base_link."""
-    rho, alpha = (float(v) for v in finding.z)
-    middle = hough.size // 2
-    distance = rho / hough.resolution + middle * (math.cos(alpha) - math.sin(alpha))
-    half_turns, theta = divmod(alpha + 0.5 * math.pi + 1e-9, math.pi)
-    return theta - 1e-9, distance if half_turns % 2 == 0 else -distance
-
-
-def hough_figure(sighting: Sighting, hough: Hough) -> Figure:
-    """Draw the binary image with the lines found, and the accumulator with their cells."""
-    figure = _figure(WIDTH + 1.2, 4.75)
-    left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.02))
-    white = pixels(sighting.shot.scan.points[usable(sighting.shot.scan)], hough)
-    left.set_facecolor("black")
-    left.plot(*white.T, "s", ms=1.6, mew=0, color="white")
-    middle = hough.size // 2  # it looks down: Eq. 4.13 turns x forward into rows
-    left.plot(middle, middle, marker=(3, 0, 180), ms=9, color=BOW, ls="")
-    left.set(xlim=(0, hough.size), ylim=(hough.size, 0), aspect="equal")
-    left.set(xlabel="column in pixels", ylabel="row in pixels")
-    _cells(figure, right, white, hough)
-    _mark(left, right, sighting, hough)
-    return figure
-
-
-def _cells(figure: Figure, axes: Axes, white: Array, hough: Hough) -> None:
-    """Draw the accumulator; a drawn cell shows the strongest of `POOL` distances."""
-    votes, thetas, distances = accumulator(white, hough)
-    seen = np.flatnonzero(votes.any(axis=0))
-    first, rows = int(seen[0]), -(-len(range(seen[0], seen[-1] + 1)) // POOL)
-    votes = np.pad(votes, ((0, 0), (0, POOL)))[:, first : first + POOL * rows]
-    strongest = votes.reshape(len(thetas), rows, POOL).max(axis=2)
-    step = distances[1] - distances[0]
-    low, half = distances[first] - 0.5 * step, 0.5 * math.degrees(hough.angle_bin)
-    top = math.degrees(thetas[-1]) + half
-    shown = axes.imshow(
-        strongest.T,
-        extent=(-half, top, low, low + POOL * rows * step),
-        origin="lower",
-        aspect="auto",
-        cmap="Greys",
-        norm=PowerNorm(0.5),
-        interpolation="nearest",
-    )
-    axes.set(xlabel="angle θ in degrees", ylabel="distance r in pixels", box_aspect=1.0)
-    figure.colorbar(shown, ax=axes, label="votes in white pixels", shrink=0.8)
-
-
-def _mark(image: Axes, cells: Axes, sighting: Sighting, hough: Hough) -> None:
-    """Draw each wall as a line across the image and a ring about its cell."""
-    keys = [
-        Line2D([], [], marker="s", ls="", ms=6, mfc="white", mec="black", label="reading"),
-        Line2D([], [], marker=(3, 0, 180), ls="", ms=9, color=BOW, label="robot"),
-    ]
-    for found, colour, word in (
-        (sighting.true, TRUE, "true"),
-        (sighting.spurious, SPURIOUS, "spurious"),
-    ):
-        ring: dict[str, Any] = {"marker": "o", "ms": 11, "mfc": "none", "mec": colour, "mew": 1.8}
-        for finding in found:
-            theta, distance = peak(finding, hough)
-            normal = np.array([math.cos(theta), math.sin(theta)])
-            ends = distance * normal + np.outer([-1e4, 1e4], [-normal[1], normal[0]])
-            image.plot(*ends.T, color=colour, lw=1.4)
-            cells.plot(math.degrees(theta), distance, ls="", **ring)
-        if found:
-            label = f"wall, {word} ({len(found)})"
-            keys.append(Line2D([], [], color=colour, lw=1.4, label=label, **ring))
-    image.figure.legend(handles=keys, loc="outside upper center", ncols=4, **_LEGEND)
-    for axes in (image, cells):
-        axes.tick_params(colors=PALE, labelcolor=INK, labelsize=9)
-
-
-_LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 9, "columnspacing": 1.2}
 
 
 def _style(axes: Axes) -> None:

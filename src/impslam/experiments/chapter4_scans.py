@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
 from operator import not_
+from typing import TypeAlias
 
 import numpy as np
 
 from impslam.component import build
 from impslam.config import load
 from impslam.extractors.base import Extractor
-from impslam.extractors.jump import candidates, derivative
+from impslam.extractors.filtered_jump import FilteredJump
+from impslam.extractors.hough import Hough
+from impslam.extractors.jump import Jump, candidates, derivative
 from impslam.extractors.readings import usable
 from impslam.geometry.se2 import between, log, transform
 from impslam.simulation.drive import Trajectory, drive
@@ -124,7 +127,7 @@ def jumps(scan: Scan, threshold: float) -> Jumps:
 def world_of(name: str) -> World:
     """Return a shipped world, or the arena with people."""
     if name == PEOPLE:
-        return load_world(ARENA).model_copy(update={"people": WALKERS})
+        return load_world(ARENA).model_copy(update={"name": PEOPLE, "people": WALKERS})
     return load_world(name)
 
 
@@ -176,6 +179,41 @@ def sight(shot: Shot, extractor: Extractor, seed: int = 0) -> Sighting:
     return Sighting(shot, tuple(compress(found, true)), tuple(compress(found, map(not_, true))))
 
 
+Found: TypeAlias = Mapping[str, list[Sighting]]
+"""What each extractor finds, by its field in `Thesis`, in the scans of a run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Thesis:
+    """The thesis's extractors with its presets' parameters.
+
+    `low` is the plain jump extractor with the low threshold of the filtered one.
+    """
+
+    jump: Jump
+    low: Jump
+    filtered: FilteredJump
+    ransac: Extractor
+    hough: Hough
+
+    @classmethod
+    def presets(cls) -> Thesis:
+        """Read them off `thesis-points` and `thesis-lines`."""
+        jump = extractor("thesis-points", "cylinders", "kind=jump")
+        filtered = extractor("thesis-points", "cylinders")
+        hough = extractor("thesis-lines", "walls")
+        assert isinstance(jump, Jump)
+        assert isinstance(filtered, FilteredJump)
+        assert isinstance(hough, Hough)
+        low = jump.model_copy(update={"threshold": filtered.threshold})
+        return cls(jump, low, filtered, extractor("thesis-lines", "walls", "kind=ransac"), hough)
+
+    def look(self, seen: list[Shot]) -> Found:
+        """Return what each of them finds in some scans."""
+        named = {name: getattr(self, name) for name in self.__slots__}
+        return {name: [sight(shot, e) for shot in seen] for name, e in named.items()}
+
+
 def what_is_there(shot: Shot, finding: Observation) -> int:
     """Return which true thing a finding is of, -1 if of none.
 
@@ -206,12 +244,16 @@ def doubles(sighting: Sighting) -> int:
     return len(things) - len(set(things))
 
 
-def first(sightings: Sequence[Sighting], rule: Callable[[Sighting], bool]) -> tuple[Sighting, bool]:
-    """Return the first that obeys the rule and True, or the most spurious one and False."""
+def first(
+    sightings: Sequence[Sighting],
+    rule: Callable[[Sighting], bool],
+    nearest: Callable[[Sighting], float],
+) -> tuple[Sighting, bool]:
+    """Return the first that obeys the rule and True, else the one with the most of `nearest`."""
     for sighting in sightings:
         if rule(sighting):
             return sighting, True
-    return max(sightings, key=lambda sighting: len(sighting.spurious)), False
+    return max(sightings, key=nearest), False
 
 
 def rates(sightings: Iterable[Sighting]) -> dict[str, float]:

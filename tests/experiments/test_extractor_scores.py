@@ -36,7 +36,7 @@ def labelled(*seen):
         np.full(N, SIGMA), 0.0, 10.0, np.zeros(3),
     )  # fmt: skip
     wall = Seen("wall", "wall", np.array([2.0, 0.0]), math.nan, points[[0, 49]], np.arange(50))
-    post = Seen("cylinder", "cylinder", centre, 0.2, points[[60, 79]], np.arange(60, 80))
+    post = Seen("cylinder", "cylinder", centre, 0.2, points[[60, 79]], np.arange(60, 80), True)
     return LabelledScan(
         scan, (wall, post, *seen), np.zeros((N, 2)), directions, np.full(N, SIGMA), 0.0
     )
@@ -60,6 +60,8 @@ def test_the_truth_is_found():
     np.testing.assert_allclose(found.error, [0.01, 0.02])
     assert found.beams == 50
     assert found.used == 0.9
+    all_ = found.error @ np.linalg.solve(found.bound, found.error)
+    assert 0.6 * all_ < found.own_excess < all_  # 45 of 50 beams, the outermost left out
 
 
 def test_nothing_seen_nothing_found():
@@ -105,6 +107,7 @@ def test_beams_may_be_left_out():
     counts, (found,) = judge(labelled(), "wall", [wall(2.01, 0.0, np.empty(0, np.int64))])
     assert counts.found == 1
     assert found.used == 0.0
+    assert math.isnan(found.own_excess)
 
 
 def test_normals_are_compared_as_angles():
@@ -120,7 +123,7 @@ def test_cylinders_have_centre_and_radius():
     truth = labelled()
     sight = truth.seen[1].z / 1.5
     counts, (found,) = judge(truth, "cylinder", [post(truth, 0.02 * sight, radius=0.23)])
-    assert counts == Counts(1, 1, 0, 0, 0)
+    assert counts == Counts(1, 1, 0, 0, 0, whole=1, whole_found=1)
     assert found.radial == pytest.approx(0.02)
     assert found.radius_error == pytest.approx(0.03)
     assert 0.0 < found.radius_bound < 0.01
@@ -142,14 +145,14 @@ def test_known_association_is_exact_without_noise():
     truth = labelled()
     for kind in ("wall", "cylinder"):
         counts, (found,) = judge(truth, kind, known_association(truth, kind))
-        assert counts == Counts(1, 1, 0, 0, 0)
+        assert counts[:5] == (1, 1, 0, 0, 0)
         np.testing.assert_allclose(found.error, 0.0, atol=1e-8)
         np.testing.assert_allclose(found.R, found.bound, rtol=0.05)
 
 
 def entry(error, bound=1.0, R=1.0):
     return Found(
-        np.asarray(error, float), R * np.eye(2), bound * np.eye(2), 0.0, 0.1, 0.04, 10, 1.0
+        np.asarray(error, float), R * np.eye(2), bound * np.eye(2), 0.0, 0.1, 0.04, 10, 1.0, 2.0
     )
 
 
@@ -187,3 +190,4 @@ def test_nothing_found_has_no_errors():
     assert math.isnan(rms(empty.errors[:, 0])[0])
     assert math.isnan(typical_ratio(empty.excess))
     assert empty.true_positives == (0.0, 0.0)
+    assert math.isnan(empty.whole_found[0])

@@ -23,6 +23,7 @@ def small(monkeypatch):
     """One world, few scans."""
     monkeypatch.setattr(experiment, "WORLDS", ("room",))
     monkeypatch.setattr(experiment, "SCANS", 6)
+    monkeypatch.setattr(experiment, "TIMED", 2)
     monkeypatch.setattr(experiment, "ROUNDS", 1)
 
 
@@ -36,8 +37,9 @@ def test_the_part_is_whole(small):
     (picture,) = part.pictures
     assert picture.png[:4] == b"\x89PNG"
     assert set(part.figures) == {"wall", "cylinder"}
-    assert part.figures["wall"]["split_merge"]["scans_per_second"] > 0.0
-    json.dumps(part.figures)
+    assert part.figures["wall"]["split_merge"]["driving"]["scans_per_second"] > 0.0
+    assert part.figures["wall"][experiment.KNOWN]["standing"]["scans_per_second"] is None
+    json.dumps(part.figures, allow_nan=False)
     assert ("labelled scans", 1, 1) in ticks
 
 

@@ -13,8 +13,10 @@ from impslam.experiments.labelled_scans import (
     Seen,
     labelled_scans,
     passing,
+    take,
 )
 from impslam.geometry.angles import wrap
+from impslam.simulation.drive import Trajectory
 from impslam.simulation.robot import Lidar
 from impslam.simulation.scene import Scene
 from impslam.simulation.world import Box, Cylinder, Door, Drive, Wall, World, load_world
@@ -78,6 +80,27 @@ def test_a_cylinder_is_hit_within_its_angle_and_nowhere_else():
     away = wrap(scan.directions - math.atan2(sight[1], sight[0]))
     inside = np.flatnonzero(np.abs(away) < math.asin(0.15 / np.hypot(*sight)))
     np.testing.assert_array_equal(post.beams, inside)
+
+
+@pytest.mark.parametrize(
+    ("bearing", "first", "whole"),
+    [
+        (0.0, -2.0, True),
+        (4.3, -2.0, False),
+        (-4.3, -2.0, False),
+        (8.0, -2.0, True),
+        (8.0, -0.05, False),
+    ],
+)
+def test_whole_cylinders_are_cut_by_nothing(bearing, first, whole):
+    """2 m away and 4.3 degrees to each side; a thin post stands before it, or the scan ends."""
+    turn = math.radians(bearing)
+    thin = Cylinder(centre=(0.15 + math.cos(turn), math.sin(turn)), radius=0.02)
+    world = World(robot=HALL.robot, cylinders=(Cylinder(centre=(2.15, 0.0), radius=0.15), thin))
+    still = Trajectory(np.array([0.0, 9.0]), np.zeros((2, 3)), np.zeros((1, 2)))
+    lidar = Lidar.perfect(angle_min=first)
+    labelled = take(Scene(world), still, 0.0, lidar, np.random.default_rng(0))
+    assert [seen.whole for seen in labelled.seen if seen.radius == 0.15] == [whole]
 
 
 def test_truth_is_seen_from_the_robot():

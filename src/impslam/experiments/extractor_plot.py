@@ -45,7 +45,7 @@ def draw(tallies: Mapping[str, Tallies], conditions: Sequence[str], known: str) 
         _shares(share, some, conditions[1:], colours)
         _spurious(false, some, conditions[1:], colours)
         false.set_xlabel(f"per scan: false (filled), {OTHER[kind]} (outlined)")
-    rows[0, 0].set_ylabel("typical error ÷ Cramér-Rao bound\n(standing, range noise alone)")
+    rows[0, 0].set_ylabel("typical error ÷ Cramér-Rao bound\n(robot standing, range noise alone)")
     png = io.BytesIO()
     figure.savefig(png, format="png")
     return png.getvalue()
@@ -103,7 +103,7 @@ def _shares(
         share, error = tally.true_positives
         axes.barh(place, 100.0 * share, 0.38, color=colour, alpha=shade)
         axes.errorbar(100.0 * share, place, xerr=200.0 * error, fmt="none", ecolor=INK, lw=0.9)
-    axes.set(xlim=(0.0, 100.0), xlabel="found, % of the visible")
+    axes.set(xlim=(0.0, 100.0), xlabel="found, % of the visible; with people (light)")
 
 
 def _spurious(

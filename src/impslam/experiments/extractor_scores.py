@@ -20,7 +20,7 @@ from impslam.experiments.labelled_scans import LabelledScan, Seen
 from impslam.geometry.angles import wrap
 from impslam.geometry.circles import fit_circle
 from impslam.geometry.lines import fit_line
-from impslam.types import Array, Observation, Scan
+from impslam.types import Array, Ints, Observation, Scan
 
 OFF = 0.1
 """m, farthest that an observation may be from the thing (of a wall, at the middle of what is seen)."""
@@ -40,6 +40,7 @@ class Counts(NamedTuple):
     again : further observations of the same ones
     other : observations of what is there, but is no landmark or hardly seen
     false : observations of nothing that is there
+    whole, whole_found : of the visible, how many are seen from edge to edge; cylinders only
     """
 
     visible: int
@@ -47,6 +48,8 @@ class Counts(NamedTuple):
     again: int
     other: int
     false: int
+    whole: int = 0
+    whole_found: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,6 +64,7 @@ class Found:
     radius_error, radius_bound : m and m^2; NaN of walls, and where the radius is taken for known
     beams : how many truly hit it
     used : share of these that the observation rests on
+    own_excess : squared error in the bound of those alone; NaN where they tell nothing
     """
 
     error: Array
@@ -71,6 +75,7 @@ class Found:
     radius_bound: float
     beams: int
     used: float
+    own_excess: float
 
 
 def judge(
@@ -97,13 +102,14 @@ def judge(
             again += which in best
             if which not in best or support > best[which][0]:
                 best[which] = support, o
-    visible = sum(seen.visible and seen.kind == kind for seen in labelled.seen)
+    visible = [s for s in labelled.seen if s.visible and s.kind == kind]
+    whole = sum(s.whole for s in visible), sum(labelled.seen[which].whole for which in best)
     found = [
         compare(labelled, labelled.seen[which], o, radius)
         for which, (_, o) in best.items()
         if radius is None or abs(labelled.seen[which].radius / radius - 1.0) <= SAME_RADIUS
     ]
-    return Counts(visible, len(best), again, other, false), found
+    return Counts(len(visible), len(best), again, other, false, *whole), found
 
 
 def _thing(labelled: LabelledScan, o: Observation) -> int | None:
@@ -134,22 +140,39 @@ def _distance(o: Observation, seen: Seen) -> float:
 def compare(labelled: LabelledScan, seen: Seen, o: Observation, radius: float | None) -> Found:
     """Return an observation's error beside the bound of all beams that hit the landmark."""
     error = o.z - seen.z
-    beams, bias = seen.beams, labelled.bias
-    rays, sigmas = (labelled.origins[beams], labelled.directions[beams]), labelled.sigmas[beams]
-    radial = radius_error = radius_bound = math.nan
     if o.kind == "wall":
         error[1] = wrap(float(error[1]))
-        best = bound(wall_jacobian(seen.z, *rays), sigmas, bias)
-    else:
+    radial = radius_error = radius_bound = math.nan
+    best = _bound(labelled, seen, seen.beams, radius)
+    if o.kind != "wall":
         sight = seen.z - labelled.scan.laser[:2]
         radial = float(error @ sight / np.hypot(*sight))
-        jacobian = circle_jacobian(np.array([*seen.z, seen.radius]), *rays)
-        best = bound(jacobian if radius is None else jacobian[:, :2], sigmas, bias)
         if radius is None:
             radius_error = o.attributes.get("radius", math.nan) - seen.radius
             radius_bound = float(best[2, 2])
-    used = float(np.isin(beams, o.beams).mean())
-    return Found(error, o.R, best[:2, :2], radial, radius_error, radius_bound, len(beams), used)
+    mine = np.isin(seen.beams, o.beams)
+    own = _bound(labelled, seen, seen.beams[mine], radius)[:2, :2]
+    excess = float(error @ np.linalg.solve(own, error)) if np.isfinite(own).all() else math.nan
+    return Found(
+        error,
+        o.R,
+        best[:2, :2],
+        radial,
+        radius_error,
+        radius_bound,
+        len(seen.beams),
+        float(mine.mean()),
+        excess,
+    )
+
+
+def _bound(labelled: LabelledScan, seen: Seen, beams: Ints, radius: float | None) -> Array:
+    """Return the bound that some beams set to z, and to the radius if it is not known."""
+    rays, sigmas = (labelled.origins[beams], labelled.directions[beams]), labelled.sigmas[beams]
+    if seen.kind == "wall":
+        return bound(wall_jacobian(seen.z, *rays), sigmas, labelled.bias)
+    jacobian = circle_jacobian(np.array([*seen.z, seen.radius]), *rays)
+    return bound(jacobian if radius is None else jacobian[:, :2], sigmas, labelled.bias)
 
 
 def known_association(labelled: LabelledScan, kind: str) -> list[Observation]:

@@ -23,7 +23,7 @@ class Tally:
 
     Attributes
     ----------
-    counts : (n, 5) of each scan, the columns of `Counts`
+    counts : (n, 7) of each scan, the columns of `Counts`
     found : what was found in all of them
     """
 
@@ -48,11 +48,20 @@ class Tally:
     @property
     def true_positives(self) -> tuple[float, float]:
         """Share of the visible landmarks that was found, and the standard error over scans."""
-        visible, found = self.counts[:, 0], self.counts[:, 1]
-        total = max(int(visible.sum()), 1)
+        return self._share("visible", "found")
+
+    @property
+    def whole_found(self) -> tuple[float, float]:
+        """Share of the landmarks seen from edge to edge that was found; NaN where there are none."""
+        return self._share("whole", "whole_found")
+
+    def _share(self, of: str, what: str) -> tuple[float, float]:
+        there, found = (self.counts[:, Counts._fields.index(name)] for name in (of, what))
+        total = int(there.sum())
+        if not total:
+            return math.nan, math.nan
         share = float(found.sum()) / total
-        spread = float(np.sqrt(np.sum((found - share * visible) ** 2)))
-        return share, spread / total
+        return share, float(np.sqrt(np.sum((found - share * there) ** 2))) / total
 
     @cached_property
     def errors(self) -> Array:
@@ -92,6 +101,11 @@ class Tally:
     def joint_ratio(self) -> tuple[float, float]:
         """RMS error over bound of z as a whole, and its standard error."""
         return rms(np.sqrt(0.5 * self.excess))
+
+    @property
+    def own_ratio(self) -> tuple[float, float]:
+        """RMS error over the bound of the beams that the observation itself rests on."""
+        return rms(np.sqrt(0.5 * self.column("own_excess")))
 
     @property
     def radius_ratio(self) -> tuple[float, float]:

@@ -16,46 +16,50 @@ OTHER = {"wall": "doors, boxes", "cylinder": "legs"}
 TIMES, DEGREES = 1e3, math.degrees(1.0)  # to mm and deg
 
 Tallies = Mapping[str, Mapping[str, Tally]]
+Speeds = Mapping[str, Mapping[str, float]]
+"""Scans per second by extractor and condition."""
 
 
-def detection_table(
-    kind: str, tallies: Tallies, speeds: Mapping[str, float], empty: str, crowded: str
-) -> Table:
-    """Return what was found and what was not there, without and with people, and the speed.
-
-    `empty` and `crowded` are the names of the conditions.
-    """
-    fastest = max(speeds.values())
+def detection_table(kind: str, tallies: Tallies, speeds: Speeds) -> Table:
+    """Return speed, what was found and what was not there, by extractor and condition."""
+    fastest = {
+        condition: max(one[condition] for one in speeds.values())
+        for condition in next(iter(speeds.values()))
+    }
+    whole = kind == "cylinder"
     rows = [
         [
             label,
+            condition,
             f"{scans:.0f}",
-            f"{scans / fastest:.2f}",
-            *_shares(tallies[label][empty], tallies[label][crowded]),
+            f"{scans / fastest[condition]:.2f}",
+            *_rates(tallies[label][condition], whole),
         ]
-        for label, scans in speeds.items()
+        for label, one in speeds.items()
+        for condition, scans in one.items()
     ]
-    header = ["Extractor", "scans/s", "of fastest", "found %", "with people", "again/scan"]
-    header += ["with people", f"{OTHER[kind]}/scan", "with people", "false/scan", "with people"]
-    return Table(f"{NAMES[kind]}: what is found", header, rows, note=DETECTION_NOTE[kind])
+    header = ["Extractor", "Scans", "scans/s", "÷ fastest", "found %", "again/scan"]
+    header += [f"{OTHER[kind]}/scan", "false/scan"]
+    if whole:
+        header.insert(5, "of whole ones %")
+    return Table(f"{NAMES[kind]}: what is found", header, rows, text=2, note=DETECTION_NOTE[kind])
 
 
-def _shares(*both: Tally) -> list[str]:
-    cells = [f"{100 * tally.true_positives[0]:.1f}" for tally in both]
-    for what in ("again", "other", "false"):
-        cells += [f"{tally.rate(what)[0]:.2f}" for tally in both]
-    return cells
+def _rates(tally: Tally, whole: bool) -> list[str]:
+    shares = [tally.true_positives, tally.whole_found] if whole else [tally.true_positives]
+    rates = [tally.rate(what)[0] for what in ("again", "other", "false")]
+    return [f"{100 * share:.1f}" for share, _ in shares] + [f"{rate:.2f}" for rate in rates]
 
 
 def accuracy_table(kind: str, tallies: Tallies) -> Table:
     """Return errors against the bound, a row for each extractor and condition."""
     columns = WALL_COLUMNS if kind == "wall" else CYLINDER_COLUMNS
     rows = [
-        [label, condition, str(len(tally.found)), *(_cell(c, tally) for c in columns.values())]
+        [label, condition, *(_cell(column, tally) for column in columns.values())]
         for label, conditions in tallies.items()
         for condition, tally in conditions.items()
     ]
-    header = ["Extractor", "Scans", "number", *columns]
+    header = ["Extractor", "Scans", *columns]
     return Table(f"{NAMES[kind]}: how well", header, rows, text=2, note=ACCURACY_NOTE[kind])
 
 
@@ -65,9 +69,10 @@ Column = Callable[[Tally], tuple[float, float]]
 def _cell(column: Column, tally: Tally) -> str:
     value, error = column(tally) if tally.found else (math.nan, math.nan)
     if not math.isfinite(value):
-        return "-"
-    digits = 2 if not error > 0.0 else max(0, min(2, 1 - math.floor(math.log10(error))))
-    return f"{value:.{digits}f}"
+        return "–"
+    # No more digits than the standard error leaves, but at least one that says how small it is.
+    digits = 2 if not error > 0.0 else min(max(0, -math.floor(math.log10(error))), 2)
+    return f"{value:.{digits}f}".replace("-", "−")
 
 
 def _scaled(pair: tuple[float, float], factor: float) -> tuple[float, float]:
@@ -90,6 +95,7 @@ WALL_COLUMNS: dict[str, Column] = {
     "α RMS °": lambda t: _scaled(rms(t.errors[:, 1]), DEGREES),
     "α ÷ bound": lambda t: t.ratio(1),
     "typical ÷ bound": _typical,
+    "÷ own bound": lambda t: t.own_ratio,
     "beams used %": _used,
     "NEES (2)": lambda t: mean(t.nees),
 }
@@ -98,6 +104,7 @@ CYLINDER_COLUMNS: dict[str, Column] = {
     "centre RMS mm": lambda t: _scaled(rms(np.hypot(*t.errors.T)), TIMES),
     "centre ÷ bound": lambda t: t.joint_ratio,
     "typical ÷ bound": _typical,
+    "÷ own bound": lambda t: t.own_ratio,
     "radius bias mm": lambda t: _scaled(mean(t.column("radius_error")), TIMES),
     "radius RMS mm": lambda t: _scaled(rms(t.column("radius_error")), TIMES),
     "radius ÷ bound": lambda t: t.radius_ratio,
@@ -106,20 +113,25 @@ CYLINDER_COLUMNS: dict[str, Column] = {
 }
 
 
-def figures(tallies: Tallies, speeds: Mapping[str, float]) -> dict[str, Any]:
+def figures(tallies: Tallies, speeds: Speeds) -> dict[str, Any]:
     """Return all numbers with their standard errors, by extractor and condition; m, rad and s."""
     return {
         label: {
-            **({"scans_per_second": speeds[label]} if label in speeds else {}),
-            **{condition: _figures(tally) for condition, tally in conditions.items()},
+            condition: {
+                "scans_per_second": speeds.get(label, {}).get(condition),
+                **_figures(tally),
+            }
+            for condition, tally in conditions.items()
         }
         for label, conditions in tallies.items()
     }
 
 
 def _figures(tally: Tally) -> dict[str, Any]:
+    """Return value and standard error by name; None where there is none."""
     pairs: dict[str, tuple[float, float]] = {
         "true_positives": tally.true_positives,
+        "true_positives_of_whole": tally.whole_found,
         **{f"{what}_per_scan": tally.rate(what) for what in ("again", "other", "false")},
     }
     if tally.found:
@@ -127,15 +139,19 @@ def _figures(tally: Tally) -> dict[str, Any]:
         pairs |= {f"bias_{k}": mean(z[k]) for k in (0, 1)}
         pairs |= {f"rms_{k}": rms(z[k]) for k in (0, 1)}
         pairs |= {f"ratio_{k}": tally.ratio(k) for k in (0, 1)}
-        pairs |= {"ratio": tally.joint_ratio, "nees": mean(tally.nees)}
+        pairs |= {"ratio": tally.joint_ratio, "own_ratio": tally.own_ratio}
+        pairs |= {"nees": mean(tally.nees)}
         pairs |= {"beams_used": mean(tally.column("used"))}
     if len(tally.column("radius_error")):
         radius = tally.column("radius_error")
         pairs |= {"radius_bias": mean(radius), "radius_rms": rms(radius)}
         pairs |= {"radius_ratio": tally.radius_ratio}
-    numbers = {name: {"value": value, "error": error} for name, (value, error) in pairs.items()}
+    numbers = {
+        name: {"value": value, "error": error} if math.isfinite(value) else None
+        for name, (value, error) in pairs.items()
+    }
     typical = {"typical_ratio": typical_ratio(tally.excess)} if tally.found else {}
-    return {"scans": len(tally.counts), "found": len(tally.found), **typical, **numbers}
+    return {"scans": len(tally.counts), "compared": len(tally.found), **typical, **numbers}
 
 
 DETECTION_NOTE = {
@@ -147,16 +163,17 @@ DETECTION_NOTE = {
     ),
     "cylinder": (
         "Found: share of the visible cylinders (5 beams or more), those cut by the end of the scan "
-        "or by something in front included. Legs: of the people, and cylinders hardly seen. False: "
-        "of nothing round that is there."
+        "or by something in front included; of whole ones: of those seen from edge to edge. Legs: "
+        "of the people, and cylinders hardly seen. False: of nothing round that is there."
     ),
 }
 ACCURACY_NOTE = {
     "wall": (
-        "÷ bound: RMS of the errors, each divided by its Cramér-Rao bound; 1 is the best possible. "
-        "Typical: the same by the median, which the few that went wrong do not rule. Beams used: of "
-        "those that hit the wall. NEES: squared error in the covariance that the extractor gives; "
-        "2 is honest, less is cautious, more is overconfident."
+        "÷ bound: RMS of the errors, each divided by the Cramér-Rao bound of all beams that hit the "
+        "wall; 1 is the best possible. Typical: of r and α together, by the median, which the few "
+        "that went wrong do not rule. ÷ own bound: RMS, against the bound of those of the beams "
+        "that the extractor used, the share of which follows. NEES: squared error in the covariance "
+        "that the extractor gives; 2 is honest, less is cautious, more is overconfident."
     ),
     "cylinder": (
         "As for walls. Extractors to which the radius is told are scored on the cylinders that have "

@@ -42,7 +42,8 @@ SEEDS = 3
 WORLDS = ("arena", "room", "corridor")
 CONDITIONS = (STANDING, DRIVING, PEOPLE)
 KINDS = ("wall", "cylinder")
-SCANS = 40  # of a world, a seed and a condition
+SCANS = 60  # of a world, a seed and a condition
+TIMED = 20  # of a world and a condition
 ROUNDS = 5  # of timing
 KNOWN = "known association"
 THESIS = {"wall": ("thesis-lines", "walls"), "cylinder": ("thesis-points", "cylinders")}
@@ -64,8 +65,7 @@ def extractors(job: Job) -> Part:
     parts = job.map(compare, items, "labelled scans")
     tallies = {kind: _merged([part[kind] for part in parts]) for kind in KINDS}
     job.tick("speed", 0, 1)
-    scans = _timing_scans()
-    speeds = {kind: speed(contenders(kind), scans) for kind in KINDS}
+    speeds = {kind: _speeds(kind) for kind in KINDS}
     job.tick("speed", 1, 1)
     return Part(
         "extractors",
@@ -75,7 +75,7 @@ def extractors(job: Job) -> Part:
             table
             for kind in KINDS
             for table in (
-                detection_table(kind, tallies[kind], speeds[kind], DRIVING.name, PEOPLE.name),
+                detection_table(kind, tallies[kind], speeds[kind]),
                 accuracy_table(kind, tallies[kind]),
             )
         ],
@@ -147,12 +147,18 @@ def speed(some: Mapping[str, Extractor], scans: Sequence[Scan]) -> dict[str, flo
     return {label: len(scans) / float(np.median(s)) for label, s in seconds.items()}
 
 
-def _timing_scans() -> list[Scan]:
-    return [
-        labelled.scan
-        for world in WORLDS
-        for labelled in labelled_scans(load_world(world), DRIVING, 0, SCANS // 2)
-    ]
+def _speeds(kind: str) -> dict[str, dict[str, float]]:
+    """Return scans per second by contender and condition, on a few scans of every world."""
+    out: dict[str, dict[str, float]] = {}
+    for condition in (DRIVING, PEOPLE):
+        scans = [
+            labelled.scan
+            for world in WORLDS
+            for labelled in labelled_scans(load_world(world), condition, 0, TIMED)
+        ]
+        for label, one in speed(contenders(kind), scans).items():
+            out.setdefault(label, {})[condition.name] = one
+    return out
 
 
 def _merged(parts: Sequence[Tallies]) -> Tallies:

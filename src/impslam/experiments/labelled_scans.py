@@ -33,6 +33,7 @@ MIN_SPAN = 0.3
 """m, from the first to the last of the places where beams hit a wall that counts as visible."""
 LANDMARKS = ("wall", "room", "cylinder")
 """Things that stand for good and are to be found."""
+EDGE = 0.1  # of half its angular width, how much of a circle may be missing at an edge
 CLEARANCE = 0.25  # m, between people and walls or the robot's middle
 NEAR, FAR = 0.7, 3.5  # m, how far from the robot people walk past
 SPEED = 1.2  # m/s, of people
@@ -50,13 +51,13 @@ class Condition:
 
 
 STANDING = Condition(
-    "standing, noise alone",
+    "standing",
     Lidar(bias_sigma=0.0, resolution=0.0, divergence=0.0, dropout=0.0),
     driving=False,
     people=0,
 )
-DRIVING = Condition("driving, all faults", Lidar(), driving=True, people=0)
-PEOPLE = Condition("the same with people", Lidar(), driving=True, people=2)
+DRIVING = Condition("driving", Lidar(), driving=True, people=0)
+PEOPLE = Condition("people", Lidar(), driving=True, people=2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +72,7 @@ class Seen:
     radius : m; NaN of what is straight
     ends : (2, 2) m, first and last place that beams hit
     beams : that hit it and were read
+    whole : of what is round: it is seen from edge to edge
     """
 
     thing: str
@@ -79,6 +81,7 @@ class Seen:
     radius: float
     ends: Array
     beams: Ints
+    whole: bool = False
 
     @property
     def visible(self) -> bool:
@@ -207,7 +210,7 @@ def take(
     rows = [*standing[0], *standing[1], *0.5 * moving[0].sum(0), *0.5 * moving[1].sum(0)]
     seen = tuple(
         (_straight if len(rows[k]) == 4 else _round)(
-            scene.things[k].kind, rows[k], beams, places[beams], inverse(middle), scan.laser
+            scene.things[k].kind, rows[k], beams, places[beams], inverse(middle), scan
         )
         for k, beams in _hit(scene, hits)
     )
@@ -230,13 +233,13 @@ def _hit(scene: Scene, hits: Ints) -> list[tuple[int, Ints]]:
 
 
 def _straight(
-    thing: str, row: Array, beams: Ints, places: Array, T_base_map: Array, laser: Array
+    thing: str, row: Array, beams: Ints, places: Array, T_base_map: Array, scan: Scan
 ) -> Seen:
     start, end = transform(T_base_map, row.reshape(2, 2))
     tangent = (end - start) / np.hypot(*(end - start))
     normal = np.array([tangent[1], -tangent[0]])
     rho = float(normal @ start)
-    if float(normal @ laser[:2]) > rho:
+    if float(normal @ scan.laser[:2]) > rho:
         rho, normal = -rho, -normal
     along = places @ tangent
     ends = rho * normal + np.array([[along.min()], [along.max()]]) * tangent
@@ -245,8 +248,16 @@ def _straight(
 
 
 def _round(
-    thing: str, row: Array, beams: Ints, places: Array, T_base_map: Array, laser: Array
+    thing: str, row: Array, beams: Ints, places: Array, T_base_map: Array, scan: Scan
 ) -> Seen:
-    del laser
-    centre = transform(T_base_map, row[None, :2])[0]
-    return Seen(thing, "cylinder", centre, float(row[2]), places[[0, -1]], beams)
+    centre, radius = transform(T_base_map, row[None, :2])[0], float(row[2])
+    whole = _edge_to_edge(centre - scan.laser[:2], radius, places - scan.laser[:2], scan)
+    return Seen(thing, "cylinder", centre, radius, places[[0, -1]], beams, whole)
+
+
+def _edge_to_edge(sight: Array, radius: float, places: Array, scan: Scan) -> bool:
+    """Tell whether the outermost beams on a circle are as near to its edges as beams can be."""
+    bearings = np.arctan2(places[:, 1], places[:, 0]) - math.atan2(sight[1], sight[0])
+    off, half = wrap(bearings), math.asin(min(1.0, radius / float(np.hypot(*sight))))
+    least = (1.0 - EDGE) * half - abs(float(scan.angles[1] - scan.angles[0]))
+    return bool(off.max() >= least and off.min() <= -least)

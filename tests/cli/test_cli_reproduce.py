@@ -38,7 +38,7 @@ def toys(monkeypatch):
 
         return experiment
 
-    monkeypatch.setattr(command, "EXPERIMENTS", {"points": ("", ""), "lines": ("", "")})
+    monkeypatch.setattr(command, "EXPERIMENTS", {"points": ("", 5), "lines": ("", 6)})
     monkeypatch.setattr(command, "_experiment", toy)
 
 
@@ -60,6 +60,15 @@ def test_all_is_written_to_one_page_with_pictures_and_numbers(tmp_path, capsys):
     assert "report.html" in said
 
 
+def test_the_markdown_says_the_same(tmp_path):
+    assert main(["reproduce", "points", "--full", "-o", str(tmp_path), "-j", "1", "--quiet"]) == 0
+    text = (tmp_path / "report.md").read_text()
+    assert "```sh\nimp reproduce points --full\n```" in text
+    assert "| what <b> | m |\n| --- | ---: |\n| wall | 20 |" in text
+    assert "## The points\n\nFirst.\n\nSecond.\n\n**Distances**" in text
+    assert "![A & B](points.png)" in text
+
+
 def test_only_what_is_asked_for_runs_in_the_order_of_the_page(tmp_path):
     assert main(["reproduce", "lines", "points", "-o", str(tmp_path), "-j", "1", "--quiet"]) == 0
     assert list(json.loads((tmp_path / "figures.json").read_text()))[2:] == ["points", "lines"]
@@ -72,6 +81,7 @@ def test_only_what_is_asked_for_runs_in_the_order_of_the_page(tmp_path):
     [
         (["pionts"], "no such experiment; did you mean 'points'"),
         (["points", "--seeds", "0"], "--seeds 0: must be at least 1"),
+        (["points", "--seeds", "3", "--full"], "--full and --seeds: give one of them"),
         (["points", "-j", "-2"], "--jobs -2: must be at least 1"),
     ],
 )

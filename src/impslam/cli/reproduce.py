@@ -21,15 +21,18 @@ from impslam.experiments.base import Experiment, Job, Part
 from impslam.experiments.write import FIGURES, PAGE, write
 
 EXPERIMENTS = {
-    "points": ("arena:points", "Table 1: the arena by point features"),
-    "lines": ("arena:lines", "Table 2: the arena by linear features"),
-    "both": ("arena:both", "Table 3: the arena by both"),
-    "corridor": ("corridor:corridor", "5.2.4: the uncontrolled corridor"),
-    "figures": ("chapter4:figures", "the figures of Chapter IV"),
-    "extractors": ("extractors:extractors", "all extractors on the same labelled scans"),
-    "consistency": ("consistency:consistency", "are the filters' uncertainties true?"),
+    "points": ("arena:points", 100),
+    "lines": ("arena:lines", 100),
+    "both": ("arena:both", 100),
+    "corridor": ("corridor:corridor", 100),
+    "figures": ("chapter4:figures", 1),
+    "extractors": ("extractors:extractors", 10),
+    "consistency": ("consistency:consistency", 1000),
 }
-"""Where each experiment is, in the order of the page; imported when it is asked for."""
+"""Where each experiment is, imported when it is asked for, and how many seeds its claims rest on.
+
+In the order of the page.
+"""
 ALL = "all"
 
 
@@ -39,6 +42,9 @@ def reproduce(
         int | None,
         Parameter(help="Simulated runs of each experiment. Default: enough for a first look."),
     ] = None,
+    full: Annotated[
+        bool, Parameter(negative="", help="As many runs as the documented figures rest on.")
+    ] = False,
     jobs: Annotated[
         int | None, Parameter(name=["--jobs", "-j"], help="Processes. Default: all cores.")
     ] = None,
@@ -47,7 +53,7 @@ def reproduce(
 ) -> None:
     """Run experiments of the thesis and write their tables and figures into a folder.
 
-    The folder holds report.html, a PNG for each figure, and figures.json with the numbers.
+    The folder holds report.html, report.md, a PNG for each figure, and figures.json with the numbers.
 
     Parameters
     ----------
@@ -57,6 +63,8 @@ def reproduce(
         The folder to write to. Default: runs/reproduce-DATE-TIME.
     """
     names = _chosen(experiments)
+    if full and seeds is not None:
+        raise ConfigError("--full and --seeds: give one of them")
     for what, number in (("--seeds", seeds), ("--jobs", jobs)):
         if number is not None and number < 1:
             raise ConfigError(f"{what} {number}: must be at least 1")
@@ -65,9 +73,11 @@ def reproduce(
     parts = []
     with display(quiet) as shown:
         for name in names:
-            job = Job(seeds, jobs or os.cpu_count() or 1, Progress(shown, name))
+            runs = seeds or (EXPERIMENTS[name][1] if full else None)
+            job = Job(runs, jobs or os.cpu_count() or 1, Progress(shown, name))
             parts.append(_experiment(name)(job))
     said = ["imp", "reproduce", *experiments, *(["--seeds", str(seeds)] if seeds else [])]
+    said += ["--full"] if full else []
     write(folder, parts, shlex.join(said))
     if not quiet:
         _show(parts)

@@ -1,4 +1,4 @@
-"""The page of what was reproduced: one HTML file that needs nothing else, the PNGs, the numbers."""
+"""What was reproduced: one HTML page that needs nothing else, the same as Markdown, PNGs, numbers."""
 
 from __future__ import annotations
 
@@ -11,11 +11,17 @@ from impslam import __version__
 from impslam.experiments.base import Part, Picture, Table
 from impslam.observers.page import escape, page, section, table
 
-PAGE, FIGURES = "report.html", "figures.json"
+PAGE, MARKDOWN, FIGURES = "report.html", "report.md", "figures.json"
+
+TITLE = "The thesis reproduced"
+ABOUT = (
+    "“Simultaneous Localization and Mapping on an Integrated Mobile Platform” (2015): its experiments "
+    "in the simulated arena beside its print, and what the default does."
+)
 
 
 def write(folder: Path, parts: Sequence[Part], command: str) -> None:
-    """Write the page, a PNG for each picture, and all numbers as JSON.
+    """Write the page (HTML and Markdown), a PNG for each picture, and all numbers as JSON.
 
     `command` is the one that made them; the page says so.
     """
@@ -24,20 +30,21 @@ def write(folder: Path, parts: Sequence[Part], command: str) -> None:
         for picture in part.pictures:
             (folder / f"{picture.name}.png").write_bytes(picture.png)
     numbers = {part.name: part.figures for part in parts}
-    text = json.dumps({"command": command, "version": __version__, **numbers}, indent=2)
-    (folder / FIGURES).write_text(text + "\n", encoding="utf-8")
+    figures = json.dumps({"command": command, "version": __version__, **numbers}, indent=2)
     sections = [_heading(command), *map(_section, parts)]
-    (folder / PAGE).write_text(page("The thesis reproduced · impslam", sections), encoding="utf-8")
+    texts = {
+        FIGURES: figures + "\n",
+        PAGE: page(f"{TITLE} · impslam", sections),
+        MARKDOWN: f"# {TITLE}\n\n{ABOUT} Made by\n\n```sh\n{command}\n```\n\n"
+        + "\n".join(map(_markdown, parts)),
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
 
 
 def _heading(command: str) -> str:
-    return (
-        "<header><h1>The thesis reproduced</h1>"
-        "<p>“Simultaneous Localization and Mapping on an Integrated Mobile Platform” (2015), its "
-        "experiments in the simulated arena beside its print, and what the default does. Lengths "
-        f"in the tables say their unit. Made by <code>{escape(command)}</code>, impslam "
-        f"{escape(__version__)}.</p></header>"
-    )
+    made = f"Made by <code>{escape(command)}</code>, impslam {escape(__version__)}."
+    return f"<header><h1>{TITLE}</h1><p>{ABOUT} {made}</p></header>"
 
 
 def _section(part: Part) -> str:
@@ -58,4 +65,20 @@ def _picture(shown: Picture) -> str:
     return (
         f'<figure class="picture"><img class="map" alt="{escape(shown.caption)}" '
         f'src="data:image/png;base64,{data}"><figcaption>{escape(shown.caption)}</figcaption></figure>'
+    )
+
+
+def _markdown(part: Part) -> str:
+    blocks = [f"## {part.title}", part.text]
+    for shown in part.tables:
+        blocks += [f"**{shown.title}**", _markdown_table(shown), shown.note]
+    blocks += [f"![{p.caption}]({p.name}.png)\n\n{p.caption}" for p in part.pictures]
+    return "\n\n".join(filter(None, blocks)) + "\n"
+
+
+def _markdown_table(shown: Table) -> str:
+    rule = ["---" if i < shown.text else "---:" for i in range(len(shown.header))]
+    return "\n".join(
+        "| " + " | ".join(str(cell).replace("|", "\\|") for cell in row) + " |"
+        for row in (shown.header, rule, *shown.rows)
     )

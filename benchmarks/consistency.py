@@ -31,14 +31,14 @@ def main() -> None:
     options.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     given = options.parse_args()
     print(f"{given.filter}, {given.runs} runs a seed")
-    print("seed  first turn   NEES  in band  rest in band  position / optimum  position  heading")
+    print("seed  first turn   NEES  in band  position / optimum  position  heading")
     rows = []
     for seed in range(FIRST, FIRST + given.seeds):
         row, first_turn = study(given.filter, given.runs, seed, given.jobs)
         rows.append(row)
         print(
             f"{seed:4d} {first_turn:11.3f} {row.nees:6.3f} {row.in_band:8.1%}"
-            f" {row.in_band_after_first:13.1%} {row.position_ratio:19.4f}"
+            f" {row.position_ratio:19.4f}"
             f" {row.position:7.3f} m {np.degrees(row.heading):5.2f} deg",
             flush=True,
         )

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from impslam.evaluation.consistency_setting import HUANG, LONG_LOOP
+from impslam.evaluation.consistency_study import BATCH
 from impslam.experiments import consistency as experiment
 from impslam.experiments.base import Job
-from impslam.experiments.consistency import HEADER, consistency
+from impslam.experiments.consistency import FILTERS, HEADER, consistency
 from impslam.experiments.consistency_arena import (
     CASES,
     OBSERVED,
@@ -45,14 +46,8 @@ def test_tables_are_rectangular_and_name_every_filter(small):
     for table in part.tables:
         assert {len(row) for row in table.rows} == {len(table.header)}
     for table in part.tables[:2]:
-        assert [row[0] for row in table.rows][:5] == [
-            "ideal",
-            "ekf",
-            "fej",
-            "riekf",
-            "batch optimum",
-        ]
-    assert [row[0] for row in part.tables[0].rows][5:] == [
+        assert [row[0] for row in table.rows][:6] == ["ideal", *FILTERS, BATCH]
+    assert [row[0] for row in part.tables[0].rows][6:] == [
         "EKF, published",
         "invariant EKF, published",
     ]

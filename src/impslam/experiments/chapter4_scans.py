@@ -35,6 +35,8 @@ SAME_ANGLE = math.radians(10.0)
 """rad: likewise for the direction of walls: the bin of the thesis's Hough transform (5.2.2)."""
 SURFACE = 0.5
 """m: a flat thing shorter than this (jambs of doors) is no wall."""
+DOORWAY = 0.45
+"""m: half a doorway: a line across an open door belongs to the wall on either side."""
 ON_LEG = 0.05
 """m: readings nearer than this to a leg's surface are of it: five times the range noise at 2 m."""
 CLEAR = 1.0
@@ -55,7 +57,7 @@ class Shot:
     """A scan and how things truly were in its middle.
 
     `pose` (3,) is `T_map_base`. In map: `surfaces` (s, 4) m are the flat things that count as walls
-    (walls, doors and the walls of rooms behind them, from `SURFACE` on; no boxes), `leaves` (l, 4) m
+    (walls, doors and the walls of rooms behind them, but no boxes; see `walls_among`), `leaves` (l, 4) m
     those of the doors that ever open, `legs` (k, 3) m x, y and radius, two of each person.
     """
 
@@ -153,9 +155,11 @@ def shots(world: World, seed: int = 0) -> Iterator[Shot]:
 
 
 def walls_among(segments: Array) -> Array:
-    """Return the segments (s, 4) m that are long enough for a wall."""
-    lengths = np.hypot(*(segments[:, 2:] - segments[:, :2]).T)
-    return np.asarray(segments[lengths >= SURFACE])
+    """Return the segments (s, 4) m that are long enough for a wall, longer by half a doorway."""
+    along = segments[:, 2:] - segments[:, :2]
+    lengths = np.hypot(*along.T)
+    more = DOORWAY * along / lengths[:, None]
+    return np.asarray((segments + np.hstack([-more, more]))[lengths >= SURFACE])
 
 
 def _twist(trajectory: Trajectory, begin: float, end: float) -> Array:
@@ -218,17 +222,21 @@ def what_is_there(shot: Shot, finding: Observation) -> int:
     """Return which true thing a finding is of, -1 if of none.
 
     A cylinder is of the standing one (of `scene.circles`) whose axis lies within `SAME` of its
-    centre. A wall is of the flat surface (of `Shot.surfaces`) that comes within `SAME` of the middle of
-    the stretch it was seen on, and within `SAME_ANGLE` of its direction. The nearest is taken.
+    centre. A wall is of the flat surface (of `Shot.surfaces`) that comes within `SAME` of the middle
+    of its readings, brought to its line, and within `SAME_ANGLE` of its direction. The nearest is
+    taken.
     """
     if finding.end_points is None:
         centre = transform(shot.pose, finding.z[None])[0]
         return _nearest(np.hypot(*(shot.scene.circles[:, :2] - centre).T))
     start, end = transform(shot.pose, finding.end_points)
-    along = shot.surfaces[:, 2:] - shot.surfaces[:, :2]
     heading = math.atan2(end[1] - start[1], end[0] - start[0])
+    readings = shot.scan.points[finding.beams] if len(finding.beams) else finding.end_points
+    direction = np.array([math.cos(heading), math.sin(heading)])
+    middle = start + ((transform(shot.pose, readings).mean(axis=0) - start) @ direction) * direction
+    along = shot.surfaces[:, 2:] - shot.surfaces[:, :2]
     turn = np.arctan2(along[:, 1], along[:, 0]) - heading
-    apart = distance_to_segments(0.5 * (start + end), shot.surfaces)
+    apart = distance_to_segments(middle, shot.surfaces)
     return _nearest(np.where(np.abs(np.sin(turn)) <= math.sin(SAME_ANGLE), apart, np.inf))
 
 

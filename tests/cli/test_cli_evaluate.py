@@ -50,10 +50,9 @@ def test_a_run_folder(imp, tmp_path) -> None:
     ("words", "part"),
     [
         (["--truth", "x"], "no run given"),
-        (["x.tum"], "either --truth"),
-        (["x.tum", "--truth", "x", "--relations", "x"], "either --truth"),
-        (["x.tum", "--truth", "x"], "x.tum"),
-        ([".", "--truth", "x"], "no trajectory.tum"),
+        (["x.tum", "--truth", "none.tum"], "none.tum"),
+        (["none.tum"], "none.tum: no such run"),
+        (["."], "no trajectory.tum"),
     ],
 )
 def test_one_line_errors(imp, tmp_path, monkeypatch, words, part) -> None:

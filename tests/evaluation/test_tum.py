@@ -33,7 +33,7 @@ def test_comments_and_commas_are_understood(tmp_path):
         ("1 2 3\n", "line 1.*found 3 numbers"),
         ("1 2 3 0 0 0 0 1\n1 2 3 0 0 0 x 1\n", "line 2.*'x'"),
         ("nan 2 3 0 0 0 0 1\n", "not finite"),
-        ("1 2 3 0 0 0 0 0\n", "quaternion of row 1"),
+        ("1 2 3 0 0 0 0.1 0.1\n", "quaternion of row 1"),
     ],
 )
 def test_bad_files_say_what_and_where(tmp_path, text, why):

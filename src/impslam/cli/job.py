@@ -22,6 +22,7 @@ from impslam.types import TrueLandmark
 FILES = frozenset(
     {"trajectory.tum", "odometry.tum", "trajectory.csv", "landmarks.csv", "map.pgm", "map.yaml"}
     | {"report.html", "report.png", "summary.json", "config.toml", "truth.tum"}
+    | {"truth.landmarks.csv"}
 )
 """What a run writes; only these are ever overwritten or removed."""
 
@@ -62,7 +63,7 @@ def execute(
 ) -> Outcome:
     """Run a log, write the run folder, and show how far it has come.
 
-    `known` are the true landmarks, for the report alone, where the source does not tell them.
+    `known` are the true landmarks, for scoring alone, where the source does not tell them.
     """
     if folder.resolve().is_relative_to(source.path.resolve()):
         raise ConfigError(f"{folder}: is within the log, which would change it; give another -o")
@@ -70,8 +71,9 @@ def execute(
     _clear(folder)
     try:
         with progress.display(quiet) as shown:
-            recorder = Recorder(folder, config.grid.resolution)
-            report = Report(folder, recorder.grid, known or source.true_landmarks())
+            known = known or source.true_landmarks()
+            recorder = Recorder(folder, config.grid.resolution, known)
+            report = Report(folder, recorder.grid, known)
             return run(config, source, [progress.Bar(source, shown), recorder, report, *more])
     except ImpError:
         _clear(folder)

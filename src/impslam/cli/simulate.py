@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,14 +12,13 @@ from cyclopts import Parameter
 from impslam.cli import console
 from impslam.cli.console import Common
 from impslam.cli.progress import display, ticker
+from impslam.evaluation.landmark_files import write_true_landmarks
 from impslam.evaluation.tum import write_tum
 from impslam.simulation.drive import drive
 from impslam.simulation.simulate import simulate as messages
 from impslam.simulation.world import World, load_world
 from impslam.sources.recording import McapWriter
-from impslam.types import LaserScan, Message, TrueLandmark, TruePose
-
-LANDMARK_COLUMNS = ("name", "kind", "x", "y", "r", "alpha", "radius", "x1", "y1", "x2", "y2")
+from impslam.types import LaserScan, Message, TruePose
 
 
 def simulate(
@@ -72,7 +70,7 @@ def write_log(world: World, log: Path, seed: int, shown: Any = None) -> int:
     with McapWriter(log) as writer:
         truth = list(_recorded(messages(world, seed=seed), writer.write, tick))
     write_tum(truth_path(log), np.array([[true.stamp, *true.pose] for true in truth]))
-    _write_landmarks(landmarks_path(log), world.landmarks())
+    write_true_landmarks(landmarks_path(log), world.landmarks())
     return len(truth)
 
 
@@ -89,17 +87,3 @@ def _recorded(
             yield latest[message.stamp]
             latest = {stamp: pose for stamp, pose in latest.items() if stamp > message.stamp}
             tick(message.stamp)
-
-
-def _write_landmarks(path: Path, landmarks: Iterable[TrueLandmark]) -> None:
-    """Write a row for each true landmark; cells that a kind does not have stay empty."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(LANDMARK_COLUMNS)
-        for landmark in landmarks:
-            cells = {"name": landmark.name, "kind": landmark.kind, **landmark.parameters}
-            cells["x"], cells["y"] = map(float, landmark.position)
-            if landmark.end_points is not None:
-                ends = map(float, landmark.end_points.ravel())
-                cells |= dict(zip(("x1", "y1", "x2", "y2"), ends, strict=True))
-            rows.writerow(cells.get(name, "") for name in LANDMARK_COLUMNS)

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from impslam.geometry.angles import wrap
+from impslam.geometry.se2 import transform
 from impslam.types import Array, Landmark, TrueLandmark
 
 GATE = 0.5
 """m: an estimate further off than this is of something else (thesis 5.2.2 associates by 0.5 m)."""
 ANGLE_GATE = math.radians(20.0)
 """rad: likewise for the direction of walls."""
+SAME = {"point": "cylinder", "cylinder": "point"}
+"""Kinds that name the same thing, without and with its size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,13 +57,16 @@ def score_landmarks(
 ) -> LandmarkScore:
     """Assign estimates to the truth one to one, so that the sum of the distances is least.
 
-    Estimates of kinds that the truth has none of are not judged.
+    Estimates of kinds that the truth has none of are not judged; "point" and "cylinder" name the same
+    thing, without and with its size, and stand for one another where the truth has one of them.
     """
     kinds = {true.kind for true in truth}
-    estimates = [mark for mark in estimates if mark.kind in kinds]
+    estimates = [mark for mark in estimates if judged_as(mark.kind, kinds) in kinds]
     from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  0.2 s, only for this
 
-    cost = np.array([[_apart(mark, true) for mark in estimates] for true in truth])
+    cost = np.array(
+        [[_apart(mark, judged_as(mark.kind, kinds), true) for mark in estimates] for true in truth]
+    )
     cost = cost.reshape(len(truth), len(estimates))
     near = cost <= gate
     # Outside the gate every pair costs the same and more than all pairs inside could save.
@@ -91,9 +97,50 @@ def corners(truth: Sequence[TrueLandmark]) -> list[TrueLandmark]:
     return found
 
 
-def _apart(mark: Landmark, true: TrueLandmark) -> float:
+def judged_as(kind: str, true_kinds: Collection[str]) -> str:
+    """Return the kind of true landmarks that an estimated kind is compared with."""
+    return kind if kind in true_kinds else SAME.get(kind, kind)
+
+
+def true_wall(name: str, ends: Array, kind: str = "wall") -> TrueLandmark:
+    """Return the wall between two end points (2, 2)."""
+    along = ends[1] - ends[0]
+    normal = np.array([-along[1], along[0]]) / math.hypot(*along)
+    r = float(normal @ ends[0])
+    if r < 0.0:
+        r, normal = -r, -normal
+    values = {"r": r, "alpha": math.atan2(normal[1], normal[0])}
+    return TrueLandmark(name, kind, r * normal, values, ends)
+
+
+def moved(T_a_b: Array, truth: Iterable[TrueLandmark]) -> list[TrueLandmark]:
+    """Return true landmarks given in frame b as those of frame a."""
+    return [_moved(T_a_b, true) for true in truth]
+
+
+def _moved(T_a_b: Array, true: TrueLandmark) -> TrueLandmark:
+    if true.end_points is not None:
+        return true_wall(true.name, transform(T_a_b, true.end_points), true.kind)
+    x, y = transform(T_a_b, true.position[None])[0].tolist()
+    values = {name: value for name, value in true.parameters.items() if name not in ("x", "y")}
+    return TrueLandmark(true.name, true.kind, np.array([x, y]), {"x": x, "y": y, **values})
+
+
+def landmark_errors(mark: Landmark, true: TrueLandmark) -> Array:
+    """Return the error (2,) that the landmark's covariance speaks of: of x, y, or of r, alpha."""
+    if true.end_points is None:
+        return mark.position - true.position
+    r, alpha = mark.parameters["r"], mark.parameters["alpha"]
+    off = wrap(alpha - true.parameters["alpha"])
+    if abs(off) <= 0.5 * math.pi:
+        return np.array([r - true.parameters["r"], off])
+    # A wall that passes the origin closely may do so on its other side, and r has no sign.
+    return np.array([r + true.parameters["r"], wrap(off + math.pi)])
+
+
+def _apart(mark: Landmark, kind: str, true: TrueLandmark) -> float:
     """Return how far apart two landmarks are, m; infinite if they cannot be the same."""
-    if mark.kind != true.kind:
+    if kind != true.kind:
         return math.inf
     if mark.end_points is None or true.end_points is None:
         return math.dist(mark.position, true.position)

@@ -1,6 +1,7 @@
 """Trajectories against the truth: alignment, absolute and relative errors.
 
-A trajectory is rows (n, 4) of stamp, x, y, theta. Errors are taken in the truth's frame.
+A trajectory is rows (n, 4) of stamp, x, y, theta; theta is NaN where only the position is known, and
+errors that need it are then NaN. Errors are taken in the truth's frame.
 """
 
 from __future__ import annotations
@@ -12,13 +13,16 @@ import numpy as np
 
 from impslam.errors import ImpError
 from impslam.geometry.angles import wrap
-from impslam.geometry.se2 import transform
+from impslam.geometry.se2 import compose, inverse, transform
 from impslam.types import Array
+
+AT_START = 1.0
+"""s: a heading that is first known so soon after the first pose is known at the start."""
 
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """Of absolute errors, in their own unit."""
+    """Of absolute errors, in their own unit; NaN if there are none."""
 
     count: int
     rmse: float
@@ -45,8 +49,10 @@ class Pairs:
 
 
 def statistics(errors: Array) -> Statistics:
-    """Return the statistics of errors (n,), n > 0, by their absolute values."""
-    e = np.abs(errors)
+    """Return the statistics of errors (n,) by their absolute values; NaN, unknown, are left out."""
+    e = np.abs(errors[~np.isnan(errors)])
+    if len(e) == 0:
+        return Statistics(0, math.nan, math.nan, math.nan, math.nan)
     rmse = math.sqrt(float(np.mean(e * e)))
     return Statistics(len(e), rmse, float(e.mean()), float(np.median(e)), float(e.max()))
 
@@ -65,11 +71,15 @@ def relative(a: Array, b: Array) -> Array:
 
 
 def interpolate(trajectory: Array, stamps: Array) -> Array:
-    """Return poses (k, 3) at the stamps, linear in between and held at the ends."""
+    """Return poses (k, 3) at the stamps, linear in between and held at the ends.
+
+    A heading between two of which one is not known is not known.
+    """
     rows = trajectory[np.argsort(trajectory[:, 0], kind="stable")]
-    t, x, y, heading = rows.T
-    columns = (x, y, np.unwrap(heading))
-    poses = np.column_stack([np.interp(stamps, t, column) for column in columns])
+    t, x, y, heading = rows.T.copy()
+    known = np.isfinite(heading)
+    heading[known] = np.unwrap(heading[known])
+    poses = np.column_stack([np.interp(stamps, t, column) for column in (x, y, heading)])
     poses[:, 2] = wrap(poses[:, 2])
     return poses
 
@@ -117,6 +127,18 @@ def align(points: Array, target: Array) -> Array:
     return np.array([shift[0], shift[1], theta])
 
 
+def start_frame(pairs: Pairs, begin: float) -> Array | None:
+    """Return `T_truth_map` (3,) that lays the estimate on the true pose at the start.
+
+    That is where the covariance of a path counts from. `begin` is the stamp of the path's first pose;
+    if no true heading is known within `AT_START` of it, None is returned.
+    """
+    known = np.flatnonzero(np.isfinite(pairs.truth[:, 2]) & np.isfinite(pairs.estimate[:, 2]))
+    if len(known) == 0 or abs(pairs.stamps[known[0]] - begin) > AT_START:
+        return None
+    return compose(pairs.truth[known[0]], inverse(pairs.estimate[known[0]]))
+
+
 def position_errors(pairs: Pairs) -> Array:
     """Return (n,) m, the distances to the truth: the absolute trajectory error of each pose."""
     x, y = (pairs.estimate[:, :2] - pairs.truth[:, :2]).T
@@ -125,7 +147,7 @@ def position_errors(pairs: Pairs) -> Array:
 
 
 def heading_errors(pairs: Pairs) -> Array:
-    """Return (n,) rad, signed."""
+    """Return (n,) rad, signed; NaN where one of the headings is not known."""
     return np.asarray(wrap(pairs.estimate[:, 2] - pairs.truth[:, 2]))
 
 
@@ -138,7 +160,8 @@ def rpe(pairs: Pairs, delta: float, unit: str = "m") -> tuple[Statistics, Statis
     """Return the relative pose error in m and in rad over a stretch (Sturm et al. 2012, Eq. 1-2).
 
     `delta` is m of true path (unit "m") or s (unit "s"); every pose begins a stretch, which ends at
-    the first pose that is at least delta further on.
+    the first pose that is at least delta further on. Stretches that begin without a heading have no
+    error; where all do, the statistics are NaN.
 
     Raises
     ------

@@ -1,4 +1,8 @@
-"""Trajectories as files of the TUM RGB-D benchmark: `stamp x y z qx qy qz qw`, metres, seconds."""
+"""Trajectories as files of the TUM RGB-D benchmark: `stamp x y z qx qy qz qw`, metres, seconds.
+
+A heading that is not known (GPS, some trackers) is NaN, and in files the quaternion `0 0 0 0`, which
+is no rotation.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +15,17 @@ import numpy as np
 from impslam.errors import ImpError
 from impslam.types import Array
 
+TRUTH = "truth.tum"
+"""The true path in a run folder, where the log told it, in the log's own frame."""
+PATH_COLUMNS = "stamp,x,y,theta,xx,xy,xt,yy,yt,tt"
+"""Columns of trajectory.csv: m, rad, s; xx to tt are the pose covariance's distinct entries."""
+
 
 def tum_row(stamp: float, pose: Array) -> str:
     """Return the line of a planar pose; nanoseconds and nanometres, so nothing is lost."""
     half = 0.5 * pose[2]
-    turn = f"{math.sin(half):.12f} {math.cos(half):.12f}"
+    known = math.isfinite(half)
+    turn = f"{math.sin(half):.12f} {math.cos(half):.12f}" if known else "0 0"
     return f"{stamp:.9f} {pose[0]:.9f} {pose[1]:.9f} 0 0 0 {turn}\n"
 
 
@@ -27,46 +37,65 @@ def write_tum(path: Path, trajectory: Array) -> None:
 def read_tum(path: Path) -> Array:
     """Return rows (n, 4) of stamp, x, y, yaw in the order of the file.
 
+    The yaw is NaN where the quaternion is all zero or not finite.
+
     Raises
     ------
     ImpError
         If the file is missing, holds no pose, or a line is not one.
     """
-    rows = np.array(list(read_numbers(path, 8, "stamp x y z qx qy qz qw"))).reshape(-1, 8)
-    x, y, z, w = rows[:, 4:].T
+    names = "stamp x y z qx qy qz qw"
+    rows = np.array(list(read_numbers(path, 8, names, finite=4))).reshape(-1, 8)
     if len(rows) == 0:
-        raise ImpError(f"{path}: holds no pose; a trajectory needs rows of stamp x y z qx qy qz qw")
-    if bad := np.flatnonzero(np.hypot(z, w) + np.hypot(x, y) < 0.5).tolist():
+        raise ImpError(f"{path}: holds no pose; a trajectory needs rows of {names}")
+    return np.column_stack((rows[:, :3], _yaw(rows[:, 4:], path)))
+
+
+def _yaw(quaternions: Array, path: Path) -> Array:
+    """Return the yaw (n,) of quaternions (n, 4) x y z w."""
+    length = np.sqrt(np.sum(quaternions**2, axis=1))
+    known = np.isfinite(length) & (length > 0.0)
+    if bad := np.flatnonzero(known & ~np.isclose(length, 1.0, atol=0.1)).tolist():
         raise ImpError(f"{path}: the quaternion of row {bad[0] + 1} is not of length 1; correct it")
-    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return np.column_stack((rows[:, :3], yaw))
+    yaw = np.full(len(quaternions), np.nan)
+    x, y, z, w = quaternions[known].T
+    yaw[known] = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    return yaw
 
 
-def read_numbers(path: Path, columns: int, names: str) -> Iterator[list[float]]:
+def read_numbers(
+    path: Path, columns: int, names: str, *, head: str = "", finite: int | None = None
+) -> Iterator[list[float]]:
     """Yield the rows of a text file of numbers; '#' begins a comment.
+
+    `head` is the line that the file has to begin with, if any; the first `finite` numbers of a row,
+    or all, must not be NaN or infinite.
 
     Raises
     ------
     ImpError
-        If the file cannot be read, or a row has not `columns` finite numbers.
+        If the file cannot be read, or a row has not `columns` such numbers.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ImpError(f"{path}: cannot be read as text ({error}); check the path") from None
+    if head and lines[:1] != [head]:
+        raise ImpError(f"{path}: does not begin with {head!r}; write it again with `imp run`")
     for number, line in enumerate(lines, 1):
         words = line.partition("#")[0].replace(",", " ").split()
-        if words:
-            yield _numbers(words, columns, f"{path}, line {number}: expected {names}")
+        if words and not (head and number == 1):
+            expected = f"{path}, line {number}: expected {names}"
+            yield _numbers(words, columns, expected, finite)
 
 
-def _numbers(words: list[str], columns: int, expected: str) -> list[float]:
+def _numbers(words: list[str], columns: int, expected: str, finite: int | None) -> list[float]:
     try:
         values = [float(word) for word in words]
     except ValueError as error:
         raise ImpError(f"{expected}; {error}") from None
     if len(values) != columns:
         raise ImpError(f"{expected}; found {len(values)} numbers")
-    if not all(map(math.isfinite, values)):
+    if not all(map(math.isfinite, values[:finite])):
         raise ImpError(f"{expected}; found a number that is not finite")
     return values

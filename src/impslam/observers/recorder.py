@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 from impslam.errors import ImpError
+from impslam.evaluation.landmark_files import TRUE_LANDMARKS, write_true_landmarks
 from impslam.mapping.files import map_image, write_landmarks, write_map
 from impslam.mapping.grid import OccupancyGrid
 from impslam.observers.base import Observer, Outcome
 from impslam.observers.grid_mapper import GridMapper
 from impslam.observers.summary import Distance, config_toml, summarise
 from impslam.observers.trajectory import TrajectoryWriter
-from impslam.types import StepResult, TruePose
+from impslam.types import StepResult, TrueLandmark, TruePose
 
 
 class Recorder(Observer):
     """Writes a run into a folder, which is made if need be.
 
     The path is written while it is driven; the map, landmarks.csv, summary.json and config.toml at
-    the end.
+    the end, and truth.landmarks.csv where there are true landmarks.
 
     Raises
     ------
@@ -27,14 +29,19 @@ class Recorder(Observer):
         If the folder cannot be written to.
     """
 
-    def __init__(self, folder: Path, resolution: float = 0.05) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        resolution: float = 0.05,
+        true_landmarks: Sequence[TrueLandmark] = (),
+    ) -> None:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ImpError(
                 f"{folder}: cannot be made ({error.strerror}); choose another -o"
             ) from None
-        self._folder = folder
+        self._folder, self._known = folder, true_landmarks
         self._path, self._mapper, self._distance = (
             TrajectoryWriter(folder),
             GridMapper(resolution),
@@ -61,6 +68,8 @@ class Recorder(Observer):
         self._path.finish(outcome)
         write_map(folder, map_image(grid))
         write_landmarks(folder / "landmarks.csv", outcome.landmarks)
+        if self._known:
+            write_true_landmarks(folder / TRUE_LANDMARKS, self._known)
         facts = summarise(outcome, self._distance, grid.refused)
         (folder / "summary.json").write_text(json.dumps(facts, indent=2, ensure_ascii=False) + "\n")
         (folder / "config.toml").write_text(config_toml(outcome.config), encoding="utf-8")

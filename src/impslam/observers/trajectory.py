@@ -5,15 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from impslam.errors import ImpError
-from impslam.evaluation.tum import tum_row
+from impslam.evaluation.tum import PATH_COLUMNS, TRUTH, tum_row
 from impslam.observers.base import Observer, Outcome
 from impslam.types import StepResult, TruePose
 
 FLUSH = 100
 """Rows kept back at most: 10 s of a lidar at 10 Hz."""
-
-HEADER = "stamp,x,y,theta,xx,xy,xt,yy,yt,tt\n"
-"""Columns of trajectory.csv: m, rad, s; xx to tt are the pose covariance's distinct entries."""
 
 
 class Rows:
@@ -51,7 +48,7 @@ class TrajectoryWriter(Observer):
         self._folder = folder
         self._path = Rows(folder / "trajectory.tum")
         self._odometry = Rows(folder / "odometry.tum")
-        self._table = Rows(folder / "trajectory.csv", HEADER)
+        self._table = Rows(folder / "trajectory.csv", PATH_COLUMNS + "\n")
         self._truth: Rows | None = None
 
     def step(self, result: StepResult) -> None:
@@ -66,7 +63,7 @@ class TrajectoryWriter(Observer):
     def truth(self, pose: TruePose) -> None:
         """Append a true pose."""
         if self._truth is None:
-            self._truth = Rows(self._folder / "truth.tum")
+            self._truth = Rows(self._folder / TRUTH)
         self._truth.add(tum_row(pose.stamp, pose.pose))
 
     def finish(self, outcome: Outcome) -> None:

@@ -1,0 +1,193 @@
+"""Runs side by side: short names, and tables with the best of each column in bold."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich import box
+from rich.console import JustifyMethod
+from rich.table import Table
+from rich.text import Text
+
+from impslam.cli import console
+from impslam.evaluation.relations import RelationErrors
+from impslam.evaluation.scores import Alignment, Consistency, KindScore, PathScore
+from impslam.evaluation.trajectory import Statistics
+from impslam.types import Array
+
+ALIGNED = {"fit": "aligned", "start": "at start", "none": "as given"}
+"""How the columns are called whose errors are taken after an alignment."""
+NOTES = {
+    "fit": "aligned: after the rigid motion that fits the path to the truth best",
+    "start": "at start: the first pose laid on the true one",
+    "none": "as given: the truth is taken to be in map",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """What a cell says, and how far from the best it could be; NaN where that is no question."""
+
+    text: str
+    badness: float = math.nan
+
+
+def short_names(paths: Sequence[Path]) -> list[str]:
+    """Return what differs between paths: their parts without those that all begin or end with."""
+    parts = [list(path.parts) for path in paths]
+    while len(paths) > 1 and len({tuple(p[:1]) for p in parts}) == 1 and min(map(len, parts)) > 1:
+        parts = [p[1:] for p in parts]
+    while len(paths) > 1 and len({tuple(p[-1:]) for p in parts}) == 1 and min(map(len, parts)) > 1:
+        parts = [p[:-1] for p in parts]
+    if len(paths) == 1:
+        parts = [p[-1:] or ["."] for p in parts]
+    return [str(Path(*p)) for p in parts]
+
+
+def show(header: Sequence[str], rows: Mapping[tuple[str, ...], Sequence[Cell]]) -> None:
+    """Print a table: labels flush left, then numbers, the best of each column in bold.
+
+    The first label is the run; rows that share the others are compared with one another.
+    """
+    words = len(next(iter(rows)))
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for i, name in enumerate(header):
+        justify: JustifyMethod = "left" if i < words else "right"
+        table.add_column(Text(name), justify=justify, overflow="fold")
+    for labels, cells in rows.items():
+        rivals = [other for key, other in rows.items() if key[1:] == labels[1:]]
+        best = [_best([cell.badness for cell in column]) for column in zip(*rivals, strict=True)]
+        looks = ["bold" if c.badness == b else "" for c, b in zip(cells, best, strict=True)]
+        numbers = (Text(c.text, look) for c, look in zip(cells, looks, strict=True))
+        table.add_row(*map(Text, labels), *numbers)
+    console.show_indented(table, 0)
+
+
+def _best(badness: Sequence[float]) -> float:
+    """Return the least, or NaN where there is nothing to compare."""
+    known = [value for value in badness if math.isfinite(value)]
+    return min(known) if len(known) > 1 else math.nan
+
+
+def show_paths(scores: Mapping[str, PathScore], align_by: Alignment, delta: float) -> None:
+    """Print how far paths are from the truth."""
+    name, stretch = ALIGNED[align_by], f"RPE/{delta:g} m"
+    header = ["run", "poses", "ATE, m", f"{name}, m", "max, m", "heading, deg"]
+    header += [f"{stretch}, m", "deg", "NEES", "in 95 %"]
+    show(header, {(run,): _path_cells(score) for run, score in scores.items()})
+    notes = [f"ATE, RPE, heading: root mean squares; {NOTES[align_by]}"]
+    sure = [score.consistency for score in scores.values()]
+    if any(sure):
+        notes.append(_consistency_note([c for c in sure if c]))
+    if not all(sure):
+        notes.append(
+            "NEES -: needs covariances (a run folder) and a true heading within 1 s of the start"
+        )
+    for note in notes:
+        console.say(note)
+
+
+def _consistency_note(known: Sequence[Consistency]) -> str:
+    dofs = " or ".join(str(dof) for dof in sorted({c.dof for c in known}))
+    what = "" if min(c.dof for c in known) == 3 else " (2: of the position alone)"
+    return (
+        f"NEES: mean over poses from the true start, ideal {dofs}{what}; in 95 %: share of poses in "
+        "the chi-square interval (one run; steps are not independent)"
+    )
+
+
+def _path_cells(score: PathScore) -> list[Cell]:
+    metres, radians = score.rpe_metres, score.rpe_radians
+    return [
+        Cell(str(score.given.count)),
+        _length(score.given.rmse),
+        _length(score.aligned.rmse),
+        _length(score.aligned.max),
+        _angle(score.heading.rmse, 2),
+        _length(metres.rmse if metres else math.nan),
+        _angle(radians.rmse if radians else math.nan, 3),
+        *_sure(score.consistency),
+    ]
+
+
+def _number(value: float, digits: int) -> Cell:
+    return Cell(f"{value:.{digits}f}" if math.isfinite(value) else "-", value)
+
+
+def _length(value: float, digits: int = 4) -> Cell:
+    return _number(value, digits)
+
+
+def _angle(value: float, digits: int) -> Cell:
+    return _number(math.degrees(value), digits)
+
+
+def _sure(sure: Consistency | None) -> tuple[Cell, Cell]:
+    if sure is None:
+        return Cell("-"), Cell("-")
+    dof = "" if sure.dof == 3 else " (2)"
+    mean = Cell(f"{sure.mean:.2f}{dof}", abs(math.log(max(sure.mean, 1e-300) / sure.dof)))
+    return mean, Cell(f"{100.0 * sure.within:.0f} %", abs(sure.within - 0.95))
+
+
+def show_landmarks(scores: Mapping[str, Sequence[KindScore]], gate: float, note: str) -> None:
+    """Print what became of the true landmarks of each kind."""
+    header = ["run", "kind", "true", "matched", "missing", "false", "double"]
+    header += ["RMS, m", "max, m", "angle, deg", "NEES"]
+    rows = {(run, s.kind): _kind_cells(s) for run, kinds in scores.items() for s in kinds}
+    show(header, dict(sorted(rows.items(), key=lambda row: row[0][1])))
+    console.say(
+        f"matched within {gate:g} m, {note}; walls: across, at their middle; NEES: ideal 2, from the "
+        "true start"
+    )
+
+
+def _kind_cells(score: KindScore) -> list[Cell]:
+    nees = score.nees
+    off = abs(math.log(nees / 2.0)) if nees > 0.0 else math.nan
+    counts = (score.missing, score.false, score.doubles)
+    return [
+        Cell(str(score.true)),
+        Cell(str(score.distance.count), -score.distance.count),
+        *(Cell(str(count), count) for count in counts),
+        _length(score.distance.rmse),
+        _length(score.distance.max),
+        _angle(score.angle.rmse, 2) if score.angle.max else Cell(""),
+        Cell(f"{nees:.2f}" if math.isfinite(nees) else "-", off),
+    ]
+
+
+def show_relations(errors: Mapping[str, RelationErrors]) -> None:
+    """Print how well runs keep measured relations."""
+    header = ("run", "relations", "missing", "metres", "median", "degrees", "median")
+    show(header, {(run,): _relation_cells(error) for run, error in errors.items()})
+
+
+def _relation_cells(errors: RelationErrors) -> list[Cell]:
+    degrees = np.degrees(errors.rotation)
+    return [
+        Cell(str(len(errors.translation))),
+        Cell(str(errors.missing), errors.missing),
+        _spread(errors.translation, 3),
+        _number(errors.metres.median, 3),
+        _spread(degrees, 2),
+        _number(float(np.median(degrees)), 2),
+    ]
+
+
+def _spread(errors: Array, digits: int) -> Cell:
+    """Return mean and standard deviation, as the suite's tables give them."""
+    mean = float(errors.mean())
+    return Cell(f"{mean:.{digits}f} ± {errors.std():.{digits}f}", mean)
+
+
+def statistics_of(stats: Statistics | None) -> dict[str, float | int] | None:
+    """Return statistics by name."""
+    if stats is None:
+        return None
+    names = ("count", "rmse", "mean", "median", "max")
+    return {name: getattr(stats, name) for name in names}

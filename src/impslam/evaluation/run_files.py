@@ -1,0 +1,65 @@
+"""Reads what there is to score: the folder of a run, or a bare trajectory of any program."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from impslam.errors import ImpError
+from impslam.evaluation.landmark_files import TRUE_LANDMARKS, read_true_landmarks
+from impslam.evaluation.tum import PATH_COLUMNS, TRUTH, read_numbers, read_tum
+from impslam.mapping.files import read_landmarks
+from impslam.types import Array, Landmark, TrueLandmark
+
+SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedRun:
+    """A run as its files tell it; what they do not hold is None.
+
+    `path` (n, 4) is stamp, x, y, theta; `covariances` (n, 3, 3) those of its poses; `truth` (m, 4)
+    and `true_landmarks` are in the log's own frame, all else is in map.
+    """
+
+    path: Array
+    covariances: Array | None = None
+    landmarks: list[Landmark] | None = None
+    truth: Array | None = None
+    true_landmarks: list[TrueLandmark] | None = None
+
+
+def read_run(place: Path) -> RecordedRun:
+    """Read the folder of a run, or a TUM file.
+
+    Raises
+    ------
+    ImpError
+        If there is no trajectory, or a file cannot be read.
+    """
+    if not place.exists():
+        raise ImpError(f"{place}: no such run; give the folder of a run, or a TUM file")
+    if not place.is_dir():
+        return RecordedRun(read_tum(place))
+    if not (place / "trajectory.tum").is_file():
+        raise ImpError(f"{place}: holds no trajectory.tum; give the folder of a run")
+    path = read_tum(place / "trajectory.tum")
+    table, marks = place / "trajectory.csv", place / "landmarks.csv"
+    truth, true_marks = place / TRUTH, place / TRUE_LANDMARKS
+    return RecordedRun(
+        path,
+        _covariances(table, path) if table.is_file() else None,
+        read_landmarks(marks) if marks.is_file() else None,
+        read_tum(truth) if truth.is_file() else None,
+        read_true_landmarks(true_marks) if true_marks.is_file() else None,
+    )
+
+
+def _covariances(table: Path, path: Array) -> Array:
+    """Return the covariances (n, 3, 3) of the poses of a path (n, 4)."""
+    rows = np.array(list(read_numbers(table, 10, PATH_COLUMNS, head=PATH_COLUMNS))).reshape(-1, 10)
+    if not np.array_equal(rows[:, 0], path[:, 0]):
+        raise ImpError(f"{table}: has other stamps than trajectory.tum; run the log again")
+    return rows[:, 4:][:, SYMMETRIC].reshape(-1, 3, 3)

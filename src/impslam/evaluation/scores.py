@@ -1,0 +1,202 @@
+"""How good a run is: its path, what it says of its own errors, and its landmarks.
+
+The truth has a frame of its own (motion capture, GPS), and `T_truth_map` leads there. Errors are taken
+where the path fits the truth best, unless one asks for another frame. What the filter says of its
+errors, though, counts from the start, which is the map's origin by definition: normalised errors are
+taken with the estimate laid on the true pose at the start.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from impslam.errors import ImpError
+from impslam.evaluation.consistency import nees, pose_errors, share_within
+from impslam.evaluation.landmarks import (
+    GATE,
+    LandmarkScore,
+    judged_as,
+    landmark_errors,
+    moved,
+    score_landmarks,
+)
+from impslam.evaluation.run_files import RecordedRun
+from impslam.evaluation.trajectory import (
+    Pairs,
+    Statistics,
+    align,
+    associate,
+    ate,
+    heading_errors,
+    move,
+    rpe,
+    start_frame,
+    statistics,
+)
+from impslam.geometry.se2 import inverse
+from impslam.types import Array, Landmark, Mask, TrueLandmark
+
+Alignment: TypeAlias = Literal["fit", "start", "none"]
+"""Where errors are taken: the path fitted to the truth, laid on its start, or as it is given."""
+STILL = 1e-3
+"""m: before it has moved so far a run is at its start, whose covariance is a formality."""
+
+
+@dataclass(frozen=True, slots=True)
+class Consistency:
+    """Normalised error squared of one run's poses, whose steps are not independent.
+
+    `dof` is 3, or 2 where only positions are known: what `mean` ideally is. `within` is the share of
+    the `count` poses inside the 95 % interval of the chi-square distribution.
+    """
+
+    dof: int
+    count: int
+    mean: float
+    within: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathScore:
+    """How far a path is from the truth.
+
+    Attributes
+    ----------
+    pairs : estimate and truth in the truth's frame, as aligned
+    T_truth_map : (3,), the alignment
+    T_truth_start : (3,), that of the true pose at the start, in which covariances count; or None
+    given, aligned : m, absolute trajectory error as given, and after the alignment
+    heading : rad
+    rpe_metres, rpe_radians : relative pose error; None for a path shorter than the stretch
+    consistency : None without covariances or without a true start
+    """
+
+    pairs: Pairs
+    T_truth_map: Array
+    T_truth_start: Array | None
+    given: Statistics
+    aligned: Statistics
+    heading: Statistics
+    rpe_metres: Statistics | None
+    rpe_radians: Statistics | None
+    consistency: Consistency | None
+
+
+@dataclass(frozen=True, slots=True)
+class KindScore:
+    """What became of the true landmarks of one kind.
+
+    `distance` is in m (of walls: across, at the middle of the true wall), `angle` in rad between
+    walls. `nees` is the mean over landmarks, ideally 2; NaN if not known.
+    """
+
+    kind: str
+    true: int
+    missing: int
+    false: int
+    doubles: int
+    distance: Statistics
+    angle: Statistics
+    nees: float
+
+
+def score_path(run: RecordedRun, truth: Array, align_by: Alignment, delta: float) -> PathScore:
+    """Compare a run with the true path (m, 4).
+
+    Parameters
+    ----------
+    delta : m, stretch of the relative pose error
+
+    Raises
+    ------
+    ImpError
+        If they share no time, or the true start is asked for and not known.
+    """
+    pairs = associate(run.path, truth)
+    start = np.zeros(3) if align_by == "none" else start_frame(pairs, float(run.path[0, 0]))
+    if align_by == "fit":
+        T_truth_map = align(pairs.estimate[:, :2], pairs.truth[:, :2])
+    elif start is None:
+        raise ImpError("the truth tells no heading at the run's start; leave out --align start")
+    else:
+        T_truth_map = start
+    laid = pairs.moved(T_truth_map)
+    relative = _relative(pairs, delta)
+    sure = None if start is None else _consistency(run, pairs, start)
+    given, aligned = ate(pairs, aligned=False), ate(laid, aligned=False)
+    turn = statistics(heading_errors(laid))
+    return PathScore(laid, T_truth_map, start, given, aligned, turn, *relative, sure)
+
+
+def _relative(pairs: Pairs, delta: float) -> tuple[Statistics, Statistics] | tuple[None, None]:
+    try:
+        return rpe(pairs, delta)
+    except ImpError:
+        return None, None
+
+
+def _consistency(run: RecordedRun, pairs: Pairs, T_truth_map: Array) -> Consistency | None:
+    """Return the normalised errors of a run, the truth laid in map at its start."""
+    if run.covariances is None:
+        return None
+    errors = pose_errors(pairs.estimate, move(inverse(T_truth_map), pairs.truth))
+    covariances = run.covariances[np.isin(run.path[:, 0], pairs.stamps)]
+    dof = 3 if np.isfinite(errors).all() else 2
+    errors, covariances = errors[:, :dof], covariances[:, :dof, :dof]
+    away = np.hypot(*(pairs.estimate[:, :2] - pairs.estimate[0, :2]).T) > STILL
+    used = np.maximum.accumulate(away) & _regular(covariances)
+    if not used.any():
+        return None
+    values = nees(errors[used], covariances[used])
+    return Consistency(dof, len(values), float(values.mean()), share_within(values, 1, dof))
+
+
+def _regular(covariances: Array) -> Mask:
+    """Tell which covariances (n, k, k) can be divided by."""
+    return np.asarray(np.linalg.eigvalsh(covariances)[:, 0] > 0.0)
+
+
+def score_kinds(
+    landmarks: Sequence[Landmark],
+    truth: Sequence[TrueLandmark],
+    path: PathScore | None,
+    gate: float = GATE,
+) -> list[KindScore]:
+    """Compare a map with true landmarks, kind by kind.
+
+    Both are compared in map, where the path's alignment lays the truth; without a path the truth is
+    taken to be in map already.
+    """
+    here = truth if path is None else moved(inverse(path.T_truth_map), truth)
+    start = np.zeros(3) if path is None else path.T_truth_start
+    counted = {} if start is None else {t.name: t for t in moved(inverse(start), truth)}
+    kinds = sorted({true.kind for true in truth})
+    scores = []
+    for kind in kinds:
+        ours = [mark for mark in landmarks if judged_as(mark.kind, kinds) == kind]
+        theirs = [true for true in here if true.kind == kind]
+        score = score_landmarks(ours, theirs, gate)
+        marks = {mark.id: mark for mark in ours}
+        both = [(marks[e.id], counted[e.name]) for e in score.found if e.name in counted]
+        scores.append(_kind_score(kind, len(theirs), score, _mean_nees(both)))
+    return scores
+
+
+def _kind_score(kind: str, true: int, score: LandmarkScore, mean_nees: float) -> KindScore:
+    lost = len(score.missing), len(score.false), len(score.doubles)
+    distance = statistics(np.array([error.distance for error in score.found]))
+    angle = statistics(np.array([error.angle for error in score.found]))
+    return KindScore(kind, true, *lost, distance, angle, mean_nees)
+
+
+def _mean_nees(pairs: Sequence[tuple[Landmark, TrueLandmark]]) -> float:
+    """Return the mean normalised error squared of landmarks, NaN where none can be told."""
+    errors = np.array([landmark_errors(mark, true) for mark, true in pairs]).reshape(-1, 2)
+    covariances = np.array([mark.covariance for mark, _ in pairs]).reshape(-1, 2, 2)
+    used = _regular(covariances)
+    return float(nees(errors[used], covariances[used]).mean()) if used.any() else math.nan

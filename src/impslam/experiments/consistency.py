@@ -15,7 +15,7 @@ from impslam.evaluation.consistency import chi2_bounds
 from impslam.evaluation.consistency_setting import HUANG, LONG_LOOP, Setting
 from impslam.evaluation.consistency_study import Row, Run, Study, consistency_study
 from impslam.experiments.base import Job, Part, Picture, Table
-from impslam.experiments.consistency_arena import LANDMARKS, OBSERVED, Outcome, whole_system
+from impslam.experiments.consistency_arena import KINDS, Outcome, whole_system
 
 FILTERS = ("ekf", "fej", "oc", "riekf")
 RUNS = 100
@@ -183,13 +183,13 @@ def _number(value: float, digits: int) -> str:
 def arena_table(outcomes: Sequence[Outcome]) -> Table:
     """Return the whole system's table."""
     header = ["simulated", "filter", "runs", "pose NEES", "in band [%]"]
-    header += [f"{kind} NIS" for kind in OBSERVED] + [f"{kind} NEES" for kind in LANDMARKS]
-    ideal = ["ideal", "", "", "3", "95", "1", "1", "1", "2", "2"]
+    header += [f"{kind} NIS" for kind in KINDS] + [f"{kind} NEES" for kind in KINDS]
+    ideal = ["ideal", "", "", "3", "95", "1", "1", "1", "2", "2", "2"]
     rows = [
         [
             *(o.case, o.filter, str(o.runs), f"{o.mean:.2f}", f"{100 * o.in_band:.0f}"),
-            *(_number(o.nis[kind], 2) for kind in OBSERVED),
-            *(_number(o.landmarks[kind], 2) for kind in LANDMARKS),
+            *(_number(o.nis[kind], 2) for kind in KINDS),
+            *(_number(o.landmarks[kind], 2) for kind in KINDS),
         ]
         for o in outcomes
     ]

@@ -14,7 +14,7 @@ import numpy as np
 
 from impslam.config import load
 from impslam.evaluation.consistency import nees, pose_errors, share_within
-from impslam.evaluation.landmarks import score_landmarks
+from impslam.evaluation.landmarks import corners, score_landmarks
 from impslam.experiments.base import Job
 from impslam.geometry.angles import wrap
 from impslam.pipeline import Pipeline
@@ -24,8 +24,7 @@ from impslam.simulation.world import load_world
 from impslam.types import Array, Landmark, Message, StepResult, TrueLandmark, TruePose
 
 FILTERS = ("ekf", "riekf")
-LANDMARKS = ("cylinder", "wall")
-OBSERVED = (*LANDMARKS, "corner")
+KINDS = ("cylinder", "wall", "corner")
 SETTLED = 2.0
 """s; until the robot has left the start its errors are 0 by definition, and tell nothing."""
 
@@ -125,11 +124,11 @@ def judge(task: tuple[Case, int]) -> dict[str, Sample]:
     case, seed = task
     world = load_world("arena")
     messages = list(simulate(world, case.robot, seed))
+    truth = [*world.landmarks(), *corners(world.landmarks())]
     start = list(map(float, world.robot.start))
     settings = [f"start={start}", f"seed={seed}", *case.settings]
     return {
-        name: sample(messages, world.landmarks(), [*settings, f"filter.kind={name}"])
-        for name in case.filters
+        name: sample(messages, truth, [*settings, f"filter.kind={name}"]) for name in case.filters
     }
 
 
@@ -196,8 +195,8 @@ def _outcome(case: str, name: str, samples: Sequence[Sample]) -> Outcome:
         len(samples),
         samples[0].times[:last],
         np.mean([s.nees[:last] for s in samples], axis=0),
-        {kind: _mean([s.nis for s in samples], kind) for kind in OBSERVED},
-        {kind: _mean([s.landmarks for s in samples], kind) for kind in LANDMARKS},
+        {kind: _mean([s.nis for s in samples], kind) for kind in KINDS},
+        {kind: _mean([s.landmarks for s in samples], kind) for kind in KINDS},
     )
 
 

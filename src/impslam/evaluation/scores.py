@@ -126,11 +126,11 @@ def score_path(run: RecordedRun, truth: Array, align_by: Alignment, delta: float
     else:
         T_truth_map = start
     laid = pairs.moved(T_truth_map)
-    relative = _relative(pairs, delta)
+    metres, radians = _relative(pairs, delta)
     sure = None if start is None else _consistency(run, pairs, start)
     given, aligned = ate(pairs, aligned=False), ate(laid, aligned=False)
     turn = statistics(heading_errors(laid))
-    return PathScore(laid, T_truth_map, start, given, aligned, turn, *relative, sure)
+    return PathScore(laid, T_truth_map, start, given, aligned, turn, metres, radians, sure)
 
 
 def _relative(pairs: Pairs, delta: float) -> tuple[Statistics, Statistics] | tuple[None, None]:

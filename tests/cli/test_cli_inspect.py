@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.sources.logs import write_acfr_park
 
 from impslam.sources.recording import McapWriter
 from impslam.types import LaserScan, OdometryPose, WheelAngles
@@ -51,6 +52,17 @@ def test_scans_of_changing_length_and_invalid_beams(imp, write) -> None:
     assert "invalid beams  59.6 %" in said.out
     assert "few valid beams" in said.out
     assert "not in the log" in said.out
+
+
+def test_a_log_of_detections_needs_no_scan(imp, tmp_path) -> None:
+    said = imp("inspect", write_acfr_park(tmp_path / "park"))
+    words = " ".join(said.out.split())
+    assert "acfr_park, preset victoria-park" in words
+    assert "zt Detections yes trees 3" in words
+    assert "scans none" in words
+    assert "no problem found" in words
+    said = imp("inspect", tmp_path / "park", "-c", "imp")
+    assert "holds no LaserScan to map with" in said.out
 
 
 def test_clocks_apart(imp, write) -> None:

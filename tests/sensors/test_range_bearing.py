@@ -57,3 +57,8 @@ def test_a_message_of_nothing_finite_is_refused_and_an_empty_one_is_not():
     with pytest.raises(MessageError, match=r"no detection at 7\.000 s is finite"):
         RangeBearing().observe(detections([math.nan], [0.0]), STILL, RNG)
     assert RangeBearing().observe(detections([], []), STILL, RNG).observations == ()
+
+
+def test_late_stamps_are_taken_back():
+    assert RangeBearing().span(detections([3.0], [0.0])) == (7.0, 7.0)
+    assert RangeBearing(latency=0.25).span(detections([3.0], [0.0])) == (6.75, 6.75)

@@ -126,11 +126,11 @@ class Survey:
     def _judge(self) -> None:
         """Enter what is wrong with the log as a whole."""
         felt = self._robot.odometry.consumes.__name__
-        scans, motion = self.clocks.get("LaserScan"), self.clocks.get(felt)
+        scans, motion = self._seen(), self.clocks.get(felt)
         if scans is None:
             self.problems.add(
                 "no scan",
-                "the log holds no laser scan to map with: record one, or name its topic with "
+                f"the log holds no {self._wanted()} to map with: record one, or name its topic with "
                 "--topic scan=NAME",
             )
         if motion is None:
@@ -143,6 +143,14 @@ class Survey:
                 f"{100 * self.beams.share_invalid:.0f} % of the beams have no valid range: check "
                 "the lidar, or sensors.lidar.range_min and range_max",
             )
+
+    def _seen(self) -> Clock | None:
+        """Return the clock of what the robot's first sensor with messages in the log understands."""
+        names = [sensor.consumes.__name__ for sensor in self._robot.sensors.values()]
+        return next((self.clocks[name] for name in names if name in self.clocks), None)
+
+    def _wanted(self) -> str:
+        return " or ".join(sensor.consumes.__name__ for sensor in self._robot.sensors.values())
 
     def _no_odometry(self, felt: str) -> str:
         kind = self._robot.odometry.name

@@ -66,7 +66,7 @@ class Reflector(Extractor):
         direction = first + float(np.mean(wrap(scan.directions[beams] - first)))
         distance = float(scan.ranges[beams].mean())
         along = float(np.mean(scan.sigmas[beams] ** 2)) / n + scan.bias**2 + self.sigma_surface**2
-        # Each end of a row of beams is known to one spacing: uniform, so 1/12 of its square.
+        # One beam tells the direction to a spacing: uniform, 1/12 of its square. More are a little surer.
         across = spacing**2 / 12.0 + (self.sigma_surface / max(distance, self.sigma_surface)) ** 2
         point, R = to_cartesian(distance + self.radius, direction, np.diag([along, across]))
         origin: Array = scan.origins[beams].mean(axis=0)

@@ -34,6 +34,15 @@ class RangeBearing(Sensor):
     sigma_range: float = parameter(0.05, "m", "standard deviation of the range at range 0", gt=0)
     sigma_range_per_m: float = parameter(0.0, "1", "how much it grows with range", ge=0)
     sigma_bearing: float = parameter(0.01, "rad", "standard deviation of the bearing", gt=0)
+    latency: float = parameter(
+        0.0,
+        "s",
+        "how much later than they were made detections are stamped, on the odometry's clock",
+    )
+
+    def span(self, message: Message) -> tuple[float, float]:
+        """Return the moment of the detections, s on the odometry's clock."""
+        return message.stamp - self.latency, message.stamp - self.latency
 
     def observe(
         self, message: Message, twist: Array, rng: np.random.Generator, look: bool = True

@@ -76,7 +76,9 @@ class Carpark(MatlabSource):
             except (IndexError, MessageError) as error:
                 self._problems.add("malformed event", f"{self.path}:{number}: {error}; dropped")
             else:
-                yield Located(message, number, type(message).__name__)
+                # A GPS falls silent under trees and says so; its clock is no one's business.
+                stream = "" if isinstance(message, TruePose) else type(message).__name__
+                yield Located(message, number, stream)
 
     def _message(self, sensor: int, index: int) -> Message:
         if sensor not in self._makers or index < 0:
@@ -161,7 +163,7 @@ class Park(MatlabSource):
                 where = f"{self.path}:{number}: {stream}"
                 self._problems.add(f"malformed {stream}", f"{where}: {error}; dropped")
             else:
-                yield Located(message, number, stream)
+                yield Located(message, number, "" if isinstance(message, TruePose) else stream)
 
     def _close(self) -> None:
         self._wheels = self._fixes = np.empty((0, 3))

@@ -1,0 +1,183 @@
+"""The car's outdoor logs against its GPS and surveyed beacons: figures, and pictures for the docs.
+
+    python benchmarks/outdoor.py --data ../shared/data                  # figures
+    python benchmarks/outdoor.py --data ../shared/data -o docs/images   # and pictures
+
+The GPS has a frame of its own and no heading, and its antenna is where base_link is: the path is moved
+rigidly to where it fits all fixes best, and the map with it. No fix is left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.real_logs import Run, run_log  # noqa: E402  found from the root of the project
+
+from impslam.evaluation.landmarks import LandmarkScore, score_landmarks  # noqa: E402
+from impslam.evaluation.plots import ODOMETRY, PATH, POINT, TRUTH, style  # noqa: E402
+from impslam.evaluation.trajectory import (  # noqa: E402
+    Pairs,
+    align,
+    associate,
+    move,
+    position_errors,
+    statistics,
+)
+from impslam.geometry.se2 import inverse, transform  # noqa: E402
+from impslam.sources.base import recognise  # noqa: E402
+from impslam.types import Array, TrueLandmark, TruePose  # noqa: E402
+
+INCHES = (9.0, 8.2)
+NEAR = 2.0  # m, what a GPS without corrections keeps to under trees at best
+
+
+@dataclass(frozen=True, eq=False)
+class Outdoor:
+    """A run against its GPS, and its map against surveyed beacons where there are some.
+
+    `path`, `wheels` and `marks` (n, 2) m are moved to the GPS's frame, path and wheels each by its own
+    best fit; `errors` and `wheels_errors` (k,) m are those of the fixes (k, 2).
+    """
+
+    path: Array
+    wheels: Array
+    marks: Array
+    fixes: Array
+    errors: Array
+    wheels_errors: Array
+    known: tuple[TrueLandmark, ...]
+    beacons: LandmarkScore
+    beacon_errors: Array
+
+
+def score(seen: Run, log: Path) -> Outdoor:
+    """Score a run by the fixes and beacons in its log."""
+    with recognise(log)(path=log) as source:
+        fixes = np.array([[m.stamp, *m.pose] for m in source if isinstance(m, TruePose)])
+        known = tuple(source.true_landmarks())
+    path, errors, T_gps_map = _fit(np.array(seen.path), fixes)
+    wheels, wheels_errors, _ = _fit(np.array(seen.wheels), fixes)
+    T_map_gps = inverse(T_gps_map)
+    in_map = [
+        TrueLandmark(b.name, b.kind, transform(T_map_gps, b.position), b.parameters) for b in known
+    ]
+    beacons = score_landmarks(seen.landmarks, in_map)
+    marks = transform(T_gps_map, np.array([mark.position for mark in seen.landmarks]))
+    off = np.array([e.distance for e in beacons.found])
+    return Outdoor(path, wheels, marks, fixes[:, 1:3], errors, wheels_errors, known, beacons, off)
+
+
+def _fit(path: Array, fixes: Array) -> tuple[Array, Array, Array]:
+    """Return a path (n, 2) in the GPS's frame, its distance from each fix within its time, the motion.
+
+    The path is interpolated to the fixes, not they to it: between fixes that jump there is nothing.
+    """
+    pairs = associate(fixes, path, slack=0.0)
+    pairs = Pairs(pairs.stamps, pairs.truth, pairs.estimate)
+    T_gps_map = align(pairs.estimate[:, :2], pairs.truth[:, :2])
+    moved = move(T_gps_map, path[:, 1:])[:, :2]
+    return moved, position_errors(pairs.moved(T_gps_map)), T_gps_map
+
+
+def carpark(data: Path, folder: Path | None = None) -> tuple[Run, Outdoor]:
+    """Map the car park by its reflecting beacons."""
+    seen = run_log(data / "carpark", folder=folder)
+    return seen, score(seen, data / "carpark")
+
+
+def victoria_park(data: Path, folder: Path | None = None) -> tuple[Run, Outdoor]:
+    """Map Victoria Park by its trees."""
+    seen = run_log(data / "victoria-park", folder=folder)
+    return seen, score(seen, data / "victoria-park")
+
+
+def carpark_figures(seen: Run, scored: Outdoor) -> str:
+    """Return what the docs say of the car park."""
+    path, wheels = statistics(scored.errors), statistics(scored.wheels_errors)
+    found, beacons = len(scored.beacons.found), scored.beacons
+    rms = math.sqrt(float(np.mean(scored.beacon_errors**2)))
+    return (
+        f"{found} of {len(scored.known)} beacons, {len(beacons.false) + len(beacons.doubles)} false, "
+        f"{100 * rms:.1f} cm RMS; path {100 * path.rmse:.1f} cm RMS, median "
+        f"{100 * path.median:.1f} cm (wheels alone {wheels.rmse:.2f} m RMS); "
+        f"{seen.speed:.0f} times real time"
+    )
+
+
+def victoria_park_figures(seen: Run, scored: Outdoor) -> str:
+    """Return what the docs say of Victoria Park."""
+    path, wheels = statistics(scored.errors), statistics(scored.wheels_errors)
+    others = statistics(np.sort(scored.errors)[:-1])
+    near = 100.0 * float(np.mean(scored.errors < NEAR))
+    return (
+        f"{len(seen.landmarks)} trees; path from {path.count} fixes: median {path.median:.2f} m, "
+        f"{near:.0f} % within {NEAR:g} m, {path.rmse:.2f} m RMS ({others.rmse:.2f} m without the one fix "
+        f"that is {path.max:.0f} m off; wheels alone {wheels.rmse:.0f} m RMS); "
+        f"{seen.speed:.0f} times real time"
+    )
+
+
+# --------------------------------------------------------------------------- pictures
+
+
+def picture(scored: Outdoor, target: Path, mark: str) -> None:
+    """Draw path and landmarks (called `mark`) over the GPS and the survey."""
+    figure = Figure(figsize=INCHES, dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot(facecolor="white")
+    axes.plot(*scored.wheels.T, color=ODOMETRY, lw=0.8, label="wheels alone", zorder=1)
+    axes.plot(*scored.fixes.T, ".", color=TRUTH, ms=4, label="GPS", zorder=3)
+    axes.plot(*scored.path.T, color=PATH, lw=1.2, label="SLAM", zorder=4)
+    axes.plot(*scored.marks.T, "+", color=POINT, ms=7, mew=1.5, label=mark, zorder=5)
+    if scored.known:
+        survey = np.array([true.position for true in scored.known])
+        look: dict[str, Any] = {"mfc": "none", "mec": TRUTH, "mew": 1.3, "ms": 11, "zorder": 2}
+        axes.plot(*survey.T, "o", label="surveyed beacon", **look)
+    _frame(axes, np.vstack((scored.path, scored.marks)))
+    figure.legend(loc="outside upper center", ncols=5, frameon=False, markerscale=1.5)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(target, metadata={"Software": None})
+
+
+def _frame(axes: Any, points: Array) -> None:
+    """Show the points with equal axes in m; the wheels' path may leave the picture."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.04 * float((high - low).max())
+    axes.set_aspect("equal", adjustable="box")
+    axes.set_xlim(low[0] - margin, high[0] + margin)
+    axes.set_ylim(low[1] - margin, high[1] + margin)
+    axes.set(xlabel="x in m", ylabel="y in m")
+    style(axes)
+
+
+def main() -> None:
+    """Print the figures of both logs, and draw them if told where."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    parser.add_argument("-o", "--out", type=Path, help="folder for the pictures")
+    arguments = parser.parse_args()
+    for job, figures, mark in (
+        (carpark, carpark_figures, "beacon in the map"),
+        (victoria_park, victoria_park_figures, "tree in the map"),
+    ):
+        name = job.__name__.replace("_", "-")
+        seen, scored = job(arguments.data)
+        print(f"{name}: {figures(seen, scored)}", flush=True)
+        if arguments.out is not None:
+            picture(scored, arguments.out / f"{name}.png", mark)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,86 @@
+"""The car's outdoor logs against GPS and survey. Figures were measured on 2026-11-21."""
+
+import numpy as np
+import pytest
+from benchmarks.outdoor import carpark, score, victoria_park
+from benchmarks.real_logs import run_log
+
+from impslam.evaluation.trajectory import statistics
+from impslam.sources.base import recognise
+from impslam.types import TruePose
+
+pytestmark = [pytest.mark.real]
+
+
+@pytest.fixture(scope="module")
+def beacons(data_folder):
+    return carpark(data_folder)
+
+
+@pytest.fixture(scope="module")
+def trees(data_folder):
+    return victoria_park(data_folder)
+
+
+def test_carpark_finds_the_beacons_and_nothing_else(beacons):
+    seen, scored = beacons
+    assert len(scored.known) == 15
+    assert len(scored.beacons.found) == 14
+    assert scored.beacons.missing == ("beacon 6",)  # the laser sees it in six scans
+    assert scored.beacons.false == scored.beacons.doubles == ()
+    assert np.sqrt(np.mean(scored.beacon_errors**2)) < 0.08  # measured 0.042; surveyed to 0.02
+    assert len(seen.landmarks) == 14
+
+
+def test_carparks_path_is_that_of_the_gps(beacons):
+    _, scored = beacons
+    path = statistics(scored.errors)
+    assert path.count > 620  # of 626 fixes, those between the first and the last scan
+    assert path.median < 0.12  # measured 0.079
+    assert path.rmse < 0.2  # measured 0.111; 0.7 m at the end of a turn without a beacon in view
+    assert statistics(scored.wheels_errors).rmse > 1.2  # measured 1.43
+
+
+def test_carparks_map_hardly_depends_on_the_calibration_of_its_sensors(data_folder):
+    """Without it the map is worse, and as complete: nothing rests on numbers from this log."""
+    plain = [
+        "odometry.steering_offset=0.0",
+        "sensors.lidar.latency=0.0",
+        "sensors.lidar.mount=[0.0, 0.0, 0.0]",
+    ]
+    seen = run_log(data_folder / "carpark", settings=plain)
+    scored = score(seen, data_folder / "carpark")
+    assert len(scored.beacons.found) >= 14
+    assert scored.beacons.false == scored.beacons.doubles == ()
+    assert statistics(scored.errors).rmse < 0.3
+
+
+def test_victoria_parks_path_is_that_of_the_gps(trees):
+    seen, scored = trees
+    path = statistics(scored.errors)
+    assert path.count == 4465  # of 4466: the first is older than the first scan
+    assert path.median < 1.3  # measured 0.89
+    assert np.quantile(scored.errors, 0.9) < 4.0  # measured 2.6
+    assert statistics(np.sort(scored.errors)[:-1]).rmse < 2.5  # measured 1.64; one fix is 137 m off
+    assert statistics(scored.wheels_errors).rmse > 40.0  # measured 59
+    assert 200 < len(seen.landmarks) < 400  # measured 288
+
+
+def test_victoria_park_does_not_split_trees(trees):
+    """A loop closed in the wrong place would draw trees a second time beside themselves."""
+    _, scored = trees
+    apart = np.hypot(*(scored.marks[:, None] - scored.marks).T)
+    pairs = int((apart < 1.0).sum() - len(scored.marks)) // 2
+    assert pairs < 10  # measured 2
+
+
+def test_victoria_park_is_far_faster_than_real_time(trees):
+    assert trees[0].speed > 20.0  # measured 90 to 190 on a busy machine
+
+
+def test_the_gps_never_reaches_the_filter(data_folder):
+    for name in ("carpark", "victoria-park"):
+        with recognise(data_folder / name)(path=data_folder / name) as source:
+            fixes = [m for m in source if isinstance(m, TruePose)]
+        assert fixes
+        assert all(np.isnan(m.pose[2]) for m in fixes)

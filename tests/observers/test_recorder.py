@@ -8,9 +8,11 @@ import pytest
 from tests.observers import runs
 
 from impslam.errors import ImpError
+from impslam.evaluation.landmark_files import read_true_landmarks
 from impslam.evaluation.tum import read_tum
 from impslam.mapping.files import FREE, OCCUPIED, read_landmarks, read_map
 from impslam.observers.recorder import Recorder
+from impslam.types import TrueLandmark
 
 PROMISED = {
     *("trajectory.tum", "odometry.tum", "trajectory.csv", "landmarks.csv"),
@@ -110,3 +112,19 @@ def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ImpError, match="choose another -o"):
         Recorder(tmp_path / "file" / "run")
+
+
+def test_a_truth_without_a_heading_is_kept_as_such(tmp_path):
+    truth = [runs.TruePose(p.stamp, np.array([*p.pose[:2], np.nan])) for p in runs.make_truth()]
+    runs.play([Recorder(tmp_path)], truth=truth)
+    rows = read_tum(tmp_path / "truth.tum")
+    assert np.isnan(rows[:, 3]).all()
+    np.testing.assert_allclose(rows[:, 1:3], [p.pose[:2] for p in truth], atol=1e-9)
+
+
+def test_true_landmarks_are_kept_where_there_are_any(tmp_path):
+    known = [TrueLandmark("a", "cylinder", np.array([1.0, 2.0]), {"radius": 0.1})]
+    runs.play([Recorder(tmp_path, true_landmarks=known)])
+    (back,) = read_true_landmarks(tmp_path / "truth.landmarks.csv")
+    assert (back.name, back.kind, back.parameters["radius"]) == ("a", "cylinder", 0.1)
+    np.testing.assert_array_equal(back.position, known[0].position)

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from tests.observers import runs
 
+from impslam.evaluation.landmarks import moved
 from impslam.observers.base import Dropped
 from impslam.observers.history import History
 from impslam.observers.page import Line, chart
 from impslam.observers.recorder import Recorder
 from impslam.observers.report import Report
 from impslam.observers.sections import duration
-from impslam.types import TrueLandmark
+from impslam.types import TrueLandmark, TruePose
 
 VOID = {"meta", "img", "path", "br"}
 
@@ -149,3 +150,29 @@ def test_durations_are_said_as_people_say_them():
     assert duration(7.25) == "7.2 s"
     assert duration(754.0) == "12 min 34 s"
     assert duration(3 * 3600 + 125) == "3 h 02 min"
+
+
+def positions(**frame):
+    return [TruePose(p.stamp, np.array([*p.pose[:2], np.nan])) for p in runs.make_truth(**frame)]
+
+
+def test_a_truth_of_positions_is_laid_where_it_fits_and_tells_no_nees(tmp_path):
+    text = write(tmp_path, truth=positions(frame=(40.0, -7.0, 2.0)))
+    assert "where the path fits best" in text
+    for words in ("NEES of the pose", "Heading error", "From the start", "nan cm", "nan°"):
+        assert words not in text
+    best = re.search(r'Path error \(ATE\)</div><div class="figure">([\d.]+) cm<', text)
+    assert float(best.group(1)) < 1.0
+
+
+def test_true_landmarks_are_told_in_the_frame_of_the_truth(tmp_path):
+    frame = np.array([40.0, -7.0, 2.0])
+    known = moved(frame, true_landmarks())
+    text = write(tmp_path, truth=runs.make_truth(frame=frame), truth_landmarks=known)
+    assert "2 of 3 found, 0 false, 0 double" in text
+
+
+def test_a_heading_that_is_lost_on_the_way_leaves_two_degrees_of_freedom(tmp_path):
+    truth = list(runs.make_truth())
+    truth[30] = TruePose(truth[30].stamp, np.array([*truth[30].pose[:2], np.nan]))
+    assert "of the position; ideal 2" in write(tmp_path, truth=truth)

@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from impslam.errors import ImpError
 from impslam.evaluation.consistency import chi2_bounds, nees, pose_errors
-from impslam.evaluation.landmarks import LandmarkScore, score_landmarks
+from impslam.evaluation.landmarks import LandmarkScore, moved, score_landmarks
 from impslam.evaluation.trajectory import (
     Pairs,
+    align,
     associate,
     ate,
     heading_errors,
     interpolate,
     move,
     position_errors,
+    start_frame,
     statistics,
 )
-from impslam.geometry.se2 import between, compose, inverse
+from impslam.geometry.se2 import between, inverse
 from impslam.observers.history import History
 from impslam.observers.page import Line, chart, escape, section, table, tiles
 from impslam.types import Array, Landmark, TrueLandmark
@@ -29,11 +33,28 @@ SAME_PLACE = (0.05, math.radians(3.0))
 """m and rad: a truth whose first pose is closer to the estimate's is taken to be in map."""
 
 
-def pairs_in_map(history: History) -> Pairs | None:
+NOTES = {
+    "map": "It is given in map.",
+    "start": "Its frame is laid on the first pose, from where the filter's covariance counts.",
+    "fit": "It tells no heading at the start, so its frame is laid where the path fits best.",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Laid:
+    """Estimate and truth side by side in map, the motion that laid the truth there, and how."""
+
+    pairs: Pairs
+    T_map_truth: Array
+    how: Literal["map", "start", "fit"]
+
+
+def laid_in_map(history: History) -> Laid | None:
     """Return estimate and truth side by side, the truth in map; None without a truth.
 
     A tracking system has a frame of its own. Its truth is then laid so that both begin at the same
-    pose, which is where the filter's covariance begins, too.
+    pose, which is where the filter's covariance begins, too; or, if the truth tells no heading there,
+    where the paths fit best.
     """
     if not len(history.true_path) or not len(history.path):
         return None
@@ -43,28 +64,37 @@ def pairs_in_map(history: History) -> Pairs | None:
         return None
     first = between(pairs.estimate[0], pairs.truth[0])
     if math.hypot(first[0], first[1]) < SAME_PLACE[0] and abs(first[2]) < SAME_PLACE[1]:
-        return pairs
-    T_map_truth = compose(pairs.estimate[0], inverse(pairs.truth[0]))
-    return Pairs(pairs.stamps, pairs.estimate, move(T_map_truth, pairs.truth))
+        return Laid(pairs, np.zeros(3), "map")
+    T_truth_map = start_frame(pairs, float(history.path[0, 0]))
+    fitted = T_truth_map is None
+    if T_truth_map is None:
+        T_truth_map = align(pairs.estimate[:, :2], pairs.truth[:, :2])
+    T_map_truth = inverse(T_truth_map)
+    here = Pairs(pairs.stamps, pairs.estimate, move(T_map_truth, pairs.truth))
+    return Laid(here, T_map_truth, "fit" if fitted else "start")
 
 
 def section_of(
-    pairs: Pairs | None,
+    laid: Laid | None,
     history: History,
     landmarks: Sequence[Landmark],
     known: Sequence[TrueLandmark],
 ) -> str:
     """Return the section, empty where nothing is known."""
     parts = []
-    if pairs is not None and len(pairs.stamps) > 1:
-        parts += [_figures(pairs, history), _charts(pairs, history)]
+    note = "The truth comes from the log or the simulated world; the filter never sees it."
+    if laid is not None:
+        note += " " + NOTES[laid.how]
+        known = moved(laid.T_map_truth, known)
+        if len(laid.pairs.stamps) > 1:
+            parts += [_figures(laid, history), _charts(laid.pairs, history)]
     if known:
         parts.append(_landmarks(score_landmarks(landmarks, known), landmarks, known))
-    note = "The truth comes from the log or the simulated world; the filter never sees it."
     return section("Errors against the truth", *parts, note=note) if parts else ""
 
 
-def _figures(pairs: Pairs, history: History) -> str:
+def _figures(laid: Laid, history: History) -> str:
+    pairs = laid.pairs
     alone = associate(history.odometry, np.column_stack((pairs.stamps, pairs.truth)))
     raw, aligned, wheels = ate(pairs, aligned=False), ate(pairs), ate(alone)
     turn = statistics(heading_errors(pairs))
@@ -75,20 +105,27 @@ def _figures(pairs: Pairs, history: History) -> str:
         "Heading error": (f"{math.degrees(turn.rmse):.2f}°", "RMS"),
         "End position": (metres(float(position_errors(pairs)[-1])), "off at the last scan"),
     }
-    if normalised := _nees(pairs, history):
+    if not turn.count:
+        del facts["Heading error"]
+    if laid.how == "fit":  # the covariance does not count from there
+        del facts["From the start"]
+    elif normalised := _nees(pairs, history):
         facts["NEES of the pose"] = normalised
     return tiles(facts)
 
 
 def _nees(pairs: Pairs, history: History) -> tuple[str, str] | None:
-    P = _at(history, pairs.stamps)
+    P, errors = _at(history, pairs.stamps), pose_errors(pairs.estimate, pairs.truth)
+    dof = 3 if np.isfinite(errors).all() else 2
+    P, errors = P[:, :dof, :dof], errors[:, :dof]
     sure = np.linalg.eigvalsh(P)[:, 0] > 1e-14  # not the first pose, which is so by definition
     if not sure.any():
         return None
-    values = nees(pose_errors(pairs.estimate, pairs.truth)[sure], P[sure])
-    high = chi2_bounds(3)[1]
+    values = nees(errors[sure], P[sure])
+    high = chi2_bounds(dof)[1]
     inside = 100.0 * np.mean(values < high)
-    return f"{values.mean():.1f}", f"ideal 3; {inside:.1f} % below {high:.1f}, ideal 97.5 %"
+    ideal = "ideal 3" if dof == 3 else "of the position; ideal 2"
+    return f"{values.mean():.1f}", f"{ideal}; {inside:.1f} % below {high:.1f}, ideal 97.5 %"
 
 
 def _at(history: History, stamps: Array) -> Array:
@@ -108,7 +145,8 @@ def _charts(pairs: Pairs, history: History) -> str:
         )
     ]
     turn, spread = np.degrees(error[:, 2]), 3 * np.degrees(sigma[:, 2])
-    charts.append(chart("Heading error in degrees, band 3σ", t, [Line("", turn, "c")], spread))
+    if np.isfinite(turn).any():
+        charts.append(chart("Heading error in degrees, band 3σ", t, [Line("", turn, "c")], spread))
     true = np.column_stack((pairs.stamps, pairs.truth))
     dead = interpolate(history.odometry, pairs.stamps) - true[:, 1:]
     lines = [

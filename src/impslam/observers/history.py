@@ -48,7 +48,7 @@ class History(Observer):
 
     @property
     def true_path(self) -> Array:
-        """(m, 4) stamp, x, y, theta; m = 0 where the log has no truth."""
+        """(m, 4) stamp, x, y, theta (NaN if not told); m = 0 where the log has no truth."""
         return np.array(self._true, np.float64).reshape(-1, 4)
 
     @property

@@ -34,7 +34,7 @@ class Report(Observer):
     ----------
     folder : where report.html and report.png go; it must exist when the run ends
     grid : the grid that another observer builds along the run; without one the report builds it
-    truth_landmarks : what is really there, in map, where that is known
+    truth_landmarks : what is really there, in the truth's frame, where that is known
     """
 
     def __init__(
@@ -62,14 +62,14 @@ class Report(Observer):
         """Write the page and the picture."""
         assert self._grid is not None
         history = self._history
-        pairs = accuracy.pairs_in_map(history)
-        truth = np.zeros((0, 2)) if pairs is None else pairs.truth[:, :2]
+        laid = accuracy.laid_in_map(history)
+        truth = np.zeros((0, 2)) if laid is None else laid.pairs.truth[:, :2]
         picture = draw(map_image(self._grid), history, truth, outcome.landmarks)
         (self._folder / "report.png").write_bytes(picture)
         sections = [
             heading(outcome, history),
             section("Map", _image(picture), note=MAP_NOTE),
-            accuracy.section_of(pairs, history, outcome.landmarks, self._known),
+            accuracy.section_of(laid, history, outcome.landmarks, self._known),
             uncertainty(history),
             landmark_table(outcome.landmarks),
             matching(history),

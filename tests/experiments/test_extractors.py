@@ -89,19 +89,19 @@ def exact_noise() -> dict[str, Tally]:
     """What walls and cylinders of the room give, standing, with noise alone."""
     scans = list(labelled_scans(load_world("room"), STANDING, 100, 120))
     names = {**experiment.contenders("wall"), **experiment.contenders("cylinder")}
-    wanted = ("split_merge", "split_merge, no flatness", "circle")
+    wanted = ("split_merge", "split_merge, flat", "circle")
     return {label: experiment.tally(names[label], scans, 0) for label in wanted}
 
 
 def test_split_and_merge_is_nearly_efficient(exact_noise):
     """Median over the bound (2026-11: 1.04): outliers, corners and weights cost some per cent."""
-    tally = exact_noise["split_merge, no flatness"]
+    tally = exact_noise["split_merge, flat"]
     assert 0.9 < np.sqrt(np.median(tally.excess) / chi2.ppf(0.5, 2)) < 1.2
     assert tally.true_positives[0] > 0.95
     assert tally.rate("false")[0] < 0.05
 
 
-@pytest.mark.parametrize("label", ["split_merge, no flatness", "circle"])
+@pytest.mark.parametrize("label", ["split_merge, flat", "circle"])
 def test_covariances_are_honest(exact_noise, label):
     """Within 4 standard deviations of chi-square, and a tenth for what linearisation leaves."""
     nees = exact_noise[label].nees

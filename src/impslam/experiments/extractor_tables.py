@@ -72,7 +72,8 @@ def _cell(column: Column, tally: Tally) -> str:
         return "–"
     # No more digits than the standard error leaves, but at least one that says how small it is.
     digits = 2 if not error > 0.0 else min(max(0, -math.floor(math.log10(error))), 2)
-    return f"{value:.{digits}f}".replace("-", "−")
+    text = f"{value:.{digits}f}"
+    return text.removeprefix("-") if float(text) == 0.0 else text.replace("-", "−")
 
 
 def _scaled(pair: tuple[float, float], factor: float) -> tuple[float, float]:
@@ -90,26 +91,26 @@ def _typical(tally: Tally) -> tuple[float, float]:
 WALL_COLUMNS: dict[str, Column] = {
     "r bias mm": lambda t: _scaled(mean(t.errors[:, 0]), TIMES),
     "r RMS mm": lambda t: _scaled(rms(t.errors[:, 0]), TIMES),
-    "r ÷ bound": lambda t: t.ratio(0),
+    "r ÷ CRB": lambda t: t.ratio(0),
     "α bias °": lambda t: _scaled(mean(t.errors[:, 1]), DEGREES),
     "α RMS °": lambda t: _scaled(rms(t.errors[:, 1]), DEGREES),
-    "α ÷ bound": lambda t: t.ratio(1),
-    "typical ÷ bound": _typical,
-    "÷ own bound": lambda t: t.own_ratio,
-    "beams used %": _used,
-    "NEES (2)": lambda t: mean(t.nees),
+    "α ÷ CRB": lambda t: t.ratio(1),
+    "typical": _typical,
+    "own": lambda t: t.own_ratio,
+    "used %": _used,
+    "NEES": lambda t: mean(t.nees),
 }
 CYLINDER_COLUMNS: dict[str, Column] = {
-    "range bias mm": lambda t: _scaled(mean(t.column("radial")), TIMES),
-    "centre RMS mm": lambda t: _scaled(rms(np.hypot(*t.errors.T)), TIMES),
-    "centre ÷ bound": lambda t: t.joint_ratio,
-    "typical ÷ bound": _typical,
-    "÷ own bound": lambda t: t.own_ratio,
-    "radius bias mm": lambda t: _scaled(mean(t.column("radius_error")), TIMES),
-    "radius RMS mm": lambda t: _scaled(rms(t.column("radius_error")), TIMES),
-    "radius ÷ bound": lambda t: t.radius_ratio,
-    "beams used %": _used,
-    "NEES (2)": lambda t: mean(t.nees),
+    "bias mm": lambda t: _scaled(mean(t.column("radial")), TIMES),
+    "RMS mm": lambda t: _scaled(rms(np.hypot(*t.errors.T)), TIMES),
+    "÷ CRB": lambda t: t.joint_ratio,
+    "typical": _typical,
+    "own": lambda t: t.own_ratio,
+    "radius bias": lambda t: _scaled(mean(t.column("radius_error")), TIMES),
+    "radius RMS": lambda t: _scaled(rms(t.column("radius_error")), TIMES),
+    "radius ÷ CRB": lambda t: t.radius_ratio,
+    "used %": _used,
+    "NEES": lambda t: mean(t.nees),
 }
 
 
@@ -169,14 +170,15 @@ DETECTION_NOTE = {
 }
 ACCURACY_NOTE = {
     "wall": (
-        "÷ bound: RMS of the errors, each divided by the Cramér-Rao bound of all beams that hit the "
-        "wall; 1 is the best possible. Typical: of r and α together, by the median, which the few "
-        "that went wrong do not rule. ÷ own bound: RMS, against the bound of those of the beams "
+        "÷ CRB: RMS of the errors, each divided by the Cramér-Rao bound of all beams that hit the "
+        "wall; 1 is the best possible. Typical: the same of r and α together, by the median, which "
+        "the few that went wrong do not rule. Own: RMS of both, against the bound of those beams "
         "that the extractor used, the share of which follows. NEES: squared error in the covariance "
         "that the extractor gives; 2 is honest, less is cautious, more is overconfident."
     ),
     "cylinder": (
-        "As for walls. Extractors to which the radius is told are scored on the cylinders that have "
-        "it, against the bound for a known radius."
+        "As for walls; of the centre (its bias along the line of sight), then of the radius in mm. "
+        "Extractors to which the radius is told are scored on the cylinders that have it, against "
+        "the bound for a known radius."
     ),
 }

@@ -12,9 +12,9 @@ from impslam.experiments.labelled_scans import (
     Condition,
     Seen,
     labelled_scans,
-    passing,
     take,
 )
+from impslam.experiments.passers_by import passing
 from impslam.geometry.angles import wrap
 from impslam.simulation.drive import Trajectory
 from impslam.simulation.robot import Lidar

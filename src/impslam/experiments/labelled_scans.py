@@ -15,6 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from impslam.experiments.passers_by import passing
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import between, inverse, log, transform
 from impslam.sensors.lidar2d import Lidar2D
@@ -23,7 +24,7 @@ from impslam.simulation.lidar import LidarSimulator, laser_poses
 from impslam.simulation.raycast import trace
 from impslam.simulation.robot import Lidar
 from impslam.simulation.scene import Scene
-from impslam.simulation.world import Drive, Person, World
+from impslam.simulation.world import Drive, World
 from impslam.types import Array, Ints, LaserScan, Scan
 
 MIN_BEAMS = {"wall": 10, "cylinder": 5}
@@ -34,10 +35,6 @@ MIN_SPAN = 0.3
 LANDMARKS = ("wall", "room", "cylinder")
 """Things that stand for good and are to be found."""
 EDGE = 0.1  # of half its angular width, how much of a circle may be missing at an edge
-CLEARANCE = 0.25  # m, between people and walls or the robot's middle
-NEAR, FAR = 0.7, 3.5  # m, how far from the robot people walk past
-SPEED = 1.2  # m/s, of people
-TRIES = 1000  # places drawn before a scan stays emptier than it should be
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,39 +143,6 @@ def _stopped(trajectory: Trajectory, time: float) -> Trajectory:
     return Trajectory(
         np.array([0.0, trajectory.duration]), np.stack((pose, pose)), np.zeros((1, 2))
     )
-
-
-def passing(
-    scene: Scene, pose: Array, time: float, count: int, rng: np.random.Generator
-) -> tuple[Person, ...]:
-    """Return people who are in sight of the robot at a time, each walking in some direction."""
-    people: list[Person] = []
-    for _ in range(TRIES):
-        if len(people) == count:
-            break
-        bearing, part = rng.uniform(-math.pi, math.pi), rng.random()
-        away = math.sqrt(NEAR**2 + part * (FAR**2 - NEAR**2))  # evenly over the area
-        sight = np.array([*pose[:2], bearing])
-        free = _free_way(scene, sight, time, away + CLEARANCE)
-        place = pose[:2] + away * np.array([math.cos(bearing), math.sin(bearing)])
-        if free and scene.clearance(place, time) > CLEARANCE:
-            people.append(_walker(place, time, rng.uniform(-math.pi, math.pi)))
-    return tuple(people)
-
-
-def _free_way(scene: Scene, sight: Array, time: float, length: float) -> bool:
-    standing, moving = (scene.segments, scene.circles), scene.moving(time, time)
-    ranges, _, _ = trace(sight[None], np.zeros(1), np.zeros(1), standing, moving, length)
-    return bool(np.isinf(ranges[0]))
-
-
-def _walker(place: Array, time: float, heading: float) -> Person:
-    """Return someone who comes by a place at a time."""
-    walked = min(1.0, SPEED * time)  # less where the run has only just begun
-    step = np.array([math.cos(heading), math.sin(heading)])
-    (x0, y0), (x1, y1) = (place - walked * step).tolist(), (place + step).tolist()
-    start = max(time - walked / SPEED, 0.0)
-    return Person(waypoints=((x0, y0), (x1, y1)), start=start, speed=SPEED)
 
 
 def take(

@@ -16,7 +16,6 @@ from rich.text import Text
 from impslam.cli import console
 from impslam.evaluation.relations import RelationErrors
 from impslam.evaluation.scores import Alignment, Consistency, KindScore, PathScore
-from impslam.evaluation.trajectory import Statistics
 from impslam.types import Array
 
 ALIGNED = {"fit": "aligned", "start": "at start", "none": "as given"}
@@ -183,11 +182,3 @@ def _spread(errors: Array, digits: int) -> Cell:
     """Return mean and standard deviation, as the suite's tables give them."""
     mean = float(errors.mean())
     return Cell(f"{mean:.{digits}f} ± {errors.std():.{digits}f}", mean)
-
-
-def statistics_of(stats: Statistics | None) -> dict[str, float | int] | None:
-    """Return statistics by name."""
-    if stats is None:
-        return None
-    names = ("count", "rmse", "mean", "median", "max")
-    return {name: getattr(stats, name) for name in names}

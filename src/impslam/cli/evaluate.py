@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from impslam.cli.comparison import short_names, show_landmarks, show_paths, show_relations
+from impslam.cli.comparison_json import kind_facts, path_facts, relation_facts, write_json
 from impslam.cli.console import Common
 from impslam.errors import ConfigError, ImpError
 from impslam.evaluation.landmark_files import read_true_landmarks
@@ -19,37 +22,71 @@ from impslam.evaluation.scores import Alignment, KindScore, PathScore, score_kin
 from impslam.evaluation.tum import read_tum
 from impslam.types import Array, TrueLandmark
 
+DRAWN: dict[Alignment, str] = {
+    "fit": "fitted to the truth",
+    "start": "laid on the true start",
+    "none": "as given",
+}
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class Against:
+    """What runs are compared with, and how.
+
+    Parameters
+    ----------
+    truth
+        The true path, as a TUM file. Default: the one in the run's folder.
+    landmarks
+        The true landmarks, as a CSV file. Default: those in the run's folder.
+    relations
+        A relation file of the SLAM benchmarking suite.
+    align
+        Compare where the path fits the truth best, laid on its true start, or as given.
+    delta
+        Stretch of the relative pose error, m.
+    gate
+        How far off a landmark may be, m.
+    """
+
+    truth: Path | None = None
+    landmarks: Path | None = None
+    relations: Path | None = None
+    align: Alignment = "fit"
+    delta: float = 1.0
+    gate: float = GATE
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Yardsticks:
-    """What runs are compared with, None where nothing was given, and how."""
+    """The content of those files; None where nothing was given."""
 
     truth: Array | None
     landmarks: list[TrueLandmark] | None
     relations: Array | None
-    align: Alignment
-    delta: float
-    gate: float
+    how: Against
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scores:
     """What one run scores; None where it was not compared."""
 
+    place: Path
     run: RecordedRun
     path: PathScore | None
     kinds: list[KindScore] | None
     relations: RelationErrors | None
 
 
+DEFAULT = Against()
+
+
 def evaluate(
     *runs: Path,
-    truth: Path | None = None,
-    landmarks: Path | None = None,
-    relations: Path | None = None,
-    align: Alignment = "fit",
-    delta: Annotated[float, Parameter(help="Stretch of the relative pose error, m.")] = 1.0,
-    gate: Annotated[float, Parameter(help="How far off a landmark may be, m.")] = GATE,
+    against: Against = DEFAULT,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    json: Path | None = None,
     common: Common | None = None,
 ) -> None:
     """Print the errors of runs against the truth or against measured relations.
@@ -58,34 +95,39 @@ def evaluate(
     ----------
     runs
         Folders of runs, or trajectories as TUM files; one row of the table each.
-    truth
-        The true path, as a TUM file. Default: the one in the run's folder.
-    landmarks
-        The true landmarks, as a CSV file. Default: those in the run's folder.
-    relations
-        A relation file of the SLAM benchmarking suite.
-    align
-        Compare where the path fits the truth best, laid on its start, or as it is given.
+    output
+        Draw the comparison: a PNG file.
+    json
+        Write all numbers: a JSON file.
     """
-    del common
     if not runs:
         raise ConfigError("no run given; name the folder of a run, or a trajectory as TUM file")
-    if not delta > 0.0 or not gate > 0.0:
+    if not (0.0 < against.delta < math.inf and 0.0 < against.gate < math.inf):
         raise ConfigError("--delta and --gate are lengths in m, greater than 0")
-    yardsticks = Yardsticks(
-        None if truth is None else read_tum(truth),
-        None if landmarks is None else read_true_landmarks(landmarks),
-        None if relations is None else read_relations(relations),
-        align,
-        delta,
-        gate,
-    )
+    if output is not None and output.suffix.lower() != ".png":
+        raise ConfigError(f"{output}: is drawn as a PNG; give -o NAME.png")
+    yardsticks = _read(against)
     places = list(dict.fromkeys(runs))
     scores = {
         name: _score(place, yardsticks)
         for name, place in zip(short_names(places), places, strict=True)
     }
-    _show(scores, yardsticks)
+    if common is None or not common.quiet:
+        _show(scores, yardsticks)
+    if json is not None:
+        write_json(json, _facts(scores, yardsticks))
+    if output is not None:
+        _draw(scores, against.align, output)
+
+
+def _read(against: Against) -> Yardsticks:
+    truth, landmarks, relations = against.truth, against.landmarks, against.relations
+    return Yardsticks(
+        None if truth is None else read_tum(truth),
+        None if landmarks is None else read_true_landmarks(landmarks),
+        None if relations is None else read_relations(relations),
+        against,
+    )
 
 
 def _score(place: Path, by: Yardsticks) -> Scores:
@@ -98,14 +140,14 @@ def _score(place: Path, by: Yardsticks) -> Scores:
     if truth is None and by.relations is None and by.landmarks is None:
         raise ConfigError(f"{place}: knows no truth; give --truth FILE (TUM) or --relations FILE")
     try:
-        path = None if truth is None else score_path(run, truth, by.align, by.delta)
+        path = None if truth is None else score_path(run, truth, by.how.align, by.how.delta)
         relations = None if by.relations is None else relation_errors(run.path, by.relations)
     except ImpError as error:
         raise ImpError(f"{place}: {error}") from None
     kinds = None
     if known and run.landmarks is not None:
-        kinds = score_kinds(run.landmarks, [*known, *_corners(known)], path, by.gate)
-    return Scores(run, path, kinds, relations)
+        kinds = score_kinds(run.landmarks, [*known, *_corners(known)], path, by.how.gate)
+    return Scores(place, run, path, kinds, relations)
 
 
 def _corners(known: list[TrueLandmark]) -> list[TrueLandmark]:
@@ -113,16 +155,25 @@ def _corners(known: list[TrueLandmark]) -> list[TrueLandmark]:
     return [] if any(true.kind == "corner" for true in known) else corners(known)
 
 
-def _show(scores: dict[str, Scores], by: Yardsticks) -> None:
-    paths = {name: score.path for name, score in scores.items() if score.path}
-    kinds = {name: score.kinds for name, score in scores.items() if score.kinds}
-    relations = {name: score.relations for name, score in scores.items() if score.relations}
+def _show(scores: Mapping[str, Scores], by: Yardsticks) -> None:
+    paths, kinds, relations = _by_yardstick(scores)
     if paths:
-        show_paths(paths, by.align, by.delta)
+        show_paths(paths, by.how.align, by.how.delta)
     if kinds:
-        show_landmarks(kinds, by.gate, _frame(bool(paths), by.align))
+        show_landmarks(kinds, by.how.gate, _frame(bool(paths), by.how.align))
     if relations:
         show_relations(relations)
+
+
+def _by_yardstick(
+    scores: Mapping[str, Scores],
+) -> tuple[dict[str, PathScore], dict[str, list[KindScore]], dict[str, RelationErrors]]:
+    """Return the scores by what they are of, of the runs that have them."""
+    return (
+        {name: score.path for name, score in scores.items() if score.path},
+        {name: score.kinds for name, score in scores.items() if score.kinds},
+        {name: score.relations for name, score in scores.items() if score.relations},
+    )
 
 
 def _frame(has_path: bool, align: Alignment) -> str:
@@ -130,3 +181,32 @@ def _frame(has_path: bool, align: Alignment) -> str:
     if not has_path or align == "none":
         return "the truth taken to be in map"
     return "the truth laid in map by the path's " + ("best fit" if align == "fit" else "start")
+
+
+def _facts(scores: Mapping[str, Scores], by: Yardsticks) -> dict[str, Any]:
+    """Return all numbers, by the runs as they were named."""
+    runs = {}
+    for score in scores.values():
+        runs[str(score.place)] = {
+            "poses": len(score.run.path),
+            "path": path_facts(score.path) if score.path else None,
+            "landmarks": kind_facts(score.kinds) if score.kinds else None,
+            "relations": relation_facts(score.relations) if score.relations else None,
+        }
+    return {"align": by.how.align, "delta_m": by.how.delta, "gate_m": by.how.gate, "runs": runs}
+
+
+def _draw(scores: Mapping[str, Scores], align: Alignment, output: Path) -> None:
+    from impslam.evaluation.comparison_plot import (  # noqa: PLC0415  matplotlib: only to draw
+        draw_comparison,
+    )
+
+    paths, _, relations = _by_yardstick(scores)
+    trajectories = {name: score.run.path for name, score in scores.items()}
+    figure = draw_comparison(trajectories, paths, relations, DRAWN[align])
+    try:
+        figure.savefig(output, metadata={"Software": None})
+    except OSError as error:
+        raise ConfigError(
+            f"{output}: cannot be written ({error.strerror}); choose another -o"
+        ) from None

@@ -1,0 +1,80 @@
+"""The numbers of a comparison for other programs: all that the tables show, and more."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from impslam.errors import ConfigError
+from impslam.evaluation.relations import RelationErrors
+from impslam.evaluation.scores import KindScore, PathScore
+
+
+def write_json(path: Path, facts: Mapping[str, Any]) -> None:
+    """Write numbers as JSON; what is not known is null.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be written.
+    """
+    text = json.dumps(_plain(facts), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another") from None
+
+
+def path_facts(score: PathScore) -> dict[str, Any]:
+    """Return the figures of a path; lengths in m, angles in rad."""
+    return {
+        "T_truth_map": score.T_truth_map.tolist(),
+        "ate_given_m": score.given,
+        "ate_m": score.aligned,
+        "heading_rad": score.heading,
+        "rpe_m": score.rpe_metres,
+        "rpe_rad": score.rpe_radians,
+        "nees": score.consistency,
+    }
+
+
+def kind_facts(scores: Sequence[KindScore]) -> dict[str, Any]:
+    """Return the figures of landmarks by kind; lengths in m, angles in rad."""
+    return {
+        score.kind: {
+            "true": score.true,
+            "missing": score.missing,
+            "false": score.false,
+            "doubles": score.doubles,
+            "distance_m": score.distance,
+            "angle_rad": score.angle,
+            "nees": score.nees,
+        }
+        for score in scores
+    }
+
+
+def relation_facts(errors: RelationErrors) -> dict[str, Any]:
+    """Return the figures of relations; lengths in m, angles in rad."""
+    return {
+        "missing": errors.missing,
+        "translation_m": {**asdict(errors.metres), "std": float(errors.translation.std())},
+        "rotation_rad": {**asdict(errors.radians), "std": float(errors.rotation.std())},
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Return plain values as JSON knows them."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {name: _plain(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

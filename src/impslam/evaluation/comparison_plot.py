@@ -1,0 +1,171 @@
+"""The picture of several runs: their paths, their errors over time, how they keep relations.
+
+Importing this module imports matplotlib (0.3 s); import it where a picture is drawn. Figures are
+drawn on their own canvas, without pyplot and its global state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from impslam.evaluation.relations import RelationErrors
+from impslam.evaluation.scores import PathScore
+from impslam.evaluation.trajectory import align, associate, move, position_errors
+from impslam.types import Array
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
+"""Okabe and Ito 2008: they differ for the colour-blind, too. More runs differ by their dashes."""
+DASHES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1, 1)))
+INK, PALE, TRUTH = "#37424d", "#8a949e", "#c3cad1"
+WIDTH = 9.0
+"""inches, 900 pixels as the picture is shown, at twice that resolution."""
+NAME = 30
+"""Characters of a name in the legend; a longer one loses its middle."""
+GAP = 1.0
+"""s: lines are broken where a truth is missing for longer (cf. `associate`)."""
+
+SCALES = 10.0
+"""Errors further apart than that are drawn on a logarithmic scale, or the small ones were nothing."""
+
+
+def draw_comparison(
+    runs: Mapping[str, Array],
+    paths: Mapping[str, PathScore],
+    relations: Mapping[str, RelationErrors],
+    where: str,
+) -> Figure:
+    """Return the figure; save it with `figure.savefig(path)`.
+
+    Parameters
+    ----------
+    runs : name -> (n, 4) stamp, x, y, theta; drawn in their own frame only if there is no truth
+    paths : those that were compared with a truth
+    relations : those that were compared with relations
+    where : how the paths were laid, for the title
+    """
+    panels = 1 + bool(paths) + bool(relations)
+    shown = [score.pairs.truth for score in paths.values()] or [run[:, 1:] for run in runs.values()]
+    heights = [_height(np.vstack(shown)), *[2.8] * (panels - 1)]
+    figure = Figure(figsize=(WIDTH, 0.6 + sum(heights)), dpi=200, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes: list[Axes] = list(figure.subplots(panels, 1, height_ratios=heights, squeeze=False)[:, 0])
+    looks = _looks(list(runs))
+    below = iter(axes[1:])
+    if paths:
+        _draw_paths(axes[0], paths, looks, where)
+        _draw_errors(next(below), paths, looks)
+    else:
+        _draw_runs(axes[0], runs, looks)
+    if relations:
+        _draw_relations(next(below), relations, looks)
+    axes[0].set(xlabel="x in m", ylabel="y in m")
+    axes[0].set_aspect("equal", adjustable="datalim")
+    for panel in axes:
+        _style(panel)
+    figure.legend(
+        *axes[0].get_legend_handles_labels(),
+        loc="outside upper center",
+        ncols=min(4, len(runs) + 1),
+        frameon=False,
+    )
+    return figure
+
+
+def _height(poses: Array) -> float:
+    """Return how high the map of poses (n, 3) should be, inches."""
+    width, height = np.ptp(poses[:, :2], axis=0)
+    return WIDTH * float(np.clip(height / max(width, 1e-9), 0.35, 0.7))
+
+
+def _looks(names: list[str]) -> dict[str, dict[str, Any]]:
+    """Return the look of each run's lines."""
+    return {
+        name: {
+            "color": COLOURS[i % len(COLOURS)],
+            "ls": DASHES[i // len(COLOURS) % len(DASHES)],
+            "label": _shortened(name),
+            "lw": 1.4,
+        }
+        for i, name in enumerate(names)
+    }
+
+
+def _shortened(name: str) -> str:
+    if len(name) <= NAME:
+        return name
+    half = NAME // 2 - 1
+    return f"{name[:half]}…{name[-half:]}"
+
+
+def _draw_paths(
+    axes: Axes, paths: Mapping[str, PathScore], looks: Mapping[str, Any], where: str
+) -> None:
+    """Draw what is true, and the estimates in its frame."""
+    for i, score in enumerate(paths.values()):
+        true = _broken(score.pairs.stamps, score.pairs.truth[:, :2])
+        axes.plot(*true.T, color=TRUTH, lw=4.0, zorder=1, label="" if i else "truth")
+    for name, score in paths.items():
+        axes.plot(*_broken(score.pairs.stamps, score.pairs.estimate[:, :2]).T, **looks[name])
+    axes.set_title(f"Paths, {where}", color=INK, fontsize=10)
+
+
+def _draw_runs(axes: Axes, runs: Mapping[str, Array], looks: Mapping[str, Any]) -> None:
+    """Draw paths without a truth, each where it fits the first best."""
+    first = next(iter(runs.values()))
+    for name, run in runs.items():
+        pairs = associate(run, first)
+        laid = move(align(pairs.estimate[:, :2], pairs.truth[:, :2]), run[:, 1:])
+        axes.plot(*laid[:, :2].T, **looks[name])
+    title = "Paths, each fitted to the first" if len(runs) > 1 else "Path"
+    axes.set_title(title, color=INK, fontsize=10)
+
+
+def _draw_errors(axes: Axes, paths: Mapping[str, PathScore], looks: Mapping[str, Any]) -> None:
+    begin = min(float(score.pairs.stamps.min()) for score in paths.values())
+    for name, score in paths.items():
+        stamps = score.pairs.stamps
+        line = _broken(stamps, np.column_stack((stamps - begin, position_errors(score.pairs))))
+        axes.plot(*line.T, **looks[name])
+    axes.set(xlabel="time in s", ylabel="distance from the truth in m", xmargin=0.01)
+    typical = [score.aligned.median for score in paths.values()]
+    if max(typical) > SCALES * min(typical) > 0.0:
+        axes.set_yscale("log")
+        axes.set_ylim(bottom=max(0.1 * min(typical), 1e-4))
+    else:
+        axes.set_ylim(bottom=0.0)
+
+
+def _draw_relations(
+    axes: Axes, relations: Mapping[str, RelationErrors], looks: Mapping[str, Any]
+) -> None:
+    """Draw which share of the relations has an error of at most so much."""
+    smallest = min(float(errors.translation.min()) for errors in relations.values())
+    for name, errors in relations.items():
+        ordered = np.sort(errors.translation)
+        axes.ecdf(ordered, **looks[name])
+    # Errors of closed and of missed loops are orders of magnitude apart; below 1 mm none matters.
+    axes.set(xscale="log", xlabel="translation error in m", ylabel="share of the relations")
+    axes.set_xlim(left=max(smallest, 1e-3))
+    axes.set_ylim(0.0, 1.0)
+
+
+def _broken(stamps: Array, points: Array) -> Array:
+    """Return points (n, 2) with a gap, NaN, where nothing is known for longer than `GAP`."""
+    holes = np.flatnonzero(np.diff(stamps) > GAP) + 1
+    return np.insert(points, holes, np.nan, axis=0)
+
+
+def _style(axes: Axes) -> None:
+    axes.tick_params(colors=PALE, labelcolor=INK, labelsize=9)
+    axes.grid(color="#000000", alpha=0.06, lw=0.6)
+    axes.set_axisbelow(True)
+    for label in (axes.xaxis.label, axes.yaxis.label):
+        label.set_color(INK)
+    for spine in axes.spines.values():
+        spine.set_color("#d4d9de")

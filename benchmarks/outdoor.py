@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,9 @@ from matplotlib.figure import Figure
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.real_logs import Run, run_log  # noqa: E402  found from the root of the project
+from benchmarks.real_logs import Run, final_covariance, run_log  # noqa: E402  found from the root of the project
 
+from impslam.evaluation.consistency import chi2_bounds  # noqa: E402
 from impslam.evaluation.landmarks import LandmarkScore, score_landmarks  # noqa: E402
 from impslam.evaluation.plots import ODOMETRY, PATH, POINT, TRUTH, style  # noqa: E402
 from impslam.evaluation.trajectory import (  # noqa: E402
@@ -40,6 +41,8 @@ from impslam.sources.base import recognise  # noqa: E402
 from impslam.types import Array, TrueLandmark, TruePose  # noqa: E402
 
 INCHES = (9.0, 8.2)
+SURVEY = 0.02  # m, of the beacons, as those say who surveyed them
+FREE = 100.0  # m and rad: the map may lie anywhere
 NEAR = 2.0  # m, what a GPS without corrections keeps to under trees at best
 
 
@@ -60,6 +63,7 @@ class Outdoor:
     known: tuple[TrueLandmark, ...]
     beacons: LandmarkScore
     beacon_errors: Array
+    nees: tuple[float, tuple[float, float]] | None = None  # of the beacons, as `map_nees` says
 
 
 def score(seen: Run, log: Path) -> Outdoor:
@@ -91,10 +95,40 @@ def _fit(path: Array, fixes: Array) -> tuple[Array, Array, Array]:
     return moved, position_errors(pairs.moved(T_gps_map)), T_gps_map
 
 
+def map_nees(seen: Run, scored: Outdoor, log: Path) -> tuple[float, tuple[float, float]]:
+    """Return the NEES of the beacons per degree of freedom, and its 95 % interval if sigmas are true.
+
+    The whole map's, correlations included. Where it lies as a whole is not the map's to know: the
+    survey is moved to where it fits best, which costs three degrees of freedom.
+    """
+    P = final_covariance(log)
+    ids = {mark.id: i for i, mark in enumerate(seen.landmarks)}
+    rows = np.array([ids[e.id] for e in scored.beacons.found])
+    columns = (3 + 2 * rows[:, None] + np.arange(2)).ravel()
+    C = P[np.ix_(columns, columns)]
+    # In a filter's own coordinates P may differ by motions of the whole map, which are free here.
+    own = [seen.landmarks[i].covariance for i in rows]
+    blocks = [C[k : k + 2, k : k + 2] for k in range(0, len(C), 2)]
+    assert np.allclose(blocks, own, rtol=0.01, atol=1e-5)  # of the same beacons
+    points = np.array([seen.landmarks[i].position for i in rows])
+    places = {true.name: true.position for true in scored.known}
+    survey = np.array([places[e.name] for e in scored.beacons.found])
+    error = (points - transform(align(survey, points), survey)).ravel()
+    moves = np.zeros((len(error), 3))
+    moves[0::2, 0] = moves[1::2, 1] = 1.0
+    moves[0::2, 2], moves[1::2, 2] = -points[:, 1], points[:, 0]
+    S = C + SURVEY**2 * np.eye(len(C)) + FREE**2 * moves @ moves.T
+    dof = len(error) - 3
+    low, high = chi2_bounds(dof)
+    return float(error @ np.linalg.solve(S, error)) / dof, (low / dof, high / dof)
+
+
 def carpark(data: Path, folder: Path | None = None) -> tuple[Run, Outdoor]:
     """Map the car park by its reflecting beacons."""
-    seen = run_log(data / "carpark", folder=folder)
-    return seen, score(seen, data / "carpark")
+    log = data / "carpark"
+    seen = run_log(log, folder=folder)
+    scored = score(seen, log)
+    return seen, replace(scored, nees=map_nees(seen, scored, log))
 
 
 def victoria_park(data: Path, folder: Path | None = None) -> tuple[Run, Outdoor]:
@@ -108,10 +142,13 @@ def carpark_figures(seen: Run, scored: Outdoor) -> str:
     path, wheels = statistics(scored.errors), statistics(scored.wheels_errors)
     found, beacons = len(scored.beacons.found), scored.beacons
     rms = math.sqrt(float(np.mean(scored.beacon_errors**2)))
+    assert scored.nees is not None
+    nees, (low, high) = scored.nees
     return (
         f"{found} of {len(scored.known)} beacons, {len(beacons.false) + len(beacons.doubles)} false, "
-        f"{100 * rms:.1f} cm RMS; path {100 * path.rmse:.1f} cm RMS, median "
-        f"{100 * path.median:.1f} cm (wheels alone {wheels.rmse:.2f} m RMS); "
+        f"{100 * rms:.1f} cm RMS, NEES {nees:.2f} per "
+        f"degree of freedom (95 % interval {low:.2f} to {high:.2f}); path {100 * path.rmse:.1f} cm "
+        f"RMS, median {100 * path.median:.1f} cm (wheels alone {wheels.rmse:.2f} m RMS); "
         f"{seen.speed:.0f} times real time"
     )
 

@@ -22,7 +22,9 @@ def make(name):
 
 def ready(angles, ranges, twist=(0.0, 0.0, 0.0)):
     angles, ranges = np.asarray(angles, dtype=float), np.asarray(ranges, dtype=float)
-    message = LaserScan(1.0, angles, ranges, 1e-4 * np.arange(len(ranges)))
+    n = len(ranges)
+    bright = np.where(np.arange(n) % 10 < 2, 8192.0, 0.0)  # for those that go by brightness
+    message = LaserScan(1.0, angles, ranges, 1e-4 * np.arange(n), intensities=bright)
     return LIDAR.scan(message, np.array(twist))
 
 

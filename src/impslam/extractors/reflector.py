@@ -28,18 +28,25 @@ class Reflector(Extractor):
     landmark = "point"
 
     threshold: float = parameter(
-        1.0, "device", "echoes at least so bright are a reflector's, in the lidar's unit", gt=0
+        1.0, "device", "Echoes at least so bright are a reflector's, in the lidar's unit.", gt=0.0
     )
-    max_gap: float = parameter(0.5, "m", "bright echoes further apart are of two reflectors", gt=0)
+    max_gap: float = parameter(
+        0.5, "m", "Bright echoes further apart than this are of two reflectors.", gt=0.0
+    )
     max_size: float = parameter(
-        1.0, "m", "what is wider is no beacon but a sign, a number plate or a wall in the sun", gt=0
+        1.0,
+        "m",
+        "Widest beacon; signs, number plates and glossy walls are wider.",
+        gt=0.0,
     )
-    min_beams: int = parameter(1, "1", "fewest bright beams on a reflector", ge=1)
+    min_beams: int = parameter(
+        1, "1", "Fewest bright beams; from 10 m on a post is met by one beam or none.", ge=1
+    )
     radius: float = parameter(
-        0.0, "m", "of the post that carries it: so far behind its surface stands its axis", ge=0
+        0.0, "m", "Radius of the post: so far behind its surface stands its axis.", ge=0.0
     )
     sigma_surface: float = parameter(
-        0.02, "m", "how far from its middle a reflector may be hit, as a standard deviation", ge=0
+        0.02, "m", "Standard deviation of where a reflector is hit, from its middle.", ge=0.0
     )
 
     def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:

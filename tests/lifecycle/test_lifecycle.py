@@ -69,6 +69,62 @@ def test_the_first_scan_of_a_run_enters_at_once():
     assert len(lifecycle.promote([cylinder(1, 1), cylinder(2, 0)], 0.0, lost=True)) == 2
 
 
+def trial(scan, matched, lifecycle=None, ids=(7,), rate=0.25):
+    """Enter landmarks with the first scan, of an empty map; return when and which of them go.
+
+    `matched` are the ids that each of the scans after it matches.
+    """
+    lifecycle = started(lifecycle or Tentative())
+    ids, gone = list(ids), {}
+    for i, seen in enumerate([(), *matched]):
+        lifecycle.promote([cylinder(3, 0)] if i == 0 else [], i * rate, lost=i == 0)
+        outlines = np.tile(
+            [3.0, 0.0], (len(ids), 2, 1)
+        )  # on the wall, so that nothing is seen through
+        matches = [Match(0, number, np.zeros(2), R, 0.0) for number in seen]
+        for number in lifecycle.review(scan, np.zeros(3), np.array(ids), outlines, matches):
+            gone[number] = i
+            ids.remove(number)
+    return gone
+
+
+def test_what_only_the_first_scan_shows_goes_after_the_patience(scan_of_a_wall):
+    assert trial(scan_of_a_wall, [()] * 20, Tentative(patience=1.0)) == {7: 5}
+
+
+def test_what_the_first_scan_and_enough_others_show_stays(scan_of_a_wall):
+    assert trial(scan_of_a_wall, [(7,)] * 4 + [()] * 40) == {}
+
+
+def test_sightings_of_the_first_scans_need_time_too(scan_of_a_wall):
+    at_once = trial(scan_of_a_wall, [(7,)] * 4 + [()] * 40, Tentative(persistence=1.5))
+    assert at_once == {7: 9}
+
+
+def test_trials_are_of_each_landmark_by_itself(scan_of_a_wall):
+    matched = [(7,), (7, 8), (7,), (7,)] + [()] * 40
+    assert trial(scan_of_a_wall, matched, ids=(7, 8, 9)) == {9: 5, 8: 7}
+
+
+def test_only_what_entered_untried_is_on_trial(scan_of_a_wall):
+    lifecycle = started(Tentative())
+    on_the_wall = np.full((1, 2, 2), [3.0, 0.0])
+    for i in range(40):
+        lifecycle.promote([], 0.1 * i, lost=False)
+        seen = lifecycle.review(scan_of_a_wall, np.zeros(3), np.array([7]), on_the_wall, [])
+        assert seen == []
+
+
+def test_a_new_run_knows_nothing_of_the_trials_before(scan_of_a_wall):
+    lifecycle = started(Tentative())
+    lifecycle.promote([cylinder(3, 0)], 0.0, lost=True)
+    place = np.full((1, 2, 2), [3.0, 0.0])
+    lifecycle.review(scan_of_a_wall, np.zeros(3), np.array([7]), place, [])
+    started(lifecycle)
+    lifecycle.promote([], 5.0, lost=False)
+    assert lifecycle.review(scan_of_a_wall, np.zeros(3), np.array([7]), place, []) == []
+
+
 def test_the_thesis_takes_all_at_once_and_keeps_all(scan_of_a_wall):
     lifecycle = started(Immediate())
     seen = [cylinder(1, 1)]

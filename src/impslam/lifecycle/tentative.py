@@ -4,6 +4,7 @@ A tentative landmark lives in a small filter that only dead-reckons: it is compa
 with the right uncertainty, and nothing of it reaches the map before it is confirmed. It stays where
 it was first seen, so that what walks does not become a landmark. The first scan is the exception:
 what it shows enters at once, for every step without a landmark turns the whole map against its start.
+It is on trial there: what is not seen again as often and as soon as others must be goes.
 
 A confirmed one has a score: it rises when the landmark is matched and falls when beams that should
 have hit it end behind it. Occlusion says nothing and changes nothing.
@@ -120,6 +121,9 @@ class Tentative(Lifecycle):
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
     _seen: dict[int, tuple[int, float, float]] = PrivateAttr(default_factory=dict)
     _scores: dict[int, float] = PrivateAttr(default_factory=dict)
+    _trials: dict[int, tuple[int, float, float]] = PrivateAttr(default_factory=dict)
+    _untried: bool = PrivateAttr(default=False)
+    _now: float = PrivateAttr(default=0.0)
 
     def start(
         self, models: Mapping[str, LandmarkModel], association: Association, tracker: Filter
@@ -127,6 +131,8 @@ class Tentative(Lifecycle):
         """Begin with an empty dead-reckoning filter."""
         self._models, self._association, self._candidates = models, association, tracker
         self._scores.clear()
+        self._trials.clear()
+        self._untried = False
         self._forget()
 
     def move(self, increment: Increment) -> None:
@@ -139,6 +145,7 @@ class Tentative(Lifecycle):
         self, observations: Sequence[Observation], stamp: float, lost: bool
     ) -> list[Observation]:
         """Return the observations whose landmark has now been seen often enough."""
+        self._now, self._untried = stamp, lost
         if lost:
             return list(observations)
         if not observations and not self._seen:
@@ -159,10 +166,34 @@ class Tentative(Lifecycle):
     def review(
         self, scan: Scan, pose: Array, ids: Ints, outlines: Array, matches: Sequence[Match]
     ) -> list[int]:
-        """Return the ids of landmarks that have been seen through too often."""
+        """Return the ids of landmarks that failed their trial or were seen through too often."""
         matched = {match.landmark for match in matches}
         for number in matched:
             self._scores[number] = min(self._score(number) + 1.0, self.confidence)
+        failed = self._try(ids, matched)
+        through = self._through(scan, pose, ids, outlines, matched)
+        lost = failed + [number for number in through if number not in failed]
+        for number in lost:
+            self._scores.pop(number, None)
+            self._trials.pop(number, None)
+        return lost
+
+    def _try(self, ids: Ints, matched: set[int]) -> list[int]:
+        """Return the landmarks that entered untried and were not seen again in time."""
+        if self._untried:
+            self._trials = dict.fromkeys(ids.tolist(), (1, self._now, self._now))
+            self._untried = False
+        for number in matched & self._trials.keys():
+            count, first, _ = self._trials[number]
+            self._trials[number] = (count + 1, first, self._now)
+            if count + 1 >= self.sightings and self._now - first >= self.persistence:
+                del self._trials[number]
+        return [i for i, (_, _, last) in self._trials.items() if self._now - last > self.patience]
+
+    def _through(
+        self, scan: Scan, pose: Array, ids: Ints, outlines: Array, matched: set[int]
+    ) -> list[int]:
+        """Lower the scores of what is seen through; return those that have sunk too low."""
         reach = scan.points[scan.valid]
         if len(reach) < 2 or len(ids) == 0:
             return []
@@ -176,8 +207,6 @@ class Tentative(Lifecycle):
             self._scores[number] = self._score(number) + float(balance[k])
             if self._scores[number] < 0.0:
                 lost.append(number)
-        for number in lost:
-            del self._scores[number]
         return lost
 
     def _balance(self, scan: Scan, pose: Array, outlines: Array) -> Array:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from impslam.errors import ImpError
@@ -19,6 +19,7 @@ from impslam.evaluation.trajectory import (
     position_errors,
     relative,
     rpe,
+    start_frame,
     statistics,
 )
 from impslam.geometry.se2 import between, compose, transform
@@ -31,6 +32,7 @@ def circle(n=100):
     return np.c_[t, 2 * np.cos(t), 2 * np.sin(t), np.arctan2(np.cos(t), -np.sin(t))]
 
 
+@settings(deadline=None)  # compiles
 @given(motion)
 def test_alignment_undoes_any_motion(T):
     points = circle()[:, 1:3]
@@ -62,6 +64,7 @@ def test_alignment_of_a_robot_that_stood_still():
     np.testing.assert_allclose(T, [2.0, 2.0, 0.0])
 
 
+@settings(deadline=None)  # compiles
 @given(motion)
 def test_the_absolute_error_of_a_moved_copy_is_zero_only_after_alignment(T):
     truth = circle()
@@ -107,6 +110,7 @@ def test_no_common_time_is_one_line():
         associate(late, circle())
 
 
+@settings(deadline=None)  # compiles
 @given(motion, motion)
 def test_relative_is_between(a, b):
     np.testing.assert_allclose(relative(a[None], b[None])[0], between(a, b), atol=1e-9)
@@ -123,6 +127,7 @@ def test_relative_error_of_a_scaled_path():
     assert rpe(Pairs(x, estimate, truth), 2.0, "s")[0].max == pytest.approx(0.04)
 
 
+@settings(deadline=None)  # compiles
 @given(motion)
 def test_relative_error_does_not_depend_on_the_frame(T):
     truth = circle()[:, 1:]
@@ -137,3 +142,65 @@ def test_relative_error_does_not_depend_on_the_frame(T):
 def test_stretches_that_cannot_be_are_one_line(delta, unit):
     with pytest.raises(ImpError, match="rpe over"):
         rpe(Pairs(circle()[:, 0], circle()[:, 1:], circle()[:, 1:]), delta, unit)
+
+
+def positions(rows):
+    return np.c_[rows[:, :3], np.full(len(rows), np.nan)]
+
+
+def test_a_truth_of_positions_scores_positions():
+    truth, estimate = circle(), circle() + np.array([0.0, 0.3, 0.4, 0.2])
+    pairs = associate(estimate, positions(truth))
+    assert ate(pairs, aligned=False).rmse == pytest.approx(0.5)
+    assert ate(pairs).max < 1e-9
+    assert np.isnan(heading_errors(pairs)).all()
+    assert statistics(heading_errors(pairs)).count == 0
+    metres, radians = rpe(pairs, 1.0)
+    assert metres.count == radians.count == 0
+    assert math.isnan(metres.rmse)
+
+
+def test_headings_are_known_between_known_ones_only():
+    rows = np.array([[0.0, 0, 0, 3.0], [1, 1, 0, -3.0], [2, 2, 0, np.nan], [3, 3, 0, 0.5]])
+    stamps = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
+    headings = interpolate(rows, stamps)[:, 2]
+    np.testing.assert_allclose(headings, [math.pi, -3.0, np.nan, np.nan, np.nan, 0.5])
+    np.testing.assert_allclose(interpolate(rows, stamps)[:, 0], stamps)
+
+
+def test_headings_around_one_that_is_not_known_do_not_jump():
+    t = np.linspace(0.0, 3.0, 31)
+    rows = np.c_[t, t, t, 4.0 * t]
+    rows[7, 3] = np.nan
+    between_rows = interpolate(rows, np.array([2.25]))
+    assert between_rows[0, 2] == pytest.approx(9.0 - 2 * math.pi)
+
+
+@settings(deadline=None)  # compiles
+@given(motion)
+def test_the_true_start_undoes_any_frame(T):
+    rows = circle()
+    truth = np.c_[rows[:, 0], move(T, rows[:, 1:])]
+    found = start_frame(associate(rows, truth), 0.0)
+    np.testing.assert_allclose(np.sin((found - T) / [100, 100, 1]), 0.0, atol=1e-9)
+
+
+def test_the_start_is_where_a_heading_is_first_known_if_it_is_soon():
+    truth = circle()
+    truth[:3, 3] = np.nan
+    pairs = associate(circle() + np.array([0, 1.0, 0, 0]), truth)
+    np.testing.assert_allclose(start_frame(pairs, 0.0), [-1, 0, 0], atol=1e-12)
+    assert start_frame(pairs, -2.0) is None
+    truth[:20, 3] = np.nan
+    assert start_frame(associate(circle(), truth), 0.0) is None
+    assert start_frame(associate(circle(), positions(truth)), 0.0) is None
+
+
+def test_positions_at_5_hz_with_a_hole_are_interpolated_outside_the_hole_only():
+    t = np.concatenate((np.arange(0.0, 4.01, 0.2), np.arange(6.0, 9.01, 0.2)))
+    truth = np.c_[t, 2.0 * t, -t, np.full(len(t), np.nan)]
+    stamps = np.arange(0.0, 9.0, 0.1)
+    pairs = associate(np.c_[stamps, np.zeros((90, 3))], truth)
+    assert not ((pairs.stamps > 4.05) & (pairs.stamps < 5.95)).any()
+    assert len(pairs.stamps) == 90 - 19
+    np.testing.assert_allclose(pairs.truth[:, 0], 2.0 * pairs.stamps, atol=1e-9)

@@ -52,4 +52,17 @@ def test_a_missing_file_is_one_line(tmp_path):
 def test_any_bytes_are_read_or_refused(tmp_path, data):
     (tmp_path / "a.tum").write_bytes(data)
     with contextlib.suppress(ImpError):
-        assert np.isfinite(read_tum(tmp_path / "a.tum")).all()
+        assert np.isfinite(read_tum(tmp_path / "a.tum")[:, :3]).all()
+
+
+def test_a_heading_that_is_not_known_comes_back_as_such(tmp_path):
+    rows = np.array([[1.0, 2.0, 3.0, np.nan], [2.0, 3.0, 4.0, 0.5]])
+    write_tum(tmp_path / "a.tum", rows)
+    assert "nan" not in (tmp_path / "a.tum").read_text()
+    np.testing.assert_allclose(read_tum(tmp_path / "a.tum"), rows, atol=1e-9)
+
+
+@pytest.mark.parametrize("turn", ["0 0 0 0", "nan nan nan nan", "0 0 nan 1", "-0.0 0 0 0"])
+def test_quaternions_that_are_none_leave_the_heading_open(tmp_path, turn):
+    (tmp_path / "a.tum").write_text(f"1 2 3 0 {turn}\n")
+    np.testing.assert_array_equal(read_tum(tmp_path / "a.tum"), [[1, 2, 3, np.nan]])

@@ -136,6 +136,7 @@ def _draw_errors(axes: Axes, paths: Mapping[str, PathScore], looks: Mapping[str,
     typical = [score.aligned.median for score in paths.values()]
     if max(typical) > SCALES * min(typical) > 0.0:
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
         axes.set_ylim(bottom=max(0.1 * min(typical), 1e-4))
     else:
         axes.set_ylim(bottom=0.0)
@@ -153,6 +154,7 @@ def _draw_relations(
     axes.set(xscale="log", xlabel="translation error in m", ylabel="share of the relations")
     axes.set_xlim(left=max(smallest, 1e-3))
     axes.set_ylim(0.0, 1.0)
+    axes.xaxis.set_major_formatter("{x:g}")
 
 
 def _broken(stamps: Array, points: Array) -> Array:

@@ -6,9 +6,16 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from impslam.evaluation.landmarks import corners, score_landmarks
+from impslam.evaluation.landmarks import (
+    corners,
+    landmark_errors,
+    moved,
+    score_landmarks,
+    true_wall,
+)
+from impslam.geometry.se2 import inverse, transform
 from impslam.simulation.world import load_world
-from impslam.types import Landmark
+from impslam.types import Landmark, TrueLandmark
 
 
 @dataclass

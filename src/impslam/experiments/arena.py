@@ -17,7 +17,7 @@ from impslam.experiments.base import Job, Part, Picture
 
 SEEDS = 20
 """Enough for a first look; the claims are for 100."""
-READINGS = 10
+READINGS = 5
 """Seeds for each other reading of the text: enough to tell what fails."""
 THESIS, LETTER, IMP = "thesis", "2 m gate", "default"
 """What the ways of mapping are called in tables and figures."""

@@ -27,6 +27,10 @@ def _place(at: Sequence[float] | Array) -> str:
     return f"({at[0]:z.3f}, {at[1]:z.3f})"
 
 
+def _nees(value: float) -> str:
+    return f"{value:.2f}" if value < 100.0 else f"{value:.0e}"
+
+
 def distance_table(setup: Setup, came: Mapping[str, Errors]) -> Table:
     """Return the table of the thesis: distances as it scores them, walls by their feet."""
     printed = DETECTED[setup.name]
@@ -79,7 +83,7 @@ def health_table(came: Mapping[str, Errors], made: Sequence[ArenaRun]) -> Table:
             f"{len(result.missing)}",
             f"{len(result.false)}",
             f"{len(result.double)}",
-            f"{result.nees:.2f}",
+            _nees(result.nees),
             f"{100 * result.within:.0f} %",
         ]
         for name, result in came.items()
@@ -146,14 +150,22 @@ def reading_table(readings: Mapping[str, Errors], number: int) -> Table:
         [
             said,
             str(result.foot[END]),
+            _worst(result),
             f"{len(result.missing)}",
             f"{len(result.false)}",
-            f"{result.nees:.3g}",
+            _nees(result.nees),
         ]
         for said, result in readings.items()
     ]
     return Table(
         f"Other readings of the text, {number} seeds",
-        ["", f"end in m, {SPREAD}", "seeds missing one", "seeds with false ones", "pose NEES"],
+        ["", f"end in m, {SPREAD}", "worst in m", "missing", "false", "pose NEES"],
         rows,
+        note="The worst landmark is the one whose median distance is largest; missing and false count "
+        "seeds, as above.",
     )
+
+
+def _worst(result: Errors) -> str:
+    worst = max(spread.median for name, spread in result.distance.items() if name != END)
+    return f"{worst:.3f}" if math.isfinite(worst) else "missing"

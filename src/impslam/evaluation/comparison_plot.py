@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from impslam.errors import ImpError
 from impslam.evaluation.relations import RelationErrors
 from impslam.evaluation.scores import PathScore
 from impslam.evaluation.trajectory import align, associate, move, position_errors
@@ -32,6 +33,9 @@ GAP = 1.0
 
 SCALES = 10.0
 """Errors further apart than that are drawn on a logarithmic scale, or the small ones were nothing."""
+
+NOTHING = 1e-3
+"""m: smaller errors of relations do not matter, and people did not measure them so well."""
 
 
 def draw_comparison(
@@ -119,11 +123,18 @@ def _draw_runs(axes: Axes, runs: Mapping[str, Array], looks: Mapping[str, Any]) 
     """Draw paths without a truth, each where it fits the first best."""
     first = next(iter(runs.values()))
     for name, run in runs.items():
-        pairs = associate(run, first)
-        laid = move(align(pairs.estimate[:, :2], pairs.truth[:, :2]), run[:, 1:])
-        axes.plot(*laid[:, :2].T, **looks[name])
+        axes.plot(*_fitted(run, first)[:, :2].T, **looks[name])
     title = "Paths, each fitted to the first" if len(runs) > 1 else "Path"
     axes.set_title(title, color=INK, fontsize=10)
+
+
+def _fitted(run: Array, first: Array) -> Array:
+    """Return poses (n, 3) of a run where they fit another best, if they share any time."""
+    try:
+        pairs = associate(run, first)
+    except ImpError:
+        return run[:, 1:]
+    return move(align(pairs.estimate[:, :2], pairs.truth[:, :2]), run[:, 1:])
 
 
 def _draw_errors(axes: Axes, paths: Mapping[str, PathScore], looks: Mapping[str, Any]) -> None:
@@ -146,13 +157,12 @@ def _draw_relations(
     axes: Axes, relations: Mapping[str, RelationErrors], looks: Mapping[str, Any]
 ) -> None:
     """Draw which share of the relations has an error of at most so much."""
-    smallest = min(float(errors.translation.min()) for errors in relations.values())
+    largest = max(errors.metres.max for errors in relations.values())
     for name, errors in relations.items():
-        ordered = np.sort(errors.translation)
-        axes.ecdf(ordered, **looks[name])
-    # Errors of closed and of missed loops are orders of magnitude apart; below 1 mm none matters.
+        axes.ecdf(np.maximum(errors.translation, NOTHING), **looks[name])
+    # Errors of closed and of missed loops are orders of magnitude apart.
     axes.set(xscale="log", xlabel="translation error in m", ylabel="share of the relations")
-    axes.set_xlim(left=max(smallest, 1e-3))
+    axes.set_xlim(NOTHING, max(10.0 * NOTHING, 1.1 * largest))
     axes.set_ylim(0.0, 1.0)
     axes.xaxis.set_major_formatter("{x:g}")
 

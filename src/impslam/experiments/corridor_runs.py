@@ -1,0 +1,301 @@
+"""The corridor of the thesis (5.2.4), driven with a seed, mapped in several ways, and judged."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import PrivateAttr
+
+from impslam.association.base import Association
+from impslam.component import build
+from impslam.config import load
+from impslam.evaluation.landmarks import score_landmarks
+from impslam.experiments.arena_runs import Way
+from impslam.experiments.arena_setups import LINES, ROOT2
+from impslam.experiments.corridor_truth import Truth, Verdict, false_landmarks, judge
+from impslam.extractors.base import Extractor
+from impslam.filters.base import Filter
+from impslam.geometry.se2 import between, log
+from impslam.landmarks.base import LandmarkModel
+from impslam.lifecycle.base import Lifecycle
+from impslam.pipeline import Pipeline
+from impslam.sensors.lidar2d import Lidar2D
+from impslam.simulation.robot import SimulatedRobot
+from impslam.simulation.simulate import simulate
+from impslam.simulation.world import World, load_world
+from impslam.types import (
+    Array,
+    Increment,
+    Ints,
+    Landmark,
+    LaserScan,
+    Match,
+    Message,
+    Observation,
+    Scan,
+    StepResult,
+    TruePose,
+)
+
+WORLD = "corridor"
+ROBOT = SimulatedRobot(imu=None, truth_rate=1.0)
+"""The robot of the arena; nobody asks for its gyro, or the truth between scans."""
+DEFAULT, HOUGH, RANSAC = "default", "thesis, Hough", "thesis, RANSAC"
+WAYS = {
+    DEFAULT: Way("imp"),
+    HOUGH: LINES.thesis,
+    RANSAC: Way(
+        "thesis-lines",
+        (f"association.max_distance={ROOT2}", "sensors.lidar.extractors.walls.kind=ransac"),
+    ),
+}
+"""The default, and the thesis's lines as in the arena, with each of its two extractors."""
+EVERY = 5
+"""Of so many scans one is given to the extractors alone: half a second, 0.3 m of way."""
+EXTRACTORS = {
+    "split and merge (default)": {"kind": "split_merge"},
+    "Hough, threshold 40 px (thesis)": {"kind": "hough", "threshold": 40},
+    "Hough, threshold 20 px": {"kind": "hough"},
+    "RANSAC (thesis)": {"kind": "ransac"},
+}
+"""Of the Hough transform the thesis prints the bins, of RANSAC no parameter."""
+
+
+@dataclass(frozen=True, slots=True)
+class Birth:
+    """A landmark's entry into the map: what its observation was."""
+
+    id: int
+    kind: str
+    stamp: float
+    verdict: Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """Walls that an extractor saw.
+
+    Attributes
+    ----------
+    scans, walls : looked at, and seen in them
+    spurious : walls that are none; see `corridor_truth.is_wall`
+    people : of these, the ones that rest on people
+    marred : scans with a spurious wall
+    """
+
+    scans: int = 0
+    walls: int = 0
+    spurious: int = 0
+    people: int = 0
+    marred: int = 0
+
+    def __add__(self, other: Tally) -> Tally:
+        """Return both together."""
+        return Tally(
+            self.scans + other.scans,
+            self.walls + other.walls,
+            self.spurious + other.spurious,
+            self.people + other.people,
+            self.marred + other.marred,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorridorRun:
+    """One drive, mapped in one way.
+
+    Attributes
+    ----------
+    path, odometry, truth : (n, 3) poses in map at the stamps of the n scans
+    landmarks : the map at the end
+    births : all landmarks that were ever in the map
+    false : ids of landmarks of the map at the end where nothing of their kind stands
+    missing : walls and cylinders with a name that are not in it, of the kinds that it is made of
+    walls : those seen on the way, in the scans that were searched
+    """
+
+    path: Array
+    odometry: Array
+    truth: Array
+    landmarks: tuple[Landmark, ...]
+    births: tuple[Birth, ...]
+    false: tuple[int, ...]
+    missing: tuple[str, ...]
+    walls: Tally
+
+    @property
+    def way(self) -> float:
+        """How far the robot drove, m."""
+        return float(np.hypot(*np.diff(self.truth[:, :2], axis=0).T).sum())
+
+    @property
+    def end(self) -> float:
+        """How far the estimate ends from the truth, m."""
+        return float(math.dist(self.path[-1, :2], self.truth[-1, :2]))
+
+    @property
+    def wheels(self) -> float:
+        """How far dead reckoning ends from the truth, m."""
+        return float(math.dist(self.odometry[-1, :2], self.truth[-1, :2]))
+
+    @property
+    def errors(self) -> Array:
+        """Distances (n,) to the truth, m; both begin at one pose, and nothing is aligned."""
+        return np.asarray(np.hypot(*(self.path - self.truth)[:, :2].T))
+
+    @property
+    def ate(self) -> float:
+        """Their root mean square, m."""
+        return float(np.sqrt(np.mean(self.errors**2)))
+
+    @property
+    def people(self) -> int:
+        """How many landmarks that were ever in the map were people."""
+        return sum(birth.verdict.person for birth in self.births)
+
+    @property
+    def touched(self) -> int:
+        """How many had any beam on people when they entered the map."""
+        return sum(birth.verdict.touched for birth in self.births)
+
+    @property
+    def false_births(self) -> int:
+        """How many were nothing of their kind when they entered the map."""
+        return sum(birth.verdict.false for birth in self.births)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """One seed: the runs by their ways, and what the extractors saw by themselves."""
+
+    seed: int
+    runs: Mapping[str, CorridorRun]
+    extractors: Mapping[str, Tally]
+
+
+class Register(Lifecycle):
+    """Keeps the book of births for another lifecycle, and changes nothing."""
+
+    inner: Lifecycle
+    _born: list[Observation] = PrivateAttr(default_factory=list)
+
+    @property
+    def born(self) -> list[Observation]:
+        """The observations that were promoted last."""
+        return self._born
+
+    def start(
+        self, models: Mapping[str, LandmarkModel], association: Association, tracker: Filter
+    ) -> None:
+        """Begin; see `Lifecycle`."""
+        self.inner.start(models, association, tracker)
+
+    def move(self, increment: Increment) -> None:
+        """Follow the motion."""
+        self.inner.move(increment)
+
+    def promote(
+        self, observations: Sequence[Observation], stamp: float, lost: bool
+    ) -> list[Observation]:
+        """Return the new landmarks, and remember them."""
+        self._born = self.inner.promote(observations, stamp, lost)
+        return self._born
+
+    def review(
+        self, scan: Scan, pose: Array, ids: Ints, outlines: Array, matches: Sequence[Match]
+    ) -> list[int]:
+        """Return the landmarks to remove."""
+        return self.inner.review(scan, pose, ids, outlines, matches)
+
+
+@functools.cache
+def corridor_world() -> World:
+    """Return the world."""
+    return load_world(WORLD)
+
+
+@functools.cache
+def corridor_truth() -> Truth:
+    """Return what is there, for the lidar of the robot that drives."""
+    assert ROBOT.lidar is not None
+    return Truth(corridor_world(), ROBOT.lidar)
+
+
+def drive_corridor(seed: int, ways: Sequence[str] = tuple(WAYS)) -> Drive:
+    """Simulate one seed, map it in several ways, and judge the extractors by themselves."""
+    messages = list(simulate(corridor_world(), ROBOT, seed))
+    runs = {name: map_corridor(messages, WAYS[name], seed) for name in ways}
+    return Drive(seed, runs, judge_extractors(messages, seed))
+
+
+def map_corridor(messages: Sequence[Message], way: Way, seed: int) -> CorridorRun:
+    """Map what the robot recorded."""
+    pipeline = Pipeline(load(way.preset, [f"seed={seed}", *way.settings]))
+    pipeline.slam.lifecycle = register = Register(inner=pipeline.slam.lifecycle)
+    begin, walls = messages[0].stamp, Tally()
+    births: list[Birth] = []
+    truth = {m.stamp: m.pose for m in messages if isinstance(m, TruePose)}
+    rows = []
+    for step in _steps(pipeline, messages):
+        rows.append((step.pose, step.odometry, truth[step.stamp]))
+        if step.observations:
+            moment = corridor_truth().moment(step.stamp - begin)
+            walls += count([judge(moment, o) for o in step.observations if o.kind == "wall"])
+            births += [
+                Birth(number, seen.kind, step.stamp, judge(moment, seen))
+                for number, seen in zip(step.new, register.born, strict=True)
+            ]
+    path, odometry, true = (np.array(column) for column in zip(*rows, strict=True))
+    return _judged(path, odometry, true, pipeline.slam.landmarks(), tuple(births), walls)
+
+
+def _steps(pipeline: Pipeline, messages: Iterable[Message]) -> Iterator[StepResult]:
+    for message in messages:
+        yield from pipeline.feed(message)
+    yield from pipeline.flush()
+
+
+def _judged(
+    path: Array,
+    odometry: Array,
+    true: Array,
+    landmarks: tuple[Landmark, ...],
+    births: tuple[Birth, ...],
+    walls: Tally,
+) -> CorridorRun:
+    false = false_landmarks(corridor_truth(), landmarks)
+    kinds = {birth.kind for birth in births}
+    known = [mark for mark in corridor_world().landmarks() if mark.kind in kinds]
+    missing = score_landmarks(landmarks, known).missing
+    return CorridorRun(path, odometry, true, landmarks, births, false, missing, walls)
+
+
+def count(walls: Sequence[Verdict]) -> Tally:
+    """Return the tally of one scan."""
+    spurious = [wall for wall in walls if wall.false]
+    people = sum(wall.person for wall in spurious)
+    return Tally(1, len(walls), len(spurious), people, int(bool(spurious)))
+
+
+def judge_extractors(messages: Sequence[Message], seed: int) -> dict[str, Tally]:
+    """Give every `EVERY`th scan to every extractor, de-skewed with the true motion."""
+    extractors: dict[str, Extractor] = {
+        name: build("extractor", table) for name, table in EXTRACTORS.items()
+    }
+    tallies = dict.fromkeys(extractors, Tally())
+    truth, rng = corridor_truth(), np.random.default_rng(seed)
+    sensor = load("imp").make_robot().sensors["lidar"]
+    assert isinstance(sensor, Lidar2D)
+    scans = [message for message in messages if isinstance(message, LaserScan)][::EVERY]
+    for message in scans:
+        time = message.stamp - messages[0].stamp
+        begin, end = truth.path.at(time + np.array([0.0, truth.sweep]))
+        scan = sensor.scan(message, log(between(begin, end)) / truth.sweep)
+        moment = truth.moment(time)
+        for name, extractor in extractors.items():
+            tallies[name] += count([judge(moment, o) for o in extractor.extract(scan, rng)])
+    return tallies

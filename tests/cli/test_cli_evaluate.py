@@ -88,7 +88,7 @@ def test_a_run_folder_knows_its_own_truth(imp, tmp_path, monkeypatch) -> None:
     assert figures == f"50 {free:.4f} 0.0000 0.0000 0.00 0.0000 0.000 0.00 0 %"
     # kind, true, matched, missing, false, double, RMS, max, NEES
     marks = next(line for line in said.out.splitlines() if " point " in line).split()[1:]
-    assert marks == ["point", "2", "1", "1", "1", "0", "0.1000", "0.1000", "0.50"]
+    assert marks == ["point", "2", "1", "1", "1", "0", "0.1000", "0.1000", "1.00"]
     assert "one run; steps are not independent" in said.out
     assert "laid in map by the path's best fit" in said.out
 

@@ -187,12 +187,13 @@ def test_names_are_what_differs(paths, names) -> None:
 def test_the_best_of_each_column_is_bold(monkeypatch, capsys) -> None:
     terminal = Console(force_terminal=True, color_system="standard", width=80)
     monkeypatch.setattr(console, "stdout", lambda: terminal)
-    cells = {("a",): [Cell("1.5", 1.5), Cell("7"), Cell("-", math.nan), Cell("x0", 0.0)]}
-    cells[("b",)] = [Cell("0.5", 0.5), Cell("8"), Cell("0.3", 0.3), Cell("y0", 0.0)]
+    cells = {("a",): [Cell("1.5", 1.5), Cell("7"), Cell("-", math.nan), Cell("0.01", 0.011)]}
+    cells[("b",)] = [Cell("0.5", 0.5), Cell("8"), Cell("0.3", 0.3), Cell("0.01", 0.012)]
+    cells[("c",)] = [Cell("0.9", 0.9), Cell("9"), Cell("-", math.nan), Cell("0.02", 0.02)]
     show(["run", "p", "q", "r", "s"], cells)
     bold = re.findall(r"\x1b\[1m([^\x1b]+)\x1b", capsys.readouterr().out)
-    assert set(map(str.strip, bold)) >= {"0.5", "x0", "y0"}
-    assert not {"1.5", "7", "8", "-", "0.3"} & set(map(str.strip, bold))
+    assert [word.strip() for word in bold if "." in word] == ["0.01", "0.5", "0.01"]
+    assert not {"7", "8", "9", "-"} & set(map(str.strip, bold))
 
 
 def one_line(said, part) -> None:

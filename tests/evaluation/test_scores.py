@@ -210,6 +210,12 @@ def test_the_picture_shows_the_truth_and_each_run_with_its_errors(tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 10_000
 
 
+def test_poses_far_apart_in_time_are_joined_if_none_between_them_lacks_the_truth():
+    scores = {"sparse": score_path(RecordedRun(way()[::20]), way(), "fit", 1.0)}
+    _, errors = picture(scores, {"sparse": way()[::20]}).axes
+    assert np.isfinite(errors.lines[0].get_ydata()).all()
+
+
 def test_relations_are_drawn_as_shares(tmp_path):
     rows, late = way(), way() + np.array([1e6, 0, 0, 0])
     relations = np.array([[0.0, 1.0, *way()[10, 1:]], [0.0, 2.0, *(way()[20, 1:] + [0.5, 0, 0])]])

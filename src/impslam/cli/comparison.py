@@ -59,17 +59,19 @@ def show(header: Sequence[str], rows: Mapping[tuple[str, ...], Sequence[Cell]]) 
         table.add_column(Text(name), justify=justify, overflow="fold")
     for labels, cells in rows.items():
         rivals = [other for key, other in rows.items() if key[1:] == labels[1:]]
-        best = [_best([cell.badness for cell in column]) for column in zip(*rivals, strict=True)]
-        looks = ["bold" if c.badness == b else "" for c, b in zip(cells, best, strict=True)]
+        best = [_best(column) for column in zip(*rivals, strict=True)]
+        looks = ["bold" if c.text == text else "" for c, text in zip(cells, best, strict=True)]
         numbers = (Text(c.text, look) for c, look in zip(cells, looks, strict=True))
         table.add_row(*map(Text, labels), *numbers)
     console.show_indented(table, 0)
 
 
-def _best(badness: Sequence[float]) -> float:
-    """Return the least, or NaN where there is nothing to compare."""
-    known = [value for value in badness if math.isfinite(value)]
-    return min(known) if len(known) > 1 else math.nan
+def _best(column: Sequence[Cell]) -> str | None:
+    """Return what the best cells say, or None where all are known to be as good."""
+    known = [cell for cell in column if math.isfinite(cell.badness)]
+    if len({cell.text for cell in known}) < 2:
+        return None
+    return min(known, key=lambda cell: cell.badness).text
 
 
 def show_paths(scores: Mapping[str, PathScore], align_by: Alignment, delta: float) -> None:

@@ -18,7 +18,7 @@ from impslam.errors import ImpError
 from impslam.evaluation.relations import RelationErrors
 from impslam.evaluation.scores import PathScore
 from impslam.evaluation.trajectory import align, associate, move, position_errors
-from impslam.types import Array
+from impslam.types import Array, Ints
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
 """Okabe and Ito 2008: they differ for the colour-blind, too. More runs differ by their dashes."""
@@ -28,9 +28,6 @@ WIDTH = 9.0
 """inches, 900 pixels as the picture is shown, at twice that resolution."""
 NAME = 30
 """Characters of a name in the legend; a longer one loses its middle."""
-GAP = 1.0
-"""s: lines are broken where a truth is missing for longer (cf. `associate`)."""
-
 SCALES = 10.0
 """Errors further apart than that are drawn on a logarithmic scale, or the small ones were nothing."""
 
@@ -62,8 +59,10 @@ def draw_comparison(
     looks = _looks(list(runs))
     below = iter(axes[1:])
     if paths:
-        _draw_paths(axes[0], paths, looks, where)
-        _draw_errors(next(below), paths, looks)
+        holes = {name: _holes(runs[name], score) for name, score in paths.items()}
+        _draw_paths(axes[0], paths, looks, holes)
+        axes[0].set_title(f"Paths, {where}", color=INK, fontsize=10)
+        _draw_errors(next(below), paths, looks, holes)
     else:
         _draw_runs(axes[0], runs, looks)
     if relations:
@@ -108,15 +107,15 @@ def _shortened(name: str) -> str:
 
 
 def _draw_paths(
-    axes: Axes, paths: Mapping[str, PathScore], looks: Mapping[str, Any], where: str
+    axes: Axes, paths: Mapping[str, PathScore], looks: Mapping[str, Any], holes: Mapping[str, Ints]
 ) -> None:
-    """Draw what is true, and the estimates in its frame."""
-    for i, score in enumerate(paths.values()):
-        true = _broken(score.pairs.stamps, score.pairs.truth[:, :2])
+    """Draw what is true, and the estimates in its frame; nothing where there is no truth."""
+    for i, (name, score) in enumerate(paths.items()):
+        true = np.insert(score.pairs.truth[:, :2], holes[name], np.nan, axis=0)
         axes.plot(*true.T, color=TRUTH, lw=4.0, zorder=1, label="" if i else "truth")
     for name, score in paths.items():
-        axes.plot(*_broken(score.pairs.stamps, score.pairs.estimate[:, :2]).T, **looks[name])
-    axes.set_title(f"Paths, {where}", color=INK, fontsize=10)
+        path = np.insert(score.pairs.estimate[:, :2], holes[name], np.nan, axis=0)
+        axes.plot(*path.T, **looks[name])
 
 
 def _draw_runs(axes: Axes, runs: Mapping[str, Array], looks: Mapping[str, Any]) -> None:
@@ -137,12 +136,13 @@ def _fitted(run: Array, first: Array) -> Array:
     return move(align(pairs.estimate[:, :2], pairs.truth[:, :2]), run[:, 1:])
 
 
-def _draw_errors(axes: Axes, paths: Mapping[str, PathScore], looks: Mapping[str, Any]) -> None:
+def _draw_errors(
+    axes: Axes, paths: Mapping[str, PathScore], looks: Mapping[str, Any], holes: Mapping[str, Ints]
+) -> None:
     begin = min(float(score.pairs.stamps.min()) for score in paths.values())
     for name, score in paths.items():
-        stamps = score.pairs.stamps
-        line = _broken(stamps, np.column_stack((stamps - begin, position_errors(score.pairs))))
-        axes.plot(*line.T, **looks[name])
+        errors = np.column_stack((score.pairs.stamps - begin, position_errors(score.pairs)))
+        axes.plot(*np.insert(errors, holes[name], np.nan, axis=0).T, **looks[name])
     axes.set(xlabel="time in s", ylabel="distance from the truth in m", xmargin=0.01)
     typical = [score.aligned.median for score in paths.values()]
     if max(typical) > SCALES * min(typical) > 0.0:
@@ -167,10 +167,10 @@ def _draw_relations(
     axes.xaxis.set_major_formatter("{x:g}")
 
 
-def _broken(stamps: Array, points: Array) -> Array:
-    """Return points (n, 2) with a gap, NaN, where nothing is known for longer than `GAP`."""
-    holes = np.flatnonzero(np.diff(stamps) > GAP) + 1
-    return np.insert(points, holes, np.nan, axis=0)
+def _holes(run: Array, score: PathScore) -> Ints:
+    """Return the pairs (k,) before which poses of the run (n, 4) have no truth."""
+    rows = np.flatnonzero(np.isin(run[:, 0], score.pairs.stamps))
+    return np.flatnonzero(np.diff(rows) > 1) + 1
 
 
 def _style(axes: Axes) -> None:

@@ -47,8 +47,8 @@ def corridor(job: Job) -> Part:
 
 def report(drives: Sequence[Drive]) -> Part:
     """Return the section on some drives."""
-    made = collect(drives)
-    tables = [run_table(made), extractor_table(extractor_tallies(drives))]
+    tallies = extractor_tallies(drives)
+    tables = [run_table(collect(drives), tallies), extractor_table(tallies)]
     text = "\n\n".join((WORLD, WHY))
     title = "The uncontrolled corridor (thesis 5.2.4)"
     return Part("corridor", title, text, tables, _pictures(drives), figures(drives))

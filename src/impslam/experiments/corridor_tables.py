@@ -7,7 +7,7 @@ from typing import Any
 
 from impslam.experiments.arena_scores import Spread
 from impslam.experiments.base import Table
-from impslam.experiments.corridor_runs import CorridorRun, Drive, Tally
+from impslam.experiments.corridor_runs import SEES, CorridorRun, Drive, Tally
 
 WITHIN = 0.005
 """Of the distance travelled: the end is to be this near."""
@@ -35,10 +35,10 @@ def per_scan(part: int, tally: Tally) -> float:
     return part / max(tally.scans, 1)
 
 
-def run_table(made: Mapping[str, Sequence[CorridorRun]]) -> Table:
+def run_table(made: Mapping[str, Sequence[CorridorRun]], tallies: Mapping[str, Tally]) -> Table:
     """Return the path of every way, and what is in its map."""
     many = next(iter(made.values()))
-    rows = [[name, *_row(runs)] for name, runs in made.items()]
+    rows = [[name, *_row(runs, tallies[SEES[name]])] for name, runs in made.items()]
     wheels = Spread.of([100.0 * run.wheels / run.way for run in many])
     inside = sum(run.wheels <= WITHIN * run.way for run in many)
     rows.append(["wheels alone", _percent(wheels), f"{inside} of {len(many)}", *[""] * 7])
@@ -66,15 +66,15 @@ def run_table(made: Mapping[str, Sequence[CorridorRun]]) -> Table:
     )
 
 
-def _row(runs: Sequence[CorridorRun]) -> list[str]:
-    n, walls = len(runs), total([run.walls for run in runs])
+def _row(runs: Sequence[CorridorRun], seen: Tally) -> list[str]:
+    n = len(runs)
     inside = sum(run.end <= WITHIN * run.way for run in runs)
     ate = Spread.of([run.ate for run in runs])
     return [
         _percent(Spread.of([100.0 * run.end / run.way for run in runs])),
         f"{inside} of {n}",
         str(ate),
-        f"{per_scan(walls.spurious, walls):.4f}",
+        f"{per_scan(seen.spurious, seen):.4f}",
         f"{sum(len(run.births) for run in runs) / n:.1f}",
         f"{sum(run.people for run in runs)}",
         f"{sum(run.false_births for run in runs) / n:.1f}",
@@ -115,7 +115,7 @@ def extractor_table(tallies: Mapping[str, Tally]) -> Table:
         note="A wall is spurious unless half of its beams or more hit one plane (a wall with its shut "
         "doors is one, an open leaf, a box's side, a room's wall) and it lies in that plane: within "
         "10 degrees, a bin of the thesis's transform, and within 0.2 m at the middle of what was "
-        "seen. Every fifth scan, de-skewed with the true motion.",
+        "seen. Every tenth scan, de-skewed with the true motion.",
     )
 
 
@@ -142,12 +142,10 @@ def figures(drives: Sequence[Drive]) -> dict[str, Any]:
 
 
 def _figures(runs: Sequence[CorridorRun]) -> dict[str, Any]:
-    walls = total([run.walls for run in runs])
     return {
         "end": [run.end for run in runs],
         "seeds_within": sum(run.end <= WITHIN * run.way for run in runs),
         "path_rms": [run.ate for run in runs],
-        "spurious_walls_per_scan": per_scan(walls.spurious, walls),
         "landmarks_ever": [len(run.births) for run in runs],
         "people_ever": [run.people for run in runs],
         "touched_by_people": [run.touched for run in runs],

@@ -59,7 +59,7 @@ _THRESHOLD = (
     "may be chosen'). Here they are 40, more than a cylinder shows of itself (0.30 m, 31 pixels of "
     "1 cm). From 40 to 100 the result is the same within a centimetre, which fits the words; with 20 "
     "or 30, lines that are no walls enter the map at once and for ever, since the thesis has no "
-    "tentative landmarks, and at 150 walls are missed so often that the map is lost."
+    "tentative landmarks, and at 150 walls are missed so often that some maps are lost."
 )
 _SCALE = (
     "The print is further off than this, in ways that the noise of the simulation does not have and "
@@ -83,8 +83,8 @@ POINTS = Setup(
     "printed 1.5 degrees off in bearing: the robot was not set down quite along y, or the arena not "
     "measured quite so. That turn alone moves cylinder 3 by 0.14 m. The others are turned further, "
     "by 2.2 and 3.1 degrees, and 2 % too far out. A scale of the wheels that is 2 % wrong (the "
-    "simulated ones are calibrated to 0.1 %) doubles the errors of cylinders 2 and 3 and makes the "
-    "estimate too sure, but reaches the print no more than noise does. What the printed estimator "
+    "simulated ones are calibrated to 0.1 %) makes the errors of cylinders 2 and 3 two to three times "
+    "as large and the estimate too sure, but stays far below the print. What the printed estimator "
     "did with the signs and derivatives that the thesis prints wrongly is not repeated here.",
 )
 

@@ -25,7 +25,8 @@ from impslam.experiments.corridor_tables import (
     collect,
     extractor_tallies,
     figures,
-    run_table,
+    map_table,
+    path_table,
     total,
 )
 from impslam.experiments.corridor_truth import Truth, Verdict, false_landmarks, judge
@@ -205,7 +206,15 @@ def run_that_ends(off, births=()):
     return CorridorRun(path, truth + 5.0, truth, (), tuple(births), (), ())
 
 
-def test_what_the_table_says():
+def test_a_path_holds_until_it_is_off_for_the_first_time():
+    run = run_that_ends(0.5)
+    assert run.holds(0.6) == pytest.approx(100.0)
+    assert run.holds(0.4) == 0.0
+    run.path[:4, 1] = 0.0
+    assert run.holds(0.4) == pytest.approx(40.0)
+
+
+def test_what_the_tables_say():
     leg = Birth(1, "cylinder", 0.0, Verdict(True, True, True))
     drives = [
         Drive(
@@ -213,14 +222,18 @@ def test_what_the_table_says():
         )
         for seed, (off, births) in enumerate([(0.1, ()), (0.5, (leg,)), (0.51, ())])
     ]
-    table = run_table(collect(drives), extractor_tallies(drives))
-    first, wheels = table.rows
+    made = collect(drives)
+    path, mapped = path_table(made), map_table(made, extractor_tallies(drives))
+    first, wheels = path.rows
     assert list(first) == [
-        *(DEFAULT, "0.500 [0.100, 0.510]", "2 of 3", "0.500 [0.100, 0.510]"),
-        *("0.5000", "0.3", "1", "0.3", "0.0", "0.0"),
+        *(DEFAULT, "0.500 [0.100, 0.510]", "2 of 3", "0.500 [0.100, 0.510]", "100"),
     ]
-    assert wheels[1:3] == ["7.071 [7.071, 7.071]", "0 of 3"]
-    assert len(first) == len(wheels) == len(table.header)
+    assert list(wheels) == ["wheels alone", "7.071 [7.071, 7.071]", "0 of 3", wheels[3], ""]
+    assert wheels[3] == "7.071 [7.071, 7.071]"
+    assert [list(row) for row in mapped.rows] == [
+        [DEFAULT, "0.5000", "0.33", "0.33", "0.33", "0.00", "0.00"]
+    ]
+    assert all(len(row) == len(table.header) for table in (path, mapped) for row in table.rows)
     assert figures(drives)[DEFAULT]["people_ever"] == [0, 1, 0]
     json.dumps(figures(drives), allow_nan=False)
 

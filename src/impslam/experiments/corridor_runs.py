@@ -152,7 +152,13 @@ class CorridorRun:
     @property
     def ate(self) -> float:
         """Their root mean square, m."""
-        return float(np.sqrt(np.mean(self.errors**2)))
+        return rms(self.path, self.truth)
+
+    def holds(self, off: float) -> float:
+        """Return how far the robot drove before the path was so far off for the first time, m."""
+        lost = np.flatnonzero(self.errors > off)
+        steps = np.hypot(*np.diff(self.truth[:, :2], axis=0).T)
+        return float(steps[: lost[0]].sum()) if len(lost) else self.way
 
     @property
     def people(self) -> int:
@@ -168,6 +174,11 @@ class CorridorRun:
     def false_births(self) -> int:
         """How many were nothing of their kind when they entered the map."""
         return sum(birth.verdict.false for birth in self.births)
+
+
+def rms(path: Array, truth: Array) -> float:
+    """Return the root mean square distance of poses (n, 3) from the true ones, m."""
+    return float(np.sqrt(np.mean(((path - truth)[:, :2] ** 2).sum(axis=1))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

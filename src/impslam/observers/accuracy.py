@@ -29,6 +29,12 @@ from impslam.observers.history import History
 from impslam.observers.page import Line, chart, escape, section, table, tiles
 from impslam.types import Array, Landmark, TrueLandmark
 
+SHOWN = (
+    ("x error in cm", "a", 100.0),
+    ("y error in cm", "b", 100.0),
+    ("Heading error in degrees", "c", math.degrees(1.0)),
+)
+"""Charts of the pose's errors: title, look, and the unit's size."""
 SAME_PLACE = (0.05, math.radians(3.0))
 """m and rad: a truth whose first pose is closer to the estimate's is taken to be in map."""
 
@@ -87,7 +93,7 @@ def section_of(
         note += " " + NOTES[laid.how]
         known = moved(laid.T_map_truth, known)
         if len(laid.pairs.stamps) > 1:
-            parts += [_figures(laid, history), _charts(laid.pairs, history)]
+            parts += [_figures(laid, history), _charts(laid, history)]
     if known:
         parts.append(_landmarks(score_landmarks(landmarks, known), landmarks, known))
     return section("Errors against the truth", *parts, note=note) if parts else ""
@@ -133,20 +139,17 @@ def _at(history: History, stamps: Array) -> Array:
     return history.covariances[rows]
 
 
-def _charts(pairs: Pairs, history: History) -> str:
+def _charts(laid: Laid, history: History) -> str:
+    pairs, t = laid.pairs, laid.pairs.stamps
     error = pose_errors(pairs.estimate, pairs.truth)
-    sigma = np.sqrt(np.maximum(np.diagonal(_at(history, pairs.stamps), axis1=1, axis2=2), 0.0))
-    t = pairs.stamps
-    charts = [
-        chart(f"{name} error in cm, band 3σ", t, [Line("", 100 * e, look)], 300 * s)
-        for name, look, e, s in (
-            ("x", "a", error[:, 0], sigma[:, 0]),
-            ("y", "b", error[:, 1], sigma[:, 1]),
-        )
-    ]
-    turn, spread = np.degrees(error[:, 2]), 3 * np.degrees(sigma[:, 2])
-    if np.isfinite(turn).any():
-        charts.append(chart("Heading error in degrees, band 3σ", t, [Line("", turn, "c")], spread))
+    sigma = np.sqrt(np.maximum(np.diagonal(_at(history, t), axis1=1, axis2=2), 0.0))
+    counts = laid.how != "fit"  # or the covariance counts from another place
+    charts = []
+    for i, (name, look, unit) in enumerate(SHOWN):
+        if np.isfinite(error[:, i]).any():
+            band = 3.0 * unit * sigma[:, i] if counts else None
+            title = f"{name}, band 3σ" if counts else name
+            charts.append(chart(title, t, [Line("", unit * error[:, i], look)], band))
     true = np.column_stack((pairs.stamps, pairs.truth))
     dead = interpolate(history.odometry, pairs.stamps) - true[:, 1:]
     lines = [

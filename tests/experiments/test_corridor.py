@@ -6,10 +6,14 @@ import math
 import numpy as np
 import pytest
 
+from impslam.experiments.base import Job
+from impslam.experiments.corridor import corridor
 from impslam.experiments.corridor_plot import corridor_png
 from impslam.experiments.corridor_runs import (
     DEFAULT,
     HOUGH,
+    LIKELY,
+    RANSAC,
     ROBOT,
     WAYS,
     Birth,
@@ -281,3 +285,22 @@ def test_the_picture_is_the_same_bytes_each_time(messages):
     png = corridor_png({"one": run}, dpi=30)
     assert png.startswith(b"\x89PNG")
     assert png == corridor_png({"one": run}, dpi=30)
+
+
+@pytest.mark.slow
+def test_the_default_comes_back_and_the_thesis_does_not():
+    told = []
+    part = corridor(Job(1, tick=lambda what, done, total: told.append((done, total))))
+    assert told == [(0, 1), (1, 1)]
+    json.dumps(part.figures, allow_nan=False)
+    assert min(part.figures["dead_reckoning_end"]) > 3.0
+    default, hough, likely, ransac = (
+        part.figures[name] for name in (DEFAULT, HOUGH, LIKELY, RANSAC)
+    )
+    assert default["seeds_within"] == likely["seeds_within"] == 1
+    assert default["people_ever"] == default["false_at_birth"] == [0]
+    assert default["missing"] == [[]]
+    assert 20.0 < hough["holds"][0] < 60.0
+    assert ransac["holds"][0] < 20.0
+    assert ransac["false_at_birth"][0] > 10
+    assert {picture.name for picture in part.pictures} == {"corridor", "corridor-ransac"}

@@ -24,7 +24,7 @@ from impslam.experiments.corridor_tables import (
 )
 
 SEEDS = 6
-"""Enough for a first look, a minute or two; the claims are for 100."""
+"""Enough for a first look, in a few minutes; the claims are for 100."""
 
 WORLD = (
     "A passage of 47 m and a second one round the corner, 2 m wide, with 19 doors, some open, some "
@@ -51,7 +51,7 @@ LOST = (
     "2 m apart, and the angle does not tell them apart ('close to 0 or 180 degrees'), so that at "
     "last one is taken for the other, or a box for the back of a room. The innovation "
     "is then half a turn. There are no tentative landmarks, and nothing recovers from it. In the arena "
-    "no foot is more than 6 m from the start; in thesis Fig. 29 the way holds, so its passage must have "
+    "no foot is more than 6.1 m from the start; in thesis Fig. 29 the way holds, so its passage must have "
     "been kinder, or its association other than printed."
 )
 FOUND = (

@@ -53,7 +53,7 @@ def path_table(made: Mapping[str, Sequence[CorridorRun]]) -> Table:
         "holds for m, median",
     ]
     return Table(
-        f"The path, {len(many)} seeds of {many[0].way:.0f} m",
+        f"The path, {len(many)} {'seed' if len(many) == 1 else 'seeds'} of {many[0].way:.0f} m",
         header,
         rows,
         note="Errors are taken in the frame of the start, nothing aligned. A path holds as far as the "
@@ -84,7 +84,7 @@ def map_table(made: Mapping[str, Sequence[CorridorRun]], seen: Mapping[str, Tall
         "missing",
     ]
     return Table(
-        "The map, means of a seed",
+        "The map, means over the seeds",
         header,
         rows,
         note="Landmarks ever: all that ever were in the map. When one entered, what its beams had hit "

@@ -5,7 +5,8 @@
 
 A perfect filter has 95 % of its steps in the 95 % band on average over base seeds. All steps of a
 run share the first turn's error, so that in one study the share is above 95 % or well below it, as
-the draw of first turns goes; a script of one seed cannot tell.
+the draw of first turns goes; a script of one seed cannot tell. The last line says what a perfect filter
+would show, by drawing its NEES: one degree of freedom that stays for the whole run, two that do not.
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ import os
 
 import numpy as np
 
+from impslam.evaluation.consistency import share_within
 from impslam.evaluation.consistency_setting import HUANG
 from impslam.evaluation.consistency_study import Row, consistency_study
 from impslam.experiments.base import Job
+from impslam.types import Array
 
 FIRST = 1
 """Base seeds from here on; 0 is that of `imp reproduce consistency`."""
@@ -49,6 +52,20 @@ def main() -> None:
         f"95 % or more in {(bands >= 0.95).sum()} of {len(bands)}; "
         f"NEES {nees.mean():.3f}, standard deviation {nees.std(ddof=1):.3f}"
     )
+    ideal = perfect(given.runs)
+    low, middle = np.quantile(ideal, [0.05, 0.5])
+    print(
+        f"a perfect filter: mean in band {ideal.mean():.1%}, median {middle:.1%}, one study in twenty "
+        f"below {low:.1%}; 95 % or more in {(ideal >= 0.95).mean():.0%} of studies"
+    )
+
+
+def perfect(runs: int, studies: int = 2000) -> Array:
+    """Return the shares (studies,) of steps in the band of a filter without fault."""
+    rng = np.random.default_rng(0)
+    stays = rng.chisquare(runs, studies) / runs
+    fresh = rng.chisquare(2 * runs, (studies, HUANG.steps - 1)) / runs
+    return np.array([share_within(nees, runs, 3) for nees in stays[:, None] + fresh])
 
 
 def study(name: str, runs: int, seed: int, processes: int) -> tuple[Row, float]:

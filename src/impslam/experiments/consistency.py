@@ -198,9 +198,9 @@ def arena_table(outcomes: Sequence[Outcome]) -> Table:
         header,
         [ideal, *rows],
         text=2,
-        note="NIS well below 1 is the price of the walls' flatness and the lidar's bias, allowed for in "
-        "every observation anew; landmarks above 2, because the bias that is there is the same in "
-        "every scan. Pose NEES below 3 is the slip that is allowed for between keyframes.",
+        note="What is allowed for and not there makes NIS small: the walls' flatness, the lidar's bias. "
+        "What is the same in every scan and taken for new each time, bias and mixed pixels, makes the map "
+        "too sure: NEES of landmarks above 2. Pose NEES is small for the slip that is allowed for.",
     )
 
 

@@ -57,7 +57,7 @@ def draw_nees(shown: Sequence[NeesPanel]) -> Figure:
     """Return a figure of panels one below the other, each with the band of its number of runs."""
     figure, panels = _panels(1.0 + 2.0 * len(shown), (1.0,) * len(shown))
     names = dict.fromkeys(name for panel in shown for name in panel.curves)
-    colours = dict(zip(names, COLOURS[::2] * len(names), strict=False))
+    colours = dict(zip(names, COLOURS[::3] * len(names), strict=False))
     for axes, panel in zip(panels, shown, strict=True):
         _band(axes, panel.runs)
         for name, values in panel.curves.items():
@@ -106,7 +106,7 @@ def _finish_nees(axes: Axes, label: str) -> None:
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_locator(NullLocator())
     axes.set_ylabel(label)
-    axes.legend(loc="upper left", ncols=5, frameon=False, fontsize="small")
+    axes.legend(loc="upper left", ncols=6, frameon=False, fontsize="small")
 
 
 def _shown(curves: Curves) -> tuple[Array, Array, Array]:

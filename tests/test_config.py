@@ -138,7 +138,7 @@ def test_files_stand_on_presets_and_on_one_another(tmp_path: Path):
     second.write_text(f"base = '{first.as_posix()}'\nseed = 6\n")
     config = load(second)
     assert config.seed == 6
-    assert config.filter == {"kind": "ekf", "iterations": 2}
+    assert config.filter == {"kind": "riekf", "iterations": 2}
     assert config.odometry == load("imp").odometry
 
 

@@ -66,7 +66,7 @@ def test_the_markdown_says_the_same(tmp_path):
     assert "```sh\nimp reproduce points --full\n```" in text
     assert "| what <b> | m |\n| --- | ---: |\n| wall | 20 |" in text
     assert "## The points\n\nFirst.\n\nSecond.\n\n**Distances**" in text
-    assert "![A & B](points.png)" in text
+    assert "![points](points.png)\n\nA & B" in text
 
 
 def test_only_what_is_asked_for_runs_in_the_order_of_the_page(tmp_path):

@@ -72,7 +72,7 @@ def _markdown(part: Part) -> str:
     blocks = [f"## {part.title}", part.text]
     for shown in part.tables:
         blocks += [f"**{shown.title}**", _markdown_table(shown), shown.note]
-    blocks += [f"![{p.caption}]({p.name}.png)\n\n{p.caption}" for p in part.pictures]
+    blocks += [f"![{p.name}]({p.name}.png)\n\n{p.caption}" for p in part.pictures]
     return "\n\n".join(filter(None, blocks)) + "\n"
 
 

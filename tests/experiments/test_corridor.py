@@ -6,14 +6,16 @@ import math
 import numpy as np
 import pytest
 
+from impslam.experiments import corridor
 from impslam.experiments.base import Job
-from impslam.experiments.corridor import corridor
 from impslam.experiments.corridor_plot import corridor_png
 from impslam.experiments.corridor_runs import (
     DEFAULT,
+    EXTRACTORS,
     HOUGH,
     LIKELY,
     RANSAC,
+    READINGS,
     ROBOT,
     WAYS,
     Birth,
@@ -22,10 +24,12 @@ from impslam.experiments.corridor_runs import (
     Tally,
     corridor_world,
     count,
+    drive_corridor,
     judge_extractors,
     map_corridor,
 )
 from impslam.experiments.corridor_tables import (
+    WITHIN,
     collect,
     extractor_tallies,
     figures,
@@ -287,20 +291,29 @@ def test_the_picture_is_the_same_bytes_each_time(messages):
     assert png == corridor_png({"one": run}, dpi=30)
 
 
+def test_every_seed_is_driven_once_and_few_are_read_otherwise(monkeypatch):
+    made = {name: run_that_ends(0.1) for name in WAYS}
+    tallies = dict.fromkeys(EXTRACTORS, Tally(2, 4, 1, 0, 1))
+    monkeypatch.setattr(corridor, "drive_corridor", lambda seed: Drive(seed, made, tallies))
+    monkeypatch.setattr(
+        corridor, "read_otherwise", lambda seed: dict.fromkeys(READINGS, made[HOUGH])
+    )
+    told = []
+    part = corridor.corridor(Job(4, tick=lambda what, done, total: told.append((done, total))))
+    assert told == [*((i, 4) for i in range(5)), *((i, corridor.READ) for i in range(3))]
+    assert part.figures["seeds"] == [0, 1, 2, 3]
+    assert [len(table.rows) for table in part.tables] == [5, 4, 4, len(READINGS)]
+    assert {picture.name for picture in part.pictures} == {"corridor", "corridor-ransac"}
+    json.dumps(part.figures, allow_nan=False)
+
+
 @pytest.mark.slow
 def test_the_default_comes_back_and_the_thesis_does_not():
-    told = []
-    part = corridor(Job(1, tick=lambda what, done, total: told.append((done, total))))
-    assert told == [(0, 1), (1, 1)]
-    json.dumps(part.figures, allow_nan=False)
-    assert min(part.figures["dead_reckoning_end"]) > 3.0
-    default, hough, likely, ransac = (
-        part.figures[name] for name in (DEFAULT, HOUGH, LIKELY, RANSAC)
-    )
-    assert default["seeds_within"] == likely["seeds_within"] == 1
-    assert default["people_ever"] == default["false_at_birth"] == [0]
-    assert default["missing"] == [[]]
-    assert 20.0 < hough["holds"][0] < 60.0
-    assert ransac["holds"][0] < 20.0
-    assert ransac["false_at_birth"][0] > 10
-    assert {picture.name for picture in part.pictures} == {"corridor", "corridor-ransac"}
+    drive = drive_corridor(0)
+    default, hough, likely, ransac = (drive.runs[way] for way in (DEFAULT, HOUGH, LIKELY, RANSAC))
+    assert default.wheels > 3.0
+    assert max(default.end, likely.end) < WITHIN * default.way
+    assert (default.people, default.false_births, default.missing) == (0, 0, ())
+    assert 20.0 < hough.holds(WITHIN * hough.way) < 60.0
+    assert ransac.holds(WITHIN * ransac.way) < 20.0
+    assert ransac.false_births > 10

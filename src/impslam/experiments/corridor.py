@@ -13,6 +13,7 @@ from impslam.experiments.corridor_runs import (
     CorridorRun,
     Drive,
     drive_corridor,
+    read_otherwise,
 )
 from impslam.experiments.corridor_tables import (
     collect,
@@ -21,10 +22,14 @@ from impslam.experiments.corridor_tables import (
     figures,
     map_table,
     path_table,
+    reading_table,
+    run_figures,
 )
 
 SEEDS = 6
 """Enough for a first look, in a few minutes; the claims are for 100."""
+READ = 2
+"""Seeds for each other reading of the text: it fails, or it does not."""
 
 WORLD = (
     "A passage of 47 m and a second one round the corner, 2 m wide, with 19 doors, some open, some "
@@ -50,7 +55,8 @@ LOST = (
     "40 m away by 0.7 m; the bins are 10 degrees wide. The two sides of the passage have their feet "
     "2 m apart, and the angle does not tell them apart ('close to 0 or 180 degrees'), so that at "
     "last one is taken for the other, or a box for the back of a room. The innovation "
-    "is then half a turn. There are no tentative landmarks, and nothing recovers from it. In the arena "
+    "is then half a turn. There are no tentative landmarks, and nothing recovers from it. Other gates, "
+    "thresholds and bins only change where it happens. In the arena "
     "no foot is more than 6.1 m from the start; in thesis Fig. 29 the way holds, so its passage must have "
     "been kinder, or its association other than printed."
 )
@@ -72,16 +78,26 @@ FAILS = (
 def corridor(job: Job) -> Part:
     """Map the corridor by the default, and by the thesis's lines with each of its extractors."""
     seeds = range(job.seeds or SEEDS)
-    return report(job.map(drive_corridor, seeds, "drive and map the corridor"))
+    drives = job.map(drive_corridor, seeds, "drive and map the corridor")
+    return report(drives, job.map(read_otherwise, seeds[:READ], "read the thesis otherwise"))
 
 
-def report(drives: Sequence[Drive]) -> Part:
-    """Return the section on some drives."""
+def report(drives: Sequence[Drive], readings: Sequence[Mapping[str, CorridorRun]]) -> Part:
+    """Return the section on some drives, and on other readings of the thesis in some of them."""
     made, tallies = collect(drives), extractor_tallies(drives)
-    tables = [path_table(made), map_table(made, tallies), extractor_table(tallies)]
+    tables = [
+        path_table(made),
+        map_table(made, tallies),
+        extractor_table(tallies),
+        reading_table(readings),
+    ]
     text = "\n\n".join((WORLD, HELD, LOST, FOUND, FAILS))
     title = "The uncontrolled corridor (thesis 5.2.4)"
-    return Part("corridor", title, text, tables, _pictures(drives), figures(drives))
+    numbers = figures(drives)
+    numbers["readings"] = {
+        name: run_figures([runs[name] for runs in readings]) for name in readings[0]
+    }
+    return Part("corridor", title, text, tables, _pictures(drives), numbers)
 
 
 def shown(drives: Sequence[Drive]) -> Drive:

@@ -46,6 +46,14 @@ ROBOT = SimulatedRobot(imu=None, truth_rate=1.0)
 """The robot of the arena; nobody asks for its gyro, or the truth between scans."""
 DEFAULT, HOUGH, LIKELY, RANSAC = "default", "thesis, Hough", "Hough by likelihood", "thesis, RANSAC"
 _WALLS = "sensors.lidar.extractors.walls"
+
+
+def _lines(gate: float = ROOT2, threshold: int = 40, more: tuple[str, ...] = ()) -> Way:
+    """Return the thesis's lines by Hough as they may be read."""
+    settings = f"association.max_distance={gate}", f"{_WALLS}.threshold={threshold}"
+    return Way(LINES.thesis.preset, (*settings, *more))
+
+
 WAYS = {
     DEFAULT: Way("imp"),
     HOUGH: LINES.thesis,
@@ -56,6 +64,13 @@ WAYS = {
 }
 """The default; the thesis's lines as in the arena; these with the default's association in place of
 feet and angles, and nothing else changed; and with the thesis's other extractor."""
+READINGS = {
+    "gate 2.00 m": _lines(2.0),
+    "gate 0.50 m": _lines(0.5),
+    "threshold 100 px": _lines(threshold=100),
+    "bins of 1 degree": _lines(more=(f"{_WALLS}.angle_bin={math.radians(1.0)}",)),
+}
+"""Other readings of what the thesis leaves open about its lines by Hough."""
 EVERY = 10
 """Of so many scans one is given to the extractors alone: a second, 0.6 m of way."""
 EXTRACTORS = {
@@ -243,6 +258,12 @@ def drive_corridor(seed: int, ways: Sequence[str] = tuple(WAYS)) -> Drive:
     messages = list(simulate(corridor_world(), ROBOT, seed))
     runs = {name: map_corridor(messages, WAYS[name], seed) for name in ways}
     return Drive(seed, runs, judge_extractors(messages, seed))
+
+
+def read_otherwise(seed: int) -> dict[str, CorridorRun]:
+    """Simulate one seed, and map it by the other readings of the thesis."""
+    messages = list(simulate(corridor_world(), ROBOT, seed))
+    return {name: map_corridor(messages, way, seed) for name, way in READINGS.items()}
 
 
 def map_corridor(messages: Sequence[Message], way: Way, seed: int) -> CorridorRun:

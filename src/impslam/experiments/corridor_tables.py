@@ -53,7 +53,7 @@ def path_table(made: Mapping[str, Sequence[CorridorRun]]) -> Table:
         "holds for m, median",
     ]
     return Table(
-        f"The path, {len(many)} {'seed' if len(many) == 1 else 'seeds'} of {many[0].way:.0f} m",
+        f"The path, {_seeds(len(many))} of {many[0].way:.0f} m",
         header,
         rows,
         note="Errors are taken in the frame of the start, nothing aligned. A path holds as far as the "
@@ -111,6 +111,34 @@ def _percent(spread: Spread) -> str:
     return f"{spread.median:.3f} [{spread.low:.3f}, {spread.high:.3f}]"
 
 
+def reading_table(many: Sequence[Mapping[str, CorridorRun]]) -> Table:
+    """Return what becomes of other readings of the thesis."""
+    rows = []
+    for name in many[0]:
+        runs = [readings[name] for readings in many]
+        path = _path_row(runs)
+        rows.append([name, *path, f"{np.mean([len(run.births) for run in runs]):.0f}"])
+    header = [
+        "",
+        "end, % of way, median [95 %]",
+        f"within {100.0 * WITHIN} %",
+        "path RMS in m, median [95 %]",
+        "holds for m, median",
+        "landmarks ever",
+    ]
+    return Table(
+        f"Other readings of the thesis's lines by Hough, {_seeds(len(many))}",
+        header,
+        rows,
+        note="As 'thesis, Hough' (a gate of 1.41 m between feet, a threshold of 40 px, bins of 10 "
+        "degrees), but for what is named.",
+    )
+
+
+def _seeds(number: int) -> str:
+    return f"{number} seed" if number == 1 else f"{number} seeds"
+
+
 def extractor_table(tallies: Mapping[str, Tally]) -> Table:
     """Return spurious walls per scan of each extractor, all on the same scans."""
     rows = [
@@ -151,7 +179,7 @@ def figures(drives: Sequence[Drive]) -> dict[str, Any]:
         "seeds": [drive.seed for drive in drives],
         "way": first[0].way,
         "dead_reckoning_end": [run.wheels for run in first],
-        **{name: _figures(runs) for name, runs in made.items()},
+        **{name: run_figures(runs) for name, runs in made.items()},
         "extractors": {
             name: {
                 "scans": tally.scans,
@@ -165,7 +193,8 @@ def figures(drives: Sequence[Drive]) -> dict[str, Any]:
     }
 
 
-def _figures(runs: Sequence[CorridorRun]) -> dict[str, Any]:
+def run_figures(runs: Sequence[CorridorRun]) -> dict[str, Any]:
+    """Return the numbers behind one way's rows."""
     return {
         "end": [run.end for run in runs],
         "seeds_within": sum(run.end <= WITHIN * run.way for run in runs),

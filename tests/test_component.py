@@ -177,3 +177,12 @@ class Mine(Extractor):
     def extract(self, scan, rng):
         return []
 '''
+
+
+def test_part_of_a_nested_parameter_leaves_the_rest_as_it_was():
+    table = {"kind": "encoders", "wheel_radius": 0.03, "track": 0.2}
+    whole = build("odometry", table)
+    part = build("odometry", {**table, "slip": {"sideways": 0.5}})
+    assert part.slip == whole.slip.model_copy(update={"sideways": 0.5})
+    with pytest.raises(ConfigError, match="sidewys"):
+        build("odometry", {**table, "slip": {"sidewys": 0.5}})

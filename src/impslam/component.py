@@ -26,7 +26,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from impslam.errors import ConfigError
 
@@ -60,6 +60,18 @@ class Component(BaseModel):
         if private is not None and name in private:
             return private[name]
         return super().__getattr__(name)  # type: ignore[misc]  # pydantic hides it from checkers
+
+    @model_validator(mode="before")
+    @classmethod
+    def _onto_defaults(cls, table: Any) -> Any:
+        """Lay a table that gives part of a nested parameter onto that parameter's own default."""
+        if not isinstance(table, dict):
+            return table
+        laid = dict(table)
+        for name, field in cls.model_fields.items():
+            if isinstance(field.default, BaseModel) and isinstance(table.get(name), dict):
+                laid[name] = {**field.default.model_dump(), **table[name]}
+        return laid
 
     @classmethod
     def describe(cls) -> str:

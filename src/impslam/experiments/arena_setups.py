@@ -22,7 +22,7 @@ class Setup:
     name, title : of the section
     section, table, figure : where the thesis has it
     names : the landmarks that it is about
-    thesis : the thesis's way, as its text is taken to mean it
+    thesis : the thesis's way, as its text is taken to mean it: the preset
     letter : the same with the association gate as printed, where that makes a difference
     readings : other readings of what the text leaves open, by what to call them
     why : what made the results what they are
@@ -40,10 +40,15 @@ class Setup:
     why: str
 
 
-def _way(preset: str, gate: float = ROOT2, threshold: int = 40, more: tuple[str, ...] = ()) -> Way:
-    settings = [f"association.max_distance={gate}"]
-    if preset != "thesis-points":
-        settings.append(f"sensors.lidar.extractors.walls.threshold={threshold}")
+def _way(
+    preset: str, gate: float | None = None, threshold: int | None = None, more: tuple[str, ...] = ()
+) -> Way:
+    """Return the preset, but for what is given."""
+    given = {
+        "association.max_distance": gate,
+        "sensors.lidar.extractors.walls.threshold": threshold,
+    }
+    settings = [f"{key}={value}" for key, value in given.items() if value is not None]
     return Way(preset, (*settings, *more))
 
 
@@ -52,7 +57,7 @@ _GATE = (
     "print's own positions too (1.97 m from cylinder 1 to 2 in Table 1): with that gate cylinder 2, "
     "in a scan that shows it without cylinder 1, is taken for it, the pose jumps, and the map is "
     "lost. But every distance in the thesis's tables is a square, to the last digit; a gate of 2 on "
-    "the squared distance is one of 1.41 m, and this is what 'thesis' stands for below."
+    "the squared distance is one of 1.41 m, and this is what 'thesis' and its presets stand for."
 )
 _THRESHOLD = (
     "The pixels that a line must exceed in Hough's accumulator are not printed ('any reasonable value "

@@ -50,7 +50,8 @@ HELD = (
 LOST = (
     "The thesis's way, Hough's walls matched by feet and angle, is lost here some 30 m from the start, "
     "and not for want of good walls: next to nothing that it sees is spurious, and people are "
-    "not taken for walls, as the thesis says. It is the matching. Walls are compared by the feet of "
+    "not taken for walls, as the thesis says (one who walks close along a wall may be seen as part of "
+    "it). It is the matching. Walls are compared by the feet of "
     "their normals from the start, and an angle that is off by one degree moves the foot of a wall "
     "40 m away by 0.7 m; the bins are 10 degrees wide. The two sides of the passage have their feet "
     "2 m apart, and the angle does not tell them apart ('close to 0 or 180 degrees'), so that at "
@@ -65,11 +66,11 @@ FOUND = (
     "at once, in every scan, but matched by likelihood as the default does. It comes back to within "
     "0.1 % of the way. So the thesis is right about Hough's walls. Those along a passage do not tell how "
     "far the robot has come, but here others stand across it every few metres, in the rooms behind "
-    "open doors, and the path is never more than some 0.15 m off along it. It is further off across "
+    "open doors, and the path is never more than 0.25 m off along it. It is further off across "
     "(half a metre at the far end): the bins of 10 degrees turn the passage by half a degree."
 )
 FAILS = (
-    "RANSAC fails as the thesis saw it. One of its walls in twenty, one in every six scans or so, is a "
+    "RANSAC fails as the thesis saw it. One of its walls in twenty, in one scan of seven, is a "
     "line askew through both sides of the passage or through a door. Each of them is a landmark at "
     "once and pulls the pose when the next is taken for it: within metres the map is a bundle of lines."
 )

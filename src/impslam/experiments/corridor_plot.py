@@ -22,6 +22,7 @@ from impslam.types import Array, Landmark
 
 GROUND, WALKERS = "#b4bcc5", "#0e9aa7"
 FALSE = "#111827"
+LEAVES = "the estimate leaves the picture"
 LIMITS = (-9.0, 57.0, -10.0, 21.0)
 """m: left, right, bottom, top of what is shown; what leaves it is cut off, and said so."""
 
@@ -60,9 +61,8 @@ def _draw(axes: Any, run: CorridorRun) -> None:
     axes.plot(*run.truth[0, :2], marker="o", ms=8, mfc=TRUTH, **look)
     axes.plot(*run.path[-1, :2], marker="s", ms=7, mfc=INK, **look)
     if _outside(run.path[:, :2]):
-        axes.text(
-            left + 1.0, bottom + 1.0, "the estimate leaves the picture", color=PATH, fontsize=9
-        )
+        said = {"ha": "right", "fontsize": 9, "bbox": {"fc": "white", "ec": "none", "alpha": 0.85}}
+        axes.text(right - 1.0, bottom + 1.0, LEAVES, color=PATH, zorder=9, **said)
     style(axes)
 
 

@@ -15,7 +15,6 @@ from impslam.component import build
 from impslam.config import load
 from impslam.evaluation.landmarks import score_landmarks
 from impslam.experiments.arena_runs import Way
-from impslam.experiments.arena_setups import LINES, ROOT2
 from impslam.experiments.corridor_truth import Truth, Verdict, false_landmarks, judge
 from impslam.extractors.base import Extractor
 from impslam.filters.base import Filter
@@ -46,29 +45,19 @@ ROBOT = SimulatedRobot(imu=None, truth_rate=1.0)
 """The robot of the arena; nobody asks for its gyro, or the truth between scans."""
 DEFAULT, HOUGH, LIKELY, RANSAC = "default", "thesis, Hough", "Hough by likelihood", "thesis, RANSAC"
 _WALLS = "sensors.lidar.extractors.walls"
-
-
-def _lines(gate: float = ROOT2, threshold: int = 40, more: tuple[str, ...] = ()) -> Way:
-    """Return the thesis's lines by Hough as they may be read."""
-    settings = f"association.max_distance={gate}", f"{_WALLS}.threshold={threshold}"
-    return Way(LINES.thesis.preset, (*settings, *more))
-
-
 WAYS = {
     DEFAULT: Way("imp"),
-    HOUGH: LINES.thesis,
-    LIKELY: Way(LINES.thesis.preset, (f"{_WALLS}.threshold=40", "association.kind=mahalanobis")),
-    RANSAC: Way(
-        LINES.thesis.preset, (f"association.max_distance={ROOT2}", f"{_WALLS}.kind=ransac")
-    ),
+    HOUGH: Way("thesis-lines"),
+    LIKELY: Way("thesis-lines", ("association.kind=mahalanobis",)),
+    RANSAC: Way("thesis-lines", (f"{_WALLS}.kind=ransac",)),
 }
 """The default; the thesis's lines as in the arena; these with the default's association in place of
 feet and angles, and nothing else changed; and with the thesis's other extractor."""
 READINGS = {
-    "gate 2.00 m": _lines(2.0),
-    "gate 0.50 m": _lines(0.5),
-    "threshold 100 px": _lines(threshold=100),
-    "bins of 1 degree": _lines(more=(f"{_WALLS}.angle_bin={math.radians(1.0)}",)),
+    "gate 2.00 m": Way("thesis-lines", ("association.max_distance=2.0",)),
+    "gate 0.50 m": Way("thesis-lines", ("association.max_distance=0.5",)),
+    "threshold 100 px": Way("thesis-lines", (f"{_WALLS}.threshold=100",)),
+    "bins of 1 degree": Way("thesis-lines", (f"{_WALLS}.angle_bin={math.radians(1.0)}",)),
 }
 """Other readings of what the thesis leaves open about its lines by Hough."""
 EVERY = 10

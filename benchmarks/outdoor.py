@@ -199,17 +199,20 @@ def _frame(axes: Any, points: Array) -> None:
     style(axes)
 
 
+JOBS = {
+    "carpark": (carpark, carpark_figures, "beacon in the map"),
+    "victoria-park": (victoria_park, victoria_park_figures, "tree in the map"),
+}
+"""By name of the log: the run, its figures as the docs say them, and what its landmarks are."""
+
+
 def main() -> None:
     """Print the figures of both logs, and draw them if told where."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
     parser.add_argument("-o", "--out", type=Path, help="folder for the pictures")
     arguments = parser.parse_args()
-    for job, figures, mark in (
-        (carpark, carpark_figures, "beacon in the map"),
-        (victoria_park, victoria_park_figures, "tree in the map"),
-    ):
-        name = job.__name__.replace("_", "-")
+    for name, (job, figures, mark) in JOBS.items():
         seen, scored = job(arguments.data)
         print(f"{name}: {figures(seen, scored)}", flush=True)
         if arguments.out is not None:

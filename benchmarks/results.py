@@ -24,7 +24,7 @@ from PIL import Image  # matplotlib brings it
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks import real_logs  # noqa: E402  found from the root of the project
+from benchmarks import outdoor, real_logs  # noqa: E402  found from the root of the project
 from benchmarks.arena import arena  # noqa: E402
 
 RUNS = ROOT / "runs" / "results"
@@ -128,6 +128,18 @@ def building(name: str) -> Callable[[Path], str]:
     return job
 
 
+def car(name: str) -> Callable[[Path], str]:
+    """Return the job of a log of the car."""
+    job, figures, mark = outdoor.JOBS[name]
+
+    def scored(data: Path) -> str:
+        seen, score = job(data, RUNS / name)
+        outdoor.picture(score, ROOT / "docs" / "images" / f"{name}.png", mark)
+        return figures(seen, score)
+
+    return scored
+
+
 def spread(errors: real_logs.RelationErrors) -> str:
     """Return mean and standard deviation, as the suite's tables give them."""
     metres, degrees = errors.translation, np.degrees(errors.rotation)
@@ -161,6 +173,8 @@ JOBS: dict[str, Callable[[Path], str]] = {
     "intel": building("intel"),
     "fr079": building("fr079"),
     "fr-hospital": building("fr-hospital"),
+    "carpark": car("carpark"),
+    "victoria-park": car("victoria-park"),
     "ekf": ekf,
 }
 

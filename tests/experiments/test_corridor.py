@@ -291,17 +291,25 @@ def test_the_picture_is_the_same_bytes_each_time(messages):
     assert png == corridor_png({"one": run}, dpi=30)
 
 
-def test_every_seed_is_driven_once_and_few_are_read_otherwise(monkeypatch):
+def test_every_seed_is_driven_once_few_by_every_way_and_fewer_are_read_otherwise(monkeypatch):
     made = {name: run_that_ends(0.1) for name in WAYS}
     tallies = dict.fromkeys(EXTRACTORS, Tally(2, 4, 1, 0, 1))
-    monkeypatch.setattr(corridor, "drive_corridor", lambda seed: Drive(seed, made, tallies))
+
+    def drive(seed, ways=tuple(WAYS)):
+        return Drive(seed, {name: made[name] for name in ways}, tallies)
+
+    monkeypatch.setattr(corridor, "drive_corridor", drive)
     monkeypatch.setattr(
         corridor, "read_otherwise", lambda seed: dict.fromkeys(READINGS, made[HOUGH])
     )
     told = []
-    part = corridor.corridor(Job(4, tick=lambda what, done, total: told.append((done, total))))
-    assert told == [*((i, 4) for i in range(5)), *((i, corridor.READ) for i in range(3))]
-    assert part.figures["seeds"] == [0, 1, 2, 3]
+    seeds, every = corridor.EVERY_WAY + 4, corridor.EVERY_WAY
+    part = corridor.corridor(Job(seeds, tick=lambda what, done, total: told.append((done, total))))
+    steps = (every, 4, corridor.READ)
+    assert told == [(i, total) for total in steps for i in range(total + 1)]
+    assert part.figures["seeds"] == list(range(seeds))
+    assert len(part.figures[DEFAULT]["end"]) == seeds
+    assert len(part.figures[HOUGH]["end"]) == every
     assert [len(table.rows) for table in part.tables] == [5, 4, 4, len(READINGS)]
     assert {picture.name for picture in part.pictures} == {"corridor", "corridor-ransac"}
     json.dumps(part.figures, allow_nan=False)

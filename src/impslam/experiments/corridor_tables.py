@@ -16,8 +16,11 @@ WITHIN = 0.005
 
 
 def collect(drives: Sequence[Drive]) -> dict[str, list[CorridorRun]]:
-    """Return the runs of every way, in the order of the drives."""
-    return {name: [drive.runs[name] for drive in drives] for name in drives[0].runs}
+    """Return the runs of every way, in the order of the drives; the first drive was mapped by all."""
+    return {
+        name: [drive.runs[name] for drive in drives if name in drive.runs]
+        for name in drives[0].runs
+    }
 
 
 def total(tallies: Sequence[Tally]) -> Tally:

@@ -9,7 +9,7 @@ from tests.numeric import wrapped
 from impslam.component import components
 from impslam.errors import MessageError
 from impslam.geometry.se2 import compose, exp
-from impslam.types import Increment, OdometryPose, Steering, WheelAngles
+from impslam.types import Increment, OdometryPose, Steering, Velocity, WheelAngles
 
 NEEDED = {
     "ackermann": {"wheelbase": 0.5, "encoder_offset": 0.3},
@@ -30,6 +30,8 @@ def reading(consumes, stamp, spoil=None):
         speed, curvature = TWIST[0], TWIST[2] / TWIST[0]
         wheel = speed * (1.0 - 0.3 * curvature)
         return Steering(stamp, wheel if spoil is None else spoil, math.atan(0.5 * curvature))
+    if consumes is Velocity:
+        return Velocity(stamp, float(TWIST[0]) if spoil is None else spoil, float(TWIST[2]))
     pose = exp(TWIST * stamp)
     return OdometryPose(stamp, pose if spoil is None else np.array([spoil, *pose[1:]]))
 

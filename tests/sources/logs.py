@@ -19,6 +19,7 @@ from impslam.types import (
     OdometryPose,
     Steering,
     TruePose,
+    Velocity,
     WheelAngles,
 )
 
@@ -131,12 +132,45 @@ def write_acfr_park(folder: Path) -> Path:
     return folder
 
 
+MRCLAM = {
+    "Barcodes": ["1 5", "2 14", "6 63", "7 81"],
+    "Robot2_Odometry": [f"{100 + 0.25 * i} 0.125 -0.5" for i in range(9)],
+    "Robot2_Measurement": ["100.5 63 2.5 0.25", "100.5 14 1.0 0.0", "100.507 81 3.0 -0.25"]
+    + [f"{101 + 0.25 * i} 81 3.25 -0.5" for i in range(4)],
+    "Robot2_Groundtruth": [f"{99 + 0.125 * i} 1.5 {i} -3.0" for i in range(24)],
+    "Landmark_Groundtruth": ["6 1.0 2.0 0.001 0.001", "7 -1.5 0.5 0.001 0.001"],
+}
+
+
+def write_mrclam(folder: Path) -> Path:
+    folder.mkdir(exist_ok=True)
+    for name, lines in MRCLAM.items():
+        text = "# UTIAS Multi-Robot\n# Time [s] ...\n" + "".join(f" {line} \t\n" for line in lines)
+        (folder / f"{name}.dat").write_text(text)
+    return folder
+
+
+def write_mrpt_text(path: Path) -> Path:
+    steps = [
+        "# ODOINC t dx dy dphi ; BR t sx sy sphi n (id range yaw pitch)...",
+        "BR 1571493463.36 0 0 0 2 7 2.5 0.25 0.0 -1 1.5 -0.5 0.0",
+        "ODOINC 0.0 0.5 0.0 0.25 0 enc 0 0 0",
+        "BR 1571493463.36 0 0 0 1 7 2.0 0.5 0.0",
+        "ODOINC 0.0 0.5 0.125 -0.25 0 enc 0 0 0",
+        "BR 1571493463.36 0 0 0 0",
+    ]
+    path.write_text("\n".join(steps) + "\n")
+    return path
+
+
 WRITERS: dict[str, Callable[[Path], Path]] = {
     "acfr_carpark": write_acfr_carpark,
     "acfr_park": write_acfr_park,
     "carmen": write_carmen,
     "dat": write_dat,
     "lego": write_lego,
+    "mrclam": write_mrclam,
+    "mrpt_text": write_mrpt_text,
     "rosbag": write_mcap,
 }
 
@@ -176,6 +210,9 @@ def assert_sound(message: Message) -> None:
         case Steering():
             assert math.isfinite(message.speed)
             assert math.isfinite(message.angle)
+        case Velocity():
+            assert math.isfinite(message.speed)
+            assert math.isfinite(message.turn_rate)
         case Detections():
             assert message.ranges.dtype == message.bearings.dtype == np.float64
         case WheelAngles():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
+import numpy as np
 from pydantic import PrivateAttr
 
 from impslam.component import parameter, register
@@ -22,6 +23,12 @@ class OdometryPoses(Odometry):
     consumes: ClassVar[type] = OdometryPose
 
     noise: MotionNoise = parameter(MotionNoise(), "", "how far this odometry strays")
+    drift: tuple[float, float, float] = parameter(
+        (0.0, 0.0, 0.0),
+        "m, m, rad, all /sqrt(s)",
+        "further error along, across and of the heading while it moves, per root second: simulators "
+        "add noise to each step, however short",
+    )
     max_speed: float = parameter(
         10.0, "m/s", "a step that seems faster than this is a jump and is dropped", gt=0
     )
@@ -46,4 +53,6 @@ class OdometryPoses(Odometry):
                 "the jump is left out: check the odometry, or raise odometry.max_speed"
             )
         covariance = self.noise.covariance(distance, float(d_pose[2]))
+        if d_pose.any():
+            covariance += np.diag(np.square(self.drift)) * duration
         return Increment(message.stamp, d_pose, covariance, duration)

@@ -1,0 +1,204 @@
+"""The folder of a UTIAS Multi-Robot Cooperative Localization and Mapping data set (Leung et al. 2011).
+
+Five robots with a monocular camera drive among landmarks with barcodes; one robot's log is read:
+
+    RobotN_Odometry.dat        t v omega              speed and turn rate as commanded
+    RobotN_Measurement.dat     t barcode range bearing
+    Barcodes.dat               subject barcode        subjects 1 to 5 are robots, the others landmarks
+    RobotN_Groundtruth.dat     t x y theta            motion capture, for scoring
+    Landmark_Groundtruth.dat   subject x y ...        likewise
+
+Rows of one picture are stamped up to some milliseconds apart and make one message; pictures are 0.2 s
+apart. A landmark's label is its subject. The other robots move and are no landmarks: what is seen of
+them is left out. Barcodes that nobody has were misread.
+"""
+
+from __future__ import annotations
+
+import heapq
+import re
+from collections.abc import Callable, Iterator
+from operator import attrgetter
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from impslam.component import parameter, register
+from impslam.errors import MessageError, SourceError
+from impslam.sources.base import Located, Stream
+from impslam.sources.text import TextSource, head, numbers
+from impslam.types import Array, Detections, Message, TrueLandmark, TruePose, Velocity
+
+ROBOTS = 5  # the first subjects
+PICTURE = 0.02  # s; rows nearer than this are of one picture, a tenth of the camera's period
+_FILE = re.compile(r"Robot(\d+)_(Odometry|Measurement|Groundtruth)\.dat")
+_LARGEST = 1e12  # of any number here; the largest are stamps
+_COLUMNS = {"Odometry": 3, "Measurement": 4, "Groundtruth": 4}
+
+
+@register("mrclam")
+class Mrclam(TextSource):
+    """Folder of an MRCLAM data set, or a file of one of its robots."""
+
+    default_preset: ClassVar[str] = "mrclam"
+
+    robot: int = parameter(
+        0, "", "whose log to read; 0: the one whose file is named, or else the first", ge=0
+    )
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Tell by a robot's odometry and measurements, of as many numbers a line as they have."""
+        folder, _ = _split(path)
+        return (path.is_dir() or _FILE.fullmatch(path.name) is not None) and bool(_robots(folder))
+
+    @property
+    def _number(self) -> int:
+        folder, named = _split(self.path)
+        robots = _robots(folder)
+        number = self.robot or named or (robots[0] if robots else 0)
+        if number not in robots:
+            there = ", ".join(map(str, robots)) or "none"
+            raise SourceError(
+                f"{self.path}: no odometry and measurements of robot {number}; there are those of "
+                f"{there}: choose by --set source.robot=N"
+            )
+        return number
+
+    def _file(self, what: str) -> Path:
+        return _split(self.path)[0] / f"Robot{self._number}_{what}.dat"
+
+    def _files(self) -> list[Path]:
+        own = [self._file(what) for what in ("Odometry", "Measurement", "Groundtruth")]
+        there = own if own[2].is_file() else own[:2]
+        return [*there, _split(self.path)[0] / "Barcodes.dat"]
+
+    def _messages(self) -> Iterator[Located]:
+        odometry, measurement, *truth, barcodes = self._files()
+        subjects = {int(row[1]): int(row[0]) for _, row in self._rows(barcodes, 2)}
+        streams = [
+            self._read(odometry, 3, lambda row: Velocity(*row.tolist())),
+            self._pictures(measurement, subjects),
+            *(self._read(path, 4, lambda row: TruePose(float(row[0]), row[1:])) for path in truth),
+        ]
+        # Lines are not sorted within a file; merging only says whose turn it is.
+        yield from heapq.merge(*streams, key=attrgetter("message.stamp"))
+
+    def _read(
+        self, path: Path, columns: int, convert: Callable[[Array], Message]
+    ) -> Iterator[Located]:
+        for number, row in self._rows(path, columns):
+            yield Located(convert(row), number, path.name)
+
+    def _pictures(self, path: Path, subjects: dict[int, int]) -> Iterator[Located]:
+        """Yield the landmarks in each picture that shows any."""
+        seen: list[Array] = []
+        first = 0
+        for number, row in self._rows(path, 4):
+            label = self._landmark(path, number, row, subjects)
+            if label is None:
+                continue
+            row[1] = label
+            if seen and not 0.0 <= row[0] - seen[0][0] < PICTURE:
+                yield Located(_detections(np.array(seen)), first, path.name)
+                seen = []
+            if not seen:
+                first = number
+            seen.append(row)
+        if seen:
+            yield Located(_detections(np.array(seen)), first, path.name)
+
+    def _landmark(
+        self, path: Path, number: int, row: Array, subjects: dict[int, int]
+    ) -> int | None:
+        """Return the subject that was seen, or None if it is no landmark."""
+        subject = subjects.get(int(row[1]))
+        if subject is None:
+            self._problems.add(
+                "unknown barcode",
+                f"{path}:{number}: barcode {row[1]:g} is not in Barcodes.dat and was misread; the "
+                "detection is dropped",
+            )
+        return None if subject is None or subject <= ROBOTS else subject
+
+    def _rows(self, path: Path, columns: int) -> Iterator[tuple[int, Array]]:
+        for number, line in self._lines(path):
+            if line.startswith(b"#") or not line.strip():
+                continue
+            try:
+                yield number, _row(line, columns)
+            except (ValueError, MessageError) as error:
+                self._reject(f"{path.stem} line", path, number, error)
+
+    def true_landmarks(self) -> list[TrueLandmark]:
+        """Return the surveyed landmarks, in the frame of the motion capture."""
+        path = _split(self.path)[0] / "Landmark_Groundtruth.dat"
+        rows = [row for _, row in self._rows(path, 5)] if path.is_file() else []
+        self._open.pop(path, None)  # no part of the log, whose bytes are counted
+        return [TrueLandmark(str(int(row[0])), "point", row[1:3], {}) for row in rows]
+
+    def streams(self) -> list[Stream]:
+        """Return the files of the robot in use, and the other robots."""
+        folder, here = _split(self.path)[0], self._number
+        types = {"Odometry": "Velocity", "Measurement": "Detections", "Groundtruth": "TruePose"}
+        notes = {
+            "Odometry": "commanded",
+            "Measurement": "rows; those of robots are left out",
+            "Groundtruth": "for scoring only",
+        }
+        found = []
+        for what, kind in types.items():
+            path = self._file(what)
+            if path.is_file():
+                counts = self._first_words(path)
+                count = sum(n for word, n in counts.items() if word and not word.startswith("#"))
+                used = what != "Groundtruth"
+                found.append(Stream(path.name, kind, count, used, notes[what]))
+        for other in _robots(folder):
+            if other != here:
+                note = f"--set source.robot={other}"
+                found.append(Stream(f"Robot{other}_*.dat", "text", None, used=False, note=note))
+        return found
+
+
+def _split(path: Path) -> tuple[Path, int]:
+    """Return the folder of a data set and the robot that the path names, or 0."""
+    named = _FILE.fullmatch(path.name)
+    if path.is_dir() or named is None:
+        return path, 0
+    return path.parent, int(named[1])
+
+
+def _robots(folder: Path) -> list[int]:
+    """Return the numbers of the robots in a folder whose log is whole."""
+    numbered = {int(m[1]) for p in folder.glob("Robot*.dat") if (m := _FILE.fullmatch(p.name))}
+    return sorted(
+        n
+        for n in numbered
+        if all(_has_columns(folder / f"Robot{n}_{what}.dat", what) for what in list(_COLUMNS)[:2])
+    )
+
+
+def _has_columns(path: Path, what: str) -> bool:
+    """Tell whether the first lines of a file that are no comments hold so many numbers."""
+    lines = [line for line in head(path) if not line.startswith(b"#") and line.strip()]
+    try:
+        return bool(lines) and all(len(_row(line, _COLUMNS[what])) for line in lines[:3])
+    except (ValueError, MessageError):
+        return False
+
+
+def _row(line: bytes, columns: int) -> Array:
+    row = numbers(line.split())
+    if len(row) != columns:
+        raise MessageError(f"{len(row)} words instead of {columns}")
+    if not (np.abs(row) < _LARGEST).all():
+        raise MessageError("a number is not finite or absurd")
+    return row
+
+
+def _detections(rows: Array) -> Detections:
+    """Return a picture's detections from rows (n, 4) of stamp, subject, range, bearing."""
+    labels, nothing = rows[:, 1].astype(np.int64), np.full(len(rows), np.nan)
+    return Detections(float(rows[0, 0]), rows[:, 2], rows[:, 3], labels, nothing)

@@ -1,0 +1,168 @@
+"""Text exports of rawlogs of the Mobile Robot Programming Toolkit: increments and detections.
+
+    ODOINC t dx dy dphi ...                        motion since the line before, on the robot
+    BR t sx sy sphi n (id range yaw pitch) * n     what a range-bearing sensor at [sx, sy, sphi] saw
+
+Stamps of simulated rawlogs mean nothing (all are alike, or 0): a step is an increment with the
+detections after it, and step k is stamped k seconds here. Increments are summed up to odometry poses.
+
+Beside `NAME.txt` a simulator leaves `NAME_ground_truth_robot_path.txt`, whose row k is the pose
+(x y z yaw pitch roll) of the k-th detections, and `NAME_ground_truth.txt`, the landmarks (x y z first,
+id last). Both are read for scoring where they are there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from impslam.component import register
+from impslam.errors import MessageError
+from impslam.geometry.se2 import compose
+from impslam.sources.base import Located, Stream
+from impslam.sources.text import TextSource, finite, head, numbers
+from impslam.types import Array, Detections, OdometryPose, TrueLandmark, TruePose
+
+_WORDS = 5  # an ODOINC of t, dx, dy, dphi has so many at least
+_OTHERS = 6  # words of a BR before its first detection
+_FAR = 1e6  # m and rad; no step of a robot goes so far
+_EACH = 4  # words of a detection: id, range, yaw, pitch
+
+
+@register("mrpt_text")
+class MrptText(TextSource):
+    """Text export of an MRPT rawlog: ODOINC and BR lines."""
+
+    default_preset: ClassVar[str] = "kf-demo"
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Tell by the first lines that are no comments."""
+        said = [line for line in head(path) if not line.startswith(b"#")][:4]
+        return any(_plausible(line.split()) for line in said)
+
+    def _messages(self) -> Iterator[Located]:
+        stamp, pose = 0.0, np.zeros(3)
+        truth = self._true_poses()
+        yield Located(OdometryPose(stamp, pose), 1, "ODOINC")
+        for number, line in self._lines(self.path):
+            tokens = line.split()
+            try:
+                if tokens[:1] == [b"ODOINC"]:
+                    stamp += 1.0
+                    pose = compose(pose, _increment(tokens))
+                    yield Located(OdometryPose(stamp, pose), number, "ODOINC")
+                elif tokens[:1] == [b"BR"]:
+                    true = next(truth, None)
+                    if true is not None:
+                        yield Located(TruePose(stamp, true), number)
+                    yield Located(_detections(stamp, tokens), number, "BR")
+                elif tokens and not _is_name(tokens[0]):
+                    self._reject("line", self.path, number, "it opens with no name of a record")
+            except (ValueError, OverflowError, IndexError, MessageError) as error:
+                self._reject(tokens[0].decode(), self.path, number, error)
+
+    def true_landmarks(self) -> list[TrueLandmark]:
+        """Return the landmarks of the file beside the log, by their ids."""
+        rows = self._rows(self._beside("ground_truth"), 4)
+        return [TrueLandmark(str(int(row[-1])), "point", row[:2], {}) for row in rows]
+
+    def _true_poses(self) -> Iterator[Array]:
+        """Yield the true poses (3,), one for each BR."""
+        for row in self._rows(self._beside("ground_truth_robot_path"), 6):
+            yield row[[0, 1, 3]]
+
+    def _beside(self, what: str) -> Path:
+        name = self.path.name.removesuffix(".gz").removesuffix(".txt")
+        return self.path.with_name(f"{name}_{what}.txt")
+
+    def _rows(self, path: Path, least: int) -> Iterator[Array]:
+        """Yield the rows of numbers of a file that need not be there."""
+        if not path.is_file():
+            return
+        for number, line in self._lines(path):
+            if line.startswith((b"%", b"#")) or not line.strip():
+                continue
+            try:
+                row = _truth(line, least)
+            except (ValueError, MessageError) as error:
+                self._reject("truth", path, number, error)
+                continue
+            yield row
+
+    @property
+    def position(self) -> int:
+        """Bytes of the log itself that were read; the truth beside it does not count."""
+        raw = self._open.get(self.path)
+        if raw is None:
+            return 0
+        return self.path.stat().st_size if raw.closed else raw.tell()
+
+    def streams(self) -> list[Stream]:
+        """Return the kinds of record, by name, and the truth that is there."""
+        found = [
+            Stream(name, _TYPES.get(name, "text"), count, name in _TYPES, self._note(name))
+            for name, count in sorted(self._first_words(self.path).items())
+            if _is_name(name.encode())
+        ]
+        for what in ("ground_truth_robot_path", "ground_truth"):
+            path = self._beside(what)
+            if path.is_file():
+                found.append(Stream(path.name, "truth", None, used=False, note="for scoring only"))
+        return found
+
+    def _note(self, name: str) -> str:
+        return {
+            "ODOINC": "increments; step k is stamped k seconds",
+            "BR": "range and bearing to landmarks",
+        }.get(name, "")
+
+
+_TYPES = {"ODOINC": "OdometryPose", "BR": "Detections"}
+
+
+def _is_name(word: bytes) -> bool:
+    """Tell whether a word may be the name of a record; a comment's sign is not."""
+    return word.startswith(b"#") or (word.isalpha() and word.isupper())
+
+
+def _plausible(tokens: list[bytes]) -> bool:
+    if tokens[:1] == [b"ODOINC"]:
+        return len(tokens) >= _WORDS
+    return tokens[:1] == [b"BR"] and len(tokens) >= _OTHERS
+
+
+def _truth(line: bytes, least: int) -> Array:
+    row = numbers(line.split())
+    if len(row) < least:
+        raise MessageError(f"{len(row)} words instead of {least}")
+    finite("the truth", *row)
+    return row
+
+
+def _increment(tokens: list[bytes]) -> Array:
+    if len(tokens) < _WORDS:
+        raise MessageError(f"{len(tokens)} words instead of {_WORDS} or more")
+    increment = numbers(tokens[2:5])
+    if not (np.abs(increment) < _FAR).all():
+        raise MessageError("an increment is not finite or absurd")
+    return increment
+
+
+def _detections(stamp: float, tokens: list[bytes]) -> Detections:
+    n = int(tokens[5])
+    if n < 0 or len(tokens) != _OTHERS + _EACH * n:
+        raise MessageError(f"{len(tokens)} words, which does not fit {n} detections")
+    table = numbers(tokens[_OTHERS:]).reshape(n, _EACH)
+    with np.errstate(invalid="ignore"):
+        ranges = table[:, 1] * np.cos(table[:, 3])  # in the plane
+        labels = np.where(table[:, 0] >= 0.0, table[:, 0], -1.0)
+    if not np.isfinite(labels).all() or (labels > _LARGEST).any():
+        raise MessageError("an id is not a number of a landmark")
+    return Detections(stamp, ranges, table[:, 2], labels.astype(np.int64), np.full(n, np.nan))
+
+
+_LARGEST = 2.0**53  # beyond it float64 skips whole numbers

@@ -154,11 +154,16 @@ def ekf(data: Path) -> str:
     del data
     script = [sys.executable, str(ROOT / "benchmarks" / "ekf.py")]
     said = subprocess.run(script, capture_output=True, text=True, check=True).stdout
-    rows = [line.split() for line in said.splitlines()]
+    return "; ".join(map(_steps, said.split("\n\n")[1:]))
+
+
+def _steps(table: str) -> str:
+    """Return what the docs say of one filter's steps."""
+    rows = [line.split() for line in table.splitlines()]
     steps = {row[0]: row for row in rows if len(row) == 7 and row[0].isdigit()}
     times = ", ".join(f"{float(steps[n][4]):.2f} ms with {n}" for n in ("10", "100", "500"))
     return (
-        f"{times} and {float(steps['1000'][4]):.2f} ms with 1000 landmarks "
+        f"`{rows[0][0]}` {times} and {float(steps['1000'][4]):.2f} ms with 1000 landmarks "
         f"({float(steps['1000'][6]):.1f} times the time of moving half of P through memory)"
     )
 

@@ -42,7 +42,7 @@ from dataclasses import replace
 
 import numpy as np
 from pydantic import PrivateAttr
-from scipy.linalg.blas import dsyr2k
+from scipy.linalg.blas import dsyr2
 
 from impslam.component import parameter, register
 from impslam.filters.belief import POSE, GaussianBelief, Rows
@@ -60,9 +60,12 @@ def shear(belief: GaussianBelief, A: Array, xi_D_pose: Array) -> None:
     pose = belief.pose_covariance()
     with_xi = np.concatenate([pose, P[POSE:n, :POSE]]) @ xi_D_pose.T  # cov(delta, xi)
     of_xi = xi_D_pose @ pose @ xi_D_pose.T
-    left, right = (np.zeros((len(P), A.shape[1]), order="F") for _ in range(2))
-    left[:n], right[:n] = A, with_xi + 0.5 * A @ of_xi
-    belief.P = dsyr2k(1.0, left, right, beta=1.0, c=P, lower=1, overwrite_c=1)
+    left, right = np.zeros((2, A.shape[1], len(P)))
+    left[:, :n], right[:, :n] = A.T, (with_xi + 0.5 * A @ of_xi).T
+    # Rank two by rank two: a third of dsyr2k's time for one column, the same for three.
+    for a, b in zip(left, right, strict=True):
+        P = dsyr2(1.0, a, b, lower=1, a=P, overwrite_a=1)
+    belief.P = P
 
 
 def _arc(with_heading: Array) -> Array:

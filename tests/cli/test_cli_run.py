@@ -12,9 +12,7 @@ from impslam.cli.job import FILES
 from impslam.evaluation.tum import read_tum
 from impslam.observers import trajectory
 
-WRITTEN = FILES - {"truth.landmarks.csv"}
-"""This format tells the true path, and no landmarks."""
-SAME = sorted(WRITTEN - {"report.html", "report.png", "summary.json"})
+SAME = sorted(FILES - {"report.html", "report.png", "summary.json"})
 """Figures that are times stand in the others."""
 
 
@@ -27,8 +25,16 @@ def done(room, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_folder_is_complete(done) -> None:
-    assert {path.name for path in done.iterdir()} == WRITTEN
+    assert {path.name for path in done.iterdir()} == FILES
     assert len(np.loadtxt(done / "trajectory.tum")) == 100
+
+
+def test_true_landmarks_are_those_beside_the_log(imp, done, room, tmp_path) -> None:
+    beside = room.with_name("room.landmarks.csv")
+    assert (done / "truth.landmarks.csv").read_text() == beside.read_text()
+    alone = shutil.copy(room, tmp_path)
+    assert imp("run", alone, "-o", tmp_path / "run").code == 0
+    assert not (tmp_path / "run" / "truth.landmarks.csv").exists()
 
 
 def test_a_config_repeats_the_run_to_the_byte(imp, done, room, tmp_path) -> None:

@@ -18,7 +18,8 @@ from impslam.cli.console import Base, Common, Settings
 from impslam.cli.ending import EndOfRun
 from impslam.cli.job import execute, plan, run_folder
 from impslam.cli.progress import display
-from impslam.cli.simulate import landmarks_path, truth_path, write_log
+from impslam.cli.simulate import truth_path, write_log
+from impslam.evaluation.landmark_files import landmarks_path
 from impslam.evaluation.landmarks import corners, score_landmarks
 from impslam.geometry.angles import wrap
 from impslam.observers.base import Outcome

@@ -12,6 +12,7 @@ from impslam.cli import progress
 from impslam.component import explain
 from impslam.config import Config, load, load_plugins
 from impslam.errors import ConfigError, ImpError
+from impslam.evaluation.landmark_files import landmarks_path, read_true_landmarks
 from impslam.observers.base import Observer, Outcome
 from impslam.observers.recorder import Recorder
 from impslam.observers.report import Report
@@ -63,7 +64,8 @@ def execute(
 ) -> Outcome:
     """Run a log, write the run folder, and show how far it has come.
 
-    `known` are the true landmarks, for scoring alone, where the source does not tell them.
+    `known` are the true landmarks, for scoring alone, where neither the source nor a file beside it
+    tells them.
     """
     if folder.resolve().is_relative_to(source.path.resolve()):
         raise ConfigError(f"{folder}: is within the log, which would change it; give another -o")
@@ -71,7 +73,7 @@ def execute(
     _clear(folder)
     try:
         with progress.display(quiet) as shown:
-            known = known or source.true_landmarks()
+            known = known or source.true_landmarks() or _surveyed(source.path)
             recorder = Recorder(folder, config.grid.resolution, known)
             report = Report(folder, recorder.grid, known)
             return run(config, source, [progress.Bar(source, shown), recorder, report, *more])
@@ -80,6 +82,12 @@ def execute(
         if created and folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
         raise
+
+
+def _surveyed(log: Path) -> list[TrueLandmark]:
+    """Return the true landmarks that lie beside a log."""
+    path = landmarks_path(log)
+    return read_true_landmarks(path) if path.is_file() else []
 
 
 def _clear(folder: Path) -> None:

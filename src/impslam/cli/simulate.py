@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from impslam.cli import console
 from impslam.cli.console import Common
 from impslam.cli.progress import display, ticker
-from impslam.evaluation.landmark_files import write_true_landmarks
+from impslam.evaluation.landmark_files import landmarks_path, write_true_landmarks
 from impslam.evaluation.tum import write_tum
 from impslam.simulation.drive import drive
 from impslam.simulation.simulate import simulate as messages
@@ -54,11 +54,6 @@ def simulate(
 def truth_path(log: Path) -> Path:
     """Return where a log's true poses are."""
     return log.with_name(f"{log.stem}.truth.tum")
-
-
-def landmarks_path(log: Path) -> Path:
-    """Return where a log's true landmarks are."""
-    return log.with_name(f"{log.stem}.landmarks.csv")
 
 
 def write_log(world: World, log: Path, seed: int, shown: Any = None) -> int:

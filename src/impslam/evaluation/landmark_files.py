@@ -25,6 +25,11 @@ COLUMNS = ("name", "kind", "x", "y", "r", "alpha", "radius", "x1", "y1", "x2", "
 ENDS = ("x1", "y1", "x2", "y2")
 
 
+def landmarks_path(log: Path) -> Path:
+    """Return where the true landmarks of a log stand, if they do: beside it, LOG.landmarks.csv."""
+    return log.with_name(f"{log.stem}.landmarks.csv")
+
+
 def write_true_landmarks(path: Path, landmarks: Iterable[TrueLandmark]) -> None:
     """Write a row for each true landmark; see `COLUMNS`."""
     with path.open("w", encoding="utf-8", newline="") as file:

@@ -32,3 +32,11 @@ def test_a_label_read_twice_is_the_nearer_one_and_the_other_is_not_new():
     choice = belief.associate(seen, Known())
     assert pairs(choice) == {1: 0}
     assert choice.new == ()
+
+
+def test_with_a_gate_a_misread_label_is_refused_and_is_not_new():
+    belief = mapped([point(ORIGIN, (1, 0), 7), point(ORIGIN, (2, 0), 8)])
+    seen = (point(ORIGIN, (1, 0), 7), point(ORIGIN, (50, 50), 8), point(ORIGIN, (3, 3), 9))
+    choice = belief.associate(seen, Known(gate=0.999999))
+    assert pairs(choice) == {0: 0}
+    assert choice.new == (2,)

@@ -62,3 +62,20 @@ def test_a_message_of_nothing_finite_is_refused_and_an_empty_one_is_not():
 def test_late_stamps_are_taken_back():
     assert RangeBearing().span(detections([3.0], [0.0])) == (7.0, 7.0)
     assert RangeBearing(latency=0.25).span(detections([3.0], [0.0])) == (6.75, 6.75)
+
+
+def test_depth_becomes_range_with_its_own_covariance():
+    """A camera sees [3, 4] m at a depth of 3 m; the covariance is that of noise on depth, bearing."""
+    depth, bearing = 3.0 / 1.25, math.atan2(4.0, 3.0)
+    sensor = RangeBearing(depth=True, range_scale=1.25, sigma_range=0.02, sigma_bearing=0.005)
+    (seen,) = sensor.observe(detections([depth], [bearing]), STILL, RNG).observations
+    np.testing.assert_allclose(seen.z, [3.0, 4.0], atol=1e-12)
+    noise = RNG.standard_normal((400_000, 2)) * [0.02, 0.005]
+    x, b = 3.0 + noise[:, 0], bearing + noise[:, 1]
+    np.testing.assert_allclose(seen.R, np.cov(x, x * np.tan(b)), rtol=0.02, atol=1e-5)
+
+
+def test_nothing_has_a_depth_beside_or_behind_the_camera():
+    message = detections([1.0, 1.0, 1.0], [0.5, 1.6, math.pi])
+    assert len(RangeBearing(depth=True).observe(message, STILL, RNG).observations) == 1
+    assert len(RangeBearing().observe(message, STILL, RNG).observations) == 3

@@ -5,12 +5,23 @@ perturbation of its own model. A scan is taken in as one batch: all matched land
 at the same mean, which the Jacobians are evaluated at too (the thesis prints x(k-1) in Eq. 2.20;
 the predicted state is meant). With more than one iteration a correction that turns the robot far is
 linearised again about its own result, Gauss-Newton on the posterior (Bell & Cathey 1993).
+
+Sensors that now and then err by many sigmas have noise with heavy tails: Student's t, a Gaussian whose
+covariance R / w is itself unsure, w drawn from a gamma distribution of mean 1. Given the innovation,
+E[w] = (nu + k) / (nu + d^2) for k measured scalars and nu degrees of freedom (Agamennoni, Nieto & Nebot
+2012, Eq. 13 with the innovation's d^2), so that an outlier's R grows with its d^2 and its pull vanishes.
+
+Errors that repeat from one observation of a landmark to the next, as views and calibrations do, count
+once in so many observations: with a correlation of exp(-x / L) between those taken x apart, observations
+every x are worth x / (2 L) of independent ones. Corrections then use a multiple of R; association, which
+judges each observation alone, uses R itself.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from pydantic import PrivateAttr
@@ -36,6 +47,15 @@ class Ekf(Filter):
     )
     tolerance: float = parameter(
         1e-3, "rad", "a heading that moves less than this is not linearised again", gt=0
+    )
+    tails: float = parameter(
+        0.0,
+        "1",
+        "degrees of freedom of the measurement noise (4: heavy tails, outliers fade); 0: Gaussian",
+        ge=0,
+    )
+    repeats: float = parameter(
+        1.0, "1", "observations of a landmark that share one error, so that each counts less", ge=1
     )
     _belief: GaussianBelief = PrivateAttr()
     _atlas: Atlas = PrivateAttr()
@@ -72,6 +92,7 @@ class Ekf(Filter):
         if not matches:
             return
         belief = self._belief
+        observations = self._doubted(observations, matches)
         prior, delta = belief.mean.copy(), np.zeros(belief.n)
         for _ in range(self.iterations):
             rows, innovation, R = self._stack(observations, matches)
@@ -152,6 +173,24 @@ class Ekf(Filter):
             residual = model.residual(np.array([o.z for o in seen]), prediction.z)
             put_blocks(innovation, R, here, residual, np.array([o.R for o in seen]))
         return rows, innovation, R
+
+    def _doubted(
+        self, observations: Sequence[Observation], matches: Sequence[Match]
+    ) -> Sequence[Observation]:
+        """Return the observations with R as wide as repetition and their innovations make it.
+
+        The latter once, by the belief before the correction: its S tells what is far off from what is
+        merely unknown yet, and given these R the correction is Gaussian, its covariance as good as
+        ever. No R shrinks: that an innovation is small by chance does not make a sensor better.
+        """
+        if not self.tails and self.repeats == 1.0:
+            return observations
+        wider = list(observations)
+        for match in matches:
+            seen, k = observations[match.observation], len(match.innovation)
+            doubt = (self.tails + match.distance2) / (self.tails + k) if self.tails else 1.0
+            wider[match.observation] = replace(seen, R=self.repeats * max(1.0, doubt) * seen.R)
+        return wider
 
     def _expect(self, table: Table, places: Ints) -> Prediction:
         """Return how landmarks should be seen now; Jacobians at the newest estimates."""

@@ -79,7 +79,7 @@ class Mrclam(TextSource):
         subjects = {int(row[1]): int(row[0]) for _, row in self._rows(barcodes, 2)}
         streams = [
             self._read(odometry, 3, lambda row: Velocity(*row.tolist())),
-            self._pictures(measurement, subjects),
+            self._pictures(measurement, subjects),  # unwatched: often nothing is in view
             *(self._read(path, 4, lambda row: TruePose(float(row[0]), row[1:])) for path in truth),
         ]
         # Lines are not sorted within a file; merging only says whose turn it is.
@@ -101,13 +101,13 @@ class Mrclam(TextSource):
                 continue
             row[1] = label
             if seen and not 0.0 <= row[0] - seen[0][0] < PICTURE:
-                yield Located(_detections(np.array(seen)), first, path.name)
+                yield Located(_detections(np.array(seen)), first)
                 seen = []
             if not seen:
                 first = number
             seen.append(row)
         if seen:
-            yield Located(_detections(np.array(seen)), first, path.name)
+            yield Located(_detections(np.array(seen)), first)
 
     def _landmark(
         self, path: Path, number: int, row: Array, subjects: dict[int, int]

@@ -1,0 +1,186 @@
+"""Logs of detected landmarks against the truth: MRPT's simulation, and MRCLAM's five robots.
+
+    python benchmarks/range_bearing.py --data ../shared/data kf-demo mrclam6
+    python benchmarks/range_bearing.py --data FOLDER --filters ekf,fej,riekf mrclam6 mrclam7
+
+One row for each robot, filter and association. Path and map are moved together to where the path fits
+the truth best. A landmark is judged against the one whose label most of its observations carry, so
+that neighbours that are mixed up do not count as found; wrong associations are observations of another
+label than that. With association other than `known` the program does not use labels.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.real_logs import Run  # noqa: E402  found from the root of the project
+
+from impslam.cli.job import plan  # noqa: E402
+from impslam.evaluation.run_files import RecordedRun  # noqa: E402
+from impslam.evaluation.scores import Consistency, score_path  # noqa: E402
+from impslam.evaluation.trajectory import align, associate, ate  # noqa: E402
+from impslam.geometry.se2 import transform  # noqa: E402
+from impslam.pipeline import run  # noqa: E402
+from impslam.types import Array, Landmark, StepResult, TrueLandmark, TruePose  # noqa: E402
+
+GATE = 0.5
+"""m: an estimate further off than this from what it was taken for is false."""
+SIMULATED = "kf-demo"
+CLUSTERS = "association.new_gate=0.9"
+"""MRCLAM's barcodes stand 18 cm apart in twos and threes: one beside a matched one is another."""
+
+
+@dataclass
+class Labelled(Run):
+    """A run, and which labels the observations of each landmark carried."""
+
+    covariances: list[Array] = field(default_factory=list)
+    truth_path: list[Array] = field(default_factory=list)
+    votes: dict[int, Counter[int]] = field(default_factory=dict)
+    observations: int = 0
+
+    def step(self, result: StepResult) -> None:
+        """Keep the pose and its covariance, and count labels."""
+        super().step(result)
+        self.covariances.append(result.covariance)
+        self.observations += len(result.observations)
+        for match in result.matches:
+            label = result.observations[match.observation].label
+            if label is not None:
+                self.votes.setdefault(match.landmark, Counter())[label] += 1
+
+    def truth(self, pose: TruePose) -> None:
+        """Keep a true pose."""
+        self.truth_path.append(np.array([pose.stamp, *pose.pose]))
+
+    @property
+    def matched(self) -> int:
+        """Observations that were taken for a landmark."""
+        return sum(sum(votes.values()) for votes in self.votes.values())
+
+    @property
+    def wrong(self) -> int:
+        """Observations that were taken for a landmark of another label."""
+        return self.matched - sum(max(votes.values()) for votes in self.votes.values())
+
+    def label(self, mark: Landmark) -> int | None:
+        """Return the label that most of a landmark's observations carried; None without any."""
+        votes = self.votes.get(mark.id)
+        return None if votes is None else max(votes, key=lambda label: votes[label])
+
+
+@dataclass(frozen=True)
+class Row:
+    """What is said of one run; lengths in m. Without a true path its figures are NaN and None."""
+
+    path: float
+    odometry: float
+    consistency: Consistency | None
+    marks: float
+    found: int
+    missing: int
+    false: int
+    doubles: int
+    wrong: int
+    matched: int
+    observations: int
+
+    def __str__(self) -> str:
+        c = self.consistency
+        nees = "-" if c is None else f"{c.mean:6.2f} ({100 * c.within:3.0f} %)"
+        counts = f"{self.found:3d} {self.missing:3d} {self.false:3d} {self.doubles:3d}"
+        used = f"{self.wrong:4d} {self.matched:5d} {self.observations:5d}"
+        metres = f"{self.path:8.3f} {self.odometry:8.3f} {self.marks:8.3f}"
+        return f"{metres}  {counts}  {used}  {nees}"
+
+
+HEADER = (
+    f"{'log':9} {'filter':6} {'association':12} {'path m':>8} {'odo m':>8} {'marks m':>8}  "
+    "fnd mis fls dbl  wrng  used   all  NEES of 3 (in 95 %)"
+)
+
+
+def drive(log: Path, settings: Sequence[str] = ()) -> tuple[Labelled, list[TrueLandmark]]:
+    """Map a log with the preset that fits it; return also the surveyed landmarks."""
+    config, source = plan(log, None, settings)
+    seen = Labelled()
+    run(config, source, [seen])
+    return seen, source.true_landmarks()
+
+
+def measure(
+    data: Path, name: str, robot: int = 0, association: str = "known", settings: Sequence[str] = ()
+) -> Row:
+    """Map and score MRPT's simulation, or a robot of an MRCLAM data set."""
+    chosen = [f"association.kind={association}"]
+    if name == SIMULATED:
+        return score(*drive(data / name / "kf-slam_demo.txt", [*chosen, *settings]))
+    chosen += [CLUSTERS] if association != "known" else []
+    return score(*drive(data / name, [f"source.robot={robot}", *chosen, *settings]))
+
+
+def score(seen: Labelled, truth: Sequence[TrueLandmark]) -> Row:
+    """Score a run."""
+    path, odometry, consistency, T = math.nan, math.nan, None, None
+    if seen.truth_path:
+        true = np.array(seen.truth_path)
+        record = RecordedRun(np.array(seen.path), np.array(seen.covariances))
+        scored = score_path(record, true, "fit", 1.0)
+        path, consistency, T = scored.aligned.rmse, scored.consistency, scored.T_truth_map
+        odometry = ate(associate(np.array(seen.wheels), true)).rmse
+    best, doubles = _judged(seen)
+    places = {mark.name: mark.position for mark in truth}
+    known = [(best[name].position, places[name]) for name in places if name in best]
+    ours, theirs = (np.array(column) for column in zip(*known, strict=True))
+    if T is None:
+        T = align(ours, theirs)
+    off = np.hypot(*(transform(T, ours) - theirs).T)
+    found = off < GATE
+    missing, false = len(places) - int(found.sum()), int((~found).sum())
+    rms = math.sqrt(float(np.mean(off[found] ** 2))) if found.any() else math.nan
+    counts = (int(found.sum()), missing, false + len(seen.landmarks) - len(best) - doubles, doubles)
+    used = (seen.wrong, seen.matched, seen.observations)
+    return Row(path, odometry, consistency, rms, *counts, *used)
+
+
+def _judged(seen: Labelled) -> tuple[dict[str, Landmark], int]:
+    """Return the landmark most often seen under each label, and how many others have one, too."""
+    labelled = [(mark, seen.label(mark)) for mark in seen.landmarks]
+    named = [(mark, str(label)) for mark, label in labelled if label is not None]
+    best = {name: mark for mark, name in sorted(named, key=lambda pair: pair[0].observations)}
+    return best, len(named) - len(best)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("logs", nargs="*", default=["kf-demo", "mrclam6"], help="folders")
+    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    parser.add_argument("--filters", default="riekf", help="default: riekf")
+    parser.add_argument("--associations", default="known,mahalanobis,jcbb")
+    parser.add_argument("--set", action="append", default=[], dest="settings", metavar="KEY=VALUE")
+    arguments = parser.parse_args()
+    print(HEADER)
+    ways = [arguments.filters.split(","), arguments.associations.split(",")]
+    for name in arguments.logs:
+        robots = (0,) if name == SIMULATED else range(1, 6)
+        for robot, kind, association in itertools.product(robots, *ways):
+            settings = [f"filter.kind={kind}", *arguments.settings]
+            row = measure(arguments.data, name, robot, association, settings)
+            print(f"{name} {robot or ' '} {kind:6} {association:12} {row}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

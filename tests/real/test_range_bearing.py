@@ -1,0 +1,37 @@
+"""Detected landmarks against the truth. Figures were measured on 2026-11-21."""
+
+import pytest
+from benchmarks.range_bearing import measure
+
+pytestmark = [pytest.mark.real]
+
+
+@pytest.mark.parametrize("filter_kind", ["ekf", "fej", "riekf"])
+@pytest.mark.parametrize("association", ["known", "jcbb"])
+def test_the_simulated_robot_and_its_70_landmarks(data_folder, filter_kind, association):
+    row = measure(data_folder, "kf-demo", 0, association, [f"filter.kind={filter_kind}"])
+    assert (row.found, row.missing, row.false, row.doubles, row.wrong) == (70, 0, 0, 0, 0)
+    assert row.marks < 0.004  # measured 0.0020
+    assert row.path < 0.006  # 0.0037
+    assert row.odometry > 0.3
+    assert 2.0 < row.consistency.mean < 4.5  # 3.39; of one run, whose steps are not independent
+
+
+WITHIN = {  # m, path and landmarks; measured about 0.7 of it
+    1: (0.25, 0.25),
+    2: (0.30, 0.32),
+    3: (0.12, 0.10),
+    4: (0.20, 0.17),
+    5: (0.16, 0.06),
+}
+
+
+@pytest.mark.parametrize("robot", sorted(WITHIN))
+def test_robots_among_barcodes(data_folder, robot):
+    row = measure(data_folder, "mrclam6", robot)
+    path, marks = WITHIN[robot]
+    assert (row.found, row.false, row.doubles) == (15, 0, 0)
+    assert row.path < path
+    assert row.marks < marks
+    assert row.odometry > 4.0 * row.path
+    assert row.consistency.mean < 6.0  # 1.0 to 4.2

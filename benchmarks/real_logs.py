@@ -77,10 +77,7 @@ def final_covariance(log: Path) -> Array:
     kind = recognise(log)
     with kind(path=log) as source:
         pipeline = Pipeline(load(source.preset))
-        for message in source:
-            for _ in pipeline.feed(message):
-                pass
-        for _ in pipeline.flush():
+        for _ in pipeline.play(source):
             pass
     covariance: Array = pipeline.slam.filter.belief.covariance  # type: ignore[attr-defined]  # EKF's
     return covariance

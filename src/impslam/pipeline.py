@@ -90,6 +90,12 @@ class Pipeline:
             self._waiting.append((message, sensor, sensor.span(message), self._seen))
         yield from self._ready(flush=False)
 
+    def play(self, messages: Iterable[Message]) -> Iterator[StepResult]:
+        """Take in a whole log; yield a result for each scan."""
+        for message in messages:
+            yield from self.feed(message)
+        yield from self.flush()
+
     def flush(self) -> Iterator[StepResult]:
         """Use the scans that still wait for odometry; the log is over."""
         yield from self._ready(flush=True)

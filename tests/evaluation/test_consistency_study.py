@@ -7,9 +7,10 @@ from tests.numeric import wrapped
 
 from impslam.errors import ConfigError
 from impslam.evaluation.consistency_batch import LATERAL_SIGMA, optima
-from impslam.evaluation.consistency_plot import NeesPanel, as_png, draw_nees, draw_study
+from impslam.evaluation.consistency_plot import NeesPanel, draw_nees, draw_study
 from impslam.evaluation.consistency_setting import LONG_LOOP, START_SIGMA, Setting, simulate
 from impslam.evaluation.consistency_study import BATCH, consistency_study, follow
+from impslam.evaluation.plots import as_png
 from impslam.geometry.se2 import between, inverse, transform
 
 SMALL = Setting(steps=12, landmarks=6)

@@ -5,7 +5,6 @@ Importing this module imports matplotlib (0.3 s); import it where a picture is d
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -70,13 +69,6 @@ def draw_nees(shown: Sequence[NeesPanel]) -> Figure:
     panels[-1].set_xlim(shown[0].times[0], shown[0].times[-1])
     panels[-1].set_xlabel("time [s]")
     return figure
-
-
-def as_png(figure: Figure) -> bytes:
-    """Return the figure as a PNG, the same bytes for the same picture."""
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=160, metadata={"Software": None})
-    return stream.getvalue()
 
 
 def _panels(height: float, ratios: tuple[float, ...]) -> tuple[Figure, list[Axes]]:

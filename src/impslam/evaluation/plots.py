@@ -27,6 +27,8 @@ PATH, ODOMETRY, TRUTH, WALL, POINT = "#d81b60", "#f2a03d", "#15803d", "#2563eb",
 UNKNOWN = "#eceef1"
 GREYS = ListedColormap([UNKNOWN, "#ffffff", "#7d8892"])  # unknown, free, occupied
 SIGMAS = 3.0
+TIGHT: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.12}
+"""How a picture is cut to what is drawn."""
 MAX_POINTS = 4000
 """Points of a drawn path: more than the picture has pixels along it."""
 MAX_LABELS = 40
@@ -62,9 +64,14 @@ def map_png(scene: Scene, dpi: int = 160) -> bytes:
     columns = 3 if inches[0] < 7 else 4
     place: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
     axes.legend(handles=keys, ncols=columns, **place)
+    return as_png(figure, **TIGHT)
+
+
+def as_png(figure: Figure, **look: Any) -> bytes:
+    """Return a figure as a PNG, the same bytes for the same picture; `look` is `savefig`'s."""
     stream = io.BytesIO()
-    options = {"Software": None}  # no version in the file: the same picture, the same bytes
-    figure.savefig(stream, format="png", bbox_inches="tight", pad_inches=0.12, metadata=options)
+    plain = {"Software": None}  # no version in the file
+    figure.savefig(stream, format="png", metadata=plain, **look)
     return stream.getvalue()
 
 

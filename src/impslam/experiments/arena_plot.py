@@ -5,7 +5,6 @@ Importing this module imports matplotlib (0.3 s); import it where a picture is d
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from typing import Any
 
@@ -21,8 +20,10 @@ from impslam.evaluation.plots import (
     PATH,
     POINT,
     SIGMAS,
+    TIGHT,
     TRUTH,
     WALL,
+    as_png,
     style,
 )
 from impslam.experiments.arena_runs import ArenaRun, true_landmarks
@@ -44,10 +45,7 @@ def arena_png(runs: Mapping[str, ArenaRun], dpi: int = 130) -> bytes:
         axes.set_title(f"{title}\nend {run.end:.3f} m off", color=INK, fontsize=11)
         axes.label_outer()
     figure.legend(handles=_keys(), loc="outside lower center", ncols=4, frameon=False)
-    stream = io.BytesIO()
-    plain = {"Software": None}  # no version in the file: the same picture, the same bytes
-    figure.savefig(stream, format="png", bbox_inches="tight", pad_inches=0.12, metadata=plain)
-    return stream.getvalue()
+    return as_png(figure, **TIGHT)
 
 
 def _draw(axes: Any, run: ArenaRun) -> None:

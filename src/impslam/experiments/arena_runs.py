@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from impslam.pipeline import Pipeline
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import World, load_world
-from impslam.types import Array, Landmark, Message, StepResult, TrueLandmark, TruePose
+from impslam.types import Array, Landmark, Message, TrueLandmark, TruePose
 
 WORLD = "arena"
 OFF = 0.3
@@ -88,16 +88,11 @@ def true_landmarks() -> tuple[TrueLandmark, ...]:
     return (*named, *corners(named))
 
 
-def map_arena(messages: Iterable[Message], seed: int, way: Way) -> ArenaRun:
+def map_arena(messages: Sequence[Message], seed: int, way: Way) -> ArenaRun:
     """Map what the robot recorded."""
     pipeline = Pipeline(way.config(seed))
-    truth: dict[float, Array] = {}
-    steps: list[StepResult] = []
-    for message in messages:
-        if isinstance(message, TruePose):
-            truth[message.stamp] = message.pose
-        steps.extend(pipeline.feed(message))
-    steps.extend(pipeline.flush())
+    steps = list(pipeline.play(messages))
+    truth = {m.stamp: m.pose for m in messages if isinstance(m, TruePose)}
     true = np.array([truth[step.stamp] for step in steps])
     path = np.array([step.pose for step in steps])
     covariances = np.array([step.covariance for step in steps])

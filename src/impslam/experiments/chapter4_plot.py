@@ -6,7 +6,6 @@ drawn on their own canvas, without pyplot and its global state.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Polygon, Wedge
 
-from impslam.evaluation.plots import INK, PALE
+from impslam.evaluation.plots import INK, PALE, as_png
 from impslam.experiments.chapter4_scans import Jumps, Shot, Sighting
 from impslam.extractors.readings import usable
 from impslam.geometry.se2 import compose, transform
@@ -35,12 +34,7 @@ ROBOT = 0.25  # m, radius of the robot's outline
 
 def png(figure: Figure, dpi: int = 150) -> bytes:
     """Return a figure as a PNG, the same bytes each time."""
-    stream = io.BytesIO()
-    plain = {"Software": None}  # no version in the file
-    figure.savefig(
-        stream, format="png", dpi=dpi, bbox_inches="tight", pad_inches=0.1, metadata=plain
-    )
-    return stream.getvalue()
+    return as_png(figure, dpi=dpi, bbox_inches="tight", pad_inches=0.1)
 
 
 def new_figure(width: float, height: float) -> Figure:

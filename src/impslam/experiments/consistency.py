@@ -207,6 +207,7 @@ def arena_table(outcomes: Sequence[Outcome]) -> Table:
 def pictures(circle: Study, loop: Study, arena: Sequence[Outcome]) -> tuple[Picture, ...]:
     """Return the curves of the three studies."""
     from impslam.evaluation import consistency_plot as plot  # noqa: PLC0415  imports matplotlib
+    from impslam.evaluation.plots import as_png  # noqa: PLC0415
 
     cases = {o.case: o for o in arena}
     panels = [
@@ -216,17 +217,17 @@ def pictures(circle: Study, loop: Study, arena: Sequence[Outcome]) -> tuple[Pict
     return (
         Picture(
             "consistency-circle",
-            plot.as_png(plot.draw_study(circle)),
+            as_png(plot.draw_study(circle), dpi=160),
             "Circle: NEES and errors by step.",
         ),
         Picture(
             "consistency-loop",
-            plot.as_png(plot.draw_study(loop)),
+            as_png(plot.draw_study(loop), dpi=160),
             "Long loop: the textbook EKF is too sure from the first loop on.",
         ),
         Picture(
             "consistency-arena",
-            plot.as_png(plot.draw_nees(panels)),
+            as_png(plot.draw_nees(panels), dpi=160),
             "The whole system in the arena, preset imp.",
         ),
     )

@@ -14,13 +14,13 @@ import numpy as np
 
 from impslam.config import load
 from impslam.evaluation.consistency import nees, pose_errors, share_within
-from impslam.evaluation.landmarks import corners, score_landmarks
+from impslam.evaluation.landmarks import score_landmarks
+from impslam.experiments.arena_runs import arena, true_landmarks
 from impslam.experiments.base import Job
 from impslam.geometry.angles import wrap
 from impslam.pipeline import Pipeline
 from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.simulation.simulate import simulate
-from impslam.simulation.world import load_world
 from impslam.types import Array, Landmark, Message, StepResult, TrueLandmark, TruePose
 
 FILTERS = ("ekf", "riekf")
@@ -122,28 +122,22 @@ def whole_system(job: Job, runs: int, cases: Sequence[Case] = CASES) -> list[Out
 def judge(task: tuple[Case, int]) -> dict[str, Sample]:
     """Run a case's filters over the run of a seed."""
     case, seed = task
-    world = load_world("arena")
-    messages = list(simulate(world, case.robot, seed))
-    truth = [*world.landmarks(), *corners(world.landmarks())]
-    start = list(map(float, world.robot.start))
+    messages = list(simulate(arena(), case.robot, seed))
+    start = list(map(float, arena().robot.start))
     settings = [f"start={start}", f"seed={seed}", *case.settings]
     return {
-        name: sample(messages, truth, [*settings, f"filter.kind={name}"]) for name in case.filters
+        name: sample(messages, true_landmarks(), [*settings, f"filter.kind={name}"])
+        for name in case.filters
     }
 
 
 def sample(
-    messages: Iterable[Message], truth: Sequence[TrueLandmark], settings: Sequence[str]
+    messages: Sequence[Message], truth: Sequence[TrueLandmark], settings: Sequence[str]
 ) -> Sample:
     """Run the preset over the messages and compare it with the true poses among them."""
     pipeline = Pipeline(load("imp", settings))
-    poses: dict[float, Array] = {}
-    steps: list[StepResult] = []
-    for message in messages:
-        if isinstance(message, TruePose):
-            poses[message.stamp] = message.pose
-        steps.extend(pipeline.feed(message))
-    steps.extend(pipeline.flush())
+    steps = list(pipeline.play(messages))
+    poses = {m.stamp: m.pose for m in messages if isinstance(m, TruePose)}
     errors = pose_errors(
         np.array([step.pose for step in steps]), np.array([poses[step.stamp] for step in steps])
     )

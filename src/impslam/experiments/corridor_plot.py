@@ -5,7 +5,6 @@ Importing this module imports matplotlib (0.3 s); import it where a picture is d
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
-from impslam.evaluation.plots import INK, ODOMETRY, PATH, POINT, TRUTH, WALL, style
+from impslam.evaluation.plots import INK, ODOMETRY, PATH, POINT, TIGHT, TRUTH, WALL, as_png, style
 from impslam.experiments.corridor_runs import CorridorRun, corridor_truth
 from impslam.types import Array, Landmark
 
@@ -42,10 +41,7 @@ def corridor_png(runs: Mapping[str, CorridorRun], dpi: int = 110) -> bytes:
         )
         axes.label_outer()
     figure.legend(handles=_keys(), loc="outside lower center", ncols=5, frameon=False)
-    stream = io.BytesIO()
-    plain = {"Software": None}  # no version in the file: the same picture, the same bytes
-    figure.savefig(stream, format="png", bbox_inches="tight", pad_inches=0.12, metadata=plain)
-    return stream.getvalue()
+    return as_png(figure, **TIGHT)
 
 
 def _draw(axes: Any, run: CorridorRun) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,7 +36,6 @@ from impslam.types import (
     Message,
     Observation,
     Scan,
-    StepResult,
     TruePose,
 )
 
@@ -263,7 +262,7 @@ def map_corridor(messages: Sequence[Message], way: Way, seed: int) -> CorridorRu
     births: list[Birth] = []
     truth = {m.stamp: m.pose for m in messages if isinstance(m, TruePose)}
     rows = []
-    for step in _steps(pipeline, messages):
+    for step in pipeline.play(messages):
         rows.append((step.pose, step.odometry, truth[step.stamp]))
         if step.new:
             moment = corridor_truth().moment(step.stamp - begin)
@@ -281,12 +280,6 @@ def map_corridor(messages: Sequence[Message], way: Way, seed: int) -> CorridorRu
 def _missing(landmarks: Sequence[Landmark], kinds: Collection[str]) -> tuple[str, ...]:
     known = [mark for mark in corridor_world().landmarks() if mark.kind in kinds]
     return score_landmarks(landmarks, known).missing
-
-
-def _steps(pipeline: Pipeline, messages: Iterable[Message]) -> Iterator[StepResult]:
-    for message in messages:
-        yield from pipeline.feed(message)
-    yield from pipeline.flush()
 
 
 def count(walls: Sequence[Verdict]) -> Tally:

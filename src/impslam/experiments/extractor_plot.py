@@ -5,7 +5,6 @@ Importing this module imports matplotlib (0.3 s); import it where a picture is d
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
@@ -16,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
+from impslam.evaluation.plots import as_png
 from impslam.experiments.extractor_stats import Tally, typical_ratio
 from impslam.experiments.extractor_tables import OTHER
 
@@ -46,9 +46,7 @@ def draw(tallies: Mapping[str, Tallies], conditions: Sequence[str], known: str) 
         _spurious(false, some, conditions[1:], colours)
         false.set_xlabel(f"per scan: false (filled), {OTHER[kind]} (outlined)")
     rows[0, 0].set_ylabel("typical error ÷ Cramér-Rao bound\n(robot standing, range noise alone)")
-    png = io.BytesIO()
-    figure.savefig(png, format="png")
-    return png.getvalue()
+    return as_png(figure)
 
 
 def _ratios(

@@ -22,7 +22,7 @@ from impslam.component import parameter, register
 from impslam.errors import MessageError
 from impslam.geometry.se2 import exp
 from impslam.noise import MotionNoise
-from impslam.odometry.base import Odometry
+from impslam.odometry.base import Odometry, held_for
 from impslam.types import Array, Increment, Message, Steering
 
 
@@ -91,12 +91,7 @@ class Ackermann(Odometry):
         self._last = message
         if last is None:
             return None
-        duration = max(message.stamp - last.stamp, 0.0)
-        if duration > self.max_hold:
-            raise MessageError(
-                f"no speed and steering for {duration:.3g} s before {message.stamp:.3f} s; the motion "
-                "in between is left out: check the log, or raise odometry.max_hold"
-            )
+        duration = held_for(last.stamp, message.stamp, self.max_hold, "speed and steering")
         angle = self.steering_scale * last.angle + self.steering_offset
         travel = self.speed_scale * last.speed * duration
         d_axle = bicycle(travel, angle, self.wheelbase, self.encoder_offset)

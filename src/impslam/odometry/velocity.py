@@ -17,7 +17,7 @@ from impslam.component import parameter, register
 from impslam.errors import MessageError
 from impslam.geometry.se2 import exp
 from impslam.noise import MotionNoise
-from impslam.odometry.base import Odometry
+from impslam.odometry.base import Odometry, held_for
 from impslam.types import Increment, Message, Velocity
 
 
@@ -52,12 +52,7 @@ class Velocities(Odometry):
         self._last = message
         if last is None:
             return None
-        duration = max(message.stamp - last.stamp, 0.0)
-        if duration > self.max_hold:
-            raise MessageError(
-                f"no velocity for {duration:.3g} s before {message.stamp:.3f} s; the motion in "
-                "between is left out: check the log, or raise odometry.max_hold"
-            )
+        duration = held_for(last.stamp, message.stamp, self.max_hold, "velocity")
         way = self.speed_scale * last.speed * duration
         turn = self.turn_scale * last.turn_rate * duration
         d_pose = exp(np.array([way, 0.0, turn]))

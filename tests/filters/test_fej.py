@@ -1,11 +1,13 @@
 """The first-estimates Jacobian EKF: its unobservable directions stay in one place."""
 
 import numpy as np
+import pytest
 from tests.filters.test_filters import step
 from tests.filters.worlds import MODELS, drive, observe
 
 from impslam.filters.ekf import Ekf
 from impslam.filters.fej import FirstEstimatesEkf
+from impslam.filters.oc import ObservabilityConstrainedEkf
 from impslam.filters.symmetry import pose_D_motion
 from impslam.types import Increment
 
@@ -22,8 +24,9 @@ def first_D_motion(belief):
     return G
 
 
-def test_a_rigid_motion_of_everything_never_gains_information(rng):
-    belief, last = FirstEstimatesEkf(), np.eye(3) / START_SIGMA**2
+@pytest.mark.parametrize("kind", [FirstEstimatesEkf, ObservabilityConstrainedEkf])
+def test_a_rigid_motion_of_everything_never_gains_information(kind, rng):
+    belief, last = kind(), np.eye(3) / START_SIGMA**2
     belief.start(np.zeros(3), START_SIGMA**2 * np.eye(3), MODELS)
     for pose, increment in drive(80, rng):
         step(belief, increment, observe(pose, rng))

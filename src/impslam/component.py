@@ -33,6 +33,7 @@ from impslam.errors import ConfigError
 _ROLES: dict[str, dict[str, type[Component]]] = {}
 _ROOMS = (
     "association",
+    "devices",
     "extractors",
     "filters",
     "landmarks",

@@ -154,8 +154,70 @@ class TruePose:
     pose: Array
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class EncoderVoltages:
+    """What the left and the right absolute encoder give, in V: 0 to 5 V over a turn, wrapping."""
+
+    stamp: float
+    left: float
+    right: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Acceleration:
+    """Linear acceleration (3,) m/s^2 of a second accelerometer, in the IMU's frame."""
+
+    stamp: float
+    linear_acceleration: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MagneticField:
+    """Magnetic field (3,) T, in the IMU's frame."""
+
+    stamp: float
+    field: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Climate:
+    """Temperature in degrees Celsius and relative humidity in [0, 1]."""
+
+    stamp: float
+    temperature: float
+    humidity: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeviceTime:
+    """A device's own clock, in s since it started (unwrapped), at `stamp` on the host's."""
+
+    stamp: float
+    device: str
+    device_stamp: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Event:
+    """Something that happened and is no measurement: a device lost, a fault, an emergency stop.
+
+    `level` is "info", "warning" or "error"; `source` is the device or part that tells.
+    """
+
+    stamp: float
+    level: str
+    source: str
+    text: str
+
+
 Message: TypeAlias = (
     WheelAngles
+    | EncoderVoltages
+    | Acceleration
+    | MagneticField
+    | Climate
+    | DeviceTime
+    | Event
     | OdometryPose
     | Velocity
     | Steering

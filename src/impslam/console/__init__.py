@@ -1,0 +1,1 @@
+"""The page that the robot serves, and who may use it."""

@@ -1,0 +1,1 @@
+"""Devices: what the robot's hardware says, as stamped messages on the host's time base."""

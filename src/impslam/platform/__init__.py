@@ -1,0 +1,1 @@
+"""The robot computer: devices to log, map and page; drive commands back."""

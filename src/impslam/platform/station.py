@@ -1,0 +1,110 @@
+"""The robot computer: devices in, log and map out, commands back."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from impslam.config import load
+from impslam.devices.base import Device, DriveDevice, Health, Reading, now
+from impslam.observers.live_view import LiveView
+from impslam.platform.helm import Helm
+from impslam.platform.mapper import LiveMapper, MapperStatus
+from impslam.platform.recorder import LogRecorder, RecordingStatus
+from impslam.platform.store import LogStore
+from impslam.types import Event, Image
+
+log = logging.getLogger(__name__)
+
+EVENTS = 200  # kept for the page; the log has all
+
+
+@dataclass(frozen=True, slots=True)
+class StationHealth:
+    """How everything is doing, for the page."""
+
+    devices: Mapping[str, Health]
+    recording: RecordingStatus
+    mapping: MapperStatus
+
+
+class Station:
+    """Holds the devices, the recorder, the live map and the helm, and joins them.
+
+    Parameters
+    ----------
+    devices : by name
+    preset : name of the preset or file of TOML that the live map runs with; logs name it too
+    folder : where logs (and maps, in `maps/`) are kept
+    limits : m/s and rad/s, what the helm may ask for
+    floor : bytes that stay free on the disk
+    """
+
+    def __init__(
+        self,
+        devices: Mapping[str, Device],
+        preset: str,
+        folder: Path,
+        limits: tuple[float, float],
+        floor: int,
+    ) -> None:
+        self.devices, self.folder, self.limits = devices, folder, limits
+        self.store = LogStore(folder)
+        self.recorder = LogRecorder(folder, preset, floor)
+        self.view = LiveView()
+        self.mapper = LiveMapper(load(preset), self.view)
+        drives = [device for device in devices.values() if isinstance(device, DriveDevice)]
+        self.helm = Helm(drives[0] if drives else None, limits, self._announce)
+        self.events: list[Event] = []
+        self.picture: Image | None = None
+
+    def start(self) -> None:
+        """Start everything but recording and mapping."""
+        self.helm.start()
+        for device in self.devices.values():
+            device.start(self._receive)
+
+    def stop(self) -> None:
+        """Stand still, close the log, and end every thread."""
+        self.helm.stop()
+        for device in self.devices.values():
+            device.stop()
+        self.recorder.stop()
+        self.mapper.stop()
+
+    def start_mapping(self) -> None:
+        """Begin a new map, the robot standing at its origin."""
+        self.mapper.start()
+
+    def save_map(self) -> Path:
+        """Write the map as it is now into a run folder; mapping goes on."""
+        return self.mapper.save(self.folder / "maps" / time.strftime("map-%Y%m%d-%H%M%S"))
+
+    def health(self) -> StationHealth:
+        """Return how everything is doing."""
+        devices = {name: device.health() for name, device in self.devices.items()}
+        return StationHealth(devices, self.recorder.status(), self.mapper.status())
+
+    def _receive(self, reading: Reading) -> None:
+        """Take one reading; called from the devices' threads, and must not make them wait."""
+        message = reading.message
+        self.recorder.put(reading)
+        if isinstance(message, Event):
+            self._note(message)
+        elif isinstance(message, Image):
+            self.picture = message
+        else:
+            self.mapper.put(message)
+
+    def _announce(self, level: str, text: str) -> None:
+        """Note what happened to the robot as a whole, in the log and on the page."""
+        log.log(logging.getLevelNamesMapping()[level.upper()], "%s", text)
+        moment = now()
+        self._receive(Reading(Event(moment, level, "robot", text), moment, "robot"))
+
+    def _note(self, event: Event) -> None:
+        self.events.append(event)
+        del self.events[:-EVENTS]

@@ -1,0 +1,116 @@
+"""Who is on the page: one session for each login, held by the server alone.
+
+The browser holds a token of 256 random bits; the server keeps only its SHA-256, so that what it
+holds opens nothing. A session ends when nobody has used it for `IDLE`, when it is `LIFE` old, on
+logout, and when a password changes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from typing import Literal
+
+Right = Literal["watch", "drive"]
+
+IDLE = 30 * 60.0  # s without a request or a message: longer than a pause, shorter than a lunch
+LIFE = 12 * 3600.0  # s since the login: one working day
+MOST = 64  # sessions at a time; a robot has a handful of people, and each costs memory
+TOKEN = 32  # bytes of a token
+
+
+class Session:
+    """One login; the page asks it who commands, and whether they still may.
+
+    Attributes
+    ----------
+    id : names the session, to the helm for example; not secret, and opens nothing
+    name : how this one is called on the page: "driver 1", "watcher 2"
+    may_drive : whether it may change anything; who may not, may watch
+    """
+
+    def __init__(
+        self, ident: str, name: str, *, may_drive: bool, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.id, self.name, self.may_drive = ident, name, may_drive
+        self._clock = clock
+        self._begun = self._used = clock()
+        self._ended = False
+
+    def __repr__(self) -> str:
+        return f"Session({self.id}, {self.name})"
+
+    def alive(self) -> bool:
+        """Return whether it still holds; ask before each command."""
+        moment = self._clock()
+        fresh = moment - self._used < IDLE and moment - self._begun < LIFE
+        return fresh and not self._ended
+
+    def use(self) -> None:
+        """Note that it is in use now; does not wake a session that has ended."""
+        if self.alive():
+            self._used = self._clock()
+
+    def end(self) -> None:
+        """End it, for good."""
+        self._ended = True
+
+
+class Sessions:
+    """All sessions, found by the token that their browsers hold.
+
+    Parameters
+    ----------
+    clock : s, never stepping back
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._by_digest: dict[bytes, Session] = {}
+        self._numbers = itertools.count(1)
+
+    def begin(self, right: Right) -> tuple[str, Session]:
+        """Begin a session; return the token for the browser, and the session.
+
+        Where `MOST` are held the one that was not used for longest ends.
+        """
+        token = secrets.token_urlsafe(TOKEN)
+        number = next(self._numbers)
+        name = f"{'driver' if right == 'drive' else 'watcher'} {number}"
+        session = Session(
+            f"{number}-{secrets.token_hex(4)}", name, may_drive=right == "drive", clock=self._clock
+        )
+        with self._lock:
+            self._forget()
+            self._by_digest[_digest(token)] = session
+        return token, session
+
+    def find(self, token: str) -> Session | None:
+        """Return the session of a token, None where it never was or has ended."""
+        with self._lock:
+            session = self._by_digest.get(_digest(token))
+        return session if session is not None and session.alive() else None
+
+    def end_all(self) -> None:
+        """End every session: a password has changed, or the server stops."""
+        with self._lock:
+            for session in self._by_digest.values():
+                session.end()
+            self._by_digest.clear()
+
+    def _forget(self) -> None:
+        """Drop what has ended, and end what was not used for longest where there are too many."""
+        kept = {digest: one for digest, one in self._by_digest.items() if one.alive()}
+        for digest in sorted(kept, key=lambda digest: kept[digest]._used)[: len(kept) - MOST + 1]:
+            kept.pop(digest).end()
+        self._by_digest = kept
+
+
+def _digest(token: str) -> bytes:
+    """Return what is kept of a token; a lookup by it tells nothing of how near a guess was."""
+    return hashlib.sha256(token.encode("utf-8", "replace")).digest()

@@ -1,0 +1,159 @@
+"""Who drives, and what stops the robot when nobody does."""
+
+import math
+import threading
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from impslam.devices.base import DriveDevice
+from impslam.platform import helm as module
+from impslam.platform.helm import DEAD_MAN, PERIOD, Helm, HelmError
+
+
+class Wheels(DriveDevice):
+    """Remembers what it was told, and when."""
+
+    name = "wheels"
+
+    def model_post_init(self, context):
+        self.__dict__["told"] = []
+        self.__dict__["stopped"] = False
+
+    def _serve(self) -> None:
+        self._stopping.wait()
+
+    def drive(self, speed, turn_rate):
+        self.told.append((time.monotonic(), speed, turn_rate))
+
+    def emergency_stop(self):
+        self.__dict__["stopped"] = True
+
+    def release(self):
+        self.__dict__["stopped"] = False
+
+
+@pytest.fixture
+def wheels():
+    return Wheels()
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that stands until moved."""
+    moment = [1000.0]
+    monkeypatch.setattr(module, "now", lambda: moment[0])
+    return moment
+
+
+@pytest.fixture
+def helm(wheels):
+    return Helm(wheels, (0.5, 1.0))
+
+
+def test_a_command_reaches_the_wheels_at_once(helm, wheels, clock):
+    helm.take("a", "Ann")
+    helm.drive("a", 0.2, -0.3)
+    assert wheels.told[-1][1:] == (0.2, -0.3)
+    assert helm.state().speed == 0.2
+
+
+@pytest.mark.parametrize(("age", "moves"), [(DEAD_MAN - 1e-6, True), (DEAD_MAN + 1e-6, False)])
+def test_a_command_holds_for_the_dead_man_s_time_and_no_longer(helm, wheels, clock, age, moves):
+    helm.take("a", "Ann")
+    helm.drive("a", 0.2, 0.1)
+    clock[0] += age
+    helm._pass_on()
+    assert wheels.told[-1][1:] == ((0.2, 0.1) if moves else (0.0, 0.0))
+
+
+def test_the_thread_stops_the_robot_when_commands_cease(wheels):
+    helm = Helm(wheels, (0.5, 1.0))
+    helm.start()
+    helm.take("a", "Ann")
+    helm.drive("a", 0.2, 0.0)
+    given_at = time.monotonic()
+    time.sleep(DEAD_MAN + 6 * PERIOD)
+    helm.stop()
+    last = max(t for t, speed, _ in wheels.told if speed > 0.0)
+    assert last - given_at < DEAD_MAN + 0.05
+    assert wheels.told[-1][1:] == (0.0, 0.0)
+    assert not [thread for thread in threading.enumerate() if thread.name == "helm"]
+
+
+def test_only_one_drives_and_the_others_are_told_who(helm, clock):
+    helm.take("a", "Ann")
+    helm.take("a", "Ann")
+    with pytest.raises(HelmError, match="Ann is driving"):
+        helm.take("b", "Bob")
+    with pytest.raises(HelmError, match="take the helm"):
+        helm.drive("b", 0.1, 0.0)
+    helm.leave("b")
+    assert helm.state().name == "Ann"
+    helm.leave("a")
+    helm.take("b", "Bob")
+    assert helm.state().driver == "b"
+
+
+def test_who_leaves_leaves_a_robot_that_stands(helm, wheels, clock):
+    helm.take("a", "Ann")
+    helm.drive("a", 0.2, 0.0)
+    helm.leave("a")
+    helm._pass_on()
+    assert wheels.told[-1][1:] == (0.0, 0.0)
+
+
+def test_an_emergency_stop_comes_from_anyone_and_wins(helm, wheels, clock):
+    helm.take("a", "Ann")
+    helm.drive("a", 0.2, 0.0)
+    before = len(wheels.told)
+    helm.emergency_stop("Bob")
+    assert wheels.stopped
+    helm.drive("a", 0.2, 0.0)
+    helm._pass_on()
+    assert len(wheels.told) == before  # nothing is sent that could move it
+    assert helm.state().stopped == "emergency stop by Bob"
+    with pytest.raises(HelmError, match="take the helm"):
+        helm.release("b")
+    helm.release("a")
+    assert not wheels.stopped
+    helm._pass_on()
+    assert wheels.told[-1][1:] == (0.0, 0.0)  # what was commanded before is forgotten
+
+
+@given(speed=st.floats(), turn_rate=st.floats())
+def test_nothing_beyond_the_limits_reaches_the_wheels(speed, turn_rate):
+    wheels = Wheels()
+    helm = Helm(wheels, (0.5, 1.0))
+    helm.take("a", "Ann")
+    if math.isfinite(speed) and math.isfinite(turn_rate):
+        helm.drive("a", speed, turn_rate)
+    else:
+        with pytest.raises(HelmError, match="no motion"):
+            helm.drive("a", speed, turn_rate)
+    assert all(abs(v) <= 0.5 and abs(w) <= 1.0 for _, v, w in wheels.told)
+
+
+def test_a_robot_without_wheels_says_so():
+    helm = Helm(None, (0.5, 1.0))
+    with pytest.raises(HelmError, match="nothing to drive with"):
+        helm.take("a", "Ann")
+    helm.emergency_stop("Ann")
+
+
+def test_what_happens_at_the_helm_is_told_once(wheels, clock):
+    told = []
+    helm = Helm(wheels, (0.5, 1.0), lambda level, text: told.append((level, text)))
+    for _ in range(2):
+        helm.take("a", "Ann")
+        helm.emergency_stop("Bob")
+    helm.release("a")
+    helm.leave("a")
+    assert told == [
+        ("info", "Ann takes the helm"),
+        ("warning", "emergency stop by Bob"),
+        ("info", "emergency stop released by Ann"),
+        ("info", "Ann lets go of the helm"),
+    ]

@@ -1,0 +1,119 @@
+"""Byte ports: a serial line, a pseudo-terminal or a TCP connection, behind one way to open them.
+
+pyserial comes with the `robot` extra and is imported when the first port is opened, so that who
+only maps logs does not need it.
+"""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import os
+import select
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+from impslam.devices.base import DeviceError
+
+if TYPE_CHECKING:
+    import serial
+
+TIMEOUT = 0.05  # s that a read or a write may take: a quarter of what a device has to end in
+CHUNK = 4096  # bytes, one page: what a tty buffers
+
+_ADVICE = {
+    errno.ENOENT: "no such port; plug it in, and see `ls /dev/serial/by-id`",
+    errno.ENODEV: "the device has gone; plug it in",
+    errno.ENXIO: "the device has gone; plug it in",
+    errno.EACCES: "not allowed; add the user to the group dialout and log in again",
+    errno.EPERM: "not allowed; add the user to the group dialout and log in again",
+    errno.EAGAIN: "another program has it open; close that one",
+    errno.EBUSY: "another program has it open; close that one",
+    errno.EIO: "the line is dead; check the plug",
+    errno.ENOTTY: "this is no serial port; check the path",
+}
+
+
+def extra(module: str) -> ModuleType:
+    """Import a module that comes with the `robot` extra.
+
+    Raises
+    ------
+    DeviceError
+        If the extra is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise DeviceError(
+            f'{module} is not installed; install it with: pip install "impslam[robot]"'
+        ) from error
+
+
+def open_port(url: str, baud: int) -> serial.SerialBase:
+    """Open a port: "/dev/ttyUSB0", a pseudo-terminal's path, or "socket://host:port" (TCP).
+
+    It is locked against other programs where the system can; reads and writes end after `TIMEOUT`.
+    `baud` has no meaning over TCP.
+
+    Raises
+    ------
+    DeviceError
+        If it cannot be opened: what, where, what to do.
+    """
+    pyserial = extra("serial")
+    try:
+        port: serial.SerialBase = pyserial.serial_for_url(
+            url, baudrate=baud, timeout=TIMEOUT, write_timeout=TIMEOUT, exclusive=True
+        )
+    except (OSError, ValueError, OverflowError) as error:
+        raise _explained(url, "cannot be opened", error) from error
+    return port
+
+
+def read_some(port: serial.SerialBase, wait: float = TIMEOUT) -> bytes:
+    """Return what has come, waiting at most `wait` s for the first byte; empty if none came.
+
+    pyserial's `read` waits for a number of bytes; this one gives them as soon as they are there.
+
+    Raises
+    ------
+    DeviceError
+        If the port is dead.
+    """
+    try:
+        ready, _, _ = select.select([port.fileno()], [], [], wait)
+        if not ready:
+            return b""
+        data = os.read(port.fileno(), CHUNK)
+    except BlockingIOError:  # pragma: no cover  # readiness may be spurious: select(2), BUGS
+        return b""
+    except (OSError, ValueError, TypeError) as error:  # pyserial's of a port closed meanwhile
+        raise _explained(port.port, "has been lost", error) from error
+    if not data:
+        raise DeviceError(f"{port.port}: has been lost: the other end hung up; check the plug")
+    return data
+
+
+def write_all(port: serial.SerialBase, data: bytes) -> None:
+    """Write all of it, within `TIMEOUT`.
+
+    Raises
+    ------
+    DeviceError
+        If the port is dead or does not take it in time.
+    """
+    try:
+        port.write(data)
+    except (OSError, ValueError, TypeError) as error:
+        raise _explained(port.port, "cannot be written to", error) from error
+
+
+def _explained(url: str | None, what: str, error: Exception) -> DeviceError:
+    advice = _ADVICE.get(getattr(error, "errno", None) or 0, "")
+    return DeviceError(f"{url}: {what}: {advice or _reason(error)}")
+
+
+def _reason(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return f"{text or type(error).__name__}; check the port's name, its plug and its supply"

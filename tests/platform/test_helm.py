@@ -157,3 +157,16 @@ def test_what_happens_at_the_helm_is_told_once(wheels, clock):
         ("info", "emergency stop released by Ann"),
         ("info", "Ann lets go of the helm"),
     ]
+
+
+def test_every_motion_and_each_new_stand_is_recorded(wheels, clock):
+    sent = []
+    helm = Helm(wheels, (0.5, 1.0), sent=lambda *command: sent.append(command))
+    helm._pass_on()
+    helm.take("a", "Ann")
+    helm.drive("a", 0.2, 0.1)
+    helm._pass_on()
+    clock[0] += 1.0
+    helm._pass_on()
+    helm._pass_on()
+    assert sent == [(0.2, 0.1), (0.2, 0.1), (0.0, 0.0)]

@@ -52,6 +52,7 @@ class Helm:
     device : what moves the robot, None where nothing does
     limits : m/s and rad/s that no command may exceed; what is beyond is cut to them
     tell : called with (level, text) for what everyone should know
+    sent : called with (m/s, rad/s) when the device is told to move, or anew to stand
     """
 
     def __init__(
@@ -59,13 +60,14 @@ class Helm:
         device: DriveDevice | None,
         limits: tuple[float, float],
         tell: Callable[[str, str], None] = lambda level, text: None,
+        sent: Callable[[float, float], None] = lambda speed, turn_rate: None,
     ) -> None:
-        self._device, self._limits, self._tell = device, limits, tell
+        self._device, self._limits, self._tell, self._sent = device, limits, tell, sent
         self._lock = threading.Lock()
         self._driver: tuple[str, str] | None = None
         self._stopped = ""
         self._command, self._given = (0.0, 0.0), float("-inf")
-        self._moving = False
+        self._told = (0.0, 0.0)
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._keep, name="helm", daemon=True)
 
@@ -178,6 +180,10 @@ class Helm:
                 return
             # Within the lock, so that no thread sends an older command after a newer one.
             device.drive(speed, turn_rate)
+            news = (speed, turn_rate) != self._told or (speed, turn_rate) != (0.0, 0.0)
+            self._told = (speed, turn_rate)
+        if news:
+            self._sent(speed, turn_rate)
 
 
 def _within(value: float, limit: float) -> float:

@@ -15,7 +15,7 @@ from impslam.platform.helm import Helm
 from impslam.platform.mapper import LiveMapper, MapperStatus
 from impslam.platform.recorder import LogRecorder, RecordingStatus
 from impslam.platform.store import LogStore
-from impslam.types import Event, Image
+from impslam.types import Event, Image, Velocity
 
 log = logging.getLogger(__name__)
 
@@ -57,7 +57,7 @@ class Station:
         self.view = LiveView()
         self.mapper = LiveMapper(load(preset), self.view)
         drives = [device for device in devices.values() if isinstance(device, DriveDevice)]
-        self.helm = Helm(drives[0] if drives else None, limits, self._announce)
+        self.helm = Helm(drives[0] if drives else None, limits, self._announce, self._commanded)
         self.events: list[Event] = []
         self.picture: Image | None = None
 
@@ -97,7 +97,12 @@ class Station:
         elif isinstance(message, Image):
             self.picture = message
         else:
-            self.mapper.put(message)
+            self.mapper.put(message, reading.arrived)
+
+    def _commanded(self, speed: float, turn_rate: float) -> None:
+        """Record what the robot was told; it is no odometry, and the map must not take it for one."""
+        moment = now()
+        self.recorder.put(Reading(Velocity(moment, speed, turn_rate), moment, "helm"))
 
     def _announce(self, level: str, text: str) -> None:
         """Note what happened to the robot as a whole, in the log and on the page."""

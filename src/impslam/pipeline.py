@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import time
+from array import array
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -30,14 +31,14 @@ class Stopwatch:
     """Seconds per stage, one entry a scan."""
 
     def __init__(self) -> None:
-        self.stages: dict[str, list[float]] = {}
+        self.stages: dict[str, array[float]] = {}
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
         """Time a block."""
         begin = time.perf_counter()
         yield
-        self.stages.setdefault(stage, []).append(time.perf_counter() - begin)
+        self.stages.setdefault(stage, array("d")).append(time.perf_counter() - begin)
 
 
 class Gate:
@@ -158,7 +159,7 @@ class Pipeline:
         return _at_stamp(result, since, self._timeline.ahead(message.stamp))
 
     @property
-    def stages(self) -> dict[str, list[float]]:
+    def stages(self) -> dict[str, array[float]]:
         """Seconds per stage."""
         return self._clock.stages
 
@@ -178,6 +179,74 @@ def _at_stamp(result: StepResult, since: Increment, ahead: Increment) -> StepRes
     return replace(result, pose=pose, covariance=covariance, odometry=odometry)
 
 
+class Run:
+    """A run in progress: messages in, results to the observers, and its books.
+
+    Logs, replays and live robots differ in where messages come from and when; this is the rest.
+    One thread at a time may use it.
+
+    Attributes
+    ----------
+    pipeline : what estimates
+    steps : scans used by now
+    """
+
+    def __init__(self, config: Config, observers: Iterable[Observer] = ()) -> None:
+        self._config, self._observers, self.pipeline = config, list(observers), Pipeline(config)
+        self.steps = 0
+        self._begin, self._first, self._last = time.perf_counter(), np.inf, -np.inf
+
+    def feed(self, message: Message) -> None:
+        """Take in one message; the observers see each scan that it completes."""
+        if isinstance(message, TruePose):
+            for observer in self._observers:
+                observer.truth(message)
+        self._first = min(self._first, message.stamp)
+        self._last = max(self._last, message.stamp)
+        self._show(self.pipeline.feed(message))
+
+    def flush(self) -> None:
+        """Use the scans that still wait for odometry, which will not come."""
+        self._show(self.pipeline.flush())
+
+    def _show(self, results: Iterable[StepResult]) -> None:
+        for result in results:
+            self.steps += 1
+            for observer in self._observers:
+                observer.step(result)
+
+    def finish(self, source: Source) -> Outcome:
+        """Tell the observers what the run of this log was, and return it.
+
+        Raises
+        ------
+        SourceError
+            If the log holds no scan that could be used, or no odometry.
+        """
+        _refuse_empty(self._config, source, self.pipeline, self.steps)
+        outcome = self.outcome(source.path, fingerprint(source.path), source.problems)
+        for observer in self._observers:
+            observer.finish(outcome)
+        return outcome
+
+    def outcome(self, log: Path, sha256: str, *problems: Problems) -> Outcome:
+        """Return what the run is by now; `problems` are those outside of the pipeline."""
+        pipeline = self.pipeline
+        landmarks = pipeline.slam.landmarks()
+        return Outcome(
+            log=log,
+            log_sha256=sha256,
+            config=self._config.resolved(),
+            counts={**pipeline.counts, "steps": self.steps, "landmarks": len(landmarks)},
+            dropped=_join(*problems, pipeline.problems),
+            stages={name: np.array(times) for name, times in pipeline.stages.items()},
+            log_seconds=float(self._last - self._first),
+            wall_seconds=time.perf_counter() - self._begin,
+            landmarks=landmarks,
+            state_size=pipeline.slam.filter.state_size,
+        )
+
+
 def run(config: Config, source: Source, observers: Iterable[Observer] = ()) -> Outcome:
     """Run a log through the estimator and show every result to the observers.
 
@@ -186,40 +255,12 @@ def run(config: Config, source: Source, observers: Iterable[Observer] = ()) -> O
     SourceError
         If the log holds no scan that could be used, or no odometry.
     """
-    observers, pipeline = list(observers), Pipeline(config)
-    begin, first, last, steps = time.perf_counter(), np.inf, -np.inf, 0
+    course = Run(config, observers)
     with source:
         for message in source:
-            if isinstance(message, TruePose):
-                for observer in observers:
-                    observer.truth(message)
-            first, last = min(first, message.stamp), max(last, message.stamp)
-            for result in pipeline.feed(message):
-                steps += 1
-                for observer in observers:
-                    observer.step(result)
-        for result in pipeline.flush():
-            steps += 1
-            for observer in observers:
-                observer.step(result)
-        problems = _join(source.problems, pipeline.problems)
-    _refuse_empty(config, source, pipeline, steps)
-    landmarks = pipeline.slam.landmarks()
-    outcome = Outcome(
-        log=source.path,
-        log_sha256=fingerprint(source.path),
-        config=config.resolved(),
-        counts={**pipeline.counts, "steps": steps, "landmarks": len(landmarks)},
-        dropped=problems,
-        stages={name: np.array(times) for name, times in pipeline.stages.items()},
-        log_seconds=float(last - first),
-        wall_seconds=time.perf_counter() - begin,
-        landmarks=landmarks,
-        state_size=pipeline.slam.filter.state_size,
-    )
-    for observer in observers:
-        observer.finish(outcome)
-    return outcome
+            course.feed(message)
+        course.flush()
+    return course.finish(source)
 
 
 def _refuse_empty(config: Config, source: Source, pipeline: Pipeline, steps: int) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -18,6 +19,13 @@ from impslam.simulation.world import Drive
 from impslam.types import Array
 
 CONTROL_RATE = 100.0  # Hz, that of the robot's own autopilot
+
+
+class Path(Protocol):
+    """Where the robot is at any time, planned or driven."""
+
+    def at(self, times: Array) -> Array:
+        """Return the poses (k, 3) in map at times (k,) s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

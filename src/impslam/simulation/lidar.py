@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from impslam.geometry.angles import wrap
-from impslam.simulation.drive import Trajectory
+from impslam.simulation.drive import Path
 from impslam.simulation.raycast import sweep
 from impslam.simulation.robot import Lidar
 from impslam.simulation.scene import Scene
@@ -15,10 +15,10 @@ _PARTS = np.linspace(-0.4, 0.4, 5)  # middles of five equal parts of a beam's wi
 
 
 class LidarSimulator:
-    """Sweeps of one lidar on one trajectory; keeps the run's bias and the noise stream."""
+    """Sweeps of one lidar along one path; keeps the run's bias and the noise stream."""
 
     def __init__(
-        self, lidar: Lidar, scene: Scene, trajectory: Trajectory, rng: np.random.Generator
+        self, lidar: Lidar, scene: Scene, trajectory: Path, rng: np.random.Generator
     ) -> None:
         self._lidar, self._scene, self._trajectory, self._rng = lidar, scene, trajectory, rng
         self._bias = lidar.bias_sigma * float(rng.standard_normal())

@@ -19,17 +19,17 @@ def wheel_angles(
     Each fault draws from a stream of its own, so that switching one off leaves the others.
     """
     building, slipping, skidding, noise = rng.spawn(4)
-    radii, track, phase = _build(encoders, building)
+    radii, track, phase = build(encoders, building)
     way, turn = (np.diff(driven) for driven in trajectory.travel(times))
     kept = 1.0 - _slip(encoders, turn / np.diff(times), slipping)
     travel = way[:, None] + 0.5 * track * (kept * turn)[:, None] * np.array([-1.0, 1.0])
     travel = np.column_stack([_skid(encoders, travel[:, side], skidding) for side in (0, 1)])
     travel += np.sqrt(encoders.noise * np.abs(travel)) * noise.standard_normal(travel.shape)
     angles = phase + np.vstack([np.zeros(2), np.cumsum(travel / radii, axis=0)])
-    return _quantise(angles, encoders.counts)
+    return quantise(angles, encoders.counts)
 
 
-def _build(encoders: WheelEncoders, rng: np.random.Generator) -> tuple[Array, float, Array]:
+def build(encoders: WheelEncoders, rng: np.random.Generator) -> tuple[Array, float, Array]:
     """Return this robot's true radii (2,), true track and where its encoders begin (2,)."""
     error = rng.standard_normal(3)
     phase = rng.uniform(0.0, 2 * math.pi, 2) if encoders.counts else np.zeros(2)
@@ -59,7 +59,8 @@ def _skid(encoders: WheelEncoders, travel: Array, rng: np.random.Generator) -> A
     return np.asarray(np.sign(travel) * np.maximum(np.abs(travel) - lost, 0.0))
 
 
-def _quantise(angles: Array, counts: int) -> Array:
+def quantise(angles: Array, counts: int) -> Array:
+    """Return angles in rad as an encoder of so many counts a turn reads them; 0: continuous."""
     if not counts:
         return angles
     step = 2 * math.pi / counts

@@ -70,4 +70,5 @@ class ThinPath:
     def _straight(self, part: Points) -> Points:
         if len(part) < 3:
             return part
-        return cv2.approxPolyDP(part.reshape(-1, 1, 2), self.tolerance, False).reshape(-1, 2)
+        kept = cv2.approxPolyDP(part.reshape(-1, 1, 2), self.tolerance, False)
+        return kept.reshape(-1, 2).astype(np.float32, copy=False)

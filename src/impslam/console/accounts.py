@@ -104,7 +104,8 @@ class Accounts:
             As `rights`.
         """
         book = self._read()
-        return book.right(book.cost.hash(password[:LONGEST], book.salt))
+        right = book.right(book.cost.hash(password[:LONGEST], book.salt))
+        return right if len(password) <= LONGEST else None
 
     def set(self, right: Right, password: str) -> None:
         """Set the password of a right; every session of a running server then ends.

@@ -31,6 +31,7 @@ class Session:
     id : names the session, to the helm for example; not secret, and opens nothing
     name : how this one is called on the page: "driver 1", "watcher 2"
     may_drive : whether it may change anything; who may not, may watch
+    used : s of the clock, when it was last in use
     """
 
     def __init__(
@@ -38,7 +39,7 @@ class Session:
     ) -> None:
         self.id, self.name, self.may_drive = ident, name, may_drive
         self._clock = clock
-        self._begun = self._used = clock()
+        self._begun = self.used = clock()
         self._ended = False
 
     def __repr__(self) -> str:
@@ -47,13 +48,13 @@ class Session:
     def alive(self) -> bool:
         """Return whether it still holds; ask before each command."""
         moment = self._clock()
-        fresh = moment - self._used < IDLE and moment - self._begun < LIFE
+        fresh = moment - self.used < IDLE and moment - self._begun < LIFE
         return fresh and not self._ended
 
     def use(self) -> None:
         """Note that it is in use now; does not wake a session that has ended."""
         if self.alive():
-            self._used = self._clock()
+            self.used = self._clock()
 
     def end(self) -> None:
         """End it, for good."""
@@ -87,13 +88,13 @@ class Sessions:
         )
         with self._lock:
             self._forget()
-            self._by_digest[_digest(token)] = session
+            self._by_digest[digest(token)] = session
         return token, session
 
     def find(self, token: str) -> Session | None:
         """Return the session of a token, None where it never was or has ended."""
         with self._lock:
-            session = self._by_digest.get(_digest(token))
+            session = self._by_digest.get(digest(token))
         return session if session is not None and session.alive() else None
 
     def end_all(self) -> None:
@@ -105,12 +106,13 @@ class Sessions:
 
     def _forget(self) -> None:
         """Drop what has ended, and end what was not used for longest where there are too many."""
-        kept = {digest: one for digest, one in self._by_digest.items() if one.alive()}
-        for digest in sorted(kept, key=lambda digest: kept[digest]._used)[: len(kept) - MOST + 1]:
-            kept.pop(digest).end()
+        kept = {key: one for key, one in self._by_digest.items() if one.alive()}
+        by_use = sorted(kept, key=lambda key: kept[key].used)
+        for key in by_use[: max(0, len(kept) - MOST + 1)]:
+            kept.pop(key).end()
         self._by_digest = kept
 
 
-def _digest(token: str) -> bytes:
+def digest(token: str) -> bytes:
     """Return what is kept of a token; a lookup by it tells nothing of how near a guess was."""
     return hashlib.sha256(token.encode("utf-8", "replace")).digest()

@@ -12,7 +12,9 @@ from tests.sources.logs import assert_same, messages, read, write_mcap
 from impslam.errors import MessageError, SourceError
 from impslam.sources.base import recognise
 from impslam.sources.recording import McapWriter
-from impslam.sources.ros_messages import seconds
+from impslam.sources.ros_messages import read_odometry, seconds
+from impslam.sources.ros_writers import nanoseconds as nanoseconds_of
+from impslam.sources.ros_writers import pose
 from impslam.types import LaserScan, Message, OdometryPose, TruePose, WheelAngles
 
 
@@ -120,18 +122,13 @@ def test_an_error_leaves_no_file(tmp_path: Path) -> None:
 
 @given(st.integers(0, 2 * 10**18))
 def test_stamps_survive_to_the_last_bit(nanoseconds: int) -> None:
-    from impslam.sources.recording import _nanoseconds  # noqa: PLC0415
-
     stamp = seconds(nanoseconds)
-    assert seconds(_nanoseconds(stamp)) == stamp
+    assert seconds(nanoseconds_of(stamp)) == stamp
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(-1e6, 1e6))
 def test_poses_survive(theta: float, x: float) -> None:
-    from impslam.sources.recording import _pose  # noqa: PLC0415
-    from impslam.sources.ros_messages import read_odometry  # noqa: PLC0415
-
-    back = read_odometry(_pose(OdometryPose(1.0, np.array([x, -x, theta]))), 1.0)
+    back = read_odometry(pose(OdometryPose(1.0, np.array([x, -x, theta]))), 1.0)
     assert back.pose[0] == x
     error = math.remainder(back.pose[2] - theta, 2 * math.pi)
     assert abs(error) < 1e-15

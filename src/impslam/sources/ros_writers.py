@@ -1,0 +1,258 @@
+"""Values of this package as ROS 2 messages: which topic, which type, and the bytes.
+
+The other half of `ros_messages`. Header stamps are the messages' own; frames follow REP 105.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+
+from impslam.errors import MessageError
+from impslam.sources.ros_messages import LEFT, NANOSECONDS, RIGHT
+from impslam.sources.ros_storage import RosMessage
+from impslam.types import (
+    Acceleration,
+    Array,
+    Climate,
+    DeviceTime,
+    EncoderVoltages,
+    Event,
+    Image,
+    Imu,
+    LaserScan,
+    MagneticField,
+    Message,
+    OdometryPose,
+    TruePose,
+    Velocity,
+    WheelAngles,
+)
+
+TYPES = get_typestore(Stores.ROS2_HUMBLE)  # the oldest release in support, whose types last
+
+LEVELS = {"info": 20, "warning": 30, "error": 40}  # INFO, WARN and ERROR of rcl_interfaces/Log
+UNKNOWN_VARIANCE = 0.0  # what sensor_msgs takes for a variance that nobody has stated
+
+
+def new(kind: str, *values: Any) -> RosMessage:
+    """Return a message of this type with these fields."""
+    return TYPES.types[kind](*values)
+
+
+def nanoseconds(stamp: float) -> int:
+    """Return s as ns; `MessageError` outside the range of ROS, 1970 to 2038."""
+    if not 0.0 <= stamp < 2.0**31:
+        raise MessageError(f"a stamp of {stamp} s does not fit ROS; it must be in 0 to 2^31 s")
+    whole = math.floor(stamp)
+    return whole * NANOSECONDS + round((stamp - whole) * NANOSECONDS)
+
+
+def _time(stamp: float) -> RosMessage:
+    return new("builtin_interfaces/msg/Time", *divmod(nanoseconds(stamp), NANOSECONDS))
+
+
+def _header(stamp: float, frame: str) -> RosMessage:
+    return new("std_msgs/msg/Header", _time(stamp), frame)
+
+
+def _xyz(kind: str, values: Array) -> RosMessage:
+    return new(f"geometry_msgs/msg/{kind}", *map(float, values))
+
+
+def _spacing(name: str, values: Array) -> float:
+    """Return the step of equally spaced values; `MessageError` if they are not."""
+    if len(values) < 2:
+        return 0.0
+    step = (float(values[-1]) - float(values[0])) / (len(values) - 1)
+    if not np.allclose(np.diff(values), step, rtol=0.0, atol=1e-6):
+        raise MessageError(f"{name} are not equally spaced, which sensor_msgs/LaserScan cannot say")
+    return step
+
+
+def _scan(message: LaserScan) -> RosMessage:
+    if len(message.ranges) == 0:
+        raise MessageError("a scan without beams cannot be recorded")
+    step, wait = _spacing("angles", message.angles), _spacing("times", message.time_offsets)
+    bright = np.empty(0) if message.intensities is None else message.intensities
+    return new(
+        "sensor_msgs/msg/LaserScan",
+        _header(message.stamp, "laser"),
+        float(message.angles[0]),
+        float(message.angles[-1]),
+        step,
+        wait,
+        wait * len(message.ranges),
+        message.range_min,
+        message.range_max,
+        message.ranges.astype(np.float32),
+        bright.astype(np.float32),
+    )
+
+
+def _wheels(message: WheelAngles) -> RosMessage:
+    position, none = np.array([message.left, message.right], np.float64), np.empty(0)
+    header = _header(message.stamp, "")
+    return new("sensor_msgs/msg/JointState", header, [LEFT, RIGHT], position, none, none)
+
+
+def _voltages(message: EncoderVoltages) -> RosMessage:
+    """Return the left encoder in x and the right one in y, V; no standard type has a pair."""
+    both = _xyz("Vector3", np.array([message.left, message.right, 0.0]))
+    return new("geometry_msgs/msg/Vector3Stamped", _header(message.stamp, ""), both)
+
+
+def _imu(message: Imu) -> RosMessage:
+    unknown, known = np.zeros(9), np.zeros(9)
+    unknown[0] = -1.0
+    turn = message.orientation
+    return new(
+        "sensor_msgs/msg/Imu",
+        _header(message.stamp, "imu"),
+        _xyz("Quaternion", np.array([0.0, 0.0, 0.0, 1.0]) if turn is None else turn),
+        unknown if turn is None else known,
+        _xyz("Vector3", message.angular_velocity),
+        known,
+        _xyz("Vector3", message.linear_acceleration),
+        known,
+    )
+
+
+def _acceleration(message: Acceleration) -> RosMessage:
+    linear, angular = _xyz("Vector3", message.linear_acceleration), _xyz("Vector3", np.zeros(3))
+    both = new("geometry_msgs/msg/Accel", linear, angular)
+    return new("geometry_msgs/msg/AccelStamped", _header(message.stamp, "imu"), both)
+
+
+def _magnetic(message: MagneticField) -> RosMessage:
+    field = _xyz("Vector3", message.field)
+    return new("sensor_msgs/msg/MagneticField", _header(message.stamp, "imu"), field, np.zeros(9))
+
+
+def _temperature(message: Climate) -> RosMessage:
+    header = _header(message.stamp, "base_link")
+    return new("sensor_msgs/msg/Temperature", header, message.temperature, UNKNOWN_VARIANCE)
+
+
+def _humidity(message: Climate) -> RosMessage:
+    header = _header(message.stamp, "base_link")
+    return new("sensor_msgs/msg/RelativeHumidity", header, message.humidity, UNKNOWN_VARIANCE)
+
+
+def _device_time(message: DeviceTime) -> RosMessage:
+    header, device = _header(message.stamp, ""), _time(message.device_stamp)
+    return new("sensor_msgs/msg/TimeReference", header, device, message.device)
+
+
+def _event(message: Event) -> RosMessage:
+    level = LEVELS.get(message.level, LEVELS["error"])
+    return new(
+        "rcl_interfaces/msg/Log",
+        _time(message.stamp),
+        level,
+        message.source,
+        message.text,
+        *("", "", 0),  # no place in a program
+    )
+
+
+def _velocity(message: Velocity) -> RosMessage:
+    forward = _xyz("Vector3", np.array([message.speed, 0.0, 0.0]))
+    turn = _xyz("Vector3", np.array([0.0, 0.0, message.turn_rate]))
+    twist = new("geometry_msgs/msg/Twist", forward, turn)
+    return new("geometry_msgs/msg/TwistStamped", _header(message.stamp, "base_link"), twist)
+
+
+def _image(message: Image) -> RosMessage:
+    data = np.frombuffer(message.data, np.uint8)
+    header = _header(message.stamp, "camera")
+    return new("sensor_msgs/msg/CompressedImage", header, message.format, data)
+
+
+def pose(message: OdometryPose | TruePose) -> RosMessage:
+    """Return a pose in the plane as `nav_msgs/Odometry`, in map (the truth) or odom."""
+    frame = "map" if isinstance(message, TruePose) else "odom"
+    x, y, theta = map(float, message.pose)
+    turn = np.array([0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0)])
+    place = new(
+        "geometry_msgs/msg/Pose",
+        _xyz("Point", np.array([x, y, 0.0])),
+        _xyz("Quaternion", turn),
+    )
+    still = _xyz("Vector3", np.zeros(3))
+    return new(
+        "nav_msgs/msg/Odometry",
+        _header(message.stamp, frame),
+        "base_link",
+        new("geometry_msgs/msg/PoseWithCovariance", place, np.zeros(36)),
+        new(
+            "geometry_msgs/msg/TwistWithCovariance",
+            new("geometry_msgs/msg/Twist", still, still),
+            np.zeros(36),
+        ),
+    )
+
+
+class Channel(NamedTuple):
+    """Where a message goes: topic ({device} stands for the device it is about), type, and how."""
+
+    topic: str
+    kind: str
+    convert: Callable[[Any], RosMessage]
+
+
+CHANNELS: dict[type[Message], tuple[Channel, ...]] = {
+    LaserScan: (Channel("/scan", "sensor_msgs/msg/LaserScan", _scan),),
+    WheelAngles: (Channel("/joint_states", "sensor_msgs/msg/JointState", _wheels),),
+    OdometryPose: (Channel("/odom", "nav_msgs/msg/Odometry", pose),),
+    Imu: (Channel("/imu", "sensor_msgs/msg/Imu", _imu),),
+    Image: (Channel("/camera/image/compressed", "sensor_msgs/msg/CompressedImage", _image),),
+    TruePose: (Channel("/ground_truth", "nav_msgs/msg/Odometry", pose),),
+    EncoderVoltages: (Channel("/encoders/voltage", "geometry_msgs/msg/Vector3Stamped", _voltages),),
+    Acceleration: (
+        Channel("/imu/acceleration_2", "geometry_msgs/msg/AccelStamped", _acceleration),
+    ),
+    MagneticField: (Channel("/imu/magnetic_field", "sensor_msgs/msg/MagneticField", _magnetic),),
+    Climate: (
+        Channel("/temperature", "sensor_msgs/msg/Temperature", _temperature),
+        Channel("/humidity", "sensor_msgs/msg/RelativeHumidity", _humidity),
+    ),
+    DeviceTime: (Channel("/clock/{device}", "sensor_msgs/msg/TimeReference", _device_time),),
+    Event: (Channel("/rosout", "rcl_interfaces/msg/Log", _event),),
+    Velocity: (Channel("/cmd_vel", "geometry_msgs/msg/TwistStamped", _velocity),),
+}
+
+
+class Record(NamedTuple):
+    """A message as it stands in a log."""
+
+    topic: str
+    kind: str
+    data: memoryview | bytes
+
+
+def encode(message: Message) -> Iterator[Record]:
+    """Yield a message as ROS has it: mostly one record, of the climate two.
+
+    Raises
+    ------
+    MessageError
+        If it cannot be said in ROS (beams not equally spaced, stamps before 1970, no type for it).
+    """
+    if type(message) not in CHANNELS:
+        raise MessageError(f"{type(message).__name__} has no ROS type and cannot be recorded")
+    device = topic_name(message.device) if isinstance(message, DeviceTime) else ""
+    for topic, kind, convert in CHANNELS[type(message)]:
+        data = TYPES.serialize_cdr(convert(message), kind)
+        yield Record(topic.format(device=device), kind, data)
+
+
+def topic_name(text: str) -> str:
+    """Return a text as a part of a ROS topic: letters, digits and _, not beginning with a digit."""
+    name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")
+    return name if name and not name[0].isdigit() else f"_{name}"

@@ -22,6 +22,7 @@ COMMANDS = {
     "simulate": ("simulate:simulate", "Write what the robot would have recorded in a world."),
     "evaluate": ("evaluate:evaluate", "Score runs against the truth or measured relations."),
     "reproduce": ("reproduce:reproduce", "Run the thesis's experiments: its tables and figures."),
+    "robot": ("robot:app", "Drive, record and map from a page that the robot serves."),
     "inspect": ("inspect:inspect", "Print what is in a log, and what is wrong with it."),
     "list": ("list:list_components", "Print the components of each role and their parameters."),
     "config": ("config:config", "Print every parameter of a preset or file, as TOML."),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -61,11 +61,12 @@ def execute(
     quiet: bool,
     more: Iterable[Observer] = (),
     known: Sequence[TrueLandmark] = (),
+    player: Callable[[Config, Source, list[Observer]], Outcome] = run,
 ) -> Outcome:
     """Run a log, write the run folder, and show how far it has come.
 
     `known` are the true landmarks, for scoring alone, where neither the source nor a file beside it
-    tells them.
+    tells them. `player` takes the log through the estimator: at once, or on a page.
     """
     if folder.resolve().is_relative_to(source.path.resolve()):
         raise ConfigError(f"{folder}: is within the log, which would change it; give another -o")
@@ -76,7 +77,7 @@ def execute(
             known = known or source.true_landmarks() or _surveyed(source.path)
             recorder = Recorder(folder, config.grid.resolution, known)
             report = Report(folder, recorder.grid, known)
-            return run(config, source, [progress.Bar(source, shown), recorder, report, *more])
+            return player(config, source, [progress.Bar(source, shown), recorder, report, *more])
     except ImpError:
         _clear(folder)
         if created and folder.is_dir() and not any(folder.iterdir()):

@@ -3,19 +3,40 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Base, Common, Seed, Settings, Topics
+from impslam.cli.console import Base, Common, Flag, Seed, Settings, Topics
 from impslam.cli.job import execute, plan, run_folder, topic_settings
+from impslam.cli.replay import replay
 from impslam.observers.base import Outcome
 from impslam.observers.summary import Distance, real_time_factor
+from impslam.pipeline import run as pipeline_run
 
 
-def run(
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A page to watch a run on.
+
+    Parameters
+    ----------
+    live
+        Play the log on a page, at the pace of its stamps: pause, step, speed.
+    port
+        TCP port of that page.
+    """
+
+    live: Flag = False
+    port: int = 8080
+
+
+def run(  # noqa: PLR0913  # each is an option that a user may give
     log: Path,
     /,
     *,
@@ -24,6 +45,7 @@ def run(
     settings: Settings = (),
     topics: Topics = (),
     seed: Seed = None,
+    page: Page | None = None,
     common: Common | None = None,
 ) -> None:
     """Map a log: write its path, landmarks, grid and report into a folder.
@@ -40,7 +62,9 @@ def run(
     folder = run_folder(output, log.resolve().name.split(".")[0] or "log")
     quiet = common is not None and common.quiet
     distance = Distance()
-    outcome = execute(chosen, source, folder, quiet, [distance])
+    page = page or Page()
+    player = partial(replay, port=page.port, quiet=quiet) if page.live else pipeline_run
+    outcome = execute(chosen, source, folder, quiet or page.live, [distance], player=player)
     if not quiet:
         show(outcome, distance.path, folder)
 

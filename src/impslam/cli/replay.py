@@ -1,0 +1,55 @@
+"""`imp run LOG --live`: a log played on the page that a robot serves."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Iterable
+
+from impslam.cli import console
+from impslam.config import Config
+from impslam.errors import ConfigError, ImpError
+from impslam.observers.base import Observer, Outcome
+from impslam.observers.live_view import LiveView
+from impslam.sources.base import Source
+
+WEB = ("nicegui", "cryptography")
+
+
+def need_web() -> None:
+    """Raise `ConfigError` where what serves the page is not installed."""
+    missing = [name for name in WEB if importlib.util.find_spec(name) is None]
+    if missing:
+        raise ConfigError(
+            f"the page needs {missing[0]}; install it with `pip install 'impslam[robot,web]'`"
+        )
+
+
+def replay(
+    config: Config, source: Source, observers: Iterable[Observer], *, port: int, quiet: bool
+) -> Outcome:
+    """Play a log on the page until it is left with Ctrl-C; return what the run was.
+
+    Raises
+    ------
+    ImpError
+        If it was left before the log's end.
+    """
+    need_web()
+    from impslam.console.model import Model  # noqa: PLC0415  # needs the extra
+    from impslam.console.server import ServerSettings, serve  # noqa: PLC0415
+    from impslam.platform.player import play_live  # noqa: PLC0415
+
+    view = LiveView()
+    player = play_live(config, source, observers, view)
+    try:
+        serve(
+            Model(source.path.name, view, player=player),
+            ServerSettings(port=port),
+            ready=lambda line: None if quiet else console.say(line),
+        )
+    finally:
+        player.stop()
+    outcome = player.wait(0.0)
+    if outcome is None:
+        raise ImpError(f"{source.path}: left before its end; nothing is written")
+    return outcome

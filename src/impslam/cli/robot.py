@@ -1,0 +1,202 @@
+"""`imp robot`: on the robot, or on a virtual one: drive, record and map from a page it serves."""
+
+from __future__ import annotations
+
+import getpass
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import App, Parameter
+
+from impslam.cli import console
+from impslam.cli.console import Common, Flag
+from impslam.cli.replay import need_web
+from impslam.errors import ConfigError, ImpError
+from impslam.platform.robot_file import RobotFile, load_robot
+
+if TYPE_CHECKING:
+    from impslam.platform.station import Station
+
+app = App(name="robot", help="Drive, record and map from a page that the robot serves.")
+
+Address = Annotated[str, Parameter(help="Address to listen on. Beyond loopback needs a password.")]
+Port = Annotated[int, Parameter(help="TCP port of the page.")]
+RobotPath = Annotated[Path, Parameter(name=["--config", "-c"], help="The robot file (TOML).")]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class Serving:
+    """Where the page is served.
+
+    Parameters
+    ----------
+    names
+        A further name that the robot is reached by, e.g. robot.example.org.
+    certificate
+        TLS certificate, PEM. Default: one is made.
+    key
+        Its key, PEM.
+    """
+
+    host: Address = "127.0.0.1"
+    port: Port = 8080
+    names: Annotated[tuple[str, ...], Parameter(name="--name", negative="")] = ()
+    certificate: Path | None = None
+    key: Path | None = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """A robot that is not there.
+
+    Parameters
+    ----------
+    virtual
+        Use a virtual robot: emulators that speak the devices' own bytes, in a simulated world.
+    world
+        The virtual robot's world (arena, corridor, room) or a TOML file.
+    seed
+        Seed of the virtual robot's noise.
+    """
+
+    virtual: Flag = False
+    world: str = "arena"
+    seed: int = 0
+
+
+@app.default
+def robot(
+    *,
+    config: RobotPath | None = None,
+    simulated: Simulated | None = None,
+    folder: Path | None = None,
+    record: Flag = False,
+    map_: Annotated[bool, Parameter(name="--map", negative="", show_default=False)] = False,
+    serving: Serving | None = None,
+    common: Common | None = None,
+) -> None:
+    """Serve the robot's page: drive, record and map live.
+
+    Parameters
+    ----------
+    folder
+        Where logs and maps are kept. Default: the robot file's, or ./logs.
+    record
+        Begin to record at once.
+    map_
+        Begin to map at once.
+    """
+    need_web()
+    from impslam.console.model import Model  # noqa: PLC0415  # needs the extra
+    from impslam.console.server import ServerSettings, serve  # noqa: PLC0415
+
+    where = serving or Serving()
+    settings = ServerSettings(
+        where.host, where.port, where.certificate, where.key, names=where.names
+    )
+    say = ignore if common is not None and common.quiet else console.say
+    with running_station(config, simulated or Simulated(), folder) as (station, title):
+        if record:
+            station.recorder.start()
+        if map_:
+            station.start_mapping()
+        serve(Model(title, station.view, station=station), settings, ready=say)
+    say(f"stopped; logs are in {station.folder}")
+
+
+@app.command
+def password(*, watch: Flag = False, common: Common | None = None) -> None:
+    """Set the password for driving (or for watching), asked for twice, or read from stdin.
+
+    Parameters
+    ----------
+    watch
+        Set the password of those who may only watch.
+    """
+    from impslam.console.accounts import Accounts  # noqa: PLC0415  # not needed to serve
+
+    right: Literal["drive", "watch"] = "watch" if watch else "drive"
+    accounts = Accounts()
+    accounts.set(right, _new_password(right))
+    say = ignore if common is not None and common.quiet else console.say
+    say(f"the password to {right} is set in {accounts.path}; all sessions end")
+
+
+@app.command
+def service(
+    *,
+    config: RobotPath,
+    user: str | None = None,
+    host: Address = "0.0.0.0",  # noqa: S104  # a robot is there to be reached; a password guards it
+    port: Port = 8443,
+    common: Common | None = None,
+) -> None:
+    """Print a systemd unit that starts the robot on boot.
+
+    Install it with `imp robot service -c robot.toml | sudo tee /etc/systemd/system/imp.service`.
+
+    Parameters
+    ----------
+    user
+        The user it runs as. Default: you.
+    """
+    from impslam.platform.service import unit  # noqa: PLC0415  # not needed to serve
+
+    del common
+    chosen = load_robot(config)
+    program = shutil.which("imp") or sys.argv[0]
+    arguments = ["robot", "-c", str(config.resolve()), "--host", host, "--port", str(port)]
+    console.say(
+        unit(Path(program).resolve(), user or getpass.getuser(), chosen.folder.resolve(), arguments)
+    )
+
+
+def ignore(line: str) -> None:
+    """Say nothing."""
+
+
+@contextmanager
+def running_station(
+    config: Path | None, simulated: Simulated, folder: Path | None
+) -> Iterator[tuple[Station, str]]:
+    """Give a running station, and the robot's name; everything is stopped at the end."""
+    from impslam.platform.station import Station  # noqa: PLC0415  # numba takes a second to load
+
+    if config is None and not simulated.virtual:
+        raise ConfigError(
+            "no robot: name its file with -c robot.toml (docs/robot-guide.md shows one), or try "
+            "`imp robot --virtual`"
+        )
+    chosen = RobotFile() if config is None else load_robot(config)
+    with ExitStack() as stack:
+        if simulated.virtual:
+            from impslam.virtual.process import VirtualRobot  # noqa: PLC0415  # needs the extra
+
+            imp = stack.enter_context(VirtualRobot(simulated.world, simulated.seed))
+            chosen = chosen.model_copy(update={"devices": imp.devices()})
+        station = Station(
+            chosen.make_devices(),
+            chosen.preset,
+            folder or chosen.folder,
+            (chosen.max_speed, chosen.max_turn_rate),
+            chosen.disk_floor_mb * 1_000_000,
+        )
+        station.start()
+        stack.callback(station.stop)
+        yield station, chosen.name
+
+
+def _new_password(right: str) -> str:
+    if not sys.stdin.isatty():
+        return sys.stdin.readline().rstrip("\n")
+    first = getpass.getpass(f"new password to {right}: ")
+    if first != getpass.getpass("again: "):
+        raise ImpError("the two are not the same; nothing has changed, try again")
+    return first

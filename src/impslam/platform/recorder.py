@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import logging
+import re
+import shutil
+import threading
+import time
+import unicodedata
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from impslam.devices.base import Reading
+from impslam.devices.base import Reading, now
 from impslam.errors import ImpError
+from impslam.platform.recorder_thread import Recording, RecordingError, disk_error
+from impslam.types import Event
 
+log = logging.getLogger(__name__)
 
-class RecordingError(ImpError):
-    """A recording that cannot start, or ended by itself: what, where, what to do."""
+LONGEST_NAME = 60  # letters; file systems allow 255 bytes with date, number and suffix
+PATIENCE = 30.0  # s that stopping waits for a slow disk
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +36,7 @@ class RecordingStatus:
     free : bytes free on the disk beside the floor: 0 means that recording is impossible
     written, dropped : messages by type, of this log
     error : why the last recording ended by itself or could not start, "" if it did neither
+    waiting : readings that are not yet written; many where the disk is slow
     """
 
     active: bool = False
@@ -37,20 +47,36 @@ class RecordingStatus:
     written: Mapping[str, int] = field(default_factory=dict)
     dropped: Mapping[str, int] = field(default_factory=dict)
     error: str = ""
+    waiting: int = 0
 
 
 class LogRecorder:
-    """Writes readings into a log in a thread of its own.
+    """Writes readings into a log, in a thread of its own.
+
+    What has been put is on the disk half a second later and survives a kill or a power loss. A
+    disk that fails or fills up ends the recording, tells why, and leaves a log that can be read.
 
     Parameters
     ----------
     folder : where logs are kept; made if it is missing
     preset : name of the robot's preset, written first, so that `imp run LOG` chooses it
     floor : bytes that stay free on the disk
+    tell : called with (level, text), from any thread, for what everyone should know; without it
+        such events go into the log alone
     """
 
-    def __init__(self, folder: Path, preset: str, floor: int) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        preset: str,
+        floor: int,
+        tell: Callable[[str, str], None] | None = None,
+    ) -> None:
         self._folder, self._preset, self._floor = Path(folder), preset, floor
+        self._tell = tell or self._note
+        self._gate = threading.Lock()  # of starting and stopping; a reading never waits for it
+        self._recording: Recording | None = None
+        self._refusal = ""
 
     def start(self, name: str | None = None) -> Path:
         """Begin a log `<date>-<time>[-name].mcap` and return its path.
@@ -61,16 +87,92 @@ class LogRecorder:
             If a log is being written already, the disk has no room above the floor, or the folder
             cannot be written.
         """
-        raise NotImplementedError
+        with self._gate:
+            if self._recording is not None and self._recording.active:
+                raise RecordingError(f"{self._recording.path}: is being recorded; stop it first")
+            try:
+                self._recording = self._begin(name)
+            except ImpError as error:
+                self._refusal = str(error)
+                raise
+            self._refusal = ""
+        self._tell("info", f"recording {self._recording.path.name}")
+        return self._recording.path
 
     def stop(self) -> Path | None:
-        """Write what waits, close the log and return its path; None if none was being written."""
-        raise NotImplementedError
+        """Write what waits, close the log and return its path; None if none was being written.
+
+        Waits for the disk, up to `PATIENCE`: not to be called where nothing may wait.
+        """
+        with self._gate:
+            recording = self._recording
+            if recording is None or not recording.active:
+                return None
+            recording.stop(PATIENCE)
+            return recording.path
 
     def put(self, reading: Reading) -> None:
         """Take a reading, from any thread, without waiting; nothing happens while not recording."""
-        raise NotImplementedError
+        recording = self._recording
+        if recording is not None:
+            recording.put(reading)
 
     def status(self) -> RecordingStatus:
         """Return how the recording is doing."""
-        raise NotImplementedError
+        last = self._recording
+        if last is None:
+            return RecordingStatus(free=self._room(), error=self._refusal)
+        return RecordingStatus(
+            active=last.active,
+            path=last.path,
+            seconds=last.seconds,
+            size=last.size,
+            free=self._room(),
+            written=last.written(),
+            dropped=last.dropped(),
+            error=self._refusal or last.error,
+            waiting=last.waiting,
+        )
+
+    def _begin(self, name: str | None) -> Recording:
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            if self._room() <= 0:
+                raise RecordingError(
+                    f"{self._folder}: less than the reserve of {self._floor / 1e6:.0f} MB is free "
+                    "on the disk; delete logs"
+                )
+            return Recording(self._new_path(name), self._preset, self._room, self._tell)
+        except OSError as error:
+            raise disk_error(self._folder, error) from None
+
+    def _new_path(self, name: str | None) -> Path:
+        stem, number = time.strftime("%Y%m%d-%H%M%S"), 1
+        stem += f"-{said}" if (said := file_name(name or "")) else ""
+        path = self._folder / f"{stem}.mcap"
+        while path.exists():
+            number += 1
+            path = self._folder / f"{stem}-{number}.mcap"
+        return path
+
+    def _room(self) -> int:
+        """Return the bytes that may still be written; 0 if the folder cannot be asked."""
+        folder = self._folder.absolute()
+        try:
+            while not folder.exists():
+                folder = folder.parent
+            return max(0, shutil.disk_usage(folder).free - self._floor)
+        except OSError:
+            return 0
+
+    def _note(self, level: str, text: str) -> None:
+        log.log(logging.getLevelNamesMapping()[level.upper()], "recorder: %s", text)
+        moment = now()
+        self.put(Reading(Event(moment, level, "recorder", text), moment, "recorder"))
+
+
+def file_name(text: str) -> str:
+    """Return a text as part of a file name: ASCII letters, digits, ., _ and - alone."""
+    plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
+    name = re.sub(r"[^A-Za-z0-9._-]+", "-", plain.strip().removesuffix(".mcap"))
+    return re.sub(r"\.{2,}", ".", name)[:LONGEST_NAME].strip(".-_")

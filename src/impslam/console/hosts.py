@@ -1,0 +1,50 @@
+"""By which names and addresses this computer is reached."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+
+import ifaddr
+
+from impslam.errors import ImpError
+
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
+
+
+def loopback(host: str) -> bool:
+    """Return whether only this computer itself reaches what listens on `host`.
+
+    Raises
+    ------
+    ImpError
+        If the name has no address.
+    """
+    try:
+        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+    except (OSError, UnicodeError):
+        raise ImpError(f"host {host}: no such name or address; try 127.0.0.1 or 0.0.0.0") from None
+    return all(ipaddress.ip_address(_bare(entry[4][0])).is_loopback for entry in found)
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of this computer: as it calls itself, by mDNS, and on its own."""
+    name = socket.gethostname().lower()
+    short = name.partition(".")[0]
+    return tuple(dict.fromkeys((name, short, f"{short}.local", "localhost")))
+
+
+def addresses() -> tuple[str, ...]:
+    """Return the addresses of this computer, without those that only hold on one link."""
+    found = []
+    for adapter in ifaddr.get_adapters():
+        for given in adapter.ips:
+            text = given.ip if isinstance(given.ip, str) else given.ip[0]
+            address = ipaddress.ip_address(_bare(text))
+            if not address.is_link_local:
+                found.append(str(address))
+    return tuple(sorted(dict.fromkeys(found)))
+
+
+def _bare(address: object) -> str:
+    return str(address).partition("%")[0]

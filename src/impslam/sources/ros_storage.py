@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
 
 from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2.errors import ReaderError
-from rosbags.rosbag2.storage_mcap import McapReader
+from rosbags.rosbag2.storage_mcap import McapReader, decompress, read_string
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -38,22 +40,62 @@ class CutMcapReader(McapReader):
     def _scan(self) -> None:
         assert self.bio is not None
         self.data_end = _end_of_whole_records(self.bio, self.data_start)
-        self.meta_scan()
+        try:
+            self.meta_scan()
+        except Exception:  # rosbags raises anything; what lies behind the last sync may be anything
+            self.data_end = _end_of_sound_records(self.bio, self.data_start, self.data_end)
+            for found in (self.schemas, self.channels, self.connections):
+                found.clear()
+            self.meta_scan()
         counts = self.statistics.channel_message_counts if self.statistics else {}
         self.connections = [c._replace(msgcount=counts.get(c.id, 0)) for c in self.connections]
         self.is_cut = True
 
 
-def _end_of_whole_records(file: BinaryIO, start: int) -> int:
-    """Return the offset behind the last whole record (opcode, length in 8 bytes, content)."""
-    size, end = file.seek(0, 2), start
+def _records(file: BinaryIO, start: int) -> Iterator[tuple[int, int, int]]:
+    """Yield (opcode, offset, offset behind it) of each whole record before the end of the data."""
+    size, offset = file.seek(0, 2), start
     while True:
-        file.seek(end)
-        head = file.read(9)
-        following = end + 9 + int.from_bytes(head[1:], "little")
-        if len(head) < 9 or following > size or head[0] == _DATA_END:
-            return end
-        end = following
+        file.seek(offset)
+        head = file.read(9)  # opcode, length of the content in 8 bytes
+        following = offset + 9 + int.from_bytes(head[1:], "little")
+        if len(head) < 9 or following > size or head[0] in (_NO_RECORD, _DATA_END):
+            return
+        yield head[0], offset, following
+        offset = following
+
+
+def _end_of_whole_records(file: BinaryIO, start: int) -> int:
+    """Return the offset behind the last whole record."""
+    return max((following for _, _, following in _records(file, start)), default=start)
+
+
+def _end_of_sound_records(file: BinaryIO, start: int, end: int) -> int:
+    """Return the offset of the first record that is not what it says it is, at most `end`.
+
+    A power loss leaves a file of the right length, whose last blocks may be zeros or anything.
+    """
+    for opcode, offset, following in _records(file, start):
+        if offset >= end:
+            break
+        file.seek(offset + 9)
+        try:
+            if opcode == _CHUNK:
+                _check_chunk(file.read(following - offset - 9))
+        except Exception:  # rosbags raises anything on damaged data
+            return offset
+    return end
+
+
+def _check_chunk(content: bytes) -> None:
+    """Raise anything unless the chunk can be unpacked into whole records."""
+    *_, size, crc = struct.unpack_from("<QQQI", content)
+    body = BytesIO(content[28:])
+    compression = read_string(body)
+    body.read(8)  # size of the rest
+    records = BytesIO(decompress(body.read(), compression, size, crc))
+    if _end_of_whole_records(records, 0) != size:
+        raise ReaderError("The chunk ends within a record.")
 
 
 Storage: TypeAlias = rosbag1.Reader | rosbag2.Reader | CutMcapReader | Sqlite3Reader
@@ -64,7 +106,7 @@ _MAGIC: dict[bytes, Callable[[Path], Storage]] = {
     b"\x89MCAP0\r\n": CutMcapReader,
     b"SQLite format 3\0": Sqlite3Reader,
 }
-_DATA_END = 0x0F  # opcode of the record that ends an MCAP file's data
+_NO_RECORD, _CHUNK, _DATA_END = 0x00, 0x06, 0x0F  # opcodes; the last ends an MCAP file's data
 _REPAIR = "repair it with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`, or copy it again"
 
 

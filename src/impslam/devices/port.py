@@ -10,6 +10,8 @@ import errno
 import importlib
 import os
 import select
+import socket
+import time
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -66,6 +68,8 @@ def open_port(url: str, baud: int) -> serial.SerialBase:
         port: serial.SerialBase = pyserial.serial_for_url(
             url, baudrate=baud, timeout=TIMEOUT, write_timeout=TIMEOUT, exclusive=True
         )
+        if url.startswith("socket://"):
+            _send_at_once(port)
     except (OSError, ValueError, OverflowError) as error:
         raise _explained(url, "cannot be opened", error) from error
     return port
@@ -98,15 +102,28 @@ def read_some(port: serial.SerialBase, wait: float = TIMEOUT) -> bytes:
 def write_all(port: serial.SerialBase, data: bytes) -> None:
     """Write all of it, within `TIMEOUT`.
 
+    pyserial's `write` spins while a full port takes nothing; this one sleeps.
+
     Raises
     ------
     DeviceError
-        If the port is dead or does not take it in time.
+        If the port is dead or does not take it in time; part of it may have been written.
     """
+    end, left = time.monotonic() + TIMEOUT, memoryview(data)
     try:
-        port.write(data)
-    except (OSError, ValueError, TypeError) as error:
+        while left:
+            _, ready, _ = select.select([], [port.fileno()], [], max(0.0, end - time.monotonic()))
+            if not ready:
+                raise DeviceError(f"{port.port}: takes nothing any more; check the device")
+            left = left[os.write(port.fileno(), left) :]
+    except (OSError, ValueError, TypeError) as error:  # pyserial's of a port closed meanwhile
         raise _explained(port.port, "cannot be written to", error) from error
+
+
+def _send_at_once(port: serial.SerialBase) -> None:
+    """Send small writes at once: TCP holds them back until what went before is acknowledged."""
+    with socket.socket(fileno=os.dup(port.fileno())) as connection:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
 def _explained(url: str | None, what: str, error: Exception) -> DeviceError:

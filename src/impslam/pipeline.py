@@ -159,6 +159,11 @@ class Pipeline:
         return _at_stamp(result, since, self._timeline.ahead(message.stamp))
 
     @property
+    def waiting(self) -> int:
+        """How many scans wait for odometry."""
+        return len(self._waiting)
+
+    @property
     def stages(self) -> dict[str, array[float]]:
         """Seconds per stage."""
         return self._clock.stages

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -60,6 +61,12 @@ class History(Observer):
     def sigmas(self) -> Array:
         """(n, 3) m, m, rad: standard deviations of the poses."""
         return np.sqrt(np.maximum(self._table[:, [7, 10, 12]], 0.0))
+
+    def results(self) -> Iterator[StepResult]:
+        """Yield the poses again, as results without scans, observations and matches."""
+        for row, P in zip(self._table, self.covariances, strict=True):
+            pose = row[1:4]
+            yield StepResult(row[0], pose, P, row[4:7], pose, None, (), (), (), ())
 
     @property
     def matches(self) -> Array:

@@ -86,8 +86,7 @@ def _no_landmarks() -> tuple[Landmark, ...]:
 class LiveView(Observer):
     """Keeps a snapshot of a run for others to look at, at no cost to them and little to the run.
 
-    One thread runs the estimator and calls `begin`, `expect`, `step`, `truth` and `finish`; any
-    thread may call `snapshot`. The grid is painted in a thread of its own.
+    One thread runs the estimator and calls all but `snapshot`, which any thread may call. The grid is painted in a thread of its own.
     """
 
     def __init__(self) -> None:
@@ -142,17 +141,22 @@ class LiveView(Observer):
         """Remember the true pose; it shows with the next scan."""
         self._truth = pose.pose
 
+    def refresh(self) -> None:
+        """Show landmarks and grid as they are by now, for a run that pauses."""
+        self._complete(self._landmarks(), finished=False)
+
     def finish(self, outcome: Outcome) -> None:
         """Show the map as it is at the end."""
+        self._complete(outcome.landmarks, finished=True)
+
+    def _complete(self, landmarks: tuple[Landmark, ...], finished: bool) -> None:
         if self._painter is not None:
             self._painter.join()
         self._paint(frozen(self._grid), self._shown.run)
+        shown, grid = self._shown, self._painted()
+        version = shown.version + 1
         self._shown = replace(
-            self._shown,
-            version=self._shown.version + 1,
-            landmarks=outcome.landmarks,
-            grid=self._painted(),
-            finished=True,
+            shown, version=version, landmarks=landmarks, grid=grid, finished=finished
         )
 
     def _map(self, result: StepResult) -> tuple[Landmark, ...]:

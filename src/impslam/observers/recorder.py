@@ -21,7 +21,7 @@ class Recorder(Observer):
     """Writes a run into a folder, which is made if need be.
 
     The path is written while it is driven; the map, landmarks.csv, summary.json and config.toml at
-    the end, and truth.landmarks.csv where there are true landmarks.
+    the end, and truth.landmarks.csv where there are true landmarks. `grid` is one to go on with.
 
     Raises
     ------
@@ -34,6 +34,7 @@ class Recorder(Observer):
         folder: Path,
         resolution: float = 0.05,
         true_landmarks: Sequence[TrueLandmark] = (),
+        grid: OccupancyGrid | None = None,
     ) -> None:
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -47,6 +48,8 @@ class Recorder(Observer):
             GridMapper(resolution),
             Distance(),
         )
+        if grid is not None:
+            self._mapper.grid = grid
 
     @property
     def grid(self) -> OccupancyGrid:

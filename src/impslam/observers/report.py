@@ -35,6 +35,7 @@ class Report(Observer):
     folder : where report.html and report.png go; it must exist when the run ends
     grid : the grid that another observer builds along the run; without one the report builds it
     truth_landmarks : what is really there, in the truth's frame, where that is known
+    history : of the scans before, where the report begins in the middle of a run
     """
 
     def __init__(
@@ -42,9 +43,10 @@ class Report(Observer):
         folder: Path,
         grid: OccupancyGrid | None = None,
         truth_landmarks: Sequence[TrueLandmark] = (),
+        history: History | None = None,
     ) -> None:
         self._folder, self._known = folder, truth_landmarks
-        self._history = History()
+        self._history = History() if history is None else history
         self._mapper = GridMapper() if grid is None else None
         self._grid = grid if self._mapper is None else self._mapper.grid
 

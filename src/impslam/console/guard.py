@@ -135,13 +135,13 @@ class Guard:
         names: Iterable[str],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._app, self._gate, self._clock = app, gate, clock
+        self.app, self._gate, self._clock = app, gate, clock
         self._names = frozenset(name.lower().rstrip(".") for name in names)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Look at one request or socket, and pass it on or refuse it."""
         if scope["type"] == "lifespan":
-            await self._app(scope, receive, send)
+            await self.app(scope, receive, send)
             return
         asked = Asked(scope)
         send = _Sealed(asked, send)
@@ -203,7 +203,7 @@ class Guard:
         if body is None:
             return
         try:
-            await self._app(scope, _replayed(body, receive), _while(session, send))
+            await self.app(scope, _replayed(body, receive), _while(session, send))
         except _Ended:
             self._gate.refusals.tell(asked.address, "the rest after its session ended", asked.path)
 
@@ -212,7 +212,7 @@ class Guard:
     ) -> None:
         """Pass messages on for as long as the session holds, then close the socket."""
         line = _Line(session, receive, send, self._clock)
-        app = asyncio.ensure_future(self._app(scope, line.receive, line.send))
+        app = asyncio.ensure_future(self.app(scope, line.receive, line.send))
         try:
             while not app.done():
                 if why := line.wrong():

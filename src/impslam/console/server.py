@@ -2,11 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 
+import uvicorn
+from fastapi import FastAPI
+from nicegui import core, ui
+
+from impslam.console import downloads, hosts, login, sockets
+from impslam.console.accounts import Accounts
+from impslam.console.gate import Gate
+from impslam.console.guard import BODY, HEADERS, Guard
 from impslam.console.model import Model
+from impslam.console.protocol import protocol
+from impslam.console.tls import Papers, own_papers
+from impslam.errors import ImpError
+
+GRACE = 1  # s for open requests to end when the server stops; sockets are closed at once
+IDLE = 15  # s a connection stays open without a request
+
+Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +38,7 @@ class ServerSettings:
     Attributes
     ----------
     host : address to listen on; beyond loopback a drive password must be set, and TLS is always on
-    port : TCP port
+    port : TCP port; 0 takes any that is free
     certificate, key : PEM files; without them a certificate is made, and kept beside the accounts
     accounts : file of the passwords; None is `~/.config/impslam/accounts.json`
     names : further names that the robot is reached by, as in `robot.example.org`
@@ -30,9 +52,65 @@ class ServerSettings:
     names: tuple[str, ...] = ()
 
 
-def serve(
-    model: Model, settings: ServerSettings, *, ready: Callable[[str], None] = lambda line: None
-) -> None:
+class Server(uvicorn.Server):
+    """The server, ready to run; `stop` ends it from any thread.
+
+    Attributes
+    ----------
+    gate : who may
+    address : where the page is, as in `https://robot.local:8080`
+    """
+
+    def __init__(
+        self, config: uvicorn.Config, gate: Gate, address: str, ready: Callable[[], None]
+    ) -> None:
+        super().__init__(config)
+        self.gate, self.address, self._ready = gate, address, ready
+
+    def stop(self) -> None:
+        """Ask it to end."""
+        self.should_exit = True
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to serve, and say so."""
+        await super().startup(sockets)
+        self._ready()
+
+    async def on_tick(self, counter: int) -> bool:
+        """Look after the gate once a second; called ten times a second."""
+        if counter % 10 == 0:
+            self.gate.sweep()
+        return await super().on_tick(counter)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End every session, and with them every socket."""
+        self.gate.close()
+        self.gate.refusals.flush(everything=True)
+        await super().shutdown(sockets)
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """End on SIGINT and SIGTERM, and leave it to the caller to put everything away.
+
+        uvicorn raises the signal again once it has ended, and the robot would die of it before it
+        stood still and closed its log.
+        """
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before = {one: signal.signal(one, self._on_signal) for one in _SIGNALS}
+        try:
+            yield
+        finally:
+            for one, handler in before.items():
+                signal.signal(one, handler)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self.force_exit = self.should_exit  # the second one does not wait
+        self.should_exit = True
+
+
+def serve(model: Model, settings: ServerSettings, *, ready: Tell = lambda line: None) -> None:
     """Serve the page until SIGINT or SIGTERM; open sockets are cut within 2 s.
 
     Parameters
@@ -47,4 +125,124 @@ def serve(
     ImpError
         Where it may not or cannot listen: one line that says what to do.
     """
-    raise NotImplementedError
+    with listening(settings) as listener:
+        from impslam.console.page import build  # noqa: PLC0415  # it imports what this one does
+
+        prepared(model, settings, listener, ready, build).run([listener])
+
+
+def prepared(
+    model: Model,
+    settings: ServerSettings,
+    listener: socket.socket,
+    ready: Tell,
+    build: Callable[[Model], None],
+    clock: Callable[[], float] = time.monotonic,
+) -> Server:
+    """Return the server of the page that `build` makes, for a socket that listens; see `serve`."""
+    near = hosts.loopback(settings.host)
+    accounts = Accounts(settings.accounts)
+    if not near and "drive" not in accounts.rights():
+        raise ImpError(
+            f"host {settings.host}: beyond this computer nobody is served until a password to "
+            "drive is set; `imp robot password drive` sets one, --host 127.0.0.1 serves here alone"
+        )
+    papers = _papers(settings, accounts, near=near)
+    address = _address(settings, listener, secure=papers is not None, near=near)
+    gate = Gate(
+        accounts,
+        secure=papers is not None,
+        show=lambda path: ready(f"open {address}{path}"),
+        clock=clock,
+    )
+
+    def tell() -> None:
+        ready(f"the page is at {address}")
+        if papers is not None:
+            ready(f"SHA-256 of its certificate: {papers.fingerprint()}")
+        if near:
+            gate.offer_link()
+
+    names = {*hosts.LOOPBACK, *settings.names, *(() if near else hosts.names())}
+    guard = Guard(_app(model, gate, build), gate, names, clock)
+    return Server(_config(guard, gate, papers), gate, address, tell)
+
+
+def listening(settings: ServerSettings) -> socket.socket:
+    """Return a socket that listens.
+
+    Raises
+    ------
+    ImpError
+        Where that is not possible: one line that says what to do.
+    """
+    host, port = settings.host, settings.port
+    try:
+        family, *_, where = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        both = family == socket.AF_INET6 and host == "::"
+        return socket.create_server(where[:2], family=family, backlog=128, dualstack_ipv6=both)
+    except (OSError, OverflowError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ImpError(
+            f"host {host} port {port}: {reason}; choose another with --host or --port"
+        ) from None
+
+
+def _app(model: Model, gate: Gate, build: Callable[[Model], None]) -> FastAPI:
+    """Return the page with login and downloads; the guard is not yet before it."""
+    app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+    app.router.routes += login.routes(gate, model.title)
+    app.router.routes += downloads.routes(gate, model.station)
+    build(model)
+    sockets.bind_to_sessions(gate.refusals)
+    core.app.middleware_stack = None  # a server before this one, in a test, has used it up
+    core.app.user_middleware.clear()
+    ui.run_with(app, title=model.title, dark=True, show_welcome_message=False)
+    return app
+
+
+def _config(guard: Guard, gate: Gate, papers: Papers | None) -> uvicorn.Config:
+    context = papers.context() if papers is not None else None
+    return uvicorn.Config(
+        guard,
+        http=protocol(gate.refusals),
+        ws="websockets-sansio",
+        ws_max_size=BODY,
+        ws_per_message_deflate=False,  # what is sent is small or a picture; saves 300 kB a socket
+        h11_max_incomplete_event_size=HEADERS,
+        timeout_keep_alive=IDLE,
+        timeout_graceful_shutdown=GRACE,
+        ssl_context_factory=(lambda config, default: context) if context is not None else None,
+        proxy_headers=False,
+        server_header=False,
+        access_log=False,
+        log_config=None,
+        log_level="error",  # refusals reach the log by another way, at a bounded rate
+        lifespan="on",
+    )
+
+
+def _papers(settings: ServerSettings, accounts: Accounts, *, near: bool) -> Papers | None:
+    """Return the certificate that is given or made, None where loopback needs none."""
+    if (settings.certificate is None) != (settings.key is None):
+        raise ImpError("a certificate needs its key, and a key its certificate: give both")
+    if settings.certificate is not None and settings.key is not None:
+        return Papers(settings.certificate, settings.key)
+    if near:
+        return None
+    names = (*hosts.names(), *settings.names)
+    return own_papers(accounts.path.parent, names, hosts.addresses())
+
+
+def _address(settings: ServerSettings, listener: socket.socket, *, secure: bool, near: bool) -> str:
+    """Return the address to type in: the first given name, else one of this computer."""
+    anywhere = settings.host in {"0.0.0.0", "::"}  # noqa: S104  # compared, not listened on
+    if settings.names and not near:
+        host = settings.names[0]
+    else:
+        host = f"{hosts.names()[1]}.local" if anywhere else settings.host
+    host = f"[{host}]" if ":" in host else host
+    return f"{'https' if secure else 'http'}://{host}:{listener.getsockname()[1]}"
+
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)

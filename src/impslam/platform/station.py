@@ -53,7 +53,7 @@ class Station:
     ) -> None:
         self.devices, self.folder, self.limits = devices, folder, limits
         self.store = LogStore(folder)
-        self.recorder = LogRecorder(folder, preset, floor)
+        self.recorder = LogRecorder(folder, preset, floor, self._announce)
         self.view = LiveView()
         self.mapper = LiveMapper(load(preset), self.view)
         drives = [device for device in devices.values() if isinstance(device, DriveDevice)]

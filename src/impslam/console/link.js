@@ -1,0 +1,50 @@
+// Watches over the link by itself: nothing that the server does or fails to do can keep it quiet.
+export default {
+  template: `
+    <div class="alarms" role="alert" aria-live="assertive">
+      <div v-if="silent !== null" class="alarm alarm-link" data-testid="link-lost">
+        <i class="q-icon material-icons" aria-hidden="true">wifi_off</i>
+        <span><b>LINK LOST</b><template v-if="robot"> – robot stops by itself</template></span>
+        <span class="alarm-time">{{ silent }} s</span>
+      </div>
+      <div v-for="alarm in alarms" :key="alarm" class="alarm alarm-device" data-testid="alarm">
+        <i class="q-icon material-icons" aria-hidden="true">warning</i><span>{{ alarm }}</span>
+      </div>
+    </div>`,
+  props: { patience: Number, robot: Boolean, alarms: Array },
+  data: () => ({ silent: null }),
+  created() {
+    const start = performance.now();
+    this.last = start;
+    window.impLink = {
+      beat: null,
+      picture: 0,
+      // What drives asks this before each command.
+      alive: () =>
+        window.socket?.connected === true &&
+        performance.now() - this.last < 1000 * this.patience,
+    };
+  },
+  mounted() {
+    this.timer = setInterval(this.check, 100);
+  },
+  unmounted() {
+    clearInterval(this.timer);
+    document.body.classList.remove("link-lost");
+  },
+  methods: {
+    beat(number, picture) {
+      this.last = performance.now();
+      window.impLink.beat = number;
+      window.impLink.picture = picture;
+      if (this.silent !== null) this.check();
+    },
+    check() {
+      const seconds = (performance.now() - this.last) / 1000;
+      const lost = seconds >= this.patience;
+      if (lost && this.silent === null) window.dispatchEvent(new Event("imp-halt"));
+      this.silent = lost ? Math.floor(seconds) : null;
+      document.body.classList.toggle("link-lost", lost);
+    },
+  },
+};

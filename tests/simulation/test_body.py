@@ -108,10 +108,12 @@ def test_a_stalled_side_stands_and_the_robot_turns_about_it(side, sign):
     robot.drive(0.3, 0.3)
     robot.advance(1.0)
     robot.stall(side, True)
+    assert robot.stalled == (side == "left", side == "right")
     robot.advance(3.0)
     assert robot.motors[("left", "right").index(side)] == pytest.approx(0.0, abs=1e-6)
     assert robot.twist[1] == pytest.approx(sign * 0.3 / Drivetrain().effective_track, abs=1e-6)
     robot.stall(side, False)
+    assert robot.stalled == (False, False)
     robot.advance(5.0)
     np.testing.assert_allclose(robot.twist, [0.3, 0.0], atol=1e-6)
 

@@ -141,6 +141,29 @@ def test_a_delay_ends_in_a_burst(line):
         assert read(port, 8) == b"one two "
 
 
+def test_a_uart_takes_its_time(tmp_path):
+    line = PtyLine(tmp_path / "uart", baud=115200)  # 10 bits a byte: 86.8 us
+    port = open_port(line.url, 115200)
+    line.receive(0.0)
+    line.send(bytes(100), 1.0)
+    line.send(bytes(50), 1.001)
+    for now, arrived in ((1.008, 0), (1.009, 100), (1.0130, 100), (1.0131, 150)):
+        line.send(b"", now)
+        assert line.counts["sent"] == arrived
+    write_all(port, bytes(20))
+    time.sleep(0.05)  # for the kernel to pass them on
+    assert line.receive(2.0) == b""
+    assert line.receive(2.0017) == b""
+    assert line.receive(2.0018) == bytes(20)
+    line.send(b"lost", 3.0)
+    line.unplug(4.0)
+    line.receive(4.0)
+    line.send(b"", 5.0)
+    assert line.counts["sent"] == 150
+    port.close()
+    line.close()
+
+
 def test_closing_leaves_nothing(tmp_path):
     before = descriptors()
     lines = [PtyLine(tmp_path / "a"), PtyLine(tmp_path / "b"), TcpLine(), TcpLine()]

@@ -156,6 +156,12 @@ class Body:
         """Surface speeds (2,) m/s at which the driven wheels turn, left first."""
         return self._state[LEFT : LEFT + 2].copy()
 
+    @property
+    def stalled(self) -> tuple[bool, bool]:
+        """Whether the motors of a side are blocked, left first."""
+        left, right = self._stalled.tolist()
+        return left, right
+
     def heading(self) -> float:
         """Return the true heading in rad."""
         return float(wrap(self._state[HEADING]))

@@ -189,12 +189,13 @@ class VirtualImp:
         }
 
     def status(self) -> dict[str, Any]:
-        """Return how well it keeps up (lateness in s), and what its lines have counted."""
+        """Return how well it keeps up (lateness and processor time in s), and its lines' counts."""
         kept = self._lateness[: max(1, min(self._passes, KEPT))]
         p50, p99 = np.percentile(kept, (50, 99)).tolist()
         return {
             "passes": self._passes,
             "late": self._late,
+            "cpu": time.process_time(),
             "lateness": {"p50": p50, "p99": p99, "max": float(kept.max())},
             "lines": {name: dict(line.counts) for name, line in self._lines.items()},
         }

@@ -10,7 +10,7 @@ import os
 import socket
 import sys
 from abc import ABC, abstractmethod
-from collections import Counter
+from collections import Counter, deque
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,7 @@ class Line(ABC):
     Parameters
     ----------
     seed : of the noise on it
+    baud : bit/s at which it passes bytes, ten bits each; 0: at once, as USB and TCP do nearly
 
     Attributes
     ----------
@@ -38,8 +39,9 @@ class Line(ABC):
         host has the port open) and "overrun" (the host does not read); spoilt as `faults.KINDS`
     """
 
-    def __init__(self, seed: int = 0) -> None:
+    def __init__(self, seed: int = 0, baud: int = 0) -> None:
         self.counts: Counter[str] = Counter()
+        self._wires = _Wire(baud), _Wire(baud)  # inward, outward
         inward, outward = np.random.default_rng(seed).spawn(2)
         self._inward = Disturbance(inward, self.counts)
         self._outward = Disturbance(outward, self.counts)
@@ -74,7 +76,7 @@ class Line(ABC):
                 return b""
             self._plug()
             self._plugged = True
-        data = self._inward.passed(self._read(), time)
+        data = self._inward.passed(self._wires[0].passed(self._read(), time), time)
         self.counts["received"] += len(data)
         return data
 
@@ -83,7 +85,7 @@ class Line(ABC):
         if not self._plugged:
             self.counts["unplugged"] += len(data)
             return
-        data = self._outward.passed(data, time)
+        data = self._outward.passed(self._wires[1].passed(data, time), time)
         if data:
             taken = self._write(data)
             self.counts["sent"] += taken or 0
@@ -102,8 +104,8 @@ class Line(ABC):
     def unplug(self, until: float) -> None:
         """Take the port away until a time; what is under way is lost."""
         self._unplugged_until = until
-        self._inward.forget()
-        self._outward.forget()
+        for part in (*self._wires, self._inward, self._outward):
+            part.forget()
         if self._plugged:
             self._plugged = False
             self._pull()
@@ -115,11 +117,37 @@ class Line(ABC):
             self._pull()
 
 
+class _Wire:
+    """Bytes on their way over a UART: a write arrives when its last byte has."""
+
+    def __init__(self, baud: int) -> None:
+        self._byte = 10.0 / baud if baud else 0.0  # s, start and stop bit included
+        self._under_way: deque[tuple[float, bytes]] = deque()
+        self._free = 0.0
+
+    def passed(self, data: bytes, time: float) -> bytes:
+        """Return what comes out at a time when `data` goes in."""
+        if not self._byte:
+            return data
+        if data:
+            self._free = max(self._free, time) + len(data) * self._byte
+            self._under_way.append((self._free, data))
+        out = b""
+        while self._under_way and self._under_way[0][0] <= time:
+            out += self._under_way.popleft()[1]
+        return out
+
+    def forget(self) -> None:
+        """Lose what is under way."""
+        self._under_way.clear()
+        self._free = 0.0
+
+
 class PtyLine(Line):
     """A pseudo-terminal behind a symbolic link, whose name stays when it is plugged in again."""
 
-    def __init__(self, path: Path, seed: int = 0) -> None:
-        super().__init__(seed)
+    def __init__(self, path: Path, seed: int = 0, baud: int = 0) -> None:
+        super().__init__(seed, baud)
         self._path = path
         self._heard = False
         self._plug()
@@ -179,8 +207,8 @@ class PtyLine(Line):
 class TcpLine(Line):
     """A TCP server on loopback, for one host at a time."""
 
-    def __init__(self, port: int = 0, seed: int = 0) -> None:
-        super().__init__(seed)
+    def __init__(self, port: int = 0, seed: int = 0, baud: int = 0) -> None:
+        super().__init__(seed, baud)
         self._host: socket.socket | None = None
         self._reserve(port)
         self._port: int = self._server.getsockname()[1]

@@ -86,7 +86,8 @@ def _no_landmarks() -> tuple[Landmark, ...]:
 class LiveView(Observer):
     """Keeps a snapshot of a run for others to look at, at no cost to them and little to the run.
 
-    One thread runs the estimator and calls all but `snapshot`, which any thread may call. The grid is painted in a thread of its own.
+    One thread runs the estimator and calls all but `snapshot`, which any thread may call.
+    The grid is painted in a thread of its own.
     """
 
     def __init__(self) -> None:

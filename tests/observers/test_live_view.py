@@ -1,0 +1,398 @@
+"""The live view: what is shown is what is there, at any time, in bounded memory."""
+
+import threading
+import time
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.observers.runs import make_landmarks, make_outcome, make_results, make_scan
+
+from impslam.geometry.se2 import transform
+from impslam.mapping.files import FREE, OCCUPIED, UNKNOWN, map_image
+from impslam.observers import live_view as module
+from impslam.observers.grid_mapper import GridMapper
+from impslam.observers.live_view import LiveView
+from impslam.observers.thin_path import ThinPath
+from impslam.observers.trust import Trust
+from impslam.types import StepResult, TruePose
+
+
+def begun(landmarks=make_landmarks):
+    view, mapper = LiveView(), GridMapper()
+    view.begin(landmarks, mapper.grid)
+    return view, mapper
+
+
+def wait_until(true, seconds=10.0):
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.002)
+
+
+# --------------------------------------------------------------------------- snapshot
+
+
+def test_before_the_first_scan_there_is_nothing():
+    shown = LiveView().snapshot()
+    assert (shown.scans, shown.landmarks, shown.grid, shown.run) == (0, (), None, 0)
+    assert np.isnan(shown.stamp)
+    assert shown.path.shape == shown.points.shape == (0, 2)
+
+
+def test_a_snapshot_is_that_of_the_newest_scan():
+    view, mapper = begun()
+    versions = [view.snapshot().version]
+    for i, result in enumerate(make_results(20)):
+        mapper.step(result)
+        view.truth(TruePose(result.stamp, np.full(3, float(i))))
+        view.step(result)
+        shown = view.snapshot()
+        assert (shown.stamp, shown.scans) == (result.stamp, i + 1)
+        for name in ("pose", "covariance", "odometry"):
+            np.testing.assert_array_equal(getattr(shown, name), getattr(result, name))
+        np.testing.assert_allclose(shown.path[-1], result.pose[:2], atol=1e-6)
+        np.testing.assert_array_equal(shown.truth, np.full(3, i))
+        versions.append(shown.version)
+    assert sorted(set(versions)) == versions
+    assert [mark.id for mark in shown.landmarks] == [7, 8]
+
+
+def test_a_snapshot_does_not_change_any_more():
+    view, mapper = begun()
+    results = list(make_results(40))
+    for result in results[:10]:
+        view.step(result)
+    shown = view.snapshot()
+    path, points = shown.path.copy(), shown.points.copy()
+    for result in results[10:]:
+        mapper.step(result)
+        view.step(result)
+    np.testing.assert_array_equal(shown.path, path)
+    np.testing.assert_array_equal(shown.points, points)
+    assert shown.scans == 10
+
+
+def test_points_are_the_valid_beams_ends_where_the_scan_was_taken():
+    view, _ = begun()
+    result = list(make_results(3))[2]
+    pose = np.array([1.0, -2.0, 0.7])
+    valid = np.arange(len(result.scan.valid)) % 3 == 0
+    view.step(replace(result, scan_pose=pose, scan=replace(result.scan, valid=valid)))
+    expected = transform(pose, result.scan.points[valid])
+    assert view.snapshot().points.dtype == np.float32
+    np.testing.assert_allclose(view.snapshot().points, expected, atol=1e-5)
+    view.step(replace(result, scan=None))
+    assert view.snapshot().points.shape == (0, 2)
+
+
+def test_arrival_is_that_of_the_very_scan():
+    view, _ = begun()
+    results = list(make_results(6))
+    for i, result in enumerate(results):
+        view.expect(result.stamp, 100.0 + i)
+    view.step(results[0])
+    assert view.snapshot().arrived == 100.0
+    view.step(results[3])  # two were refused
+    assert view.snapshot().arrived == 103.0
+    view.step(results[5])
+    assert view.snapshot().arrived == 105.0
+    view.step(results[5])  # nobody told
+    assert np.isnan(view.snapshot().arrived)
+
+
+def test_a_new_map_begins_empty_and_keeps_counting():
+    view, mapper = begun()
+    for result in make_results(5):
+        mapper.step(result)
+        view.step(result)
+    before = view.snapshot()
+    view.begin(tuple, GridMapper().grid)
+    after = view.snapshot()
+    assert (after.scans, after.landmarks, after.grid, after.truth) == (0, (), None, None)
+    assert after.version > before.version
+    assert after.run == before.run + 1
+
+
+def test_readers_see_whole_snapshots_only():
+    """The path's end is the pose, whoever looks whenever."""
+    view, _ = begun()
+    torn, seen, stop = [], set(), threading.Event()
+
+    def look():
+        while not stop.is_set():
+            shown = view.snapshot()
+            seen.add(shown.version)
+            if shown.scans and abs(shown.path[-1] - shown.pose[:2]).max() > 1e-5:
+                torn.append(shown)
+
+    threads = [threading.Thread(target=look) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for result in make_results(300):
+        view.step(result)
+    stop.set()
+    for thread in threads:
+        thread.join()
+    assert not torn
+    assert len(seen) > 1
+
+
+# --------------------------------------------------------------------------- landmarks
+
+
+def test_landmarks_are_read_at_a_bounded_rate_and_only_when_they_may_have_changed(monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: clock[0])
+    reads = []
+
+    def read():
+        reads.append(clock[0])
+        return make_landmarks()
+
+    view, _ = begun(read)
+    results = list(make_results(101))
+    for i, result in enumerate(results):  # 8 Hz, the last half between keyframes
+        clock[0] = 1.0 + 0.125 * i
+        view.step(result if i < 50 else replace(result, observations=()))
+    assert reads == [1.0 + 0.25 * i for i in range(26)]  # the last keyframe too, once it is due
+
+
+def test_a_map_that_is_slow_to_read_is_read_less_often(monkeypatch):
+    clock, reads = [0.0], []
+    monkeypatch.setattr(module.time, "monotonic", lambda: clock[0])
+
+    def read():
+        clock[0] += 0.05  # 2500 landmarks
+        reads.append(clock[0])
+        return make_landmarks()
+
+    view, _ = begun(read)
+    for i, result in enumerate(make_results(100)):
+        clock[0] = max(clock[0], 1.0 + 0.1 * i)
+        view.step(result)
+    assert 9 <= len(reads) <= 11  # a twentieth of 10 s
+
+
+def test_at_the_end_the_whole_map_is_shown():
+    view, mapper = begun(tuple)
+    for result in make_results(5):
+        mapper.step(result)
+        view.step(result)
+    outcome = make_outcome()
+    view.finish(outcome)
+    shown = view.snapshot()
+    assert shown.finished
+    assert shown.landmarks == outcome.landmarks
+    np.testing.assert_array_equal(decoded(shown.grid)[1], map_image(mapper.grid).pixels)
+
+
+def test_a_refresh_shows_what_is_there():
+    marks = []
+    view, mapper = begun(lambda: tuple(marks))
+    for result in make_results(3):
+        mapper.step(result)
+        view.step(result)
+    marks.extend(make_landmarks())
+    view.refresh()
+    assert len(view.snapshot().landmarks) == 2
+    assert not view.snapshot().finished
+
+
+# --------------------------------------------------------------------------- the grid
+
+
+def decoded(picture):
+    """Return a picture as opacity and greys of a trinary map."""
+    image = cv2.imdecode(np.frombuffer(picture.png, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert image.shape == (*picture.size[::-1], 4)
+    clear = image[..., 3] == 0
+    greys = np.where(clear, UNKNOWN, np.where(image[..., 0] == 255, FREE, OCCUPIED))
+    return image[..., 3], greys
+
+
+def test_the_grid_is_a_picture_with_its_place():
+    view, mapper = begun()
+    for result in make_results(30):
+        mapper.step(result)
+        view.step(result)
+    view.refresh()
+    shown = view.snapshot().grid
+    image = map_image(mapper.grid)
+    opacity, greys = decoded(shown)
+    np.testing.assert_array_equal(greys, image.pixels)
+    assert set(np.unique(opacity)) == {0, 255}
+    assert shown.resolution == 0.05
+    np.testing.assert_array_equal(shown.origin, image.origin)
+    # The wall to the right stands at x = 3 m, and row 0 is at the top: y = 4 m is a wall as well.
+    column = int((3.02 - shown.origin[0]) / 0.05)
+    assert (greys[:, column] == OCCUPIED).sum() > 20
+    row = shown.size[1] - 1 - int((4.02 - shown.origin[1]) / 0.05)
+    assert row < 5
+    assert (greys[row] == OCCUPIED).sum() > 20
+
+
+def test_the_grid_is_painted_once_a_second_and_new_versions_are_new_pictures(monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: clock[0])
+    view, mapper = begun()
+    versions, pictures = [], {}
+    results = list(make_results(50))
+    for i in range(80):
+        clock[0] += 0.1
+        result = results[min(i, 49)]  # it stands in the end
+        mapper.step(result)
+        view.step(result)
+        view._painter.join()
+        grid = view.snapshot().grid
+        if grid is not None:
+            versions.append(grid.version)
+            assert pictures.setdefault(grid.version, grid.png) == grid.png
+    assert versions == sorted(versions)
+    assert 3 <= len(pictures) <= 6  # five seconds, and none while it stands
+    assert len(set(pictures.values())) == len(pictures)
+
+
+def test_a_picture_of_the_map_before_is_not_shown(monkeypatch):
+    paint, gate = module.paint, threading.Event()
+
+    def late(grid, version):
+        gate.wait(10.0)
+        return paint(grid, version)
+
+    view, mapper = begun()
+    monkeypatch.setattr(module, "paint", late)
+    for result in make_results(3):
+        mapper.step(result)
+        view.step(result)
+    other = GridMapper()
+    view.begin(tuple, other.grid)
+    gate.set()
+    view._painter.join()
+    view.step(next(make_results(1)))
+    assert view.snapshot().grid is None
+
+
+# --------------------------------------------------------------------------- lost
+
+
+def still(sigma, matched=True, seen=True):
+    result = list(make_results(2))[1]
+    scan = result.scan if seen else replace(result.scan, valid=np.zeros(90, bool))
+    matches = result.matches if matched else ()
+    return replace(result, covariance=np.diag([sigma**2, 0, 0]), matches=matches, scan=scan)
+
+
+def test_a_robot_that_recognises_landmarks_is_not_lost_however_far_it_went():
+    trust = Trust()
+    assert {trust.step(still(0.01 * i)) for i in range(500)} == {""}
+
+
+def test_a_robot_that_recognises_nothing_says_so_once_it_matters():
+    trust = Trust()
+    trust.step(still(3.0))
+    words = [
+        trust.step(
+            replace(still(np.hypot(3.0, 0.01 * i), matched=False), pose=np.array([0.1 * i, 0, 0]))
+        )
+        for i in range(1, 40)
+    ]
+    assert words[24] == ""
+    assert "no known landmark for" in words[25]
+    assert "unsure by 0.3 m" in words[26]
+    assert trust.step(still(5.0)) == ""
+
+
+def test_a_standing_robot_without_landmarks_is_not_lost():
+    trust = Trust()
+    assert {trust.step(still(0.1, matched=False)) for _ in range(100)} == {""}
+
+
+def test_a_blind_lidar_and_a_broken_estimate_are_told():
+    trust = Trust()
+    assert "sees nothing" in trust.step(still(0.1, matched=False, seen=False))
+    assert "no number" in trust.step(still(np.nan))
+
+
+# --------------------------------------------------------------------------- the path
+
+
+def distances(points, polyline):
+    """Return how far points (n, 2) are from a polyline (m, 2)."""
+    a, b = polyline[:-1, None], polyline[1:, None]
+    d = b - a
+    with np.errstate(invalid="ignore", divide="ignore"):
+        t = np.clip(((points - a) * d).sum(-1) / (d * d).sum(-1), 0.0, 1.0)
+    t = np.nan_to_num(t)
+    return np.linalg.norm(points - (a + t[..., None] * d), axis=-1).min(axis=0)
+
+
+@pytest.mark.parametrize("laps", [1, 30])
+def test_a_long_path_stays_near_and_small(laps):
+    turn = np.linspace(0.0, 2 * np.pi * laps, 3000 * laps)
+    truth = np.c_[(2 + 0.1 * np.sin(7.1 * turn)) * np.cos(turn), 2 * np.sin(turn)]
+    path, most = ThinPath(limit=400), 0
+    for x, y in truth:
+        path.add(x, y)
+        most = max(most, len(path.points))
+    kept = path.points.astype(np.float64)
+    assert most <= 401
+    assert distances(truth[::7], kept).max() < 3 * path.tolerance
+    assert path.tolerance < (0.02 if laps == 1 else 0.7)
+    np.testing.assert_allclose(kept[0], truth[0], atol=1e-6)
+    np.testing.assert_allclose(kept[-1], truth[-1], atol=1e-6)
+
+
+def test_a_straight_path_is_a_few_points_however_long():
+    path = ThinPath(limit=1000)
+    for x in np.arange(0.0, 500.0, 0.02):
+        path.add(x, 1.0)
+    assert path.tolerance == 0.01
+    path._thin()
+    assert len(path.points) < 40  # one a thousand, where two parts join
+
+
+def test_a_robot_that_stands_adds_nothing():
+    path = ThinPath(limit=50)
+    for i in range(10_000):
+        path.add(1.0 + 0.004 * np.sin(i), 2.0)
+    assert len(path.points) == 2  # where it stands, and where it is
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(*(st.one_of(st.integers(-3, 3), st.floats(-50, 50)),) * 2), max_size=120))
+def test_any_path_is_kept_within_three_tolerances(points):
+    """Also one that comes back to the same spot, where cv2 sees a closed curve."""
+    path = ThinPath(limit=20)
+    for x, y in points:
+        path.add(x, y)
+    kept = path.points.astype(np.float64)
+    assert len(kept) <= 21
+    if points:
+        assert len(kept) >= 1
+        polyline = np.vstack([kept[:1], kept])
+        assert distances(np.array(points, float), polyline).max() < 3 * path.tolerance + 1e-4
+        np.testing.assert_allclose(kept[-1], points[-1], rtol=1e-6, atol=1e-6)
+
+
+def test_a_pose_that_is_no_number_is_left_out_of_the_path():
+    path = ThinPath()
+    for x in (0.0, np.nan, 1.0, np.inf):
+        path.add(x, 0.0)
+    np.testing.assert_array_equal(path.points, [[0, 0], [1, 0], [1, 0]])
+
+
+def test_a_result_without_numbers_does_not_break_the_view():
+    view, _ = begun()
+    nan = np.full(3, np.nan)
+    view.step(
+        StepResult(
+            1.0, nan, np.full((3, 3), np.nan), nan, nan, make_scan(1.0, np.zeros(3)),
+            (), (), (), (),
+        )
+    )  # fmt: skip
+    assert "no number" in view.snapshot().lost

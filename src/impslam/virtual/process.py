@@ -28,7 +28,7 @@ from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.world import World, load_world
 from impslam.virtual.assembly import Setup, assemble
 from impslam.virtual.control import answer
-from impslam.virtual.imp import VirtualImp
+from impslam.virtual.imp import PERIOD, VirtualImp
 
 START = 60.0  # s to come up, compiling included; 2 s where that has been done before
 END = 5.0  # s to end by itself
@@ -252,6 +252,7 @@ def main() -> int:
         return 2
     server.start()
     server.say(json.dumps(imp.ports()))
+    sys.setswitchinterval(PERIOD / 2)  # the camera's threads must not hold up the loop for long
     gc.collect()
     gc.freeze()  # what has been loaded stays; looking through it again would cost 50 ms
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from pathlib import Path
 
 from pydantic import PrivateAttr
@@ -34,6 +35,7 @@ from impslam.devices.urg_start import (
 from impslam.types import DeviceTime
 
 ATTEMPTS = 3  # to measure over an open port, before it is closed and opened anew
+STARTING = 2.0  # s from the request to the first scan: the laser and the motor settle
 VERIFYING = 5.0  # s that the sensor gets to verify an error; the protocol names no limit
 IMPLAUSIBLE = 3  # scans in a row whose stamps do not fit: its clock has jumped
 
@@ -58,6 +60,7 @@ class Urg(Device):
     _times: SweepTimes = PrivateAttr()
     _beams: Beams = PrivateAttr()
     _period: float = PrivateAttr(default=0.1)  # s from a scan to the next
+    _last: float = PrivateAttr(default=math.inf)  # host time of the last scan's step 0
     _scans: int = PrivateAttr(default=0)
     _misfits: int = PrivateAttr(default=0)
 
@@ -92,7 +95,7 @@ class Urg(Device):
         if isinstance(error, MalfunctionError):
             self._count("malfunctions")
             with contextlib.suppress(UnansweredError):
-                link.ask(RS)
+                link.ask(RS, wait=1.0)
 
     def _measure(self, link: ScipLink) -> None:
         """Find out what the sensor is and take its scans."""
@@ -139,9 +142,9 @@ class Urg(Device):
 
     def _stream(self, link: ScipLink, title: str) -> None:
         """Let scans be sent until something ends it."""
-        obey(link, link.ask(self._beams.request, tries=1))
+        obey(link, link.ask(self._beams.request, wait=STARTING, tries=1))
         self._ready(title)
-        patience = self._quiet
+        patience = max(STARTING, self._quiet)
         while heard := link.hear(patience):
             patience = self._quiet
             if heard.response.echo != self._beams.echo:
@@ -195,12 +198,18 @@ class Urg(Device):
             return
         self._misfits = 0
         self._scans += 1
-        if missed := self._times.missed(sweep.stamp):
-            self._count("missed scans", missed)
         device, host = self._times.place(sweep.stamp, heard.arrived)
+        # On the host's time base, which also counts on while the sensor is reset or unplugged.
+        if (missed := self._gaps(host)) > 0:
+            self._count("missed scans", missed)
+        self._last = host
         scan = self._beams.to_scan(sweep, host)
         self._deliver(scan, heard.arrived, device + self._beams.delay)
         self._deliver(DeviceTime(host, self.title, device), heard.arrived, device)
+
+    def _gaps(self, host: float) -> int:
+        """Return how many scans should have come between the last one and this."""
+        return round((host - self._last) / self._period) - 1 if math.isfinite(self._last) else 0
 
     def _warn(self, text: str) -> None:
         if text:

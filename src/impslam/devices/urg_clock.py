@@ -58,13 +58,6 @@ class SweepTimes:
         least = 0.5 * self._period if self._streaming else 0.0
         return least <= elapsed <= passed + HURRY + self._clock.delay and passed < elapsed + STALL
 
-    def missed(self, raw: int) -> int:
-        """Return how many scans should have come between the last one and this."""
-        if self._last is None or not self._streaming:
-            return 0
-        elapsed = ((raw - self._last[0]) % (1 << STAMP_BITS)) * UNIT
-        return max(0, round(elapsed / self._period) - 1)
-
     def place(self, raw: int, arrived: float) -> tuple[float, float]:
         """Return when a scan was at step 0: the sensor's clock, unwrapped, and the host's, in s."""
         self._settle()

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from impslam.devices import scip
-from impslam.virtual import urg
+from impslam.virtual import urg, urg_memory
 from impslam.virtual.urg import UrgEmulator
 from impslam.virtual.urg_sensor import clustered
 
@@ -335,13 +335,15 @@ def test_it_takes_any_bytes(pieces):
 
 
 @given(
-    st.lists(st.sampled_from(sorted(urg.COMMANDS)), max_size=12),
+    st.lists(st.sampled_from(sorted(urg_memory.COMMANDS)), max_size=12),
     st.text("0123456789x;", max_size=14),
 )
 def test_it_takes_any_commands(commands, parameters):
     emulator, time = UrgEmulator(Room()), 0.0
     for command in commands:
-        emulator.receive(f"{command}{parameters[: urg.COMMANDS[command]]}\n".encode("ascii"), time)
+        emulator.receive(
+            f"{command}{parameters[: urg_memory.COMMANDS[command]]}\n".encode("ascii"), time
+        )
         time += 0.13
         emulator.due(time)
 

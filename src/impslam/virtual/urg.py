@@ -8,81 +8,20 @@ a second; a scan is sent 2 ms after its last step, exponentially later by 0.3 ms
 from __future__ import annotations
 
 import math
-from collections import deque
-from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
 
 from impslam.devices import scip, scip_status
 from impslam.virtual import urg_sensor
 from impslam.virtual.base import Surroundings
-from impslam.virtual.urg_sensor import LAST_STEP, UrgSensor, clustered
+from impslam.virtual.urg_memory import BIT_RATES, COMMANDS, Line, Memory, Order, faulty
+from impslam.virtual.urg_sensor import UrgSensor, clustered
 
-BIT_RATES: Final = (19200, 38400, 57600, 115200, 250000, 500000, 750000)
 BOOT = 0.5  # s
 PROCESSING, JITTER = 2e-3, 0.3e-3  # s from the last step to the first byte: least, and mean beyond
 VERIFYING = 1.0  # s that statuses 21 to 49 last
 QUEUE = 512  # bytes of requests that it holds
 SIMULATED = 50  # status of the malfunction that DB asks for
-
-
-@dataclass(slots=True)
-class _Order:
-    """A scan command under way: MD and MS until they end, GD and GS until a sweep has."""
-
-    command: str
-    parameters: str
-    text: str
-    remaining: int = 0
-    endless: bool = False
-    wait: int = 0  # sweeps to let pass
-
-    @property
-    def streams(self) -> bool:
-        """Whether it goes on after a scan."""
-        return self.command in scip.STREAMS
-
-    def echo(self) -> str:
-        """Return what its responses begin with: streams tell the scans that remain."""
-        parameters = self.parameters
-        if self.streams:
-            parameters = f"{parameters[:-2]}{self.remaining:02d}"
-        return f"{self.command}{parameters}{self.text}"
-
-
-@dataclass(slots=True)
-class _Memory:
-    """What a reset forgets. Times in s of the virtual robot."""
-
-    scip2: bool
-    bit_rate: int
-    ready: float = 0.0  # before that it does not listen
-    adjusting: bool = False
-    sensitive: bool = False
-    order: _Order | None = None
-    failure: str = ""  # the status of a malfunction
-    verified: float = math.inf  # when it will have been looked at
-
-
-@dataclass(slots=True)
-class _Line:
-    """The way out: RS-232 takes its time, USB (`bit_rate` 0) none."""
-
-    queue: deque[tuple[float, bytes]] = field(default_factory=deque)
-    free: float = -math.inf  # when the last byte is through
-
-    def send(self, data: bytes, ready: float, bit_rate: int) -> None:
-        """Queue what is ready at a time; it arrives with its last byte."""
-        self.free = max(ready, self.free) + (10.0 * len(data) / bit_rate if bit_rate else 0.0)
-        self.queue.append((self.free, data))
-
-    def due(self, time: float) -> bytes:
-        """Return what has arrived."""
-        out = []
-        while self.queue and self.queue[0][0] <= time:
-            out.append(self.queue.popleft()[1])
-        return b"".join(out)
 
 
 class UrgEmulator:
@@ -95,6 +34,7 @@ class UrgEmulator:
     seed : of the jitter
     clock_start_ms : where its clock starts; near 2**24 it wraps soon
     scip1 : it wakes in SCIP 1.1, as some are delivered, and must be switched
+    turn : s by its own clock that a turn takes; real ones need 98 to 100 ms
     serial : the line is RS-232 with this bit rate to begin with; 0: USB, as fast as need be
     """
 
@@ -106,12 +46,13 @@ class UrgEmulator:
         seed: int = 0,
         clock_start_ms: int = 0,
         scip1: bool = False,
+        turn: float = 0.1,
         serial: int = 0,
     ) -> None:
-        self._sensor = UrgSensor(surroundings, drift, clock_start_ms)
+        self._sensor = UrgSensor(surroundings, drift, clock_start_ms, turn)
         self._rng = np.random.default_rng(seed)
         self._scip1, self._serial = scip1, serial
-        self._memory, self._line = _Memory(not scip1, serial or BIT_RATES[0]), _Line()
+        self._memory, self._line = Memory(not scip1, serial or BIT_RATES[0]), Line()
         self._heard = b""
         self._lasting = False
         self._time = 0.0
@@ -147,7 +88,7 @@ class UrgEmulator:
         self._run(time)
         self._reset()
         self._memory.scip2, self._memory.ready = not self._scip1, time + BOOT
-        self._line, self._heard = _Line(), b""
+        self._line, self._heard = Line(), b""
 
     def fail(self, status: int, *, lasting: bool = False) -> None:
         """Have a malfunction: 50 to 97, mended by RS unless `lasting`; 21 to 49 mends itself."""
@@ -204,7 +145,7 @@ class UrgEmulator:
         elif not order.endless and order.remaining == 0:
             self._laser_off()
 
-    def _send_sweep(self, order: _Order, sweep: int, ready: float) -> None:
+    def _send_sweep(self, order: Order, sweep: int, ready: float) -> None:
         said = order.parameters
         first, last, cluster = int(said[0:4]), int(said[4:8]), int(said[8:10])
         width = scip.WIDTH[order.command]
@@ -222,7 +163,7 @@ class UrgEmulator:
 
     def _reset(self) -> None:
         failure = self._memory.failure if self._lasting else ""
-        self._memory = _Memory(True, self._serial or BIT_RATES[0], failure=failure)
+        self._memory = Memory(True, self._serial or BIT_RATES[0], failure=failure)
         self._sensor.reset(self._time)
         self._sweep = 0
 
@@ -279,7 +220,7 @@ class UrgEmulator:
         if status:
             self._answer(echo, status)
             return
-        order = _Order(command, parameters, text)
+        order = Order(command, parameters, text)
         if streams:
             order.remaining = int(parameters[11:])
             order.endless = order.remaining == 0
@@ -368,28 +309,3 @@ class UrgEmulator:
         memory = self._memory
         said = urg_sensor.state(self._sensor, self._time, memory.bit_rate, memory.failure)
         return scip_status.OK, said
-
-
-# The commands that it knows, and how many characters of parameters they take.
-COMMANDS: Final = (
-    dict.fromkeys(("BM", "QT", "RS", "VV", "PP", "II"), 0)
-    | {"MD": 13, "MS": 13, "GD": 10, "GS": 10}
-    | {"TM": 1, "SS": 6, "CR": 2, "HS": 1, "DB": 2}
-)
-
-
-def faulty(parameters: str) -> str:
-    """Return the status that refuses the parameters of a scan command; "" if they are right."""
-    parts = {
-        "01": parameters[0:4],
-        "02": parameters[4:8],
-        "03": parameters[8:10],
-        "06": parameters[10:11],
-        "07": parameters[11:],
-    }
-    for status, part in parts.items():
-        if part and not (part.isascii() and part.isdigit()):
-            return status
-    if int(parts["02"]) > LAST_STEP:
-        return "04"
-    return "05" if int(parts["02"]) < int(parts["01"]) else ""

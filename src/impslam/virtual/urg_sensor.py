@@ -28,9 +28,11 @@ class UrgSensor:
     slowed : hundredths by which the motor turns slower than the standard
     """
 
-    def __init__(self, surroundings: Surroundings, drift: float, clock_start: int) -> None:
+    def __init__(
+        self, surroundings: Surroundings, drift: float, clock_start: int, turn: float
+    ) -> None:
         self.parameters = URG_04LX
-        self._surroundings, self._rate = surroundings, 1.0 + drift
+        self._surroundings, self._rate, self._turn = surroundings, 1.0 + drift, turn
         self.reset(0.0, clock_start)
 
     def reset(self, time: float, clock_start: int = 0) -> None:
@@ -41,7 +43,7 @@ class UrgSensor:
     @property
     def turn(self) -> float:
         """Time of a turn, in s; its clock's error is its motor's too."""
-        return self.parameters.turn / self._rate * (1.0 + 0.01 * self.slowed)
+        return self._turn / self._rate * (1.0 + 0.01 * self.slowed)
 
     def clock(self, time: float) -> int:
         """Return its clock in ms."""

@@ -10,6 +10,10 @@ import numpy as np
 from impslam.geometry.se2 import log
 from impslam.types import Array, Increment
 
+MOST = 20_000
+"""Increments kept apart: 200 s of odometry at 100 Hz without a scan. Then the older half becomes one,
+so that a robot whose lidar is silent for hours does not fill its memory."""
+
 
 class Timeline:
     """The motion not yet handed to the filter, in the order in which it happened.
@@ -44,6 +48,15 @@ class Timeline:
         )
         if increment.duration > 0.0:
             self._latest = increment
+        if len(self._pending) > MOST:
+            self._pending.appendleft(self._oldest(MOST // 2))
+
+    def _oldest(self, count: int) -> Increment:
+        """Remove and return the motion of so many increments."""
+        total = self._pending.popleft()
+        for _ in range(count - 1):
+            total = total.then(self._pending.popleft())
+        return total
 
     def covers(self, stamp: float) -> bool:
         """Tell whether motion is known up to a stamp."""

@@ -7,13 +7,14 @@ import pytest
 
 from impslam.devices.port import open_port, read_some, write_all
 from impslam.errors import ConfigError
-from impslam.simulation.body import Body
+from impslam.simulation.body import Body, Sweeps
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.world import World
 from impslam.virtual.control import answer
-from impslam.virtual.faults import Delay, Noise, Reboot, Stall, Unplug, parse_fault
+from impslam.virtual.faults import Delay, Malfunction, Noise, Reboot, Stall, Unplug, parse_fault
 from impslam.virtual.imp import SLICE, VirtualImp
 from impslam.virtual.line import PtyLine, TcpLine
+from impslam.virtual.urg import UrgEmulator
 
 pytest.importorskip("serial")
 
@@ -157,6 +158,17 @@ def test_faults_reach_the_line_or_the_device_that_they_are_for(imp):
     assert camera.done == [("unplug", 2.0), ("freeze", 1.0)]
     imp.close()
     assert camera.done[-1] == "close"
+
+
+def test_only_a_lidar_that_tells_statuses_has_malfunctions(imp):
+    with pytest.raises(ConfigError, match="only a URG"):
+        imp.fault(Malfunction())
+    imp._emulators["lidar"] = urg = UrgEmulator(Sweeps(imp.body))
+    urg.receive(b"BM\n", 0.0)
+    assert urg.laser
+    imp.fault(Malfunction(status=60))
+    urg.receive(b"BM\n", 0.1)
+    assert urg.due(0.2).endswith(b"BM\n01Q\n\n")  # refused, the laser does not work
 
 
 @pytest.mark.parametrize("device", ["camera", "lidar"])

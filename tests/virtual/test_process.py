@@ -16,6 +16,10 @@ import pytest
 from impslam.component import build
 from impslam.devices.base import Reading
 from impslam.errors import ConfigError, ImpError
+from impslam.simulation.lidar import laser_poses
+from impslam.simulation.raycast import sweep
+from impslam.simulation.robot import Lidar
+from impslam.simulation.scene import Scene
 from impslam.simulation.world import World, load_world, shipped_worlds
 from impslam.types import Event, Imu, LaserScan, WheelAngles
 from impslam.virtual.assembly import Setup
@@ -135,8 +139,40 @@ def test_the_hosts_own_drivers_hear_it(devices):
         "autopilot": "ok",
         "lidar": "ok",
     }
-    scan = next(r.message for r in readings[::-1] if isinstance(r.message, LaserScan))
-    assert len(scan.ranges) == 682
+    assert len(last_scan(readings).ranges) == 682
+
+
+def assert_shows_the_room(truth, scan: LaserScan) -> None:
+    """Compare with a ray along each beam from where the robot stands."""
+    scene = Scene(load_world("room"))
+    lasers = laser_poses(np.tile(truth["pose"], (len(scan.angles), 1)), Lidar().mount)
+    nothing = np.empty((2, 0, 4)), np.empty((2, 0, 3))
+    standing, at_once = (scene.segments, scene.circles), np.zeros(len(scan.angles))
+    expected, _ = sweep(lasers, scan.angles, at_once, standing, nothing, 5.6)
+    errors = np.abs(scan.ranges - expected)
+    assert np.median(errors) < 0.01
+    # Not beams at edges, which read between the two, nor those that see nothing.
+    assert np.mean(errors < 0.03) > 0.9
+
+
+def last_scan(readings) -> LaserScan:
+    return next(r.message for r in readings[::-1] if isinstance(r.message, LaserScan))
+
+
+def test_scans_show_the_world_as_it_is(robot, devices):
+    readings = devices[1]
+    until(lambda: count(readings, LaserScan) > 5)
+    assert_shows_the_room(robot.truth(), last_scan(readings))
+
+
+def test_so_do_those_of_the_other_lidar():
+    readings: list[Reading] = []
+    with VirtualRobot("room", camera=False, lidar="rplidar", lidar_line="pty") as robot:
+        device = build("device", robot.devices()["lidar"], "lidar")
+        device.start(readings.append)
+        until(lambda: count(readings, LaserScan) > 5)
+        assert_shows_the_room(robot.truth(), last_scan(readings))
+        device.stop()
 
 
 def test_commands_move_the_wheels_soon_and_stop_without_them(robot, devices):
@@ -179,6 +215,15 @@ def test_noise_is_counted_on_both_sides_and_ends(robot, devices):
     assert sum(number for what, number in counts.items() if "corrupt" in what) > 0
     time.sleep(0.2)
     assert robot.status()["lines"]["autopilot"]["flip"] == spoilt
+
+
+def test_a_lidar_that_fails_is_brought_back(robot, devices):
+    made, readings = devices
+    until(lambda: made["lidar"].health().state == "ok")
+    robot.fault("malfunction", status=60)
+    time.sleep(0.3)
+    number = count(readings, LaserScan)
+    until(lambda: count(readings, LaserScan) > number + 3)
 
 
 def test_a_stall_is_seen(robot):

@@ -58,6 +58,14 @@ class Reboot(_Fault):
     device: Literal["autopilot", "lidar"]
 
 
+class Malfunction(_Fault):
+    """A lidar that measures no longer and says so, until it is reset."""
+
+    fault: Literal["malfunction"] = "malfunction"
+    device: Literal["lidar"] = "lidar"
+    status: int = parameter(50, "", "what it says: SCIP's 50 to 97", ge=50, le=97)
+
+
 class Stall(_Fault):
     """Motors that are blocked."""
 
@@ -66,7 +74,9 @@ class Stall(_Fault):
     seconds: float = parameter(..., "s", "how long", gt=0.0)
 
 
-Fault: TypeAlias = Annotated[Noise | Delay | Unplug | Reboot | Stall, Field(discriminator="fault")]
+Fault: TypeAlias = Annotated[
+    Noise | Delay | Unplug | Reboot | Malfunction | Stall, Field(discriminator="fault")
+]
 _FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
 
 

@@ -19,8 +19,9 @@ from impslam.simulation.body import Body
 from impslam.types import Array
 from impslam.virtual.base import Emulator
 from impslam.virtual.camera import CameraEmulator
-from impslam.virtual.faults import Delay, Fault, Noise, Reboot, Stall, Unplug
+from impslam.virtual.faults import Delay, Fault, Malfunction, Noise, Reboot, Stall, Unplug
 from impslam.virtual.line import Line
+from impslam.virtual.urg import UrgEmulator
 
 log = logging.getLogger(__name__)
 
@@ -142,6 +143,8 @@ class VirtualImp:
             raise ConfigError(f"fault {fault.fault}: this robot has no {fault.device}")
         elif isinstance(fault, Reboot):
             self._emulators[fault.device].reboot(self._now)
+        elif isinstance(fault, Malfunction):
+            self._fail(self._emulators[fault.device], fault.status)
         else:
             self._line_fault(self._lines[fault.device], fault, self._now + fault.seconds)
 
@@ -150,7 +153,12 @@ class VirtualImp:
             self._blocked[side] = self._now + fault.seconds
             self.body.stall(side, True)
 
-    def _camera_fault(self, fault: Delay | Unplug | Noise | Reboot) -> None:
+    def _fail(self, emulator: Emulator, status: int) -> None:
+        if not isinstance(emulator, UrgEmulator):
+            raise ConfigError("fault malfunction: only a URG tells statuses; choose another fault")
+        emulator.fail(status)
+
+    def _camera_fault(self, fault: Fault) -> None:
         if self._camera is None:
             raise ConfigError(f"fault {fault.fault}: this robot has no camera")
         if isinstance(fault, Unplug):

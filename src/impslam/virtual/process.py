@@ -29,6 +29,7 @@ from impslam.simulation.world import World, load_world
 from impslam.virtual.assembly import Setup, assemble
 from impslam.virtual.control import answer
 from impslam.virtual.imp import PERIOD, VirtualImp
+from impslam.virtual.rplidar import A1
 
 START = 60.0  # s to come up, compiling included; 2 s where that has been done before
 END = 5.0  # s to end by itself
@@ -114,11 +115,14 @@ class VirtualRobot:
 
     def devices(self) -> dict[str, dict[str, Any]]:
         """Return the devices of a robot file that speak to this robot."""
-        kinds = {"autopilot": "autopilot", "lidar": self._setup.lidar, "camera": "camera"}
-        tables = {name: {"kind": kinds[name], "port": url} for name, url in self.ports.items()}
-        if "camera" in tables:
-            tables["camera"]["source"] = tables["camera"].pop("port")
-        return tables
+        tables: dict[str, dict[str, Any]] = {
+            "autopilot": {"kind": "autopilot", "port": self.ports.get("autopilot")},
+            "lidar": {"kind": self._setup.lidar, "port": self.ports.get("lidar")},
+            "camera": {"kind": "camera", "source": self.ports.get("camera")},
+        }
+        if self._setup.lidar == "rplidar":
+            tables["lidar"]["latency"] = 1.0 / A1.rate  # the emulator knows of whole turns only
+        return {name: tables[name] for name in self.ports}
 
     def fault(self, fault: str, **what: Any) -> None:
         """Let something go wrong: `fault("unplug", device="lidar", seconds=2)`; see `faults`."""

@@ -60,7 +60,8 @@ class Urg(Device):
     _clock: DeviceClock = PrivateAttr(default_factory=DeviceClock)
     _times: SweepTimes = PrivateAttr()
     _beams: Beams = PrivateAttr()
-    _period: float = PrivateAttr(default=0.1)  # s from a scan to the next
+    _period: float = PrivateAttr(default=0.0)  # s from a scan to the next, as the sensor says
+    _pace: float = PrivateAttr(default=0.0)  # s, as measured
     _last: float = PrivateAttr(default=-math.inf)  # host time of the last scan's step 0
     _scans: int = PrivateAttr(default=0)
     _misfits: int = PrivateAttr(default=0)
@@ -128,7 +129,9 @@ class Urg(Device):
                 f"choose first_step and last_step within {known.first} to {known.last}"
             )
         self._beams = Beams.of(known, self.mode, (first, last), self.cluster, self.skip)
-        self._period = known.turn * (1 + self.skip)
+        period = known.turn * (1 + self.skip)
+        if period != self._period:
+            self._period = self._pace = period
 
     def _too_slow(self, bit_rate: int) -> str:
         """Return a warning if an RS-232 line is slower than the scans."""
@@ -211,12 +214,12 @@ class Urg(Device):
         That goes on also while the sensor is reset or unplugged.
         """
         since = host - self._last
-        number = round(since / self._period) if math.isfinite(since) else 1
+        number = round(since / self._pace) if math.isfinite(since) else 1
         if number > 1:
             self._count("missed scans", number - 1)
         elif number == 1 and math.isfinite(since):
             # Motors that should turn in 100 ms do it in 98, which adds up over a long gap.
-            self._period += PACE * (since - self._period)
+            self._pace += PACE * (since - self._pace)
         self._last = host
 
     def _warn(self, text: str) -> None:

@@ -9,14 +9,11 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
-import numpy as np
 from pydantic import PrivateAttr
 
 from impslam.component import parameter, register
 from impslam.devices.autopilot_link import CommandLink
 from impslam.devices.autopilot_messages import (
-    ADC_STEPS,
-    ADC_VOLTS,
     FROM_AUTOPILOT,
     Ack,
     Flag,
@@ -24,32 +21,22 @@ from impslam.devices.autopilot_messages import (
     Kind,
     Sensors,
 )
+from impslam.devices.autopilot_readings import Readings
 from impslam.devices.base import DeviceError, DriveDevice, now
 from impslam.devices.clock import DeviceClock
 from impslam.devices.framing import Decoder, Frame
 from impslam.devices.port import open_port, read_some
-from impslam.devices.wheel_counter import WheelCounter
 from impslam.errors import MessageError
-from impslam.types import (
-    Acceleration,
-    Array,
-    Climate,
-    DeviceTime,
-    EncoderVoltages,
-    Imu,
-    MagneticField,
-    WheelAngles,
-)
+from impslam.types import DeviceTime
 
 REOPEN = 2.0  # s without a frame until the port is opened anew: as after an adapter that hung
 AWAY = 300.0  # s; the sequence goes round after 655 s, and then nobody knows what was lost
-CLIMATE_EVERY = 1.0  # s
 
 Level: TypeAlias = Literal["info", "warning"]
 
 _FLAGS: dict[Flag, tuple[Level, str, str]] = {
     Flag.STOPPED: ("warning", "emergency stop holds", "emergency stop released"),
-    Flag.DEAD_MAN: ("info", "no command for 0.5 s, motors off", "commands arrive"),
+    Flag.DEAD_MAN: ("info", "no command for 0.5 s, motors off", ""),
     Flag.STALL_LEFT: ("warning", "left motor stalls", "left motor turns again"),
     Flag.STALL_RIGHT: ("warning", "right motor stalls", "right motor turns again"),
     Flag.LOW_SUPPLY: ("warning", "supply is low; charge the battery", "supply is well again"),
@@ -60,15 +47,14 @@ _FLAGS: dict[Flag, tuple[Level, str, str]] = {
 class _Known:
     """What is known about the micro-controller; it outlives a connection."""
 
-    wheels: tuple[WheelCounter, WheelCounter]
+    readings: Readings
     clock: DeviceClock = field(default_factory=DeviceClock)
     decoder: Decoder | None = None
     boot: int | None = None
     boots: int | None = None
     hello: Hello | None = None
     last_clock: int = 0
-    flags: int = 0  # of `Flag`
-    climate_at: float = -math.inf
+    flags: int = Flag.DEAD_MAN  # what it starts with is no news
     opened: float = 0.0
     heard: float = -math.inf
     silent: bool = False
@@ -106,8 +92,7 @@ class Autopilot(DriveDevice):
     def model_post_init(self, context: object, /) -> None:
         """Begin with nothing known."""
         self._link = CommandLink(self._count)
-        left, right = (WheelCounter(self.counts_per_turn, ADC_STEPS) for _ in range(2))
-        self._known = _Known((left, right))
+        self._known = _Known(Readings(self.counts_per_turn))
 
     # ------------------------------------------------------------------ commands
 
@@ -205,8 +190,7 @@ class Autopilot(DriveDevice):
             self._count("reboots", 1)
         self._known.clock.restart()
         self._known.last_clock = 0
-        for wheel in self._known.wheels:
-            wheel.restart()
+        self._known.readings.restart()
         self._link.greet()
 
     def _on_hello(self, hello: Hello) -> None:
@@ -222,38 +206,20 @@ class Autopilot(DriveDevice):
         known.boots, known.hello = hello.boots, hello
 
     def _on_sensors(self, sensors: Sensors, arrived: float) -> None:
-        known, hello = self._known, self._known.hello
+        known = self._known
         if sensors.clock < known.last_clock:  # only a reboot does that, whatever its boot number
             self._begin_anew(True)
         known.last_clock = sensors.clock
         self._note_flags(sensors.flags)
-        left, right = (
-            wheel(*read)
-            for wheel, read in zip(
-                known.wheels, zip(sensors.counts, sensors.voltages, strict=True), strict=True
-            )
-        )
         device = 1e-6 * sensors.clock
         stamp = self._stamp(device, arrived)
-        if hello is None:
+        if known.hello is None:
             self._count("before HELLO", 1)
+            known.readings.follow(sensors)
             return
-        volts = ADC_VOLTS / ADC_STEPS
-        gyro = _scaled(sensors.gyro, hello.gyro)
-        force = _scaled(sensors.accelerometer, hello.accelerometer)
-        for message in (
-            WheelAngles(stamp, left, right),
-            EncoderVoltages(stamp, *(volts * step for step in sensors.voltages)),
-            Imu(stamp, gyro, force),
-            Acceleration(stamp, _scaled(sensors.accelerometer_2, hello.accelerometer_2)),
-            MagneticField(stamp, _scaled(sensors.magnetometer, hello.magnetometer)),
-            DeviceTime(stamp, self.title, device),
-        ):
+        for message in known.readings.messages(sensors, known.hello, stamp):
             self._deliver(message, arrived, device)
-        if stamp - known.climate_at >= CLIMATE_EVERY:
-            known.climate_at = stamp
-            climate = Climate(stamp, 0.01 * sensors.temperature, 1e-4 * sensors.humidity)
-            self._deliver(climate, arrived, device)
+        self._deliver(DeviceTime(stamp, self.title, device), arrived, device)
 
     def _stamp(self, device: float, arrived: float) -> float:
         """Return the host's time of a reading, and note what the clocks did."""
@@ -272,11 +238,7 @@ class Autopilot(DriveDevice):
         for flag, (level, set_, cleared) in _FLAGS.items():
             if flags & flag and not known.flags & flag:
                 self._tell(level, set_)
-            elif known.flags & flag and not flags & flag:
+            elif cleared and known.flags & flag and not flags & flag:
                 self._tell("info", cleared)
         known.flags = flags
         self._link.check_stopped(bool(flags & Flag.STOPPED))
-
-
-def _scaled(steps: tuple[int, int, int], scale: float) -> Array:
-    return scale * np.array(steps, dtype=np.float64)

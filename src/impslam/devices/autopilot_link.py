@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,14 @@ REPEAT = 0.05  # s between stops (or releases) that have not been answered
 SET_TIME_EVERY = 10.0  # s; a crystal drifts by 1 ms at most meanwhile
 UNANSWERED = 1.0  # s after which no answer is waited for: a hundred frames have come since
 _TRIPS = 1000  # round trips kept: a p99 rests on ten of them, and they span 50 s of driving
+
+
+class _Sent(NamedTuple):
+    """A command under way."""
+
+    kind: Kind
+    moment: float
+    demand: int
 
 
 class CommandLink:
@@ -41,10 +50,11 @@ class CommandLink:
         self._encoder: Encoder | None = None
         self._session = os.urandom(1)[0]
         self._failure: DeviceError | None = None
-        self._sent: dict[int, tuple[Kind, float]] = {}  # what is not answered yet, oldest first
+        self._sent: dict[int, _Sent] = {}  # what is not answered yet, oldest first
         self._trips: deque[float] = deque(maxlen=_TRIPS)
         self._stop_wanted = False
         self._pending: Kind | None = None  # STOP or RELEASE until it is answered
+        self._demand = 0  # which stop or release, of all that were asked for
         self._repeat_at = self._set_time_at = 0.0
 
     def attach(self, port: serial.SerialBase) -> None:
@@ -52,7 +62,7 @@ class CommandLink:
         with self._lock:
             self._session = (self._session + 1) % 256
             self._encoder, self._port, self._failure = Encoder(self._session), port, None
-            self._sent.clear()
+            self._give_up(math.inf)
             self._repeat_at = self._set_time_at = 0.0
 
     def detach(self) -> None:
@@ -114,15 +124,16 @@ class CommandLink:
     def answered(self, ack: Ack, arrived: float) -> None:
         """Take an answer."""
         with self._lock:
-            kind, sent = self._sent.pop(ack.sequence, (None, 0.0))
-            if kind is None or kind != ack.command:
+            sent = self._sent.pop(ack.sequence, None)
+            if sent is None or sent.kind != ack.command:
                 self._count("answers to nothing", 1)
                 return
             if ack.result is not Result.DONE:
                 self._count(f"commands refused: {ack.result.name.lower()}", 1)
                 return
-            self._trips.append(arrived - sent)
-            if kind is self._pending:
+            self._trips.append(arrived - sent.moment)
+            # An answer to an earlier stop says nothing about this one.
+            if sent.kind is self._pending and sent.demand == self._demand:
                 self._pending = None
 
     def latency(self) -> tuple[float, float]:
@@ -146,13 +157,13 @@ class CommandLink:
             self._port, self._failure = None, error
             self._count("commands not sent", 1)
             return
-        self._sent[sequence] = kind, sent
+        self._sent[sequence] = _Sent(kind, sent, self._demand)
         self._count("commands", 1)
 
     def _give_up(self, moment: float) -> None:
         while self._sent:
-            sequence, (_, sent) = next(iter(self._sent.items()))
-            if moment - sent < UNANSWERED:
+            sequence, sent = next(iter(self._sent.items()))
+            if moment - sent.moment < UNANSWERED:
                 return
             del self._sent[sequence]
             self._count("commands unanswered", 1)

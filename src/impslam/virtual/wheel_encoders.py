@@ -10,7 +10,7 @@ from impslam.devices.autopilot_messages import ADC_STEPS
 from impslam.devices.wheel_counter import shorter_way
 
 CUT_OFF = 950.0  # Hz, the low-pass before the converter (thesis 3.3): the drop at 5 V takes 0.2 ms
-FASTEST = ADC_STEPS // 8  # steps a ms, 125 turns a second: what jumps further was read in the drop
+FASTEST = 20  # steps a ms, 1.9 m/s of a 5 in wheel, twice its top: more was read within the drop
 PATIENCE = 3  # jumps in a row that are believed: the wheel was turned while nobody looked
 
 

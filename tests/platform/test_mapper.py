@@ -391,6 +391,19 @@ def test_the_estimator_is_compiled_apart(monkeypatch, tmp_path):
     assert len(calls) == 2
 
 
+def test_compiling_may_be_done_ahead(caplog):
+    done = threading.Event()
+    LiveMapper(load("imp"), LiveView(), lambda _: done.set()).warm_up()
+    assert done.wait(10.0)
+
+    def fail(_):
+        raise OSError("no disk")
+
+    with caplog.at_level(logging.WARNING, "impslam"):
+        LiveMapper(load("imp"), LiveView(), fail).warm_up()
+        wait_until(lambda: "no disk" in caplog.text)
+
+
 def test_what_cannot_be_compiled_apart_is_compiled_in_place(monkeypatch, caplog):
     def fail(*_, **__):
         raise OSError("no process")

@@ -82,6 +82,16 @@ class LiveMapper:
         self._lock = threading.Lock()
         self._mapping: _Mapping | None = None
 
+    def warm_up(self) -> None:
+        """Compile in the background; called at a program's start, the first map need not wait."""
+        threading.Thread(target=self._compile, name="warm-up", daemon=True).start()
+
+    def _compile(self) -> None:
+        try:
+            self._prepare(self._config)
+        except Exception as error:  # it is told when mapping starts, and fails again
+            log.warning("the estimator cannot be compiled: %s", error)
+
     def start(self) -> None:
         """Begin a new map, the robot standing at its origin; an older one is given up."""
         with self._lock:

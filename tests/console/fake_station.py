@@ -339,6 +339,9 @@ class Sessions:
 
     def __init__(self, app: Any) -> None:
         self.app = app
+        self.reset()
+
+    def reset(self) -> None:
         self.sessions = {
             "driver": Session("1", "driver 1", may_drive=True),
             "second": Session("2", "driver 2", may_drive=True),
@@ -374,6 +377,7 @@ def serve(port: int, *, tour: bool, replay: bool) -> None:
             "driver": helm.name, "stopped": helm.stopped, "speed": helm.speed,
             "turn_rate": helm.turn_rate, "latencies": page.latencies().tolist(),
             "player": [player.state, player.speed, player.steps], "starts": station.mapper.starts,
+            "recording": station.recorder.status().active, "logs": [log.name for log in station.store.kept],
             "pose": station.pose.tolist(), "cpu": time.process_time(), "time": time.time(),
         }  # fmt: skip
 
@@ -387,6 +391,21 @@ def serve(port: int, *, tour: bool, replay: bool) -> None:
     @api.get("/fake/lose")
     def lose(why: str = "") -> None:
         station.lost = why
+
+    @api.get("/fake/reset")
+    def reset() -> None:
+        """Everything but the map is as at the start."""
+        sessions.reset()
+        station.helm.leave(station.helm.state().driver or "")
+        station.helm.take("reset", "reset")
+        station.helm.release("reset")
+        station.helm.leave("reset")
+        station.drive.told.clear()
+        station.drive.stops = station.drive.releases = station.mapper.starts = 0
+
+    @api.get("/fake/demote")
+    def demote() -> None:
+        sessions.sessions["driver"].may_drive = False
 
     @api.get("/fake/end")
     def end() -> None:

@@ -140,7 +140,7 @@ class LogRecorder:
             if self._room() <= 0:
                 raise RecordingError(
                     f"{self._folder}: less than the reserve of {self._floor / 1e6:.0f} MB is free "
-                    "on the disk; delete logs"
+                    "on the disk; delete logs and empty the recycle bin"
                 )
             return Recording(self._new_path(name), self._preset, self._room, self._tell)
         except OSError as error:

@@ -23,8 +23,8 @@ log = logging.getLogger(__name__)
 PERIOD = 0.4  # s between syncs: with the time that writing takes, a kill costs less than 1 s
 
 FIXES = {
-    errno.ENOSPC: "delete logs",
-    errno.EDQUOT: "delete logs",
+    errno.ENOSPC: "delete logs and empty the recycle bin",
+    errno.EDQUOT: "delete logs and empty the recycle bin",
     errno.EROFS: "check the file system",
     errno.EIO: "save its logs and replace the disk",
     errno.EACCES: "check its permissions",
@@ -136,7 +136,9 @@ class Recording:
             if not self._writer.in_place:
                 raise RecordingError(f"{self.path}: was moved or deleted while it was written")
             if self._room() <= 0:
-                self.error = f"{self.path}: the disk is full up to its reserve; delete logs"
+                self.error = (
+                    f"{self.path}: the disk is full up to its reserve; " + FIXES[errno.ENOSPC]
+                )
                 return
         self._write_waiting()  # what came before the queue was closed
 

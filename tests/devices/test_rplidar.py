@@ -160,12 +160,13 @@ def test_the_clock_finds_rate_and_moment_in_late_arrivals(rate, rng):
         true = begin + step * 0.01
         number = math.floor((true - begin) * rate)
         delay = 0.0005 + rng.exponential(0.003) + (0.05 if rng.random() < 0.01 else 0.0)
+        delay += 0.06 if 600 < step < 670 else 0.0  # a machine that is busy for a while
         arrived = max(arrived, true + delay)
         clock.observe(number, arrived)
         if step > 400:
             at_zero, period = clock.fit()
-            assert at_zero + number * period == pytest.approx(true, abs=0.003)
-            assert period == pytest.approx(1 / rate, rel=2e-3)
+            assert at_zero + number * period == pytest.approx(true, abs=0.0025)
+            assert period == pytest.approx(1 / rate, rel=5e-4)
 
 
 def test_bytes_lost_unseen_are_noticed():
@@ -174,8 +175,9 @@ def test_bytes_lost_unseen_are_noticed():
         time_ = step * 0.01
         lost = 100 if time_ > 5.0 else 0  # 50 ms
         clock.observe(int(time_ * rate) - lost, time_)
-    at_zero, period = clock.fit()
-    assert at_zero + (12.0 * rate - 100) * period == pytest.approx(12.0, abs=0.002)
+        if time_ > 6.1:
+            at_zero, period = clock.fit()
+            assert at_zero + (time_ * rate - 100) * period == pytest.approx(time_, abs=0.002)
 
 
 def test_before_it_knows_it_says_nothing():

@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from impslam.devices.rplidar_protocol import Nodes
 from impslam.types import Array, LaserScan
 
-WINDOW = 4.0  # s over which the sampling rate is fitted: 0.1 ms/s where bytes come 3 ms unevenly
-SPACING = 0.01  # s between the points of the fit
+WINDOW = 6.0  # s over which the sampling rate is fitted: a part of them is on time on any machine
+SPACING = 0.02  # s between the points of the fit
+RECENT = 1.0  # s
 UNEVEN = 0.6  # rad that a turn may differ from a full one: near targets shift angles by 8 deg
-LATE = 0.02  # s by which all of the last second must be late to show that bytes were lost unseen
+LATE = 0.03  # s by which all recent arrivals must be late to show that bytes were lost unseen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,9 +95,10 @@ def _cut(nodes: Nodes, begin: int, end: int) -> Nodes:
 class NodeClock:
     """When measurements were made, told by their numbers and by when their bytes arrived.
 
-    The lidar has no clock, but it measures at an even rate. That rate is the slope of arrivals over
-    numbers; bytes come late by varying amounts and never early, so that the line through the
-    least late ones is the truth but for the shortest delay.
+    The lidar has no clock, but it measures at an even rate. Bytes come late by varying amounts and
+    never early: of all lines (time over number) that no arrival lies below, the one with the least
+    lateness on average is taken. It is the edge of the arrivals' lower convex hull beneath their
+    mean (Zhang, Liu & Xia 2002), and the truth but for the shortest delay.
     """
 
     def __init__(self) -> None:
@@ -113,24 +116,42 @@ class NodeClock:
 
     def fit(self) -> tuple[float, float] | None:
         """Return (s at number 0, s per measurement); None before half a second has been seen."""
+        line = self._line()
+        if line is not None and self._late(*line) > LATE:
+            points = self._points  # bytes were lost unseen: what was before no longer fits
+            while points[-1][1] - points[0][1] > RECENT:
+                points.popleft()
+            line = self._line()
+        return line
+
+    def _line(self) -> tuple[float, float] | None:
         points = self._points
-        if len(points) < 4 or points[-1][1] - points[0][1] < 0.5:
+        if len(points) < 4 or points[-1][1] - points[0][1] < 0.5 * RECENT:
             return None
-        numbers, arrivals = np.array(points).T
-        # From the last point on, lest digits are lost.
-        n, t = numbers - numbers[-1], arrivals - arrivals[-1]
-        spread = n - n.mean()
-        if not spread.any():
-            return None
-        period = float(spread @ (t - t.mean()) / (spread @ spread))
-        late = t - period * n
-        if period <= 0.0:
-            return None
-        if late[t > -1.0].min() - late.min() > LATE:
-            while points[-1][1] - points[0][1] > 1.0:
-                points.popleft()  # bytes were lost unseen: what was before no longer fits
-            return None
-        return float(arrivals[-1] + late.min() - period * numbers[-1]), period
+        zero, origin = points[-1]  # counted from here, lest digits are lost
+        (n0, t0), (n1, t1) = _lower_edge([(n - zero, t - origin) for n, t in points])
+        period = (t1 - t0) / (n1 - n0)
+        return (origin + t0 - period * (n0 + zero), period) if period > 0.0 else None
+
+    def _late(self, begin: float, period: float) -> float:
+        """Return by how much all of the recent arrivals are late, in s."""
+        since = self._points[-1][1] - RECENT
+        return min(t - begin - period * n for n, t in self._points if t > since)
+
+
+def _lower_edge(points: list[tuple[int, float]]) -> tuple[tuple[int, float], tuple[int, float]]:
+    """Return the edge of the lower convex hull that spans the mean abscissa of points in order."""
+    hull: list[tuple[int, float]] = []
+    for point in points:
+        while len(hull) > 1 and _turns_right(hull[-2], hull[-1], point):
+            hull.pop()
+        hull.append(point)
+    mean = sum(n for n, _ in points) / len(points)
+    return next((a, b) for a, b in pairwise(hull) if b[0] >= mean)
+
+
+def _turns_right(a: tuple[int, float], b: tuple[int, float], c: tuple[int, float]) -> bool:
+    return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])
 
 
 def laser_scan(turn: Turn, begin: float, period: float, limits: tuple[float, float]) -> LaserScan:

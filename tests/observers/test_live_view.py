@@ -273,8 +273,13 @@ def test_a_picture_of_the_map_before_is_not_shown(monkeypatch):
     view.begin(tuple, other.grid)
     gate.set()
     view._painter.join()
+    gate.clear()  # the new map's first picture is late as well
     view.step(next(make_results(1)))
     assert view.snapshot().grid is None
+    gate.set()
+    view._painter.join()
+    view.step(next(make_results(1)))
+    assert view.snapshot().grid.size == (1, 1)  # nothing is known of it
 
 
 # --------------------------------------------------------------------------- lost

@@ -175,6 +175,12 @@ def main() -> None:
             print(f"THE LOG CANNOT BE READ: {error}")
             raise SystemExit(1) from None
         written = station.recorder.status().written
+    print(f"in {time.monotonic() - begin:.0f} s; stopping the station took {stopping:.2f} s")
+    print(f"log: {sum(counts.values())} messages, {sum(written.values())} written; {problems}")
+    report(out, status, mapping, health)
+
+
+def report(out, status, mapping, health) -> None:
     print(
         f"{'device':10} {'fault':28} {'times':>5} {'hung':>4} {'median':>8} {'p90':>7} {'worst':>7}"
     )
@@ -186,12 +192,10 @@ def main() -> None:
         print(
             f"{name:10} {title:28} {len(values):5d} {hung:4d} {p50:6.2f} s {p90:5.2f} s {worst:5.2f} s"
         )
-    print(f"in {time.monotonic() - begin:.0f} s; stopping the station took {stopping:.2f} s")
     print(f"recorder: dropped {dict(status.dropped)}, error {status.error!r}")
     print(f"mapper: {mapping.state}, {mapping.steps} scans, dropped {mapping.dropped_scans}")
     for name, state in health.items():
         print(f"{name}: {dict(sorted(state.counts.items()))}")
-    print(f"log: {sum(counts.values())} messages, {sum(written.values())} written; {problems}")
 
 
 if __name__ == "__main__":

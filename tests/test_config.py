@@ -242,3 +242,18 @@ def test_a_file_that_is_its_own_base(tmp_path: Path):
     file.write_text(f"base = '{file.as_posix()}'")
     with pytest.raises(ConfigError, match="its own base"):
         read_table(file)
+
+
+def test_a_config_may_come_as_text_as_logs_carry_it():
+    carried = tomli_w.dumps(load("imp", ["odometry.track=0.41"]).resolved())
+    assert load(carried).resolved() == load("imp", ["odometry.track=0.41"]).resolved()
+    with pytest.raises(ConfigError, match="the log's own config: not valid TOML"):
+        load("a\n=")
+
+
+def test_a_log_s_own_config_must_not_choose_which_code_runs(tmp_path):
+    spy = tmp_path / "spy.py"
+    spy.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')")
+    with pytest.raises(ConfigError, match="because a log says so"):
+        load(f'plugins = ["{spy}"]\nbase = "imp"\n')
+    assert not (tmp_path / "ran").exists()

@@ -170,8 +170,11 @@ def presets() -> list[str]:
 def read_table(name: str | Path, above: tuple[str, ...] = ()) -> Table:
     """Return the raw table of a preset (by name) or of a TOML file, its `base` merged in.
 
+    A name of several lines is TOML itself: a log carries the config of the robot that wrote it.
     `above` are those whose base it is.
     """
+    if "\n" in str(name):
+        return _carried(str(name))
     if str(name) in above:
         raise ConfigError(f"{name}: is its own base ({' -> '.join(above)}); name another base")
     path = Path(name)
@@ -181,13 +184,28 @@ def read_table(name: str | Path, above: tuple[str, ...] = ()) -> Table:
         text = _read(path)
     else:
         raise ConfigError(f"{name}: neither a file nor a preset; {near_miss(str(name), presets())}")
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{name}: not valid TOML: {error}") from None
+    table = _parse(text, str(name))
     base = table.pop("base", None)
     table = _anchored(table, path.parent)
     return table if base is None else merge(read_table(str(base), (*above, str(name))), table)
+
+
+def _carried(text: str) -> Table:
+    """Return the config that a log carries; a log must not choose which code runs."""
+    table = _parse(text, "the log's own config")
+    if table.get("plugins"):
+        raise ConfigError(
+            f"the log was mapped with plug-ins ({table['plugins']}), which are not loaded because a "
+            "log says so; name a config with -c"
+        )
+    return table
+
+
+def _parse(text: str, name: str) -> Table:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{name}: not valid TOML: {error}") from None
 
 
 def _anchored(table: Table, folder: Path) -> Table:

@@ -36,7 +36,8 @@ def inspect(
         streams, preset = source.streams(), source.preset
         for _ in follow(survey.read(source), source, shown, "reading"):
             pass
-    console.say(f"{log}: {source.name}, preset {config or preset}")
+    named = config or ("of its robot, in the log" if "\n" in preset else preset)
+    console.say(f"{log}: {source.name}, preset {named}")
     _show_streams(streams)
     _show_clocks(survey)
     console.show_facts(_scan_facts(survey.beams) | _motion_facts(survey, chosen))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import getpass
-import shutil
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -18,6 +18,7 @@ from impslam.cli.console import Common, Flag
 from impslam.cli.replay import need_web
 from impslam.errors import ConfigError, ImpError
 from impslam.platform.robot_file import RobotFile, load_robot
+from impslam.platform.service import Watchdog, unit
 
 if TYPE_CHECKING:
     from impslam.platform.station import Station
@@ -107,7 +108,10 @@ def robot(
             station.recorder.start()
         if map_:
             station.start_mapping()
-        serve(Model(title, station.view, station=station), settings, ready=say)
+        pulse = Pulse()
+        with Watchdog(lambda: pulse.alive() and station.helm.alive):
+            model = Model(title, station.view, station=station)
+            serve(model, settings, ready=say, beat=pulse.beat)
     say(f"stopped; logs are in {station.folder}")
 
 
@@ -147,15 +151,26 @@ def service(
     user
         The user it runs as. Default: you.
     """
-    from impslam.platform.service import unit  # noqa: PLC0415  # not needed to serve
-
     del common
     chosen = load_robot(config)
-    program = shutil.which("imp") or sys.argv[0]
+    program = Path(sys.executable).with_name("imp")
     arguments = ["robot", "-c", str(config.resolve()), "--host", host, "--port", str(port)]
-    console.say(
-        unit(Path(program).resolve(), user or getpass.getuser(), chosen.folder.resolve(), arguments)
-    )
+    console.say(unit(program, user or getpass.getuser(), chosen.folder.resolve(), arguments))
+
+
+class Pulse:
+    """Whether the page's server still beats."""
+
+    def __init__(self) -> None:
+        self._last = time.monotonic()
+
+    def beat(self) -> None:
+        """Live."""
+        self._last = time.monotonic()
+
+    def alive(self) -> bool:
+        """Tell whether it has beaten within 5 s: fifty beats."""
+        return time.monotonic() - self._last < 5.0
 
 
 def ignore(line: str) -> None:

@@ -59,6 +59,7 @@ class Server(uvicorn.Server):
     ----------
     gate : who may
     address : where the page is, as in `https://robot.local:8080`
+    beat : called ten times a second while it lives
     """
 
     def __init__(
@@ -66,6 +67,7 @@ class Server(uvicorn.Server):
     ) -> None:
         super().__init__(config)
         self.gate, self.address, self._ready = gate, address, ready
+        self.beat: Callable[[], None] = lambda: None
 
     def stop(self) -> None:
         """Ask it to end."""
@@ -78,6 +80,7 @@ class Server(uvicorn.Server):
 
     async def on_tick(self, counter: int) -> bool:
         """Look after the gate once a second; called ten times a second."""
+        self.beat()
         if counter % 10 == 0:
             self.gate.sweep()
         return await super().on_tick(counter)
@@ -110,7 +113,13 @@ class Server(uvicorn.Server):
         self.should_exit = True
 
 
-def serve(model: Model, settings: ServerSettings, *, ready: Tell = lambda line: None) -> None:
+def serve(
+    model: Model,
+    settings: ServerSettings,
+    *,
+    ready: Tell = lambda line: None,
+    beat: Callable[[], None] = lambda: None,
+) -> None:
     """Serve the page until SIGINT or SIGTERM; open sockets are cut within 2 s.
 
     Parameters
@@ -119,6 +128,7 @@ def serve(model: Model, settings: ServerSettings, *, ready: Tell = lambda line: 
     settings : where, and by which papers
     ready : called once with each line that a user should see when the page can be opened: its
         address, the one-time link where no password is set, the certificate's fingerprint
+    beat : called ten times a second while the server lives, for a watchdog
 
     Raises
     ------
@@ -128,7 +138,9 @@ def serve(model: Model, settings: ServerSettings, *, ready: Tell = lambda line: 
     with listening(settings) as listener:
         from impslam.console.page import build  # noqa: PLC0415  # it imports what this one does
 
-        prepared(model, settings, listener, ready, build).run([listener])
+        server = prepared(model, settings, listener, ready, build)
+        server.beat = beat
+        server.run([listener])
 
 
 def prepared(
@@ -145,7 +157,7 @@ def prepared(
     if not near and "drive" not in accounts.rights():
         raise ImpError(
             f"host {settings.host}: beyond this computer nobody is served until a password to "
-            "drive is set; `imp robot password drive` sets one, --host 127.0.0.1 serves here alone"
+            "drive is set; `imp robot password` sets one, --host 127.0.0.1 serves here alone"
         )
     papers = _papers(settings, accounts, near=near)
     address = _address(settings, listener, secure=papers is not None, near=near)

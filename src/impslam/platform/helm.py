@@ -18,6 +18,7 @@ from impslam.errors import ImpError
 log = logging.getLogger(__name__)
 
 DEAD_MAN = 0.3  # s; a page sends ten commands a second, so that two may be lost on the way
+ALIVE = 5.0  # s without passing anything on: the helm hangs; twice a port's longest write
 PERIOD = 0.05  # s between commands to the device: six reach it before its own dead man of 0.5 s
 
 
@@ -68,6 +69,7 @@ class Helm:
         self._stopped = ""
         self._command, self._given = (0.0, 0.0), float("-inf")
         self._told = (0.0, 0.0)
+        self._passed = now()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._keep, name="helm", daemon=True)
 
@@ -166,9 +168,15 @@ class Helm:
         fresh = now() - self._given < DEAD_MAN
         return self._command if fresh and not self._stopped else (0.0, 0.0)
 
+    @property
+    def alive(self) -> bool:
+        """Whether commands are still passed on."""
+        return self._thread.is_alive() and now() - self._passed < ALIVE
+
     def _keep(self) -> None:
         while not self._closing.wait(PERIOD):
             self._pass_on()
+            self._passed = now()
         if self._device is not None:
             self._device.drive(0.0, 0.0)
 

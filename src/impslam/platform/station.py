@@ -8,7 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from impslam.config import load
+import tomli_w
+
+from impslam.config import Config, load, presets
 from impslam.devices.base import Device, DriveDevice, Health, Reading, now
 from impslam.observers.live_view import LiveView
 from impslam.platform.helm import Helm
@@ -53,9 +55,10 @@ class Station:
     ) -> None:
         self.devices, self.folder, self.limits = devices, folder, limits
         self.store = LogStore(folder)
-        self.recorder = LogRecorder(folder, preset, floor, self._announce)
+        config = load(preset)
+        self.recorder = LogRecorder(folder, _portable(preset, config), floor, self._announce)
         self.view = LiveView()
-        self.mapper = LiveMapper(load(preset), self.view)
+        self.mapper = LiveMapper(config, self.view)
         drives = [device for device in devices.values() if isinstance(device, DriveDevice)]
         self.helm = Helm(drives[0] if drives else None, limits, self._announce, self._commanded)
         self.events: list[Event] = []
@@ -113,3 +116,8 @@ class Station:
     def _note(self, event: Event) -> None:
         self.events.append(event)
         del self.events[:-EVENTS]
+
+
+def _portable(preset: str, config: Config) -> str:
+    """Return what a log says of how it is mapped: a file here would not be found elsewhere."""
+    return preset if preset in presets() else tomli_w.dumps(config.resolved())

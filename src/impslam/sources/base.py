@@ -88,7 +88,7 @@ class Source(Component):
 
     @property
     def preset(self) -> str:
-        """Name of the preset that fits this log when the user names none; ask while it is open."""
+        """The preset (or the config, as TOML) that fits this log; ask while it is open."""
         return self.default_preset
 
     @property

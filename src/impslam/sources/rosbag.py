@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Literal, Self, TypeAlias
@@ -43,6 +44,20 @@ READERS: dict[Use, Callable[[RosMessage, float], Message]] = {
 }
 TRUTH_TOPIC = "/ground_truth"  # and what is below it
 PRESET_TOPIC, PRESET_TYPE = "/impslam/preset", "std_msgs/msg/String"
+EVENT_TYPE = "rcl_interfaces/msg/Log"
+WARNING, ERROR = 30, 40  # levels of rcl_interfaces/Log
+
+KEPT = {
+    EVENT_TYPE: "events",
+    "sensor_msgs/msg/TimeReference": "a device's clock",
+    "sensor_msgs/msg/MagneticField": "magnetic field",
+    "sensor_msgs/msg/Temperature": "temperature",
+    "sensor_msgs/msg/RelativeHumidity": "humidity",
+    "geometry_msgs/msg/AccelStamped": "second accelerometer",
+    "geometry_msgs/msg/Vector3Stamped": "encoder voltages",
+    "geometry_msgs/msg/TwistStamped": "commanded velocity",
+}
+"""What else our recorder writes: kept for whoever wants it, of no use for mapping."""
 
 
 @register("rosbag")
@@ -90,7 +105,7 @@ class RosBag(Source):
 
     @property
     def preset(self) -> str:
-        """Name of the preset that the recorder wrote, if it did."""
+        """Name of the preset, or the config as TOML, that the recorder wrote, if it did."""
         return self._preset or self.default_preset
 
     @property
@@ -107,13 +122,20 @@ class RosBag(Source):
         """Return the topics, by name, with what they are used for."""
         counts = _counts(self._open().connections)
         return [
-            Stream(topic, kind, count, topic in self._uses, self._note(topic, kind))
+            Stream(topic, kind, count, self._is_used(topic), self._note(topic, kind))
             for (topic, kind), count in sorted(counts.items())
         ]
+
+    def _is_used(self, topic: str) -> bool:
+        return topic in self._uses or (topic == PRESET_TOPIC and bool(self._preset))
 
     def _note(self, topic: str, kind: str) -> str:
         if topic in self._uses:
             return self._uses[topic]
+        if topic == PRESET_TOPIC:
+            return "preset"
+        if self._preset and kind in KEPT:  # the log is one of ours
+            return f"kept: {KEPT[kind]}"
         rivals = [use for use, name in TYPES.items() if name == kind]
         taken = {use: name for name, use in self._uses.items() if use in rivals}
         if not taken:
@@ -171,12 +193,16 @@ class RosBag(Source):
         if bag.is_cut:
             self._problems.add(
                 "cut file",
-                f"{self.path}: lacks its end (power lost?); whole records are used, or repair it "
-                "with `mcap recover`",
+                f"{self.path}: lacks its end (power lost, or still being recorded); whole records "
+                "are used; other programs need `mcap recover` first",
             )
-        decode = {connection.id: bag.decoder(connection) for connection in used}
+        events = [c for c in bag.connections if self._preset and c.msgtype == EVENT_TYPE]
+        decode = {connection.id: bag.decoder(connection) for connection in [*used, *events]}
         self._position = 0
-        for connection, log_time, data in self._raw(bag, used):
+        for connection, log_time, data in self._raw(bag, [*used, *events]):
+            if connection in events:
+                self._enter_event(decode[connection.id], data)
+                continue
             self._position += 1
             try:
                 message = self._convert(connection.topic, decode[connection.id](data), log_time)
@@ -188,6 +214,15 @@ class RosBag(Source):
                 )
             else:
                 yield Located(message, self._position, connection.topic)
+
+    def _enter_event(self, decode: Callable[[bytes], RosMessage], data: bytes) -> None:
+        """Enter what went wrong on the robot; what it merely did is left alone."""
+        with suppress(Exception):  # rosbags raises anything on damaged data
+            event = decode(data)
+            if event.level >= WARNING:
+                kind = "error on the robot" if event.level >= ERROR else "warning on the robot"
+                said = " ".join(f"{event.name}: {event.msg}".split())
+                self._problems.add(kind, f"{self.path}: {said}")
 
     def _raw(self, bag: Bag, used: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
         """Yield the data in use; a damaged log ends early, which is a problem."""

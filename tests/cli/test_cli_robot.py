@@ -1,0 +1,104 @@
+"""`imp robot` before it serves: what it refuses, and what its other commands write."""
+
+import getpass
+import io
+import json
+import stat
+
+import pytest
+
+from impslam.cli import replay, robot
+
+ROBOT = """
+folder = "logs"
+[devices.lidar]
+kind = "urg"
+port = "/dev/imp-lidar"
+"""
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    return tmp_path
+
+
+def type_in(monkeypatch, text):
+    monkeypatch.setattr("sys.stdin", io.StringIO(text))
+
+
+def test_without_a_robot_it_says_how_to_name_one(imp):
+    said = imp("robot")
+    assert said.code == 2
+    assert "-c robot.toml" in said.err
+    assert "--virtual" in said.err
+    assert said.err.count("\n") == 1
+
+
+def test_a_wrong_robot_file_is_told_in_one_line(imp, tmp_path):
+    path = tmp_path / "robot.toml"
+    path.write_text(ROBOT.replace("port", "prot"))
+    said = imp("robot", "-c", path)
+    assert said.code == 2
+    assert "did you mean 'port'" in said.err
+
+
+def test_beyond_loopback_it_asks_for_a_password_first(imp, home):
+    path = home / "robot.toml"
+    path.write_text(ROBOT)
+    said = imp("robot", "-c", path, "--host", "0.0.0.0", "--folder", home / "logs")
+    assert said.code == 2
+    assert "`imp robot password` sets one" in said.err
+
+
+def test_a_password_is_kept_hashed_and_private(imp, home, monkeypatch):
+    type_in(monkeypatch, "four walls and a door\n")
+    said = imp("robot", "password")
+    assert said.code == 0, said.err
+    path = home / "config" / "impslam" / "accounts.json"
+    assert str(path) in said.out
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert "four walls" not in path.read_text()
+    type_in(monkeypatch, "only looking around\n")
+    assert imp("robot", "password", "--watch").code == 0
+    book = json.loads(path.read_text())
+    assert book["drive"] != book["watch"]
+
+
+def test_a_short_password_is_refused(imp, home, monkeypatch):
+    type_in(monkeypatch, "short\n")
+    said = imp("robot", "password")
+    assert said.code == 2
+    assert "characters" in said.err
+
+
+def test_a_password_typed_twice_must_be_the_same(imp, home, monkeypatch):
+    typed = iter(["four walls and a door", "four walls and a d00r"])
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    monkeypatch.setattr(robot.getpass, "getpass", lambda prompt: next(typed))
+    said = imp("robot", "password")
+    assert said.code == 2
+    assert "not the same" in said.err
+    assert not (home / "config").exists()
+
+
+def test_the_unit_starts_this_robot(imp, home):
+    path = home / "robot.toml"
+    path.write_text(ROBOT)
+    said = imp("robot", "service", "-c", path, "--user", getpass.getuser(), "--port", "8443")
+    assert said.code == 0, said.err
+    start = next(line for line in said.out.splitlines() if line.startswith("ExecStart="))
+    assert f'/imp" "robot" "-c" "{path}"' in start
+    assert '"--port" "8443"' in start
+    assert f"User={getpass.getuser()}" in said.out
+
+
+@pytest.mark.parametrize("words", [("robot", "--virtual"), ("run", "LOG", "--live")])
+def test_without_the_extra_it_says_what_to_install(imp, room, tmp_path, monkeypatch, words):
+    monkeypatch.setattr(replay, "WEB", ("nicegui_is_not_there",))
+    words = [room if word == "LOG" else word for word in words]
+    if "--live" in words:
+        words += ["-o", tmp_path / "run"]
+    said = imp(*words)
+    assert said.code == 2
+    assert "impslam[robot,web]" in said.err

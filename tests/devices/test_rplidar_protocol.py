@@ -5,11 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from impslam.devices.rplidar_parser import CHAIN, HELD, Parser
 from impslam.devices.rplidar_protocol import (
     CAPSULE,
-    CHAIN,
     DESCRIPTORS,
-    HELD,
     NODE,
     SAMPLES,
     Answer,
@@ -17,7 +16,6 @@ from impslam.devices.rplidar_protocol import (
     Condition,
     Info,
     Nodes,
-    Parser,
     request,
 )
 

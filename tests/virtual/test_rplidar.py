@@ -3,13 +3,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from impslam.devices.rplidar_parser import Parser
 from impslam.devices.rplidar_protocol import (
     Answer,
     Command,
     Condition,
     Info,
     Nodes,
-    Parser,
     request,
 )
 from impslam.virtual.rplidar import A1, BANNER, RPLidarEmulator

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from impslam.component import parameter, register
 from impslam.devices.base import Device, DeviceError, now
 from impslam.devices.port import open_port, read_some, write_all
+from impslam.devices.rplidar_parser import Parser
 from impslam.devices.rplidar_protocol import (
     CAPSULE,
     NODE,
@@ -20,7 +21,6 @@ from impslam.devices.rplidar_protocol import (
     Condition,
     Info,
     Nodes,
-    Parser,
     request,
 )
 from impslam.devices.rplidar_scans import NodeClock, Turn, Turns, laser_scan

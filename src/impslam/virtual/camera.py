@@ -21,18 +21,15 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from impslam.geometry.kernels import kernel
 from impslam.simulation.raycast import trace
 from impslam.simulation.scene import Scene, Thing
 from impslam.types import Array
-
-Pixels = npt.NDArray[np.uint8]
+from impslam.virtual.paint import Pixels, paint
 
 BOUNDARY = "impslam-frame"
 REACH = 60.0  # m; beyond it the world is haze
 HEIGHTS = {"cylinder": 0.7, "person": 0.8}  # m; a column shows one thing of each layer
 HEIGHT = 0.9  # m, of all that is straight: boards in a hall
-STRIPE = 0.5  # m, width of the walls' stripes and of the floor's tiles
 # Red, green, blue. Neighbouring walls differ, so that a picture tells where the robot looks.
 WALLS = ((196, 176, 150), (150, 178, 190), (178, 190, 154), (192, 158, 158), (168, 160, 190))
 COLOURS = {
@@ -91,7 +88,7 @@ class CameraEmulator:
         eye[:2] += lens.forward * np.array([math.cos(heading), math.sin(heading)])
         image = np.empty((lens.height, lens.width, 3), np.uint8)
         straight, round_ = self._straight(eye, time_), self._round(eye, time_)
-        _paint(image, eye, lens.focal, lens.above_floor, straight, round_)
+        paint(image, eye, lens.focal, lens.above_floor, straight, round_)
         return image
 
     def jpeg(self) -> bytes:
@@ -201,72 +198,6 @@ def _layer(
     if not len(heights):
         return np.full((len(depth), 7), np.inf)
     return np.column_stack([depth, heights[hits], along, light, colours[hits, ::-1]])
-
-
-@kernel
-def _paint(
-    image: Pixels, eye: Array, focal: float, above_floor: float, first: Array, second: Array
-) -> None:
-    """Paint each column: hall, floor, then both layers (n, 7), the nearer over the farther."""
-    c, s = math.cos(eye[2]), math.sin(eye[2])
-    for column in range(image.shape[1]):
-        side = (0.5 * (image.shape[1] - 1) - column) / focal
-        strip = image[:, column]
-        _background(strip, focal)
-        _floor(strip, focal, above_floor, eye, c - side * s, s + side * c)
-        near, far = first[column], second[column]
-        if far[0] < near[0]:
-            near, far = far, near
-        _upright(strip, focal, above_floor, far)
-        _upright(strip, focal, above_floor, near)
-
-
-@kernel
-def _background(strip: Pixels, focal: float) -> None:
-    """Paint the hall behind everything: a light that fades upwards."""
-    rows = len(strip)
-    for row in range(rows):
-        slope = (0.5 * (rows - 1) - row) / focal
-        strip[row, 0] = int(140 - 220 * slope)
-        strip[row, 1] = int(132 - 220 * slope)
-        strip[row, 2] = int(124 - 220 * slope)
-
-
-@kernel
-def _floor(
-    strip: Pixels, focal: float, above_floor: float, eye: Array, dx: float, dy: float
-) -> None:
-    """Paint tiles that lie still in the world; (dx, dy) is the way on the floor per depth."""
-    rows = len(strip)
-    for row in range((rows + 1) // 2, rows):
-        z = above_floor * focal / (row - 0.5 * (rows - 1))
-        tile = math.floor((eye[0] + z * dx) / STRIPE) + math.floor((eye[1] + z * dy) / STRIPE)
-        grey = (104.0 if tile % 2 == 0 else 128.0) / (1.0 + 0.06 * z)
-        strip[row, 0] = int(grey * 0.96)
-        strip[row, 1] = int(grey)
-        strip[row, 2] = int(grey * 1.02)
-
-
-@kernel
-def _upright(strip: Pixels, focal: float, above_floor: float, thing: Array) -> None:
-    """Paint what stands in a column: [depth, height, along, light, blue, green, red]."""
-    depth, height, along, light = thing[0], thing[1], thing[2], thing[3]
-    if not depth < math.inf:
-        return
-    middle, scale = 0.5 * (len(strip) - 1), focal / max(depth, 0.01)
-    top = max(math.ceil(middle - (height - above_floor) * scale), 0)
-    bottom = min(math.floor(middle + above_floor * scale), len(strip) - 1)
-    if along >= 0.0 and math.floor(along / STRIPE) % 2 == 1:
-        light *= 0.86
-    for row in range(top, bottom + 1):
-        h = above_floor + (middle - row) / scale
-        shade = light
-        if along < 0.0 and 0.4 < h / height < 0.6:
-            shade *= 1.35  # the band of a cone
-        elif h < 0.05 or h > height - 0.03:
-            shade *= 0.6  # skirting and edge
-        for k in range(3):
-            strip[row, k] = int(min(thing[4 + k] * shade, 255.0))
 
 
 def _handler(camera: CameraEmulator) -> type[BaseHTTPRequestHandler]:

@@ -1,7 +1,9 @@
 """Fixtures shared by all tests."""
 
+import logging
 import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,16 @@ def data_folder() -> Path:
     if not DATA.is_dir():
         pytest.skip(f"needs the real logs in {DATA} (set IMPSLAM_DATA to use another folder)")
     return DATA
+
+
+@pytest.fixture(autouse=True)
+def library_log() -> Iterator[None]:
+    """Leave the library's log as it was: a command that a test calls sets it up for itself."""
+    log = logging.getLogger("impslam")
+    level, propagate, handlers = log.level, log.propagate, log.handlers[:]
+    yield
+    log.setLevel(level)
+    log.propagate, log.handlers[:] = propagate, handlers
 
 
 @pytest.fixture

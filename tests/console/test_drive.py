@@ -165,7 +165,7 @@ def test_a_page_that_is_left_lets_go_at_once(browser, robot, leave):
 
 
 @pytest.mark.browser
-@pytest.mark.parametrize("how", ["button", "Space", "Escape"])
+@pytest.mark.parametrize("how", ["button", "Space", "Escape", "box"])
 def test_anyone_stops_and_only_the_driver_releases(browser, robot, how):
     with visit(browser, robot) as driver, visit(browser, robot, "watcher") as watcher:
         page = driver.page
@@ -174,6 +174,10 @@ def test_anyone_stops_and_only_the_driver_releases(browser, robot, how):
         until(lambda: moves(robot))
         if how == "button":
             watcher.page.get_by_test_id("stop").click()
+        elif how == "box":  # which has the focus, and which the space bar would tick again
+            watcher.page.get_by_test_id("layer-dead").click()
+            watcher.page.keyboard.press("Space")
+            expect(watcher.page.get_by_test_id("layer-dead")).to_be_checked()
         else:
             watcher.page.keyboard.press(how)
         until(lambda: robot.state()["stopped"])

@@ -2,6 +2,7 @@
 // go by itself when the page is left, hidden, covered, or its link is lost, and must then be pressed anew.
 const PERIOD = 100; // ms between commands; the robot's dead man takes 300
 const DEAD = 0.08; // of the pad's radius: a thumb that rests is no command
+const NOT_HERE = "input:is([type=text], :not([type])), textarea, select, [contenteditable=true], .q-dialog";
 const KEYS = {
   ArrowUp: [1, 0], KeyW: [1, 0], ArrowDown: [-1, 0], KeyS: [-1, 0],
   ArrowLeft: [0, 1], KeyA: [0, 1], ArrowRight: [0, -1], KeyD: [0, -1],
@@ -94,7 +95,7 @@ export default {
     },
     keydown(event) {
       if (!(event.code in KEYS) || event.ctrlKey || event.altKey || event.metaKey) return;
-      if (event.target.closest?.("input:not([type=range]), textarea, select, [contenteditable=true], .q-dialog")) return;
+      if (event.target.closest?.(NOT_HERE)) return;
       if (!this.driving) return;
       event.preventDefault(); // arrows would scroll the page
       if (event.repeat || this.pressed.includes(event.code)) return; // what was let go must be pressed anew

@@ -15,6 +15,7 @@ from impslam.console.model import Model
 from impslam.devices.base import now
 from impslam.observers.live_view import Snapshot
 from impslam.platform.station import StationHealth
+from impslam.platform.store import BinnedLog, StoredLog
 from impslam.types import Array
 
 T = TypeVar("T")
@@ -39,6 +40,11 @@ class Cached(Generic[T]):
                 self._value, self._made = self._make(), time.monotonic()
             return self._value
 
+    def expire(self) -> None:
+        """Have it made anew when it is asked for next."""
+        with self._lock:
+            self._made = float("-inf")
+
 
 class Feed:
     """Frames of a model's map for any number of pages, and how late they were drawn.
@@ -46,11 +52,13 @@ class Feed:
     Attributes
     ----------
     health : how a robot is doing; call it
+    stored : its logs, and its recycle bin; call it, in a thread, since it looks at the disk
     """
 
     def __init__(self, model: Model) -> None:
         self.model = model
         self.health = Cached(self._health, 0.5)
+        self.stored = Cached(self._stored, 1.5)
         self._common: Frame = {"seq": -1}
         self._marks: dict[int, Mark] = {}
         self._landmarks: Any = None
@@ -79,6 +87,11 @@ class Feed:
     def _health(self) -> StationHealth:
         assert self.model.station is not None
         return self.model.station.health()
+
+    def _stored(self) -> tuple[list[StoredLog], list[BinnedLog]]:
+        assert self.model.station is not None
+        store = self.model.station.store
+        return store.logs(), store.bin()
 
     def _encode(self, snapshot: Snapshot) -> None:
         self._common = common(snapshot)

@@ -33,6 +33,8 @@ LOOKS = {
 }
 """State -> icon, and how it is coloured."""
 LEVELS = {"info": "info", "warning": "warning", "error": "error"}
+UNSEEN = {"DeviceTime", "Event"}
+"""Messages about messages: what they tell has a place of its own."""
 TROUBLE = re.compile(
     "lost|corrupt|drop|late|repeat|bad|error|reopen|restart|reboot|skip|refus|timeout|unknown|cut"
 )
@@ -80,7 +82,11 @@ class EventPanel:
 
 def device_row(name: str, health: Health) -> str:
     """Return a device's state, rates, troubles and detail as HTML."""
-    rates = (f"{_spoken(kind)} {rate:.{_digits(rate)}f} Hz" for kind, rate in health.rates.items())
+    rates = (
+        f"{_spoken(kind)} {rate:.{_digits(rate)}f} Hz"
+        for kind, rate in health.rates.items()
+        if kind not in UNSEEN
+    )
     troubles = (
         f"{count} {kind}"
         for kind, count in health.counts.items()

@@ -9,6 +9,7 @@ from urllib.parse import quote
 from nicegui import html, run, ui
 from nicegui.element import Element
 
+from impslam.console.feed import Feed
 from impslam.console.viewer import Viewer
 from impslam.console.widgets import button, card, duration, line, show, size, tagged, text
 from impslam.platform.recorder import RecordingStatus
@@ -64,8 +65,9 @@ class RecordPanel:
 class LogPanel:
     """The logs with size and date: download, delete; and the recycle bin."""
 
-    def __init__(self, station: Station, viewer: Viewer) -> None:
-        self._station, self._viewer = station, viewer
+    def __init__(self, feed: Feed, station: Station, viewer: Viewer) -> None:
+        self._feed, self._station, self._viewer = feed, station, viewer
+        self._looking = False
         self._shown: list[StoredLog] | None = None
         self._binned: list[BinnedLog] | None = None
         with card("Logs", "folder", "logs"):
@@ -77,10 +79,21 @@ class LogPanel:
 
     async def update(self) -> None:
         """Show the logs as they are by now; the disk is looked at in a thread."""
-        store = self._station.store
-        logs, binned = await run.io_bound(store.logs), await run.io_bound(store.bin)
-        if self._viewer.client.is_deleted:
+        if self._looking:  # a disk that hangs must not be asked again and again
             return
+        self._looking = True
+        try:
+            found = await run.io_bound(self._feed.stored)
+        finally:
+            self._looking = False
+        if found is not None and not self._viewer.client.is_deleted:
+            self._show(*found)
+
+    async def _anew(self) -> None:
+        self._feed.stored.expire()
+        await self.update()
+
+    def _show(self, logs: list[StoredLog], binned: list[BinnedLog]) -> None:
         if logs != self._shown:
             self._shown = logs
             self._fill()
@@ -142,21 +155,21 @@ class LogPanel:
     def _restorer(self, name: str) -> Any:
         async def restore() -> None:
             await self._viewer.run(lambda: self._station.store.restore(name))
-            await self.update()
+            await self._anew()
 
         return restore
 
     async def _delete(self, name: str) -> None:
         if await self._viewer.confirm(f"Move {name} to the recycle bin?", "Delete"):
             await self._viewer.run(lambda: self._station.store.delete(name))
-            await self.update()
+            await self._anew()
 
     async def _purge(self) -> None:
         if await self._viewer.confirm(
             "Delete everything in the recycle bin for good?", "Delete for good"
         ):
             await self._viewer.run(self._station.store.purge)
-            await self.update()
+            await self._anew()
 
 
 def _item(name: str, facts: list[str], kind: str) -> Element:

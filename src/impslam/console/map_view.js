@@ -17,7 +17,7 @@ export default {
           <span><i>x</i> <b data-testid="pose-x">{{ pose[0].toFixed(3) }}</b> m</span>
           <span><i>y</i> <b data-testid="pose-y">{{ pose[1].toFixed(3) }}</b> m</span>
           <span><i>heading</i> <b data-testid="pose-heading">{{ (pose[2] * 180 / Math.PI).toFixed(1) }}</b>°</span>
-          <span class="soft" data-testid="pose-sigma" title="One standard deviation">± {{ sigma }}</span>
+          <span class="soft" data-testid="pose-sigma" title="One standard deviation">σ {{ sigma }}</span>
         </template>
         <span v-else class="soft">No map yet</span>
         <div v-if="lost" class="lost" data-testid="lost">

@@ -42,7 +42,7 @@ class RobotPanels:
             with _tab("record"):
                 self._record = RecordPanel(station, viewer)
                 self._mapping = MappingPanel(station, viewer)
-                self._logs = LogPanel(station, viewer)
+                self._logs = LogPanel(feed, station, viewer)
             with _tab("health"):
                 self._health = HealthPanel(feed, health)
                 self._events = EventPanel()

@@ -1,3 +1,6 @@
+// Where the space bar writes. On all else, a box that was ticked just now too, it stops the robot.
+const WRITING = "input:is([type=text], :not([type])), textarea, [contenteditable=true]";
+
 export default {
   template: `
     <button type="button" class="stop" :class="{ stopped, asked: asked && !stopped }" data-testid="stop"
@@ -11,15 +14,16 @@ export default {
   mounted() {
     this.onKey = (event) => {
       if (event.code !== "Escape" && event.code !== "Space") return;
-      const at = event.target;
-      if (at.closest?.("input:not([type=range]), textarea, select, [contenteditable=true]")) return;
+      if (event.target.closest?.(WRITING)) return;
       if (event.code === "Escape" && document.querySelector(".q-dialog__backdrop")) return;
       event.preventDefault(); // the space bar must not press a button that has the focus
       event.stopPropagation();
       if (!event.repeat) this.stop();
     };
-    // Before everything else on the page, and the release of the space bar, which clicks, too.
-    this.onRelease = (event) => event.code === "Space" && event.target.closest?.("button") && event.preventDefault();
+    // Before everything else on the page; and the release of the space bar, which would click.
+    this.onRelease = (event) => {
+      if (event.code === "Space" && !event.target.closest?.(WRITING)) event.preventDefault();
+    };
     window.addEventListener("keydown", this.onKey, true);
     window.addEventListener("keyup", this.onRelease, true);
   },

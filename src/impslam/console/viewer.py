@@ -82,5 +82,5 @@ class Viewer:
     def _tell(self, text: str) -> bool:
         log.info("%s: refused: %s", self.session.name, text)
         with self.client:  # the button that was pressed may be gone by now
-            ui.notify(text, type="negative", position="top", timeout=6000, multi_line=True)
+            ui.notify(text, type="negative", position="bottom", timeout=6000, multi_line=True)
         return False

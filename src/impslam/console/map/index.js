@@ -191,15 +191,6 @@ function labels({ context, map, view, colours, X, Y }) {
 function robot(c) {
   const { context, map, view, colours, footprint, X, Y } = c;
   const [x, y, heading] = map.pose;
-  if (map.sigma[0] !== null) {
-    oval(c, x, y, map.sigma, 2);
-    context.fillStyle = context.strokeStyle = colours.robot;
-    context.globalAlpha = 0.2;
-    context.fill();
-    context.globalAlpha = 1;
-    context.lineWidth = 1;
-    context.stroke();
-  }
   if (map.true && map.true[2] !== null && c.shown.truth) body(c, map.true, colours.truth, false);
   // What the heading may be, 2 sigma, as a fan ahead.
   const reach = Math.max(footprint[0] * view.scale, 26);
@@ -211,6 +202,14 @@ function robot(c) {
   context.fill();
   context.globalAlpha = 1;
   body(c, map.pose, colours.robot, true);
+  if (map.sigma[0] === null) return;
+  oval(c, x, y, map.sigma, 2);
+  context.fillStyle = context.strokeStyle = colours.path;
+  context.globalAlpha = 0.25;
+  context.fill();
+  context.globalAlpha = 1;
+  context.lineWidth = 1.5;
+  context.stroke();
 }
 
 function body({ context, view, colours, footprint, X, Y }, [x, y, heading], colour, filled) {

@@ -116,6 +116,7 @@ def test_all_that_the_robot_says_is_in_the_log(recorder: LogRecorder) -> None:
         "/joint_states": "wheels",
         "/imu": "imu",
         "/camera/image/compressed": "image",
+        "/impslam/preset": "preset",
     }
 
 
@@ -230,7 +231,13 @@ def test_a_second_lidar_has_a_topic_of_its_own(recorder: LogRecorder) -> None:
     found = topics(path)
     assert (found["/scan"], found["/scan/rear_lidar"]) == (3, 1)
     assert (found["/clock/urg"], found["/clock/_9_dof"], found["/rosout"]) == (1, 1, 3)
-    assert {s.topic for s in source_streams(path) if s.used} == {"/scan"}
+    streams = {stream.topic: stream for stream in source_streams(path)}
+    assert {t for t, s in streams.items() if s.used} == {"/scan", "/impslam/preset"}
+    assert streams["/scan/rear_lidar"].note == "scan is /scan; set topics.scan to use this one"
+    assert streams["/clock/urg"].note == "kept: a device's clock"
+    _, source = read(path)
+    assert source.problems.counts["error on the robot"] == 2  # of the three events
+    assert source.problems.examples["error on the robot"] == f"{path}: urg: lost"
 
 
 def test_a_slow_disk_makes_nobody_wait_and_pictures_go_first(
@@ -341,6 +348,7 @@ def test_a_failing_disk_ends_the_recording_and_nothing_else(
     status = ended(recorder)
     assert said in status.error
     assert "\n" not in status.error
+    assert status.written.get("WheelAngles", 0) + status.dropped.get("WheelAngles", 0) == 1
     recorder.put(wheels(8))
     assert recorder.stop() is None
     assert [m.left for m in read(path)[0] if isinstance(m, WheelAngles)] == [7.0]

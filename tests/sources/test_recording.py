@@ -1,5 +1,6 @@
 import math
 import tracemalloc
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
 from tests.sources.logs import assert_same, messages, read, write_mcap
 
 from impslam.errors import MessageError, SourceError
@@ -14,8 +16,22 @@ from impslam.sources.base import recognise
 from impslam.sources.recording import McapWriter
 from impslam.sources.ros_messages import read_odometry, seconds
 from impslam.sources.ros_writers import nanoseconds as nanoseconds_of
-from impslam.sources.ros_writers import pose
-from impslam.types import LaserScan, Message, OdometryPose, TruePose, WheelAngles
+from impslam.sources.ros_writers import pose, topic_name
+from impslam.types import (
+    Acceleration,
+    Climate,
+    DeviceTime,
+    EncoderVoltages,
+    Event,
+    LaserScan,
+    MagneticField,
+    Message,
+    OdometryPose,
+    Steering,
+    TruePose,
+    Velocity,
+    WheelAngles,
+)
 
 
 def record(path: Path, *what: Message, preset: str = "imp") -> Path:
@@ -132,3 +148,89 @@ def test_poses_survive(theta: float, x: float) -> None:
     assert back.pose[0] == x
     error = math.remainder(back.pose[2] - theta, 2 * math.pi)
     assert abs(error) < 1e-15
+
+
+def one_of_each() -> list[tuple[Message, dict[str, dict[str, object]]]]:
+    """Messages of the robot, and what other tools must find of them: values by topic and field."""
+    force, field = np.array([0.5, -0.25, 9.75]), np.array([2e-5, 0.0, -4e-5])
+    return [
+        (
+            EncoderVoltages(1.5, 0.25, 4.5),
+            {"/encoders/voltage": {"vector.x": 0.25, "vector.y": 4.5}},
+        ),
+        (
+            Acceleration(1.5, force),
+            {"/imu/acceleration_2": {"accel.linear.x": 0.5, "accel.linear.z": 9.75}},
+        ),
+        (MagneticField(1.5, field), {"/imu/magnetic_field": {"magnetic_field.z": -4e-5}}),
+        (
+            Climate(1.5, 21.5, 0.375),
+            {"/temperature": {"temperature": 21.5}, "/humidity": {"relative_humidity": 0.375}},
+        ),
+        (
+            DeviceTime(1.5, "Front lidar", 7.25),
+            {
+                "/clock/Front_lidar": {
+                    "time_ref.sec": 7,
+                    "time_ref.nanosec": 250_000_000,
+                    "source": "Front lidar",
+                }
+            },
+        ),
+        (
+            Event(1.5, "warning", "urg", "too\nhot"),
+            {"/rosout": {"level": 30, "name": "urg", "msg": "too\nhot", "stamp.sec": 1}},
+        ),
+        (
+            Velocity(1.5, 0.5, -0.25),
+            {"/cmd_vel": {"twist.linear.x": 0.5, "twist.angular.z": -0.25}},
+        ),
+    ]
+
+
+@pytest.mark.parametrize(("message", "topics"), one_of_each())
+def test_what_the_robot_says_is_there_for_other_tools(
+    tmp_path: Path, message: Message, topics: dict[str, dict[str, object]]
+) -> None:
+    path = record(tmp_path / "a.mcap", message)
+    with Reader(path) as reader:
+        store = get_typestore(Stores.ROS2_HUMBLE)  # its own definitions, not ours
+        found = {
+            c.topic: store.deserialize_cdr(data, c.msgtype) for c, _, data in reader.messages()
+        }
+    assert set(found) == set(topics) | {"/impslam/preset"}
+    for topic, fields in topics.items():
+        for name, value in fields.items():
+            assert attrgetter(name)(found[topic]) == value
+        stamp = found[topic].stamp if topic == "/rosout" else found[topic].header.stamp
+        assert (stamp.sec, stamp.nanosec) == (1, 500_000_000)
+    assert not read(path)[0]  # of no use to mapping
+
+
+def test_brightness_is_recorded_where_it_is_known(tmp_path: Path) -> None:
+    n = 3
+    bright = np.array([1.0, 2.5, 0.0])
+    scan = LaserScan(1.0, 0.1 * np.arange(n), np.ones(n), np.zeros(n), 0.0, 5.0, bright)
+    with Reader(record(tmp_path / "a.mcap", scan)) as reader:
+        ((c, _, data),) = reader.messages([c for c in reader.connections if c.topic == "/scan"])
+        found = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(data, c.msgtype)
+    np.testing.assert_array_equal(found.intensities, bright)
+    (back,) = read(tmp_path / "a.mcap")[0]
+    assert isinstance(back, LaserScan)
+    np.testing.assert_array_equal(back.intensities, bright)
+
+
+@pytest.mark.parametrize(
+    ("title", "topic"),
+    [("urg", "urg"), ("9 dof!", "_9_dof"), ("a/b", "a_b"), ("", "_"), ("Lidar-2", "Lidar_2")],
+)
+def test_device_titles_as_topics(title: str, topic: str) -> None:
+    assert topic_name(title) == topic
+
+
+def test_what_has_no_ros_type_is_refused(tmp_path: Path) -> None:
+    with (
+        McapWriter(tmp_path / "a.mcap") as writer,
+        pytest.raises(MessageError, match="Steering has no ROS type"),
+    ):
+        writer.write(Steering(1.0, 0.5, 0.1))

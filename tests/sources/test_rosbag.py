@@ -11,7 +11,7 @@ from impslam.errors import SourceError
 from impslam.sources.base import recognise
 from impslam.sources.recording import McapWriter
 from impslam.sources.rosbag import RosBag
-from impslam.types import Image, LaserScan, OdometryPose, TruePose, WheelAngles
+from impslam.types import Event, Image, LaserScan, OdometryPose, TruePose, WheelAngles
 
 
 @pytest.mark.parametrize("kind", ["ros1", "sqlite folder", "mcap folder", "sqlite", "mcap"])
@@ -173,3 +173,19 @@ def test_real_turtlebot(data_folder: Path) -> None:
     wheels = [m for m in found if isinstance(m, WheelAngles)]
     assert wheels[0].left == pytest.approx(9.00880971)
     assert wheels[0].right == pytest.approx(-4.23206781)
+
+
+def test_what_went_wrong_on_the_robot_is_told_and_is_no_message(tmp_path: Path) -> None:
+    events = [("info", "ok"), ("warning", "slow\nindeed"), ("error", "lost"), ("error", "again")]
+    with McapWriter(tmp_path / "a.mcap") as writer:
+        writer.write(WheelAngles(1.0, 0.0, 0.0))
+        for i, (level, text) in enumerate(events):
+            writer.write(Event(2.0 + i, level, "urg", text))
+        writer.write(WheelAngles(9.0, 0.0, 0.0))
+    found, source = read(tmp_path / "a.mcap")
+    assert [m.stamp for m in found] == [1.0, 9.0]
+    assert source.problems.counts == {"warning on the robot": 1, "error on the robot": 2}
+    assert list(source.problems.examples.values()) == [
+        f"{tmp_path / 'a.mcap'}: urg: slow indeed",
+        f"{tmp_path / 'a.mcap'}: urg: lost",
+    ]

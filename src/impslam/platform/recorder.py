@@ -34,7 +34,9 @@ class RecordingStatus:
     seconds : how long it has been (had been) recording
     size : bytes written so far
     free : bytes free on the disk beside the floor: 0 means that recording is impossible
-    written, dropped : messages by type, of this log
+    written : messages by type that are safe on the disk
+    dropped : messages by type that are not in this log: refused, too many for a slow disk, or left
+        behind by one that failed
     error : why the last recording ended by itself or could not start, "" if it did neither
     waiting : readings that are not yet written; many where the disk is slow
     """

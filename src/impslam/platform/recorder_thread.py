@@ -65,6 +65,7 @@ class Recording:
         self._began, self._ended = now(), float("nan")
         self._queue = ReadingQueue()
         self._written: Counter[str] = Counter()
+        self._unsynced: Counter[str] = Counter()
         self._refused: Counter[str] = Counter()
         self._lost, self._losing = 0, False  # dropped so far, and whether that goes on
         self._first: dict[type[Message], str] = {}  # the first device that sent a type
@@ -121,6 +122,8 @@ class Recording:
             log.exception("recorder")
             self.error = f"{self.path}: {type(error).__name__}: {error}; please report it"
         self._queue.close()
+        self._refused.update(self._unsynced)  # an error left them behind
+        self._refused.update(type(reading.message).__name__ for reading in self._queue.take())
         self._ended = now()
         if self.error:
             self._tell("error", f"recording has ended: {self.error}")
@@ -146,6 +149,8 @@ class Recording:
         for reading in self._queue.take():
             self._write(reading)
         self._writer.sync()
+        self._written.update(self._unsynced)
+        self._unsynced.clear()
         self.size = self._writer.size
         self._tell_losses()
 
@@ -162,7 +167,7 @@ class Recording:
             if self._refused[kind] == 1:
                 self._tell("warning", f"{reading.device}: {kind} cannot be recorded: {error}")
         else:
-            self._written[kind] += 1
+            self._unsynced[kind] += 1
 
     def _below(self, reading: Reading) -> str:
         """Return what sets the topic of a second lidar, camera, ... apart from the first one's."""

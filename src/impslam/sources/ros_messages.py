@@ -45,7 +45,8 @@ def read_scan(message: RosMessage, stamp: float) -> LaserScan:
     if low == high == 0.0:  # unset
         low = high = math.nan
     angles, times = beam_angles(n, start, step), beam_times(n, wait)
-    return LaserScan(stamp, angles, _float64(message.ranges), times, low, high)
+    bright = _float64(message.intensities) if len(message.intensities) == n else None
+    return LaserScan(stamp, angles, _float64(message.ranges), times, low, high, bright)
 
 
 def read_imu(message: RosMessage, stamp: float) -> Imu:

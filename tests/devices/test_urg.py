@@ -346,7 +346,7 @@ def test_a_hundred_faults(monkeypatch, fault, at_most):
     """Recovery is bounded, stamps stay right and increase, and no scan is lost uncounted."""
     emulator, room = sensor(seed=9)
     bench = Bench(emulator, monkeypatch, stop_after=10_000)
-    moments = 3.0 + np.cumsum(bench.rng.uniform(2.2, 3.2, 100))
+    moments = 3.0 + np.cumsum(bench.rng.uniform(1.5, 2.1, 100))
     bench.at = [(float(m), lambda: fault(emulator, bench.time)) for m in moments]
     bench.end = moments[-1] + 3.0
     stamps = np.array([scan.stamp for scan in bench.run()])
@@ -454,6 +454,13 @@ def test_without_an_answer_to_tm_the_least_delay_is_taken_as_given(rng):
         for t, r, a in zip(true, raw, arrived, strict=True)
     ]
     assert np.abs(np.array(errors[20:]) - (0.073 - 0.0708)).max() < 1.5e-3
+
+
+def test_an_answer_to_tm_that_cannot_be_is_left_out():
+    times = SweepTimes(DeviceClock(), 0.1, 0.07)
+    for raw, sent in ((1000, 0.0), (9000, 0.002), (900, 0.004), (1006, 0.006)):
+        times.synchronise(raw, HOST + sent, HOST + sent + 1e-3)
+    assert times.place(1106, HOST + 0.2) == (pytest.approx(1.106), pytest.approx(HOST + 0.1065))
 
 
 @pytest.mark.parametrize(

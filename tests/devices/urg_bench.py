@@ -12,7 +12,7 @@ from impslam.virtual.urg import UrgEmulator
 
 HOST = 1.7e9  # s, host time when the virtual robot began
 BEAMS = 682
-TICK = 2.5e-4  # s between two looks at the line
+TICK = 5e-4  # s between two looks at the line
 
 
 class Room:

@@ -45,12 +45,14 @@ class SweepTimes:
         clock.restart()
 
     def synchronise(self, raw: int, sent: float, arrived: float) -> None:
-        """Take the sensor's clock as it answered TM1."""
+        """Take the sensor's clock as it answered TM1, unless the answer cannot be."""
+        if not self.is_plausible(raw, arrived):
+            return
         self._asked.append((arrived - sent, self._unwrap(raw), 0.5 * (sent + arrived)))
         self._last = raw, arrived
 
     def is_plausible(self, raw: int, arrived: float) -> bool:
-        """Tell whether a scan's stamp fits the one before and the host's clock."""
+        """Tell whether a stamp fits the one before and the host's clock."""
         if self._last is None:
             return True
         before, heard = self._last

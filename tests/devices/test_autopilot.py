@@ -20,7 +20,6 @@ from impslam.component import components
 from impslam.devices.autopilot import Autopilot
 from impslam.devices.autopilot_messages import FROM_AUTOPILOT, Kind
 from impslam.devices.framing import Decoder, Encoder
-from impslam.devices.wheel_counter import WheelCounter
 from impslam.types import (
     Acceleration,
     Climate,
@@ -469,22 +468,3 @@ def test_components_are_listed_without_the_robot_extra():
 
 def test_it_is_registered():
     assert components("device")["autopilot"] is Autopilot
-
-
-def test_a_wheel_counter_continues_the_shorter_way():
-    wheel = WheelCounter(4096, 4096)
-    assert wheel(10, 4000) == 0.0
-    wheel.restart()
-    assert wheel(-3, 100) == pytest.approx(196 * STEP)
-    assert wheel(2, 105) == pytest.approx(201 * STEP)
-    wheel.restart()
-    assert wheel(0, 4090) == pytest.approx((201 - 111) * STEP)
-
-
-@given(st.lists(st.integers(-(2**30), 2**30), max_size=30))
-def test_a_wheel_counter_follows_any_way_across_wraps(steps):
-    wheel, count = WheelCounter(4096, 4096), 2**31 - 5
-    wheel(count, 0)
-    for total in np.cumsum(steps, dtype=np.int64).tolist():
-        raw = (2**31 - 5 + total + 2**31) % 2**32 - 2**31
-        assert wheel(raw, 0) == pytest.approx(total * STEP, rel=1e-12)

@@ -199,6 +199,14 @@ def test_garbage_without_a_zero_takes_no_memory():
     assert counts == {"corrupt": 1, "frames": 1}
 
 
+@pytest.mark.parametrize("length", range(7, 254))
+def test_zeros_are_no_frame_although_their_crc_is_zero(length):
+    """Readings of 0 stand in a row in real frames, and noise cuts pieces out of them."""
+    taker, counts = decoder()
+    assert not taker.feed(cobs.encode(bytes(length)) + b"\0")
+    assert counts == {"unknown version": 1}
+
+
 def test_millions_of_bytes_of_noise_are_read_fast_and_hold_no_more_frames_than_chance():
     taker, counts = decoder()
     noise = np.random.default_rng(1).integers(0, 256, 8_000_000, np.uint8).tobytes()
@@ -243,7 +251,7 @@ def test_spoilt_frames_pass_no_more_often_than_the_crc_says(flips):
         rows = np.packbits(bits ^ wrong, axis=1)
         taker.feed(np.hstack([rows, np.zeros((1000, 1), np.uint8)]).tobytes())
     pieces_seen = counts["corrupt"]
-    passed = sum(counts[what] for what in ("frames", "repeated", "late", "unknown version"))
+    passed = sum(counts[what] for what in ("frames", "repeated", "late", "unknown type"))
     assert pieces_seen >= 49_900
     assert passed <= stats.binom.ppf(1 - 1e-4, pieces_seen, 2.0**-16)
 

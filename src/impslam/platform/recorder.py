@@ -61,7 +61,7 @@ class LogRecorder:
     Parameters
     ----------
     folder : where logs are kept; made if it is missing
-    preset : name of the robot's preset, written first, so that `imp run LOG` chooses it
+    preset : name of the robot's preset, or its config as TOML; written first, and `imp run LOG` takes it
     floor : bytes that stay free on the disk
     tell : called with (level, text), from any thread, for what everyone should know; without it
         such events go into the log alone

@@ -3,7 +3,6 @@
 import logging
 import os
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -21,13 +20,11 @@ def data_folder() -> Path:
 
 
 @pytest.fixture(autouse=True)
-def library_log() -> Iterator[None]:
-    """Leave the library's log as it was: a command that a test calls sets it up for itself."""
+def library_log() -> None:
+    """Begin with the library's log as it is without a command: those set it up for themselves."""
     log = logging.getLogger("impslam")
-    level, propagate, handlers = log.level, log.propagate, log.handlers[:]
-    yield
-    log.setLevel(level)
-    log.propagate, log.handlers[:] = propagate, handlers
+    log.setLevel(logging.NOTSET)
+    log.propagate, log.handlers[:] = True, []
 
 
 @pytest.fixture

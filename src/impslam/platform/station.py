@@ -67,6 +67,7 @@ class Station:
     def start(self) -> None:
         """Start everything but recording and mapping."""
         self.helm.start()
+        self.mapper.warm_up()
         for device in self.devices.values():
             device.start(self._receive)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import math
 import stat
@@ -60,16 +61,22 @@ class AsOfNow(FileResponse):
         async def cut(message: Message) -> None:
             nonlocal left
             if message["type"] == "http.response.start":
-                headers = dict(message["headers"])
-                left = int(headers[b"content-length"])
-            elif left > 0 or not message["body"]:
-                message = {**message, "body": message["body"][:left]}
-                left -= len(message["body"])
-            else:
+                left = int(dict(message["headers"])[b"content-length"])
+                await send(message)
                 return
-            await send(message)
+            body = message["body"][:left]
+            left -= len(body)
+            more = message.get("more_body", False) and left > 0
+            await send({**message, "body": body, "more_body": more})
+            if message.get("more_body", False) and not more:
+                raise _Sent
 
-        await super().__call__(scope, receive, cut)
+        with contextlib.suppress(_Sent):
+            await super().__call__(scope, receive, cut)
+
+
+class _Sent(Exception):  # no error: all that was promised is sent
+    """Ends the reading of a file that goes on."""
 
 
 class _Shelf:

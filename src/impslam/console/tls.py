@@ -79,7 +79,7 @@ def own_papers(folder: Path, names: Sequence[str], addresses: Sequence[str]) -> 
     papers = Papers(folder / "certificate.pem", folder / "key.pem")
     wanted = _alternatives(names, addresses)
     kept = _kept(papers)
-    moment = datetime.datetime.now(datetime.UTC)
+    moment = _now()
     if kept is not None:
         covered = _covered(kept)
         lasts = kept.not_valid_before_utc <= moment < kept.not_valid_after_utc - RENEW
@@ -149,6 +149,10 @@ def _covered(certificate: x509.Certificate) -> list[x509.GeneralName]:
 def _alternatives(names: Sequence[str], addresses: Sequence[str]) -> list[x509.GeneralName]:
     by_name: list[x509.GeneralName] = [x509.DNSName(name) for name in names if name.isascii()]
     return by_name + [x509.IPAddress(ipaddress.ip_address(address)) for address in addresses]
+
+
+def _now() -> datetime.datetime:
+    return datetime.datetime.now(datetime.UTC)
 
 
 def _reason(error: Exception) -> str:

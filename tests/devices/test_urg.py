@@ -17,6 +17,7 @@ from impslam.devices.urg import Urg, is_rs232
 from impslam.devices.urg_beams import Beams
 from impslam.devices.urg_clock import SweepTimes
 from impslam.types import DeviceTime, Event, LaserScan
+from impslam.virtual import urg_memory
 from impslam.virtual.urg import UrgEmulator
 
 URG = Parameters("URG-04LX", 20, 5600, 1024, 44, 725, 384, 600)
@@ -208,6 +209,56 @@ def test_a_line_slower_than_the_scans_is_warned_of(monkeypatch):
     bench.run()
     assert any("a scan takes 186 ms at 115200 bit/s" in text for text in bench.events)
     assert bench.counts["missed scans"] == 4  # every second one
+
+
+def instead(old, new):
+    """Put an answer in another's place."""
+    return lambda data: data.replace(old, new)
+
+
+def test_a_bit_rate_that_is_refused_stays(monkeypatch):
+    emulator, _ = sensor(serial=115200)
+    spoil = instead(b"SS250000\n00P", b"SS250000\n04T")
+    bench = Bench(emulator, monkeypatch, stop_after=2, baud=250000, spoil=spoil)
+    monkeypatch.setattr("impslam.devices.urg.is_rs232", lambda _: True)
+    assert len(bench.run()) == 2
+    assert bench.baudrate == 115200
+    assert bench.events[0] == "stays at 115200 bit/s: this model's bit rate cannot be set"
+
+
+def test_a_sensor_that_waits_for_firmware_is_reset_and_reported(monkeypatch):
+    emulator, _ = sensor()
+    bench = Bench(emulator, monkeypatch, spoil=instead(b"QT\n00P", b"QT\n0Ii"))
+    with pytest.raises(DeviceError, match="firmware update mode"):
+        bench.run()
+    assert b"RS\n" in bench.sent
+
+
+def test_a_refused_scan_command_is_reported_in_words(monkeypatch):
+    emulator, _ = sensor()
+    bench = Bench(emulator, monkeypatch, spoil=instead(STREAM + b"00P", STREAM + b"04T"))
+    with pytest.raises(DeviceError, match="bench: MD: the last step is out of range"):
+        bench.run()
+
+
+def test_a_sensor_without_tm_is_stamped_by_arrival(monkeypatch):
+    emulator, room = sensor()
+    monkeypatch.delitem(urg_memory.COMMANDS, "TM")
+    bench = Bench(emulator, monkeypatch, stop_after=30)
+    stamps = np.array([scan.stamp for scan in bench.run()])
+    assert bench.events[0] == "its clock cannot be asked for: it does not know this command"
+    late = stamps - true_begins(bench, room)
+    assert 1e-3 < late.mean() < 5e-3  # by the sensor's 2 ms and the way
+
+
+def test_what_a_sensor_says_to_be_wrong_is_told(monkeypatch):
+    emulator, _ = sensor()
+    said = b"STAT:Motor tired"
+    told = said + b";" + bytes([(sum(said) & 0x3F) + 0x30])
+    spoil = instead(b"STAT:Sensor works well.;8", told)
+    bench = Bench(emulator, monkeypatch, stop_after=1, spoil=spoil)
+    bench.run()
+    assert bench.events[0] == "the sensor says of itself: Motor tired"
 
 
 @pytest.mark.parametrize(

@@ -109,7 +109,8 @@ class Urg(Device):
         self._lay_out(known)
         if rs232:
             self._warn(self._too_slow(link.bit_rate))
-        self._warn(read_state(link))
+        if state := read_state(link):
+            self._warn(f"the sensor says of itself: {state}")
         # Where TM is missing: a scan cannot come before its last step has been measured.
         self._times = SweepTimes(self._clock, self._period, known.last * known.step_time)
         self._warn(synchronise(link, self._times, self._stopping))

@@ -124,14 +124,16 @@ class LiveMcapWriter(McapWriter):
         if sys.platform != "win32":
             folder = os.open(self._path.parent, os.O_RDONLY)
             try:
-                os.fsync(folder)  # the name, too, must survive
+                with suppress(OSError):  # not every file system can
+                    os.fsync(folder)  # the name, too, should survive
             finally:
                 os.close(folder)
 
 
 def _lock(file: BinaryIO) -> None:
     if sys.platform != "win32":
-        fcntl.flock(file, fcntl.LOCK_EX)
+        with suppress(OSError):  # not every file system can
+            fcntl.flock(file, fcntl.LOCK_EX)
 
 
 def is_being_written(path: Path) -> bool:

@@ -128,12 +128,12 @@ def serving(
     wanted = ServerSettings(port=0, accounts=accounts.path, **settings)
     clock, pressed, told, ready = Clock(), Pressed(), [], threading.Event()
 
-    def tell(line: str) -> None:
-        told.append(line)
-        ready.set()
-
     with listening(wanted) as listener:
-        server = prepared(stand_in(logs), wanted, listener, tell, build or pressed.build, clock)
+        server = prepared(
+            stand_in(logs), wanted, listener, told.append, build or pressed.build, clock
+        )
+        tell = server._ready
+        server._ready = lambda: (tell(), ready.set())  # type: ignore[assignment]
         thread = threading.Thread(target=server.run, args=([listener],))
         thread.start()
         try:

@@ -13,6 +13,7 @@ import pytest
 from tests.console.serving import DRIVE, PICTURE, WATCH, serving
 
 from impslam.console.downloads import AsOfNow
+from impslam.console.throttle import FORGET
 from impslam.platform.store import StoredLog
 
 CONTENT = os.urandom(300_000)
@@ -33,6 +34,12 @@ def served(tmp_path_factory):
         (logs / "maps" / "linked").symlink_to("/usr")
         running.logs = logs
         yield running
+
+
+@pytest.fixture(autouse=True)
+def calm(served):
+    """Nobody waits for what the test before tried."""
+    served.clock.ahead += FORGET
 
 
 @pytest.fixture

@@ -189,6 +189,8 @@ def listening(settings: ServerSettings) -> socket.socket:
         Where that is not possible: one line that says what to do.
     """
     host, port = settings.host, settings.port
+    if not 0 <= port <= 65535:  # getaddrinfo would take it modulo 65536
+        raise ImpError(f"port {port}: a port is 0 to 65535; choose another with --port")
     try:
         family, *_, where = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         both = family == socket.AF_INET6 and host == "::"

@@ -11,6 +11,8 @@ A scan carries the sensor's clock at step 0, in whole ms of 24 bits. Three thing
 
 from __future__ import annotations
 
+import math
+
 from impslam.devices.clock import DeviceClock, Unwrapper
 from impslam.devices.scip import STAMP_BITS
 
@@ -86,7 +88,7 @@ class SweepTimes:
     def _learn(self, device: float, arrived: float) -> None:
         """Measure the least delay against the clock as TM told it."""
         assert self._learning is not None
-        if not self._clock_known():
+        if math.isnan(self._clock.offset):
             self._learning = None  # nothing to measure against: the delay given is all there is
             self._clock.observe(device, arrived - self.delay)
             return
@@ -97,6 +99,3 @@ class SweepTimes:
             for earlier, then in self._learning:
                 self._clock.observe(earlier, then - self.delay)
             self._learning = None
-
-    def _clock_known(self) -> bool:
-        return self._clock.offset == self._clock.offset  # NaN before the first observation

@@ -49,16 +49,17 @@ class Robot:
     def state(self) -> dict[str, Any]:
         return dict(self.ask("state"))
 
-    def freeze(self) -> None:
+    @contextmanager
+    def frozen(self) -> Iterator[None]:
         """Hang, as if the robot had gone out of reach: nothing is closed, nothing answers."""
         self._process.send_signal(signal.SIGSTOP)
-
-    def thaw(self) -> None:
-        self._process.send_signal(signal.SIGCONT)
+        try:
+            yield
+        finally:
+            self._process.send_signal(signal.SIGCONT)
 
     def end(self) -> None:
         if self._process.poll() is None:
-            self.thaw()
             self._process.terminate()
         self._process.wait(10)
 

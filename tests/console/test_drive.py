@@ -297,16 +297,17 @@ def test_a_link_that_dies_is_told_and_the_page_lets_go(browser, robot):
         take(page)
         page.keyboard.down("w")
         until(lambda: moves(robot))
-        robot.freeze()
-        frozen = time.monotonic()
-        expect(page.get_by_test_id("link-lost")).to_contain_text("robot stops by itself")
-        assert 0.5 < time.monotonic() - frozen < 4.0
-        box = page.get_by_test_id("link-lost").bounding_box()
-        assert box["width"] == page.viewport_size["width"]
-        expect(page.get_by_test_id("link-lost")).to_contain_text("3 s")
-        assert "grayscale" in page.get_by_test_id("map").evaluate("e => getComputedStyle(e).filter")
-        robot.thaw()
-        thawed = now()
+        with robot.frozen():
+            frozen = time.monotonic()
+            expect(page.get_by_test_id("link-lost")).to_contain_text("robot stops by itself")
+            assert 0.5 < time.monotonic() - frozen < 4.0
+            box = page.get_by_test_id("link-lost").bounding_box()
+            assert box["width"] == page.viewport_size["width"]
+            expect(page.get_by_test_id("link-lost")).to_contain_text("3 s")
+            assert "grayscale" in page.get_by_test_id("map").evaluate(
+                "e => getComputedStyle(e).filter"
+            )
+            thawed = now()
         expect(page.get_by_test_id("link-lost")).to_have_count(0)
         page.wait_for_timeout(600)
         late = [told for told in robot.state()["told"] if told[0] > thawed and told[1] > 0]

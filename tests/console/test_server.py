@@ -104,24 +104,25 @@ class TestLink:
             assert client.get("/camera.jpg").status_code == 200
 
 
+@pytest.fixture(scope="module")
+def secured(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("robot")
+    papers = own_papers(folder / "papers", ["localhost"], ["127.0.0.1"])
+    trust = ssl.create_default_context(cafile=papers.certificate)
+    given = {"certificate": papers.certificate, "key": papers.key}
+    with serving(folder, verify=trust, **given) as served:
+        served.trust = trust
+        yield served
+
+
 class TestTls:
-    @pytest.fixture(scope="class")
-    def served(self, tmp_path_factory):
-        folder = tmp_path_factory.mktemp("robot")
-        papers = own_papers(folder / "papers", ["localhost"], ["127.0.0.1"])
-        trust = ssl.create_default_context(cafile=papers.certificate)
-        given = {"certificate": papers.certificate, "key": papers.key}
-        with serving(folder, verify=trust, **given) as served:
-            served.trust = trust
-            yield served
+    def test_the_fingerprint_is_told(self, secured):
+        assert secured.told[0].startswith("the page is at https://127.0.0.1:")
+        assert secured.told[1].startswith("SHA-256 of its certificate: ")
 
-    def test_the_fingerprint_is_told(self, served):
-        assert served.told[0].startswith("the page is at https://127.0.0.1:")
-        assert served.told[1].startswith("SHA-256 of its certificate: ")
-
-    def test_the_cookie_is_bound_to_host_and_tls(self, served):
-        with served.client() as client:
-            headers = {"origin": served.origin}
+    def test_the_cookie_is_bound_to_host_and_tls(self, secured):
+        with secured.client() as client:
+            headers = {"origin": secured.origin}
             answer = client.post("/login", data={"password": DRIVE}, headers=headers)
             given = answer.headers["set-cookie"]
             assert client.get("/camera.jpg").status_code == 200
@@ -130,38 +131,38 @@ class TestTls:
         assert "path=/;" in given.lower() + ";"
         assert "domain" not in given.lower()
 
-    def test_a_page_that_is_not_on_tls_is_foreign(self, served):
-        with served.logged_in() as client:
-            headers = {"origin": served.origin.replace("https", "http")}
+    def test_a_page_that_is_not_on_tls_is_foreign(self, secured):
+        with secured.logged_in() as client:
+            headers = {"origin": secured.origin.replace("https", "http")}
             assert client.post("/logout", headers=headers).status_code == 403
 
-    def test_sockets_are_on_tls_too(self, served):
-        with served.logged_in() as client:
+    def test_sockets_are_on_tls_too(self, secured):
+        with secured.logged_in() as client:
             cookie = "; ".join(f"{name}={value}" for name, value in client.cookies.items())
-            address = f"wss://127.0.0.1:{served.port}/_nicegui_ws/socket.io/?EIO=4"
+            address = f"wss://127.0.0.1:{secured.port}/_nicegui_ws/socket.io/?EIO=4"
             with connect(
                 f"{address}&transport=websocket",
-                origin=served.origin,
+                origin=secured.origin,
                 additional_headers={"cookie": cookie},
-                ssl=served.trust,
+                ssl=secured.trust,
                 proxy=None,
                 close_timeout=1,
             ) as line:
                 assert line.recv(timeout=5).startswith("0")
 
-    def test_plain_http_gets_nothing(self, served):
-        answer = raw(served.port, b"GET /login HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+    def test_plain_http_gets_nothing(self, secured):
+        answer = raw(secured.port, b"GET /login HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
         assert b"HTTP" not in answer
 
     @pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1, ssl.TLSVersion.TLSv1_1])
     @pytest.mark.filterwarnings("ignore:ssl.TLSVersion.TLSv1:DeprecationWarning")
-    def test_old_versions_are_not_spoken(self, served, version):
+    def test_old_versions_are_not_spoken(self, secured, version):
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
         context.set_ciphers("ALL:@SECLEVEL=0")
         context.minimum_version = context.maximum_version = version
         with (
-            socket.create_connection(("127.0.0.1", served.port)) as near,
+            socket.create_connection(("127.0.0.1", secured.port)) as near,
             pytest.raises(ssl.SSLError),
         ):
             context.wrap_socket(near)

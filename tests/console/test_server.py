@@ -187,6 +187,16 @@ class TestBeyondLoopback:
                 assert client.get("/").status_code == 200
 
 
+def test_it_beats_for_the_watchdog(tmp_path):
+    beats = []
+    with serving(tmp_path) as served:
+        served.server.beat = lambda: beats.append(time.monotonic())
+        until = time.monotonic() + 10.0
+        while len(beats) < 3 and time.monotonic() < until:
+            time.sleep(0.01)
+    assert len(beats) >= 3
+
+
 class TestEnd:
     @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
     def test_a_signal_ends_it_within_2_s_with_sockets_open(self, tmp_path, number):

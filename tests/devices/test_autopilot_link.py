@@ -125,6 +125,22 @@ def test_a_stop_is_repeated_every_twentieth_of_a_second_until_its_own_answer(pai
     assert not firmware.read()
 
 
+def test_the_answer_to_an_earlier_stop_does_not_end_the_repeating(pair, link):
+    _, firmware = pair
+    start = autopilot_link.now()
+    link.tend(start)
+    for wanted in (True, False, True):
+        link.stop(wanted)
+    first, _, second = [frame for frame in firmware.read() if frame.type != Kind.SET_TIME]
+    link.answered(Ack(Kind.STOP, Result.DONE, first.sequence, 0), start)
+    link.tend(start + 0.5)
+    (again,) = firmware.read()
+    assert again.type == Kind.STOP
+    link.answered(Ack(Kind.STOP, Result.DONE, second.sequence, 0), start + 0.5)
+    link.tend(start + 0.9)
+    assert not firmware.read()
+
+
 def test_what_is_asked_for_while_lost_is_done_when_it_is_found_again(pair, counts):
     port, firmware = pair
     link = CommandLink(lambda what, n: counts.update({what: n}))

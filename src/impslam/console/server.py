@@ -68,7 +68,6 @@ class Server(uvicorn.Server):
         super().__init__(config)
         self.gate, self.address, self._ready = gate, address, ready
         self.beat: Callable[[], None] = lambda: None
-        self.beat: Callable[[], None] = lambda: None
 
     def stop(self) -> None:
         """Ask it to end."""

@@ -83,10 +83,7 @@ class CommandLink:
         with self._lock:
             self._stop_wanted = wanted
             self._pending = Kind.STOP if wanted else Kind.RELEASE
-            # An answer to an earlier one says nothing about this one.
-            self._sent = {
-                n: s for n, s in self._sent.items() if s[0] in {Kind.DRIVE, Kind.SET_TIME}
-            }
+            self._demand += 1
             self._send(self._pending)
             self._repeat_at = now() + REPEAT
 

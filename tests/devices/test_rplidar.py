@@ -1,5 +1,6 @@
 import contextlib
 import math
+import select
 import socket
 import threading
 import time
@@ -222,9 +223,9 @@ class Line:
                     self.pump(link)
 
     def pump(self, link):
-        link.settimeout(0.002)
+        link.settimeout(1.0)
         while not self.closing.is_set() and not self.cut:
-            with contextlib.suppress(TimeoutError):
+            if select.select([link], [], [], 0.002)[0]:
                 data = link.recv(4096)
                 if not data:
                     return

@@ -72,6 +72,7 @@ export default {
       this.pointer = event.pointerId;
       this.$refs.pad.setPointerCapture(event.pointerId);
       document.activeElement?.blur?.();
+      this.box = this.$refs.pad.getBoundingClientRect(); // as it was pressed: an alarm may move the page
       this.point(event);
     },
     move(event) {
@@ -84,7 +85,7 @@ export default {
       this.update();
     },
     point(event) {
-      const box = this.$refs.pad.getBoundingClientRect();
+      const box = this.box;
       const radius = 0.36 * box.width;
       const x = (event.clientX - box.left - box.width / 2) / radius;
       const y = (event.clientY - box.top - box.height / 2) / radius;

@@ -64,8 +64,8 @@ class Page:
 
     def _build(self, model: Model) -> None:
         self._header = Header(model, self._viewer)
+        self._link = Link(robot=model.station is not None)
         with html.main():
-            self._link = Link(robot=model.station is not None)
             self._map = MapView(self._feed)
             if model.station is not None:
                 self._panels = RobotPanels(self._feed, model.station, self._viewer, self._header)

@@ -98,6 +98,7 @@ class CameraEmulator:
 
     def serve(self, port: int = 0) -> str:
         """Begin to serve on loopback and return the URL; port 0 takes a free one."""
+        self.picture()  # loads the kernels, which holds all threads up, before time matters
         server = ThreadingHTTPServer(("127.0.0.1", port), _handler(self))
         server.daemon_threads = True
         self._server = server

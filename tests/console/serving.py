@@ -20,7 +20,7 @@ from impslam.console.accounts import Accounts, write_private
 from impslam.console.model import Model
 from impslam.console.server import Server, ServerSettings, listening, prepared
 from impslam.console.session import Session
-from impslam.errors import ImpError
+from impslam.platform.store import LogStore
 from impslam.types import Image
 
 DRIVE, WATCH = "drive-password", "watch-password"
@@ -38,25 +38,10 @@ class Clock:
         return time.monotonic() + self.ahead
 
 
-class Store:
-    """A folder of logs, as the station's store confines it; names are looked up in the listing."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    def logs(self) -> list[Any]:
-        return []
-
-    def path(self, name: str) -> Path:
-        if name in {path.name for path in self.folder.iterdir()}:
-            return self.folder / name
-        raise ImpError(f"no log {name}")
-
-
 def stand_in(folder: Path) -> Model:
     """A model of a station that has logs and a picture, and no devices."""
     station = SimpleNamespace(
-        store=Store(folder), folder=folder, picture=Image(0.0, "jpeg", PICTURE)
+        store=LogStore(folder), folder=folder, picture=Image(0.0, "jpeg", PICTURE)
     )
     return cast(
         "Model", SimpleNamespace(title="test robot", station=station, player=None, view=None)

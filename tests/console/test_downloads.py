@@ -130,7 +130,7 @@ class TestLogs:
 
     def test_the_list(self, client, monkeypatch):
         stored = [StoredLog("one.mcap", 3, 1.0, True, False, float("nan"))]
-        monkeypatch.setattr("tests.console.serving.Store.logs", lambda self: stored)
+        monkeypatch.setattr("impslam.platform.store.LogStore.logs", lambda self: stored)
         assert client.get("/logs").json() == [dataclasses.asdict(stored[0]) | {"duration": None}]
 
 

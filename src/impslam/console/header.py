@@ -29,8 +29,9 @@ class Header:
             self._recording = self._chip("chip-recording", "recording")
             self._driver = self._chip("chip-driver", "driver")
             html.div().classes("space")
-            right = "may drive" if viewer.session.may_drive else "watching"
-            tagged(html.span(f"{viewer.session.name} · {right}"), "viewer").classes("soft viewer")
+            right = " · may drive" if model.station is not None else ""
+            right = right if viewer.session.may_drive else " · watching"
+            tagged(html.span(viewer.session.name + right), "viewer").classes("soft viewer")
             button("Dark or light", "theme", self._on_theme, "quiet", "contrast")
             if model.station is not None:
                 self.stop = StopButton(lambda: self._on_stop(model.station, viewer))

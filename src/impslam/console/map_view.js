@@ -27,7 +27,8 @@ export default {
         <button type="button" class="tool" data-testid="layers" :aria-expanded="open" title="Layers"
           aria-label="Layers" @click="open = !open"><i class="q-icon material-icons" aria-hidden="true">layers</i></button>
         <div v-show="open" class="legend" data-testid="legend">
-          <label v-for="[name, label] in offered" :key="name" :class="'layer ' + name">
+          <label v-for="[name, label] in offered" :key="name" :class="'layer ' + name"
+            :title="name === 'dead' ? 'Dead reckoning, since this page was opened' : undefined">
             <input type="checkbox" v-model="shown[name]" :data-testid="'layer-' + name" @change="redraw" />
             <span class="swatch"></span>{{ label }}</label>
         </div>

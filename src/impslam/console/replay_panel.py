@@ -86,6 +86,7 @@ class ReplayPanel:
 
 def _said(status: PlayerStatus, share: float) -> str:
     state = SAID.get(status.state, status.state.capitalize())
-    speed = "" if status.speed == 1 or math.isinf(status.speed) else f" at {status.speed:g}×"
+    usual = status.speed == 1 or math.isinf(status.speed) or status.state in OVER
+    speed = "" if usual else f" at {status.speed:g}×"
     facts = (f"{100 * share:.0f} %", duration(status.seconds), f"{status.steps} scans")
     return f"{state}{speed} · " + " · ".join(filter(None, facts))

@@ -1,6 +1,7 @@
 """A driver and an emulated autopilot on one bench, in a time that runs as fast as they compute."""
 
 import threading
+from contextlib import closing
 
 import numpy as np
 
@@ -60,7 +61,7 @@ class Bench:
         self.driver._receiver = self._receive
         for module in (base, autopilot, autopilot_link):
             monkeypatch.setattr(module, "now", lambda: HOST + self.time)
-        monkeypatch.setattr(autopilot, "open_port", self.open)
+        monkeypatch.setattr(autopilot, "opened", lambda *where: closing(self.open(*where)))
         monkeypatch.setattr(autopilot, "read_some", self.read)
         monkeypatch.setattr(autopilot_link, "write_all", self.write)
 

@@ -603,7 +603,6 @@ def test_over_a_pseudo_terminal_until_it_is_unplugged():
 
 
 # pyserial does not close a socket whose other end has gone; the collector does.
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_over_tcp_through_an_unplug():
     emulator = UrgEmulator(Room())
     server = socket.create_server(("127.0.0.1", 0))

@@ -28,8 +28,6 @@ from impslam.virtual.process import VirtualRobot, _dumped
 pytest.importorskip("serial")
 pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals and signals"),
-    # pyserial forgets to close a socket whose other end was reset; Python does, and says so.
-    pytest.mark.filterwarnings("ignore:.*socket.socket:pytest.PytestUnraisableExceptionWarning"),
 ]
 
 

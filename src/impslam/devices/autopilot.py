@@ -25,7 +25,7 @@ from impslam.devices.autopilot_readings import Readings
 from impslam.devices.base import DeviceError, DriveDevice, now
 from impslam.devices.clock import DeviceClock
 from impslam.devices.framing import Decoder, Frame
-from impslam.devices.port import open_port, read_some
+from impslam.devices.port import opened, read_some
 from impslam.errors import MessageError
 from impslam.types import DeviceTime
 
@@ -127,20 +127,19 @@ class Autopilot(DriveDevice):
     # ------------------------------------------------------------------ connection
 
     def _serve(self) -> None:
-        port = open_port(self.port, self.baud)
-        try:
-            decoder = self._begin()
-            self._link.attach(port)
-            while not self._stopping.is_set():
-                data = read_some(port)
-                moment = now()
-                for frame in decoder.feed(data):
-                    self._take(frame, moment)
-                self._watch_silence(moment)
-                self._link.tend(moment)
-        finally:
-            self._link.detach()
-            port.close()
+        with opened(self.port, self.baud) as port:
+            try:
+                decoder = self._begin()
+                self._link.attach(port)
+                while not self._stopping.is_set():
+                    data = read_some(port)
+                    moment = now()
+                    for frame in decoder.feed(data):
+                        self._take(frame, moment)
+                    self._watch_silence(moment)
+                    self._link.tend(moment)
+            finally:
+                self._link.detach()
 
     def _begin(self) -> Decoder:
         known, moment = self._known, now()

@@ -6,12 +6,14 @@ only maps logs does not need it.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import importlib
 import os
 import select
 import socket
 import time
+from collections.abc import Iterator
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -73,6 +75,19 @@ def open_port(url: str, baud: int) -> serial.SerialBase:
     except (OSError, ValueError, OverflowError) as error:
         raise _explained(url, "cannot be opened", error) from error
     return port
+
+
+@contextlib.contextmanager
+def opened(url: str, baud: int) -> Iterator[serial.SerialBase]:
+    """Open a port as `open_port` does, and close it whatever happens."""
+    port = open_port(url, baud)
+    connection = getattr(port, "_socket", None)
+    try:
+        yield port
+    finally:
+        port.close()
+        if connection is not None:
+            connection.close()  # pyserial 3.5 forgets one whose other end has hung up
 
 
 def read_some(port: serial.SerialBase, wait: float = TIMEOUT) -> bytes:

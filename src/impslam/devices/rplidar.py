@@ -6,12 +6,11 @@ import contextlib
 import math
 import threading
 import time
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from impslam.component import parameter, register
 from impslam.devices.base import Device, DeviceError, now
-from impslam.devices.port import open_port, read_some, write_all
+from impslam.devices.port import opened, read_some, write_all
 from impslam.devices.rplidar_parser import Parser
 from impslam.devices.rplidar_protocol import (
     CAPSULE,
@@ -50,19 +49,6 @@ MODELS = {
     2: Model("A2", 0.2, 12.0, True),
     3: Model("A3", 0.2, 25.0, True),
 }
-
-
-@contextlib.contextmanager
-def _opened(url: str, baud: int) -> Iterator[serial.SerialBase]:
-    """Open a port and close it, whatever happens."""
-    port = open_port(url, baud)
-    line = getattr(port, "_socket", None)
-    try:
-        yield port
-    finally:
-        port.close()
-        if line is not None:
-            line.close()  # pyserial 3.5 forgets one whose other end has hung up
 
 
 class _Link:
@@ -122,7 +108,7 @@ class RPLidar(Device):
     )
 
     def _serve(self) -> None:
-        with _opened(self.port, self.baud) as port:
+        with opened(self.port, self.baud) as port:
             link, model = _Link(port, self._stopping), None
             try:
                 model = self._introduce(link)

@@ -12,7 +12,7 @@ from impslam.component import parameter, register
 from impslam.devices import scip, scip_status
 from impslam.devices.base import Device, DeviceError, now
 from impslam.devices.clock import DeviceClock
-from impslam.devices.port import open_port
+from impslam.devices.port import opened
 from impslam.devices.scip import DamagedError, Mode
 from impslam.devices.scip_info import Parameters
 from impslam.devices.scip_link import Heard, ScipLink, UnansweredError
@@ -68,7 +68,7 @@ class Urg(Device):
 
     def _serve(self) -> None:
         try:
-            with contextlib.closing(open_port(self.port, self.baud)) as port:
+            with opened(self.port, self.baud) as port:
                 self._converse(ScipLink(port, self._stopping, self._count))
         except DeviceError:
             if not self._stopping.is_set():

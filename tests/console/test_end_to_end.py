@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
+from tests.console.pilot import ARENA, FLAGS, Pilot
+from tests.console.robot_process import PASSWORD, RobotProcess, imp
 
 from impslam.evaluation.landmarks import corners, score_landmarks
 from impslam.mapping.files import read_landmarks
 from impslam.simulation.world import load_world
-from tests.console.pilot import ARENA, FLAGS, Pilot
-from tests.console.robot_process import PASSWORD, RobotProcess, imp
 
 pytestmark = pytest.mark.browser
 

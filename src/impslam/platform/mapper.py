@@ -44,7 +44,7 @@ class MapperStatus:
     state : "off" (never started, or stopped), "compiling" (before the first scan; a minute at worst,
         on a fresh machine only), "running", or "failed"
     steps : scans mapped
-    dropped_scans : scans that came too fast to be mapped, or while it was compiling
+    dropped_scans : scans that came too fast to be mapped
     waiting : scans that wait to be mapped
     behind : s since the newest mapped scan arrived, NaN before the first; one sweep when all is well
     latency : s from the newest mapped scan's arrival to its being mapped, NaN before the first
@@ -177,8 +177,12 @@ class _Mapping:
         return not (self._failure or self._ended)
 
     def put(self, message: Message, arrived: float) -> None:
-        """Take what the estimator understands; the rest costs this test."""
-        if isinstance(message, self._wanted):
+        """Take what the estimator understands; the rest costs this test.
+
+        The map begins when the estimator is ready: what the wheels feel before that would only make
+        the pose at its origin, which is certain by definition, uncertain.
+        """
+        if self._compiled and isinstance(message, self._wanted):
             room = self._inbox.put(message, arrived, isinstance(message, self._scans))
             if not room:
                 self._fail(f"the estimator has left {LIMIT} messages waiting; start a new map")
@@ -216,8 +220,9 @@ class _Mapping:
         return self._dropped() if recent else ""
 
     def _dropped(self) -> str:
-        why = "is too slow for the lidar" if self._compiled else "is still compiling"
-        return f"{self._inbox.dropped} scans dropped by now: this computer {why}"
+        return (
+            f"{self._inbox.dropped} scans dropped by now: this computer is too slow for the lidar"
+        )
 
     # ------------------------------------------------------------------ in the thread
 

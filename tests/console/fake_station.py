@@ -141,6 +141,9 @@ class FakeView:
 class FakeDrive:
     """Keeps what it was told."""
 
+    stopped = False
+    title = "drive"
+
     def __init__(self) -> None:
         self.told: list[tuple[float, float, float]] = []
         self.speed = self.turn_rate = 0.0

@@ -468,3 +468,26 @@ def test_components_are_listed_without_the_robot_extra():
 
 def test_it_is_registered():
     assert components("device")["autopilot"] is Autopilot
+
+
+def test_a_stop_from_before_this_program_is_known_until_it_is_released(bench):
+    bench.driver.emergency_stop()
+    bench.run(1.0)
+    driver = Autopilot(port="bench", label="imp", least_delay=0.0)
+    driver._stopping, driver._receiver = bench.driver._stopping, bench.driver._receiver
+    bench.driver = driver  # another program; the micro-controller was on all the while
+    bench.run(1.0)
+    assert driver.stopped
+    driver.release()
+    assert not driver.stopped
+    bench.run(1.0)
+    assert not driver.stopped
+    assert "emergency stop released" in bench.events
+
+
+def test_a_line_that_stays_silent_is_told_once(bench):
+    bench.spoil = lambda data: b""
+    bench.run(30.0)
+    told = [text for text in bench.events if "nothing understood" in text]
+    assert len(told) == 1
+    assert bench.health.counts["lost connection"] > 5

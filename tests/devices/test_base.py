@@ -121,3 +121,30 @@ def test_it_stops_and_can_be_started_again(toy):
     until(lambda: toy.health().state == "ok")
     with pytest.raises(RuntimeError, match="started already"):
         toy.start(lambda reading: None)
+
+
+def test_a_receiver_that_fails_cuts_no_device_off(toy, caplog):
+    def fail(reading):
+        raise ZeroDivisionError("oops")
+
+    toy._script.put(
+        lambda self: [self._ready("toy 1.0"), *(self.speak() for _ in range(5)), self.idle()]
+    )
+    toy.start(fail)
+    until(
+        lambda: toy.health().counts["Climate"] == 5 if "Climate" in toy.health().counts else False
+    )
+    health = toy.health()
+    assert health.state == "ok"
+    assert "lost connection" not in health.counts
+    assert health.counts["not received: error"] >= 6
+    assert caplog.text.count("Traceback") == 1
+
+
+def test_a_lost_device_and_a_receiver_that_fails_leave_the_thread_alive(toy):
+    def fail(reading):
+        raise ZeroDivisionError("oops")
+
+    toy._script.put(Toy.fail)
+    toy.start(fail)
+    until(lambda: toy.health().state == "ok")

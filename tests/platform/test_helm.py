@@ -20,7 +20,11 @@ class Wheels(DriveDevice):
 
     def model_post_init(self, context):
         self.__dict__["told"] = []
-        self.__dict__["stopped"] = False
+        self.__dict__["latched"] = False
+
+    @property
+    def stopped(self):
+        return self.__dict__["latched"]
 
     def _serve(self) -> None:
         self._stopping.wait()
@@ -29,10 +33,10 @@ class Wheels(DriveDevice):
         self.told.append((time.monotonic(), speed, turn_rate))
 
     def emergency_stop(self):
-        self.__dict__["stopped"] = True
+        self.__dict__["latched"] = True
 
     def release(self):
-        self.__dict__["stopped"] = False
+        self.__dict__["latched"] = False
 
 
 @pytest.fixture
@@ -170,3 +174,56 @@ def test_every_motion_and_each_new_stand_is_recorded(wheels, clock):
     helm._pass_on()
     helm._pass_on()
     assert sent == [(0.2, 0.1), (0.2, 0.1), (0.0, 0.0)]
+
+
+def test_a_stop_that_the_device_held_before_is_shown_and_can_be_released(helm, wheels):
+    wheels.emergency_stop()  # told by a program that ran before this one
+    assert helm.state().stopped == "emergency stop held by wheels"
+    helm.take("a", "Ann")
+    helm.release("a")
+    assert not wheels.stopped
+    assert helm.state().stopped == ""
+
+
+def test_helm_and_device_agree_after_a_stop_and_a_release_at_the_same_time(helm, wheels):
+    """The device is told in the order in which the helm took them."""
+    helm.take("a", "Ann")
+    entered, go_on = threading.Event(), threading.Event()
+
+    def slowly():
+        entered.set()
+        go_on.wait(1.0)
+        wheels.__dict__["latched"] = True
+
+    wheels.__dict__["emergency_stop"] = slowly
+    stopping = threading.Thread(target=helm.emergency_stop, args=("Bob",))
+    stopping.start()
+    assert entered.wait(5.0)
+    releasing = threading.Thread(target=helm.release, args=("a",))
+    releasing.start()
+    releasing.join(0.1)
+    go_on.set()
+    stopping.join(5.0)
+    releasing.join(5.0)
+    assert not wheels.stopped
+    assert helm.state().stopped == ""
+
+
+def test_a_fault_while_passing_on_ends_neither_the_thread_nor_the_stand(wheels, caplog):
+    helm = Helm(wheels, (0.5, 1.0))
+    faults = []
+
+    def faulty(speed, turn_rate):
+        if not faults:
+            faults.append(speed)
+            raise ZeroDivisionError("oops")
+        wheels.told.append((time.monotonic(), speed, turn_rate))
+
+    wheels.__dict__["drive"] = faulty
+    helm.start()
+    end = time.monotonic() + 5.0
+    while not wheels.told and time.monotonic() < end:
+        time.sleep(0.01)
+    helm.stop()
+    assert wheels.told
+    assert "oops" in caplog.text

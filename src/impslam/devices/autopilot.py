@@ -108,6 +108,11 @@ class Autopilot(DriveDevice):
         """End an emergency stop; the robot stands until it is driven."""
         self._link.stop(False)
 
+    @property
+    def stopped(self) -> bool:
+        """Whether it holds a stop; one whose release is under way does not count any more."""
+        return bool(self._known.flags & Flag.STOPPED) and not self._link.releasing
+
     def latency(self) -> tuple[float, float]:
         """Return median and 99th percentile, in s, from a command to its answer; NaN before one."""
         return self._link.latency()
@@ -151,13 +156,13 @@ class Autopilot(DriveDevice):
 
     def _watch_silence(self, moment: float) -> None:
         known = self._known
-        silence = moment - max(known.heard, known.opened)
+        silence, most = moment - max(known.heard, known.opened), max(REOPEN, self.patience)
         if silence > self.patience and not known.silent:
             known.silent = True
             self._count("silences", 1)
-        if silence > max(REOPEN, self.patience):
+        if silence > most:  # the text stays the same, so that it is told once
             raise DeviceError(
-                f"{self.port}: nothing understood for {silence:.1f} s; check the autopilot's supply, "
+                f"{self.port}: nothing understood for {most:.1f} s; check the autopilot's supply, "
                 "its wiring and the baud rate"
             )
         if known.hello is None and moment - known.opened > REOPEN:

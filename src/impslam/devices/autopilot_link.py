@@ -87,6 +87,11 @@ class CommandLink:
             self._send(self._pending)
             self._repeat_at = now() + REPEAT
 
+    @property
+    def releasing(self) -> bool:
+        """Whether a release has been sent and is not answered yet."""
+        return self._pending is Kind.RELEASE
+
     def greet(self) -> None:
         """Set the autopilot's time as soon as possible; it then says who it is, too."""
         with self._lock:

@@ -195,8 +195,7 @@ class Device(Component):
         number = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}[level]
         log.log(number, "%s: %s", self.title, text)
         moment = now()
-        if self._receiver is not None:
-            self._receiver(Reading(Event(moment, level, self.title, text), moment, self.title))
+        self._hand_over(Reading(Event(moment, level, self.title, text), moment, self.title))
 
     def _count(self, what: str, number: int = 1) -> None:
         """Count something that happened."""
@@ -211,12 +210,27 @@ class Device(Component):
             recent = vitals.recent.setdefault(kind, deque(maxlen=512))
             recent.append(arrived)
             vitals.last = arrived
-        if self._receiver is not None:
-            self._receiver(Reading(message, arrived, self.title, device_stamp))
+        self._hand_over(Reading(message, arrived, self.title, device_stamp))
+
+    def _hand_over(self, reading: Reading) -> None:
+        """Give a reading to the receiver; a fault of the receiver's must not cut the device off."""
+        if self._receiver is None:
+            return
+        try:
+            self._receiver(reading)
+        except Exception:
+            self._count("not received: error")
+            if self._vitals.counts["not received: error"] == 1:  # one in words, the rest in number
+                log.exception("%s: what receives its readings fails", self.title)
 
 
 class DriveDevice(Device):
     """A device that moves the robot. Commands may be given from any thread and return at once."""
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it says that it holds an emergency stop, whoever asked for it."""
+        return False
 
     @abstractmethod
     def drive(self, speed: float, turn_rate: float) -> None:

@@ -134,8 +134,9 @@ class Helm:
             news = not self._stopped
             self._stopped = f"emergency stop by {by}"
             self._command = (0.0, 0.0)
-        if self._device is not None:
-            self._device.emergency_stop()
+            # Within the lock, so that device and helm agree when a release comes at the same time.
+            if self._device is not None:
+                self._device.emergency_stop()
         if news:
             self._tell("warning", f"emergency stop by {by}")
 
@@ -150,11 +151,11 @@ class Helm:
         with self._lock:
             if self._driver is None or self._driver[0] != driver:
                 raise HelmError("take the helm before you release the emergency stop")
-            news = bool(self._stopped)
+            news = bool(self._held())
             self._stopped, self._command = "", (0.0, 0.0)
             name = self._driver[1]
-        if self._device is not None:
-            self._device.release()
+            if self._device is not None:
+                self._device.release()
         if news:
             self._tell("info", f"emergency stop released by {name}")
 
@@ -162,7 +163,13 @@ class Helm:
         """Return who drives and what the device is being told."""
         with self._lock:
             driver, name = self._driver or (None, "")
-            return HelmState(driver, name, self._stopped, *self._wanted())
+            return HelmState(driver, name, self._held(), *self._wanted())
+
+    def _held(self) -> str:
+        """Return why the robot is stopped: here, or by what it was told before this program ran."""
+        if self._stopped or self._device is None or not self._device.stopped:
+            return self._stopped
+        return f"emergency stop held by {self._device.title}"
 
     def _wanted(self) -> tuple[float, float]:
         fresh = now() - self._given < DEAD_MAN
@@ -175,8 +182,12 @@ class Helm:
 
     def _keep(self) -> None:
         while not self._closing.wait(PERIOD):
-            self._pass_on()
-            self._passed = now()
+            try:
+                self._pass_on()
+            except Exception:  # a fault of ours; the watchdog sees it where it lasts
+                log.exception("helm")
+            else:
+                self._passed = now()
         if self._device is not None:
             self._device.drive(0.0, 0.0)
 

@@ -3,7 +3,12 @@
 import getpass
 import io
 import json
+import os
+import signal
+import socket
 import stat
+import threading
+import time
 
 import pytest
 
@@ -46,9 +51,10 @@ def test_a_wrong_robot_file_is_told_in_one_line(imp, tmp_path):
 def test_beyond_loopback_it_asks_for_a_password_first(imp, home):
     path = home / "robot.toml"
     path.write_text(ROBOT)
-    said = imp("robot", "-c", path, "--host", "0.0.0.0", "--folder", home / "logs")
+    said = imp("robot", "-c", path, "--host", "0.0.0.0", "--folder", home / "logs", "--record")
     assert said.code == 2
     assert "`imp robot password` sets one" in said.err
+    assert not (home / "logs").exists()
 
 
 def test_a_password_is_kept_hashed_and_private(imp, home, monkeypatch):
@@ -102,3 +108,52 @@ def test_without_the_extra_it_says_what_to_install(imp, room, tmp_path, monkeypa
     said = imp(*words)
     assert said.code == 2
     assert "impslam[robot,web]" in said.err
+
+
+@pytest.fixture
+def taken():
+    """A port that another program listens on."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        yield listener.getsockname()[1]
+
+
+def test_a_port_that_is_taken_is_told_before_anything_starts(imp, home, taken):
+    path = home / "robot.toml"
+    path.write_text(ROBOT)
+    logs = home / "logs"
+    said = imp("robot", "-c", path, "--port", taken, "--folder", logs, "--record")
+    assert said.code == 2
+    assert f"port {taken}" in said.err
+    assert said.err.count("\n") == 1
+    assert not logs.exists()
+
+
+def test_a_replay_on_a_port_that_is_taken_writes_nothing(imp, room, tmp_path, taken):
+    began = time.monotonic()
+    said = imp("run", room, "--live", "--port", taken, "-o", tmp_path / "run")
+    assert said.code == 2
+    assert f"port {taken}" in said.err
+    assert not (tmp_path / "run").exists()
+    assert time.monotonic() - began < 4.0  # nothing was compiled, and nothing had to be ended
+
+
+def test_a_replay_that_is_left_early_leaves_one_line_and_no_folder(
+    imp, room, tmp_path, monkeypatch
+):
+    """Ctrl-C while the log plays; who leaves the page is not told of a fault."""
+
+    def leave():
+        end = time.monotonic() + 60.0
+        while signal.getsignal(signal.SIGINT) is before and time.monotonic() < end:
+            time.sleep(0.05)
+        time.sleep(0.5)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr("impslam.platform.player.warm_up", lambda config: None)
+    threading.Thread(target=leave, daemon=True).start()
+    said = imp("run", room, "--live", "--port", 0, "-o", tmp_path / "run", "--quiet")
+    assert said.code == 2
+    assert "left before its end" in said.err
+    assert said.err.count("\n") == 1
+    assert not (tmp_path / "run").exists()

@@ -3,6 +3,7 @@
 import base64
 import json
 import math
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -199,6 +200,30 @@ def test_a_cached_value_is_made_once_a_period():
     value = Cached(lambda: made.append(1) or len(made), 60.0)
     assert (value(), value()) == (1, 1)
     assert Cached(lambda: made.append(1) or len(made), 0.0)() == 2
+
+
+def test_expiring_a_value_that_is_being_made_waits_for_nobody():
+    """The disk may hang for whom it is looked at in a thread; the page's own loop must not."""
+    entered, go_on, made = threading.Event(), threading.Event(), []
+
+    def make():
+        made.append(1)
+        entered.set()
+        assert go_on.wait(10.0)
+        return len(made)
+
+    value = Cached(make, 60.0)
+    thread = threading.Thread(target=value)
+    thread.start()
+    assert entered.wait(5.0)
+    expiring = threading.Thread(target=value.expire, daemon=True)
+    expiring.start()
+    expiring.join(2.0)
+    waited = expiring.is_alive()
+    go_on.set()
+    thread.join(5.0)
+    assert not waited
+    assert value() == 2  # what was being made is older than the change
 
 
 # --------------------------------------------------------------------------- on the page

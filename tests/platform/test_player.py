@@ -333,3 +333,20 @@ def test_orders_from_many_threads_leave_it_sound(room, tmp_path):
     playing.set_speed(INF)
     playing.resume()
     assert playing.wait(60.0).counts["steps"] == len(scans(room))
+
+
+def test_stopping_waits_for_a_run_folder_that_is_being_written(room, tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "STOP", 0.05)
+    begun = threading.Event()
+
+    class Slow(Observer):
+        def finish(self, outcome):
+            begun.set()
+            time.sleep(0.5)
+
+    replay = player(room, tmp_path, [Slow()])
+    replay.set_speed(INF)
+    replay.start()
+    assert begun.wait(60.0)
+    replay.stop()
+    assert replay.wait(0.0) is not None

@@ -36,19 +36,21 @@ def replay(
     """
     need_web()
     from impslam.console.model import Model  # noqa: PLC0415  # needs the extra
-    from impslam.console.server import ServerSettings, serve  # noqa: PLC0415
+    from impslam.console.server import ServerSettings, listening, serve  # noqa: PLC0415
     from impslam.platform.player import play_live  # noqa: PLC0415
 
-    view = LiveView()
-    player = play_live(config, source, observers, view)
-    try:
-        serve(
-            Model(source.path.name, view, player=player),
-            ServerSettings(port=port),
-            ready=lambda line: None if quiet else console.say(line),
-        )
-    finally:
-        player.stop()
+    view, settings = LiveView(), ServerSettings(port=port)
+    with listening(settings) as listener:
+        player = play_live(config, source, observers, view)
+        try:
+            serve(
+                Model(source.path.name, view, player=player),
+                settings,
+                ready=lambda line: None if quiet else console.say(line),
+                listener=listener,
+            )
+        finally:
+            player.stop()
     outcome = player.wait(0.0)
     if outcome is None:
         raise ImpError(f"{source.path}: left before its end; nothing is written")

@@ -96,22 +96,23 @@ def robot(
     """
     need_web()
     from impslam.console.model import Model  # noqa: PLC0415  # needs the extra
-    from impslam.console.server import ServerSettings, serve  # noqa: PLC0415
+    from impslam.console.server import ServerSettings, allowed, listening, serve  # noqa: PLC0415
 
     where = serving or Serving()
     settings = ServerSettings(
         where.host, where.port, where.certificate, where.key, names=where.names
     )
     say = ignore if common is not None and common.quiet else console.say
-    with running_station(config, simulated or Simulated(), folder) as (station, title):
-        if record:
-            station.recorder.start()
-        if map_:
-            station.start_mapping()
+    allowed(settings)
+    with (
+        listening(settings) as listener,  # before anything moves: another robot may be on its port
+        running_station(config, simulated or Simulated(), folder) as (station, title),
+    ):
+        station.begin(record=record, map_=map_)
         pulse = Pulse()
         with Watchdog(lambda: pulse.alive() and station.helm.alive):
             model = Model(title, station.view, station=station)
-            serve(model, settings, ready=say, beat=pulse.beat)
+            serve(model, settings, ready=say, beat=pulse.beat, listener=listener)
     say(f"stopped; logs are in {station.folder}")
 
 
@@ -203,8 +204,8 @@ def running_station(
             (chosen.max_speed, chosen.max_turn_rate),
             chosen.disk_floor_mb * 1_000_000,
         )
-        station.start()
         stack.callback(station.stop)
+        station.start()
         yield station, chosen.name
 
 

@@ -31,19 +31,19 @@ class Cached(Generic[T]):
         self._make, self._period = make, period
         self._lock = threading.Lock()
         self._value: T
-        self._made = float("-inf")
+        self._made, self._expired = float("-inf"), False
 
     def __call__(self) -> T:
         """Return the value."""
         with self._lock:
-            if time.monotonic() - self._made >= self._period:
+            if self._expired or time.monotonic() - self._made >= self._period:
+                self._expired = False
                 self._value, self._made = self._make(), time.monotonic()
             return self._value
 
     def expire(self) -> None:
-        """Have it made anew when it is asked for next."""
-        with self._lock:
-            self._made = float("-inf")
+        """Have it made anew when it is asked for next; never waits for who makes it now."""
+        self._expired = True
 
 
 class Feed:

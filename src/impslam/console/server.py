@@ -119,6 +119,7 @@ def serve(
     *,
     ready: Tell = lambda line: None,
     beat: Callable[[], None] = lambda: None,
+    listener: socket.socket | None = None,
 ) -> None:
     """Serve the page until SIGINT or SIGTERM; open sockets are cut within 2 s.
 
@@ -129,18 +130,19 @@ def serve(
     ready : called once with each line that a user should see when the page can be opened: its
         address, the one-time link where no password is set, the certificate's fingerprint
     beat : called ten times a second while the server lives, for a watchdog
+    listener : what `listening` returned, for who has to know that it may before anything starts
 
     Raises
     ------
     ImpError
         Where it may not or cannot listen: one line that says what to do.
     """
-    with listening(settings) as listener:
+    with listener or listening(settings) as taken:
         from impslam.console.page import build  # noqa: PLC0415  # it imports what this one does
 
-        server = prepared(model, settings, listener, ready, build)
+        server = prepared(model, settings, taken, ready, build)
         server.beat = beat
-        server.run([listener])
+        server.run([taken])
 
 
 def prepared(
@@ -152,13 +154,7 @@ def prepared(
     clock: Callable[[], float] = time.monotonic,
 ) -> Server:
     """Return the server of the page that `build` makes, for a socket that listens; see `serve`."""
-    near = hosts.loopback(settings.host)
-    accounts = Accounts(settings.accounts)
-    if not near and "drive" not in accounts.rights():
-        raise ImpError(
-            f"host {settings.host}: beyond this computer nobody is served until a password to "
-            "drive is set; `imp robot password` sets one, --host 127.0.0.1 serves here alone"
-        )
+    near, accounts = allowed(settings)
     papers = _papers(settings, accounts, near=near)
     address = _address(settings, listener, secure=papers is not None, near=near)
     gate = Gate(
@@ -200,6 +196,23 @@ def listening(settings: ServerSettings) -> socket.socket:
         raise ImpError(
             f"host {host} port {port}: {reason}; choose another with --host or --port"
         ) from None
+
+
+def allowed(settings: ServerSettings) -> tuple[bool, Accounts]:
+    """Return whether only this computer is served, and the passwords.
+
+    Raises
+    ------
+    ImpError
+        Where others are to be served and no password to drive is set.
+    """
+    near, accounts = hosts.loopback(settings.host), Accounts(settings.accounts)
+    if not near and "drive" not in accounts.rights():
+        raise ImpError(
+            f"host {settings.host}: beyond this computer nobody is served until a password to "
+            "drive is set; `imp robot password` sets one, --host 127.0.0.1 serves here alone"
+        )
+    return near, accounts
 
 
 def _app(model: Model, gate: Gate, build: Callable[[Model], None]) -> FastAPI:

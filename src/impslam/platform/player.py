@@ -24,6 +24,7 @@ State: TypeAlias = Literal[
 ]
 
 STOP = 5.0  # s to end the scan at work
+WRITE = 120.0  # s to write the run folder of a log that was played to its end
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +121,8 @@ class Player:
         self._pace.stop()
         if self._thread.is_alive():
             self._thread.join(STOP)
+        if self._phase == "writing":  # nothing was left early; half a folder would stay
+            self._thread.join(WRITE)
 
     def wait(self, timeout: float | None = None) -> Outcome | None:
         """Wait for the end; return what the run was, None if stopped or not yet over.

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import tomli_w
 
 from impslam.config import Config, load, presets
 from impslam.devices.base import Device, DriveDevice, Health, Reading, now
+from impslam.errors import ImpError
 from impslam.observers.live_view import LiveView
 from impslam.platform.helm import Helm
 from impslam.platform.mapper import LiveMapper, MapperStatus
@@ -61,6 +64,7 @@ class Station:
         self.mapper = LiveMapper(config, self.view)
         drives = [device for device in devices.values() if isinstance(device, DriveDevice)]
         self.helm = Helm(drives[0] if drives else None, limits, self._announce, self._commanded)
+        self._saving = threading.Lock()
         self.events: list[Event] = []
         self.picture: Image | None = None
 
@@ -71,21 +75,41 @@ class Station:
         for device in self.devices.values():
             device.start(self._receive)
 
+    def begin(self, *, record: bool, map_: bool) -> None:
+        """Record and map from the start; what cannot is told, and the robot goes on without."""
+        starts: dict[Callable[[], object], bool] = {
+            self.recorder.start: record,
+            self.start_mapping: map_,
+        }
+        for start, wanted in starts.items():
+            try:
+                if wanted:
+                    start()
+            except ImpError as error:
+                self._announce("error", str(error))
+
     def stop(self) -> None:
-        """Stand still, close the log, and end every thread."""
-        self.helm.stop()
-        for device in self.devices.values():
-            device.stop()
-        self.recorder.stop()
-        self.mapper.stop()
+        """Stand still, close the log, and end every thread; a part that fails holds up no other."""
+        with ExitStack() as parts:  # the last one in is the first one out
+            parts.callback(self.mapper.stop)
+            parts.callback(self.recorder.stop)
+            for device in reversed(list(self.devices.values())):
+                parts.callback(device.stop)
+            parts.callback(self.helm.stop)
 
     def start_mapping(self) -> None:
         """Begin a new map, the robot standing at its origin."""
         self.mapper.start()
 
     def save_map(self) -> Path:
-        """Write the map as it is now into a run folder; mapping goes on."""
-        return self.mapper.save(self.folder / "maps" / time.strftime("map-%Y%m%d-%H%M%S"))
+        """Write the map as it is now into a run folder of its own; mapping goes on."""
+        with self._saving:  # two people may press at the same time
+            stem, number = time.strftime("map-%Y%m%d-%H%M%S"), 1
+            folder = self.folder / "maps" / stem
+            while folder.exists():
+                number += 1
+                folder = folder.with_name(f"{stem}-{number}")
+            return self.mapper.save(folder)
 
     def health(self) -> StationHealth:
         """Return how everything is doing."""

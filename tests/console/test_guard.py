@@ -6,8 +6,9 @@ import pytest
 
 from impslam.console import guard
 from impslam.console.accounts import Accounts
+from impslam.console.asked import plain
 from impslam.console.gate import Gate
-from impslam.console.guard import Guard, plain
+from impslam.console.guard import Guard
 
 pytestmark = pytest.mark.anyio
 HOST = (b"host", b"robot:8080")

@@ -18,8 +18,9 @@ from nicegui import core, ui
 
 from impslam.console import downloads, hosts, login, sockets
 from impslam.console.accounts import Accounts
+from impslam.console.asked import HEADERS
 from impslam.console.gate import Gate
-from impslam.console.guard import BODY, HEADERS, Guard
+from impslam.console.guard import BODY, Guard
 from impslam.console.model import Model
 from impslam.console.protocol import protocol
 from impslam.console.tls import Papers, own_papers

@@ -20,7 +20,7 @@ from urllib.parse import parse_qs
 import cv2
 import numpy as np
 import uvicorn
-from fastapi import FastAPI, Response
+from fastapi import FastAPI, Request, Response
 from nicegui import ui
 
 from impslam.console import page
@@ -390,6 +390,11 @@ def serve(port: int, *, tour: bool, replay: bool) -> None:
         return Response(
             picture.data if picture else b"", 200 if picture else 404, media_type="image/jpeg"
         )
+
+    @api.post("/logout")
+    def logout(request: Request) -> Response:
+        request.state.session.end()
+        return Response("logged out", media_type="text/plain")
 
     @api.get("/fake/lose")
     def lose(why: str = "") -> None:

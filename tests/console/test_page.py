@@ -111,6 +111,20 @@ def test_the_page_looks_as_the_system_does_until_it_is_told_otherwise(browser, r
 
 
 @pytest.mark.browser
+@pytest.mark.parametrize("who", ["driver", "watcher"])
+def test_who_logs_out_has_left_and_lets_go_of_the_helm(browser, robot, who):
+    with visit(browser, robot, who) as watched:
+        page = watched.page
+        if who == "driver":
+            page.get_by_test_id("take").click()
+            until(lambda: robot.state()["driver"] == "driver 1")
+        page.get_by_test_id("logout").click()
+        expect(page.get_by_text("logged out")).to_be_visible()
+        assert page.url == f"{robot.address}/logout"
+        until(lambda: robot.state()["driver"] == "")
+
+
+@pytest.mark.browser
 def test_recording(browser, robot):
     with visit(browser, robot) as watched, visit(browser, robot, "watcher") as watcher:
         page = watched.page

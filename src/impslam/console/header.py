@@ -33,6 +33,7 @@ class Header:
             right = right if viewer.session.may_drive else " · watching"
             tagged(html.span(viewer.session.name + right), "viewer").classes("soft viewer")
             button("Dark or light", "theme", self._on_theme, "quiet", "contrast")
+            _logout()
             if model.station is not None:
                 self.stop = StopButton(lambda: self._on_stop(model.station, viewer))
 
@@ -58,3 +59,12 @@ class Header:
     def _on_stop(station: Station | None, viewer: Viewer) -> None:
         assert station is not None
         viewer.do(lambda: station.helm.emergency_stop(viewer.session.name), driving=False)
+
+
+def _logout() -> None:
+    """Make the button to log out: a form and no script, since who leaves must be able to."""
+    with html.form().props("method=post action=/logout"), html.button() as leave:
+        leave.classes("button quiet").props("type=submit")
+        leave.props["aria-label"] = leave.props["title"] = "Log out"
+        symbol("logout")
+    tagged(leave, "logout")

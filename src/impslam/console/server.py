@@ -225,7 +225,7 @@ def _app(model: Model, gate: Gate, build: Callable[[Model], None]) -> FastAPI:
     sockets.bind_to_sessions(gate.refusals)
     core.app.middleware_stack = None  # a server before this one, in a test, has used it up
     core.app.user_middleware.clear()
-    ui.run_with(app, title=model.title, dark=True, show_welcome_message=False)
+    ui.run_with(app, title=model.title, dark=True, tailwind=False, show_welcome_message=False)
     return app
 
 

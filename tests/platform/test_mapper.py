@@ -314,6 +314,18 @@ def test_scans_go_on_when_the_encoders_are_lost(room, monkeypatch):
     mapper.stop()
 
 
+@pytest.mark.parametrize("wheels", [True, False])
+def test_a_robot_without_encoders_is_told_that_it_has_none(room, monkeypatch, wheels):
+    monkeypatch.setattr(module, "PATIENCE", 0.02)
+    mapper = live(load("imp"))
+    mapper.start()
+    hand(mapper, room if wheels else scans(room)[:20])
+    wait_until(lambda: mapper.status().steps >= module.BLIND)
+    assert mapper.status().state == "running"
+    assert ("no WheelAngles has come" in mapper.status().detail) is not wheels
+    mapper.stop()
+
+
 # --------------------------------------------------------------------------- faults
 
 

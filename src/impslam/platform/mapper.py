@@ -31,6 +31,7 @@ PATIENCE = 0.25
 """s that a scan waits for odometry to reach its end; it comes every 10 ms, and is lost by then."""
 NEWS = 10.0  # s between two lines in the log on scans that were dropped
 ANSWER = 10.0  # s until the estimator must have come to the end of a scan for the map to be saved
+BLIND = 10  # scans without odometry until it is told: a second of a lidar at 10 Hz
 LIVE = Path("live")
 """What stands in a run folder for the log's name."""
 
@@ -211,13 +212,20 @@ class _Mapping:
             inbox.waiting,
             now() - self._newest,
             self._latency,
-            self._failure or self._of_late(),
+            self._failure or self._of_late() or self._without_motion(),
             run.pipeline.problems.counts.get("scan", 0),
         )
 
     def _of_late(self) -> str:
         recent = time.monotonic() - self._inbox.dropped_at < NEWS
         return self._dropped() if recent else ""
+
+    def _without_motion(self) -> str:
+        """Return what a map lacks where scans come and odometry does not: drives look like stands."""
+        felt = self.run.pipeline.robot.odometry.consumes.__name__
+        if self.run.steps < BLIND or self.run.pipeline.counts.get(felt):
+            return ""
+        return f"no {felt} has come, the map is made without odometry; check the autopilot"
 
     def _dropped(self) -> str:
         return (

@@ -228,3 +228,21 @@ class TestEnd:
                 spent = time.monotonic() - begun
             assert child.wait(10.0) == 0
         assert spent < 2.0
+
+    def test_who_presses_ctrl_c_twice_sees_no_traceback(self, tmp_path):
+        child = subprocess.Popen(
+            [sys.executable, "-c", CHILD, tmp_path],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        with child:
+            child.stdout.readline()
+            child.stdout.readline()
+            for _ in range(2):
+                child.send_signal(signal.SIGINT)
+                time.sleep(0.03)  # two signals at once are one
+            out, err = child.communicate(timeout=20.0)
+        assert out == "put away\n"
+        assert err == ""
+        assert child.returncode == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import signal
 import socket
 import threading
@@ -110,7 +111,9 @@ class Server(uvicorn.Server):
                 signal.signal(one, handler)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        self.force_exit = self.should_exit  # the second one does not wait
+        if self.should_exit:  # the second one does not wait; what it cuts off is no fault to tell
+            self.force_exit = True
+            logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL + 1)
         self.should_exit = True
 
 

@@ -109,3 +109,17 @@ def test_readings_of_many_threads_leave_the_events_bounded_and_readable(folder):
     for thread in threads:
         thread.join(5.0)
     assert len(robot.events) == 200
+
+
+def test_a_map_that_the_disk_refuses_leaves_no_half_of_it(folder, monkeypatch):
+    robot = station(folder)
+
+    def save(where):
+        where.mkdir(parents=True)
+        (where / "trajectory.tum").write_text("0 0 0")
+        raise ImpError("the disk is full")
+
+    monkeypatch.setattr(robot.mapper, "save", save)
+    with pytest.raises(ImpError, match="full"):
+        robot.save_map()
+    assert list((folder / "maps").iterdir()) == []

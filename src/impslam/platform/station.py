@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shutil
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -109,7 +110,11 @@ class Station:
             while folder.exists():
                 number += 1
                 folder = folder.with_name(f"{stem}-{number}")
-            return self.mapper.save(folder)
+            try:
+                return self.mapper.save(folder)
+            except ImpError:  # half a map is none, and takes room on a disk that has none
+                shutil.rmtree(folder, ignore_errors=True)
+                raise
 
     def health(self) -> StationHealth:
         """Return how everything is doing."""

@@ -226,7 +226,7 @@ def test_one_drives_and_the_others_see_who(browser, robot):
 def test_two_pages_of_one_login_do_not_drive_at_once(browser, robot):
     with visit(browser, robot) as first, visit(browser, robot) as second:
         take(first.page)
-        expect(second.page.get_by_test_id("driver")).to_have_text("driver 1 drives")
+        expect(second.page.get_by_test_id("driver")).to_have_text("You drive on another page")
         second.page.keyboard.down("w")
         second.page.wait_for_timeout(400)
         assert robot.state()["told"] == []

@@ -328,6 +328,42 @@ def test_pan_zoom_follow_and_layers(browser, robot):
 
 
 @pytest.mark.browser
+def test_the_tip_names_a_wall_wherever_it_is_touched(browser, robot):
+    with visit(browser, robot) as watched:
+        page = watched.page
+        until(lambda: colours(page) > 10)
+        page.wait_for_timeout(500)
+        place, wall = page.evaluate(
+            """() => {
+            const elements = Object.keys(mounted_app.elements).map((id) => getElement(+id));
+            const map = elements.find((e) => e?.view?.scale);
+            const [mark] = [...map.map.marks.values()].filter((m) => m[5]);
+            const box = map.$el.getBoundingClientRect();
+            const place = (x, y) => [
+              box.left + map.width / 2 + (x - map.view.x) * map.view.scale,
+              box.top + map.height / 2 - (y - map.view.y) * map.view.scale];
+            const [x0, y0, x1, y1] = mark[5];
+            return [place(x0 + 0.3 * (x1 - x0), y0 + 0.3 * (y1 - y0)), mark[0]];
+            }"""
+        )
+        page.mouse.move(*place)
+        expect(page.locator(".tip")).to_contain_text(f"wall {wall} · seen")
+
+
+@pytest.mark.browser
+def test_what_rounds_to_zero_has_no_sign(browser, robot):
+    with visit(browser, robot) as watched:
+        told = watched.page.evaluate(
+            """() => {
+            const elements = Object.keys(mounted_app.elements).map((id) => getElement(+id));
+            const map = elements.find((e) => e?.view?.scale);
+            return [-0.0004, 0.0004, -0.0006, -0].map((value) => map.told(value, 3));
+            }"""
+        )
+    assert told == ["0.000", "0.000", "-0.001", "0.000"]
+
+
+@pytest.mark.browser
 def test_pages_have_views_of_their_own(browser, robot):
     with visit(browser, robot) as one, visit(browser, robot, "watcher") as other:
         one.page.get_by_test_id("follow").click()

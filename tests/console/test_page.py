@@ -1,5 +1,6 @@
 """The page as a whole: offline, quiet, readable on a phone, and what its panels do."""
 
+import re
 from urllib.parse import urlsplit
 
 import pytest
@@ -130,7 +131,7 @@ def test_recording(browser, robot):
         page = watched.page
         page.get_by_test_id("record-name").fill("hall")
         page.get_by_test_id("record").click()
-        expect(page.get_by_test_id("recording")).to_contain_text("0:01")
+        expect(page.get_by_test_id("recording")).to_have_text(re.compile(r"^0:\d\d · .* kB$"))
         expect(page.get_by_test_id("chip-recording")).to_contain_text("REC")
         expect(watcher.page.get_by_test_id("chip-recording")).to_be_visible()
         expect(watcher.page.get_by_test_id("record-stop")).to_be_hidden()
@@ -193,6 +194,7 @@ def test_health_alarms_and_events(browser, robot):
     with visit(browser, robot) as watched:
         page = watched.page
         page.get_by_test_id("tab-health").click()
+        expect(page.get_by_test_id("tab-health")).to_have_attribute("aria-selected", "true")
         row = page.get_by_test_id("health-autopilot")
         expect(row).to_contain_text("wheel angles 100 Hz")
         expect(row.locator("[data-state=ok]")).to_be_visible()

@@ -23,8 +23,8 @@ export default {
       </div>
       <div class="drive-side">
         <div class="command" data-testid="command">
-          <div><b>{{ (command[0] * limits[0]).toFixed(2) }}</b> m/s</div>
-          <div><b>{{ (command[1] * limits[1] * 180 / Math.PI).toFixed(0) }}</b> °/s</div>
+          <div><b>{{ told(command[0] * limits[0], 2) }}</b> m/s</div>
+          <div><b>{{ told(command[1] * limits[1] * 180 / Math.PI, 0) }}</b> °/s</div>
         </div>
         <label class="speed">
           <span>Speed up to {{ (share * limits[0]).toFixed(2) }} m/s</span>
@@ -66,6 +66,8 @@ export default {
     for (const [target, name, handler] of this.listeners) target.removeEventListener(name, handler);
   },
   methods: {
+    // What rounds to zero has no sign.
+    told: (value, digits) => (Number(value.toFixed(digits)) || 0).toFixed(digits),
     down(event) {
       if (!this.driving || this.pointer !== null || event.button !== 0) return;
       event.preventDefault();

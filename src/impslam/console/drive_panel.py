@@ -58,7 +58,7 @@ class DrivePanel:
         """Show the helm as it is by now."""
         state = self._station.helm.state()
         may, mine = self._viewer.session.may_drive, state.driver == self._viewer.driver
-        self._who.text = self._said(state, mine=mine)
+        self._who.text = self._said(state, mine=mine, same=state.name == self._viewer.session.name)
         show(self._take, may and state.driver is None)
         show(self._leave, mine)
         show(self._stopped, bool(state.stopped))
@@ -73,11 +73,14 @@ class DrivePanel:
         self._station.helm.leave(self._viewer.driver)
 
     @staticmethod
-    def _said(state: HelmState, *, mine: bool) -> str:
+    def _said(state: HelmState, *, mine: bool, same: bool) -> str:
         if state.driver is None:
             return "Nobody drives"
-        moving = f", {state.speed:.2f} m/s" if state.speed or state.turn_rate else ""
-        return f"{'You drive' if mine else f'{state.name} drives'}{moving}"
+        who = "You drive" if mine or same else f"{state.name} drives"
+        where = " on another page" if same and not mine else ""
+        if abs(state.speed) >= 0.005:
+            return f"{who}{where}, {state.speed:.2f} m/s"
+        return f"{who}{where}{', turning' if state.turn_rate else ''}"
 
     def _on_take(self) -> None:
         session = self._viewer.session

@@ -1,5 +1,5 @@
 // The map: a canvas that is drawn when something has changed, and what floats above it.
-import { paint, decode16, decode32, recolour, bounds } from "impslam-map";
+import { paint, decode16, decode32, recolour, bounds, distance, told } from "impslam-map";
 
 const LAYERS = [
   ["grid", "Grid map", true], ["path", "Path", true], ["scan", "Scan", true], ["marks", "Landmarks", true],
@@ -14,9 +14,9 @@ export default {
         @wheel.prevent="wheel" @dblclick="fit"></canvas>
       <div class="hud" data-testid="pose">
         <template v-if="pose">
-          <span><i>x</i> <b data-testid="pose-x">{{ pose[0].toFixed(3) }}</b> m</span>
-          <span><i>y</i> <b data-testid="pose-y">{{ pose[1].toFixed(3) }}</b> m</span>
-          <span><i>heading</i> <b data-testid="pose-heading">{{ (pose[2] * 180 / Math.PI).toFixed(1) }}</b>°</span>
+          <span><i>x</i> <b data-testid="pose-x">{{ told(pose[0], 3) }}</b> m</span>
+          <span><i>y</i> <b data-testid="pose-y">{{ told(pose[1], 3) }}</b> m</span>
+          <span><i>heading</i> <b data-testid="pose-heading">{{ told(pose[2] * 180 / Math.PI, 1) }}</b>°</span>
           <span class="soft" data-testid="pose-sigma" title="One standard deviation">σ {{ sigma }}</span>
         </template>
         <span v-else class="soft">No map yet</span>
@@ -25,7 +25,7 @@ export default {
       </div>
       <div class="layers" :class="{ open }">
         <button type="button" class="tool" data-testid="layers" :aria-expanded="open" title="Layers"
-          aria-label="Layers" @click="open = !open"><i class="q-icon material-icons" aria-hidden="true">layers</i></button>
+          aria-label="Layers" @click="unfold"><i class="q-icon material-icons" aria-hidden="true">layers</i></button>
         <div v-show="open" class="legend" data-testid="legend">
           <label v-for="[name, label] in offered" :key="name" :class="'layer ' + name"
             :title="name === 'dead' ? 'Dead reckoning, since this page was opened' : undefined">
@@ -82,6 +82,7 @@ export default {
     document.removeEventListener("visibilitychange", this.onHidden);
   },
   methods: {
+    told,
     frame(frame) {
       const map = this.map;
       if (frame.run !== map.run) {
@@ -176,11 +177,16 @@ export default {
     },
     frameAll() {
       const [left, low, right, high] = bounds(this.map, this.shown);
-      const [west, north, east, south] = [24, 56, 64, 44]; // px for what floats above the map
+      // px for what floats above the map, and for labels
+      const [west, north, east, south] = [36, 56, this.open && this.width > 700 ? 190 : 84, 44];
       const across = (this.width - west - east) / (right - left);
       const up = (this.height - north - south) / (high - low);
       const scale = Math.min(Math.max(Math.min(across, up), 2), 200);
       this.view = { x: (left + right) / 2 + (east - west) / 2 / scale, y: (low + high) / 2 + (north - south) / 2 / scale, scale };
+    },
+    unfold() {
+      this.open = !this.open;
+      this.redraw();
     },
     fit() {
       this.mode = "fit";
@@ -236,16 +242,17 @@ export default {
     },
     hover([x, y]) {
       const { view, width, height } = this;
+      const px = (mx, my) => [width / 2 + (mx - view.x) * view.scale, height / 2 - (my - view.y) * view.scale];
       let nearest = 14;
       let found = null;
       for (const mark of this.map.marks.values()) {
-        const ends = mark[5];
-        const [mx, my] = ends ? [(ends[0] + ends[2]) / 2, (ends[1] + ends[3]) / 2] : [mark[2], mark[3]];
-        const far = Math.hypot(width / 2 + (mx - view.x) * view.scale - x, height / 2 - (my - view.y) * view.scale - y);
+        const ends = mark[5] ?? [mark[2], mark[3], mark[2], mark[3]];
+        const wall = mark[5] ? 7 : 0; // a point on a wall, and near it, is what is meant
+        const far = wall + distance([x, y], px(ends[0], ends[1]), px(ends[2], ends[3]));
         if (far < nearest) [nearest, found] = [far, mark];
       }
-      const told = (m) => `${m[1]} ${m[0]} · seen ${m[6]}×` + (m[4] ? ` · ±${(100 * (m[4][0] ?? 0)).toFixed(1)} cm` : "");
-      this.tip = found && this.shown.marks ? { x, y, text: told(found) } : null;
+      const text = (m) => `${m[1]} ${m[0]} · seen ${m[6]}×` + (m[4] ? ` · ±${(100 * (m[4][0] ?? 0)).toFixed(1)} cm` : "");
+      this.tip = found && this.shown.marks ? { x, y, text: text(found) } : null;
     },
   },
 };

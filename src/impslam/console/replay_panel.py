@@ -42,10 +42,10 @@ class ReplayPanel:
                 self._step = button("Step", "step", self._on_step, "plain", "skip_next")
                 with tagged(html.select().classes("field"), "replay-speed") as self._speed:
                     for value, label in SPEEDS.items():
-                        html.option(label, value=value, selected=value == "1")
+                        now = float(value) == self._player.status().speed
+                        html.option(label, value=value, selected=now)
                 self._speed.props["aria-label"] = "Speed"
                 self._speed.on("change", self._on_speed, js_handler="(e) => emit(e.target.value)")
-                show(self._speed, self._may)
             self._bar = tagged(html.progress(max=1, value=0), "replay-position")
             self._bar.props["aria-label"] = "Position in the log"
             self._said = text("replay", "", "soft")
@@ -59,6 +59,7 @@ class ReplayPanel:
         show(self._play, self._may and not going and not over)
         show(self._pause, self._may and going)
         show(self._step, self._may and not going and not over)
+        show(self._speed, self._may and not over)
         share = round(status.position / status.total, 3) if status.total else float(over)
         if share != self._bar.props.get("value"):
             self._bar.props["value"] = share

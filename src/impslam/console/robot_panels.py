@@ -24,6 +24,11 @@ TABS = {
     "camera": ("photo_camera", "Camera"),
 }
 """Tab -> icon, title. Where there is room, drive has a place of its own."""
+CHOOSE = (
+    "(e) => {{ document.body.dataset.tab = '{name}'; const now = e.currentTarget; "
+    "for (const tab of now.parentNode.children) tab.ariaSelected = String(tab === now); }}"
+)
+"""What a tab does in the browser: shows its panel, and says to screen readers that it does."""
 LOOK = 2  # of the slow updates: the disk is looked at half as often
 
 
@@ -36,9 +41,9 @@ class RobotPanels:
         self._count = 0
         health = feed.health()
         with html.aside().classes("side"):
-            _tabs()
             with _tab("drive"):
                 self._drive = DrivePanel(station, viewer, header.stop)
+            _tabs()  # after drive, as they stand: the key Tab goes the way the eyes go
             with _tab("record"):
                 self._record = RecordPanel(station, viewer)
                 self._mapping = MappingPanel(station, viewer)
@@ -82,8 +87,7 @@ def _tabs() -> None:
     with html.nav().classes("tabs").props("role=tablist"):
         for name, (icon, title) in TABS.items():
             tab: Element = html.button().classes(f"tab tab-{name}").props("type=button role=tab")
-            show = f"() => {{ document.body.dataset.tab = '{name}' }}"
-            with tagged(tab.on("click", js_handler=show), f"tab-{name}"):
+            with tagged(tab.on("click", js_handler=CHOOSE.format(name=name)), f"tab-{name}"):
                 symbol(icon)
                 html.span(title)
 

@@ -34,6 +34,16 @@ function rgb(colour) {
   return [digits >> 16, (digits >> 8) & 255, digits & 255];
 }
 
+/** Return a number with so many digits; what rounds to zero has no sign. */
+export const told = (value, digits) => (Number(value.toFixed(digits)) || 0).toFixed(digits);
+
+/** Return how far a place is from the line between two others, all [x, y]. */
+export function distance([x, y], [x0, y0], [x1, y1]) {
+  const [dx, dy] = [x1 - x0, y1 - y0];
+  const share = Math.max(0, Math.min(1, ((x - x0) * dx + (y - y0) * dy) / (dx * dx + dy * dy || 1)));
+  return Math.hypot(x0 + share * dx - x, y0 + share * dy - y);
+}
+
 /** Return left, low, right, high in m of all there is to see, never narrower than a small room. */
 export function bounds(map, shown) {
   let [left, low, right, high] = [Infinity, Infinity, -Infinity, -Infinity];
@@ -179,9 +189,13 @@ function labels({ context, map, view, colours, X, Y }) {
   context.textBaseline = "middle";
   context.lineWidth = 3.5;
   context.strokeStyle = colours.map;
+  const taken = [];
   for (const [id, kind, x, y, , ends] of map.marks.values()) {
     const name = `${kind} ${id}`;
     const at = ends ? [X((ends[0] + ends[2]) / 2), Y((ends[1] + ends[3]) / 2) - 11] : [X(x), Y(y) - 14];
+    const half = context.measureText(name).width / 2;
+    if (taken.some(([left, top, wide]) => Math.abs(at[0] - left) < half + wide + 6 && Math.abs(at[1] - top) < 15)) continue;
+    taken.push([...at, half]); // the older of two that would cover each other is shown; the tip tells the other
     context.strokeText(name, ...at);
     context.fillStyle = ends ? colours.wall : colours.point;
     context.fillText(name, ...at);

@@ -13,7 +13,7 @@ import pytest
 from pydantic import PrivateAttr
 from tests.recorded import Played, perfect
 
-from impslam.component import register
+from impslam.component import parameter, register
 from impslam.config import load
 from impslam.devices.base import now
 from impslam.errors import ImpError
@@ -34,8 +34,8 @@ from impslam.types import Climate, DeviceTime, LaserScan, TruePose, WheelAngles
 class Slow(Extractor):
     """Finds nothing, and takes its time; or fails at a scan."""
 
-    seconds: float = 0.0
-    fails_at: int = -1
+    seconds: float = parameter(0.0, "s", "how long a scan takes")
+    fails_at: int = parameter(-1, "1", "the scan at which it fails")
     _seen: int = PrivateAttr(default=0)
 
     def extract(self, scan, rng):

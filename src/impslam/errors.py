@@ -5,6 +5,10 @@ class ImpError(Exception):
     """A failure a user can act on: one line that says what, where and what to do."""
 
 
+class LeftError(ImpError):
+    """The user has ended it early; nothing is wrong."""
+
+
 class ConfigError(ImpError):
     """A configuration that cannot be used: an unknown key, a wrong type, an unknown component."""
 

@@ -153,7 +153,7 @@ def test_a_replay_that_is_left_early_leaves_one_line_and_no_folder(
     monkeypatch.setattr("impslam.platform.player.warm_up", lambda config: None)
     threading.Thread(target=leave, daemon=True).start()
     said = imp("run", room, "--live", "--port", 0, "-o", tmp_path / "run", "--quiet")
-    assert said.code == 2
+    assert said.code == 130
     assert "left before its end" in said.err
     assert said.err.count("\n") == 1
     assert not (tmp_path / "run").exists()

@@ -299,6 +299,30 @@ def test_the_queue_drops_by_type_and_counts() -> None:
     assert queue.dropped()["Imu"] == 4
 
 
+def test_a_disk_that_hangs_does_not_hold_up_who_asks(
+    recorder: LogRecorder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder_module, "FRESH", 0.01)
+    known, hanging = recorder.status().free, threading.Event()
+    assert known > 0
+    usage = shutil.disk_usage("/")
+
+    def hang(_: object) -> object:
+        hanging.wait(PATIENCE)
+        return usage
+
+    monkeypatch.setattr(recorder_module.shutil, "disk_usage", hang)
+    time.sleep(0.02)
+    begin, threads = time.monotonic(), threading.active_count()
+    for _ in range(20):
+        assert recorder.status().free == known
+        time.sleep(0.002)
+    assert time.monotonic() - begin < 1.0
+    assert threading.active_count() <= threads + 1
+    hanging.set()
+    until(lambda: threading.active_count() <= threads)
+
+
 def free_space(monkeypatch: pytest.MonkeyPatch, free: int) -> None:
     usage = shutil.disk_usage("/")._replace(free=free)
     monkeypatch.setattr(recorder_module.shutil, "disk_usage", lambda _: usage)
@@ -320,7 +344,7 @@ def test_the_disk_is_never_filled_beyond_its_reserve(
     with pytest.raises(RecordingError, match="less than the reserve of 1000 MB is free"):
         recorder.start()
     assert "reserve" in recorder.status().error
-    assert recorder.status().free == 0
+    until(lambda: recorder.status().free == 0)
     free_space(monkeypatch, 10**10)
     recorder.start()
     assert recorder.status().error == ""

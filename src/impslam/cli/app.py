@@ -11,7 +11,7 @@ from cyclopts import App, CycloptsError
 
 from impslam import __version__
 from impslam.cli.console import configure
-from impslam.errors import ImpError
+from impslam.errors import ImpError, LeftError
 
 OK, UNEXPECTED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 
@@ -57,6 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt as error:
         return _end(INTERRUPTED, error, "interrupted; what is written so far is valid", debug)
+    except LeftError as error:
+        return _end(INTERRUPTED, error, str(error), debug)
     except (ImpError, CycloptsError) as error:
         return _end(UNUSABLE, error, f"error: {error}", debug)
     except OSError as error:

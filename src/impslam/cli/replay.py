@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from impslam.cli import console
 from impslam.config import Config
-from impslam.errors import ConfigError, ImpError
+from impslam.errors import ConfigError, LeftError
 from impslam.observers.base import Observer, Outcome
 from impslam.observers.live_view import LiveView
 from impslam.sources.base import Source
@@ -31,7 +31,7 @@ def replay(
 
     Raises
     ------
-    ImpError
+    LeftError
         If it was left before the log's end.
     """
     need_web()
@@ -53,5 +53,5 @@ def replay(
             player.stop()
     outcome = player.wait(0.0)
     if outcome is None:
-        raise ImpError(f"{source.path}: left before its end; nothing is written")
+        raise LeftError(f"{source.path}: left before its end; nothing is written")
     return outcome

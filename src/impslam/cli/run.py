@@ -66,11 +66,11 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     player = partial(replay, port=page.port, quiet=quiet) if page.live else pipeline_run
     outcome = execute(chosen, source, folder, quiet or page.live, [distance], player=player)
     if not quiet:
-        show(outcome, distance.path, folder)
+        show(outcome, distance.path, folder, at_once=not page.live)
 
 
-def show(outcome: Outcome, length: float, folder: Path) -> None:
-    """Print what a run was, and where it is."""
+def show(outcome: Outcome, length: float, folder: Path, *, at_once: bool = True) -> None:
+    """Print what a run was, and where it is; its speed says something where nobody paused it."""
     counts, seconds = outcome.counts, outcome.log_seconds
     kinds = Counter(landmark.kind for landmark in outcome.landmarks)
     found = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())) or "none"
@@ -80,7 +80,8 @@ def show(outcome: Outcome, length: float, folder: Path) -> None:
             "scans": f"{counts['steps']} used",
             "path": f"{length:.2f} m in {seconds:.1f} s",
             "landmarks": found,
-            "time": f"{outcome.wall_seconds:.1f} s, {real_time_factor(outcome):.0f} times real time",
+            "time": f"{outcome.wall_seconds:.1f} s"
+            + (f", {real_time_factor(outcome):.0f} times real time" if at_once else ""),
         }
     )
     for kind, dropped in outcome.dropped.items():

@@ -100,7 +100,7 @@ class Camera(Device):
         width, height = (
             round(capture.get(p)) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
         )
-        return f"{self.source}, {width} x {height} px, by {capture.getBackendName()}"
+        return f"{self.source}, {width} x {height} px"
 
     def _watch(self, capture: cv2.VideoCapture) -> None:
         """Empty the camera and keep a picture each period."""

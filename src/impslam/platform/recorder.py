@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import re
 import shutil
 import threading
@@ -20,6 +21,7 @@ from impslam.types import Event
 log = logging.getLogger(__name__)
 
 LONGEST_NAME = 60  # letters; file systems allow 255 bytes with date, number and suffix
+FRESH = 1.0  # s between looks at how much of the disk is free
 PATIENCE = 30.0  # s that stopping waits for a slow disk
 
 
@@ -52,6 +54,31 @@ class RecordingStatus:
     waiting: int = 0
 
 
+class Sampled:
+    """A number that may take long to find out (a disk may hang), looked up in a thread of its own."""
+
+    def __init__(self, measure: Callable[[], int]) -> None:
+        self._measure, self._lock = measure, threading.Lock()
+        self._value, self._due = 0, float("-inf")
+
+    def lately(self) -> int:
+        """Return it as it was a second or two ago; never waits, but for the first time."""
+        first = math.isinf(self._due)
+        if time.monotonic() > self._due and self._lock.acquire(blocking=False):
+            self._due = time.monotonic() + FRESH
+            thread = threading.Thread(target=self._look, name="disk", daemon=True)
+            thread.start()
+            if first:
+                thread.join(FRESH)
+        return self._value
+
+    def _look(self) -> None:
+        try:
+            self._value = self._measure()
+        finally:
+            self._lock.release()
+
+
 class LogRecorder:
     """Writes readings into a log, in a thread of its own.
 
@@ -76,6 +103,7 @@ class LogRecorder:
     ) -> None:
         self._folder, self._preset, self._floor = Path(folder), preset, floor
         self._tell = tell or self._note
+        self._free = Sampled(self._room)
         self._gate = threading.Lock()  # of starting and stopping; a reading never waits for it
         self._recording: Recording | None = None
         self._refusal = ""
@@ -123,13 +151,13 @@ class LogRecorder:
         """Return how the recording is doing."""
         last = self._recording
         if last is None:
-            return RecordingStatus(free=self._room(), error=self._refusal)
+            return RecordingStatus(free=self._free.lately(), error=self._refusal)
         return RecordingStatus(
             active=last.active,
             path=last.path,
             seconds=last.seconds,
             size=last.size,
-            free=self._room(),
+            free=self._free.lately(),
             written=last.written(),
             dropped=last.dropped(),
             error=self._refusal or last.error,

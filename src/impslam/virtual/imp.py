@@ -119,10 +119,11 @@ class VirtualImp:
         if lateness > LATE:
             self._late += 1
             log.log(
-                logging.WARNING if self._late in (1, 10, 100) else logging.DEBUG,
-                "the virtual IMP is %.0f ms late, for the %d. time; it catches up",
-                1e3 * lateness,
+                logging.WARNING if self._late in (100, 1000) else logging.DEBUG,
+                "the virtual robot was late %d times by now, just now by %.0f ms: this computer is "
+                "busy; it catches up",
                 self._late,
+                1e3 * lateness,
             )
 
     # ------------------------------------------------------------------ from outside

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import json
+import logging
 import os
 import queue
 import signal
@@ -243,6 +244,7 @@ class _Server:
 
 def main() -> int:
     """Run a virtual IMP until standard input ends."""
+    logging.basicConfig(format="imp: %(message)s")
     sink = os.fdopen(os.dup(1), "w")  # what anything prints by itself must not mix with answers
     os.dup2(2, 1)
     server = _Server(sys.stdin, sink)

@@ -361,6 +361,9 @@ class Sessions:
             scope.setdefault("state", {})["session"] = self.sessions[who]
             if scope["path"] == "/fake/end":
                 self.sessions[who].end()
+            if scope["type"] == "http" and scope["path"] == "/" and not self.sessions[who].alive():
+                await Response("log in again", 401)(scope, receive, send)
+                return
         await self.app(scope, receive, send)
 
 
@@ -417,7 +420,7 @@ def serve(port: int, *, tour: bool, replay: bool) -> None:
 
     @api.get("/fake/end")
     def end() -> None:
-        """The session in the cookie is over; what follows gets a new page that says so."""
+        """The session in the cookie is over; its page is served no more, as the guard does."""
 
     view = cast("Any", station.view)
     model = Model("IMP", view, cast("Any", station))

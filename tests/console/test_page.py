@@ -57,9 +57,15 @@ def browser(chromium):
 
 
 @pytest.fixture(scope="module")
-def robot():
+def shared():
     with browsing.robot("--tour") as made:
         yield made
+
+
+@pytest.fixture
+def robot(shared):
+    shared.ask("reset")
+    return shared
 
 
 @pytest.mark.browser

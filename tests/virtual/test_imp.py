@@ -219,11 +219,12 @@ def test_in_real_time_it_keeps_time_and_tells_when_commands_take_effect(imp):
 
 def test_a_pass_that_comes_late_is_counted(imp, caplog):
     naps = iter([0.05])
+    imp._late = 99  # one is nothing to tell: computers are busy at times
     begin = time.monotonic()
     imp.run(lambda: time.monotonic() - begin > 0.1, lambda: time.sleep(next(naps, 0.0)))
-    assert imp.status()["late"] >= 1
+    assert imp.status()["late"] >= 100
     assert imp.status()["lateness"]["max"] > 0.04
-    assert "late" in caplog.text
+    assert "late 100 times by now" in caplog.text
     assert imp.body.time == pytest.approx(time.monotonic() - begin, abs=0.2)
 
 

@@ -242,6 +242,8 @@ def test_a_session_that_ends_leaves_the_helm_and_commands_no_more(browser, robot
         page.context.request.get(f"{robot.address}/fake/end?as=driver")
         until(lambda: robot.state()["driver"] == "")
         until(lambda: stands(robot))
+        # Chromium never answers to a close in the middle of a reload: see the reload to its end
+        expect(page.get_by_text("log in again")).to_be_visible()
 
 
 FORGE = """(args) => {

@@ -79,7 +79,7 @@ class FullRate:
 
 def record(folder: Path) -> None:
     """Record until killed, in real time; say when that begins."""
-    robot, recorder = FullRate(), LogRecorder(folder, "imp", 0)
+    robot, recorder = FullRate(), LogRecorder(folder, "imp", 0, lambda _level, _text: None)
     recorder.start()
     begin, number = now(), 0
     print(begin, flush=True)

@@ -16,6 +16,7 @@ from impslam.evaluation.landmark_files import landmarks_path, read_true_landmark
 from impslam.observers.base import Observer, Outcome
 from impslam.observers.recorder import Recorder
 from impslam.observers.report import Report
+from impslam.paths import unused
 from impslam.pipeline import run
 from impslam.sources.base import Source, recognise
 from impslam.types import TrueLandmark
@@ -108,7 +109,7 @@ def run_folder(wanted: Path | None, name: str, also: Iterable[str] = ()) -> Path
         If the path is a file, or a folder that holds anything else.
     """
     if wanted is None:
-        return _new_folder(f"{name}-{time.strftime('%Y%m%d-%H%M%S')}")
+        return unused(Path("runs"), f"{name}-{time.strftime('%Y%m%d-%H%M%S')}")
     if wanted.exists() and not wanted.is_dir():
         raise ConfigError(f"{wanted}: is a file; give -o a folder")
     strange = {p.name for p in wanted.iterdir()} - FILES - set(also) if wanted.exists() else set()
@@ -118,11 +119,3 @@ def run_folder(wanted: Path | None, name: str, also: Iterable[str] = ()) -> Path
             "give -o a new or an empty one"
         )
     return wanted
-
-
-def _new_folder(name: str) -> Path:
-    folder, number = Path("runs") / name, 1
-    while folder.exists():
-        number += 1
-        folder = Path("runs") / f"{name}-{number}"
-    return folder

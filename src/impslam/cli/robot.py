@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
@@ -21,6 +21,7 @@ from impslam.platform.robot_file import RobotFile, load_robot
 from impslam.platform.service import Watchdog, unit
 
 if TYPE_CHECKING:
+    from impslam.console.session import Right
     from impslam.platform.station import Station
 
 app = App(name="robot", help="Drive, record and map from a page that the robot serves.")
@@ -127,7 +128,7 @@ def password(*, watch: Flag = False, common: Common | None = None) -> None:
     """
     from impslam.console.accounts import Accounts  # noqa: PLC0415  # not needed to serve
 
-    right: Literal["drive", "watch"] = "watch" if watch else "drive"
+    right: Right = "watch" if watch else "drive"
     accounts = Accounts()
     accounts.set(right, _new_password(right))
     say = ignore if common is not None and common.quiet else console.say

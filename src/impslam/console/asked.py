@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import re
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from http.cookies import CookieError
 from starlette.requests import cookie_parser
 from starlette.types import Scope
 
-from impslam.console import login
+from impslam.console import hosts, login
 
 TARGET = 4096  # bytes of path and query; the page's longest is below 300
 HEADERS = 16 * 1024  # bytes of all headers; browsers send below 2 kB
@@ -133,10 +132,8 @@ def origin(asked: Asked) -> Refusal | None:
 
 
 def plain(address: str) -> str:
-    """Return an address in its one form, without zone; unchanged where it is none."""
+    """Return an address in its one form; unchanged where it is none."""
     try:
-        found = ipaddress.ip_address(address.partition("%")[0])
+        return str(hosts.ip(address))
     except ValueError:
         return address
-    mapped = found.ipv4_mapped if isinstance(found, ipaddress.IPv6Address) else None
-    return str(mapped or found)

@@ -24,7 +24,7 @@ def loopback(host: str) -> bool:
         found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError):
         raise ImpError(f"host {host}: no such name or address; try 127.0.0.1 or 0.0.0.0") from None
-    return all(ipaddress.ip_address(_bare(entry[4][0])).is_loopback for entry in found)
+    return all(ip(entry[4][0]).is_loopback for entry in found)
 
 
 def names() -> tuple[str, ...]:
@@ -40,11 +40,20 @@ def addresses() -> tuple[str, ...]:
     for adapter in ifaddr.get_adapters():
         for given in adapter.ips:
             text = given.ip if isinstance(given.ip, str) else given.ip[0]
-            address = ipaddress.ip_address(_bare(text))
+            address = ip(text)
             if not address.is_link_local:
                 found.append(str(address))
     return tuple(sorted(dict.fromkeys(found)))
 
 
-def _bare(address: object) -> str:
-    return str(address).partition("%")[0]
+def ip(text: object) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
+    """Return an address in its one form: without zone, and as IPv4 where IPv6 only wraps it.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    found = ipaddress.ip_address(str(text).partition("%")[0])
+    mapped = found.ipv4_mapped if isinstance(found, ipaddress.IPv6Address) else None
+    return mapped or found

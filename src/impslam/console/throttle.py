@@ -14,6 +14,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from impslam.console import hosts
+
 FREE = 3  # tries: a person mistypes
 LONGEST = 300.0  # s to wait at most, so that a person who forgot gets in again within minutes
 FORGET = 900.0  # s after the last try an address starts anew; longer than `LONGEST`
@@ -97,11 +99,9 @@ def _pause(count: int) -> float:
 def _block(address: str) -> str:
     """Return what one person can call theirs: an IPv4 address, or the /64 of an IPv6 one."""
     try:
-        found = ipaddress.ip_address(address.partition("%")[0])
+        found = hosts.ip(address)
     except ValueError:
         return address
-    if isinstance(found, ipaddress.IPv4Address):
+    if found.version == 4:
         return str(found)
-    if found.ipv4_mapped is not None:
-        return str(found.ipv4_mapped)
     return str(ipaddress.ip_network((found, 64), strict=False))

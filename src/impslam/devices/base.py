@@ -57,6 +57,13 @@ class Reading:
     device_stamp: float | None = None
 
 
+def event(source: str, level: str, text: str) -> Reading:
+    """Log what happened ("info", "warning" or "error"), and return it for the recording."""
+    log.log(logging.getLevelNamesMapping()[level.upper()], "%s: %s", source, text)
+    moment = now()
+    return Reading(Event(moment, level, source, text), moment, source)
+
+
 Receiver: TypeAlias = Callable[[Reading], None]
 
 
@@ -192,10 +199,7 @@ class Device(Component):
 
     def _tell(self, level: Literal["info", "warning", "error"], text: str) -> None:
         """Log an event and deliver it, so that it stands in the recording."""
-        number = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}[level]
-        log.log(number, "%s: %s", self.title, text)
-        moment = now()
-        self._hand_over(Reading(Event(moment, level, self.title, text), moment, self.title))
+        self._hand_over(event(self.title, level, text))
 
     def _count(self, what: str, number: int = 1) -> None:
         """Count something that happened."""

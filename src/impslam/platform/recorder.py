@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import re
 import shutil
@@ -13,12 +12,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from impslam.devices.base import Reading, now
+from impslam.devices.base import Reading
 from impslam.errors import ImpError
+from impslam.paths import unused
 from impslam.platform.recorder_thread import Recording, RecordingError, disk_error
-from impslam.types import Event
-
-log = logging.getLogger(__name__)
 
 LONGEST_NAME = 60  # letters; file systems allow 255 bytes with date, number and suffix
 FRESH = 1.0  # s between looks at how much of the disk is free
@@ -90,19 +87,14 @@ class LogRecorder:
     folder : where logs are kept; made if it is missing
     preset : name of the robot's preset, or its config as TOML; written first, and `imp run LOG` takes it
     floor : bytes that stay free on the disk
-    tell : called with (level, text), from any thread, for what everyone should know; without it
-        such events go into the log alone
+    tell : called with (level, text), from any thread, for what everyone should know
     """
 
     def __init__(
-        self,
-        folder: Path,
-        preset: str,
-        floor: int,
-        tell: Callable[[str, str], None] | None = None,
+        self, folder: Path, preset: str, floor: int, tell: Callable[[str, str], None]
     ) -> None:
         self._folder, self._preset, self._floor = Path(folder), preset, floor
-        self._tell = tell or self._note
+        self._tell = tell
         self._free = Sampled(self._room)
         self._gate = threading.Lock()  # of starting and stopping; a reading never waits for it
         self._recording: Recording | None = None
@@ -177,13 +169,9 @@ class LogRecorder:
             raise disk_error(self._folder, error) from None
 
     def _new_path(self, name: str | None) -> Path:
-        stem, number = time.strftime("%Y%m%d-%H%M%S"), 1
+        stem = time.strftime("%Y%m%d-%H%M%S")
         stem += f"-{said}" if (said := file_name(name or "")) else ""
-        path = self._folder / f"{stem}.mcap"
-        while path.exists():
-            number += 1
-            path = self._folder / f"{stem}-{number}.mcap"
-        return path
+        return unused(self._folder, stem, ".mcap")
 
     def _room(self) -> int:
         """Return the bytes that may still be written; 0 if the folder cannot be asked."""
@@ -194,11 +182,6 @@ class LogRecorder:
             return max(0, shutil.disk_usage(folder).free - self._floor)
         except OSError:
             return 0
-
-    def _note(self, level: str, text: str) -> None:
-        log.log(logging.getLevelNamesMapping()[level.upper()], "recorder: %s", text)
-        moment = now()
-        self.put(Reading(Event(moment, level, "recorder", text), moment, "recorder"))
 
 
 def file_name(text: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import shutil
 import threading
 import time
@@ -14,16 +13,15 @@ from pathlib import Path
 import tomli_w
 
 from impslam.config import Config, load, presets
-from impslam.devices.base import Device, DriveDevice, Health, Reading, now
+from impslam.devices.base import Device, DriveDevice, Health, Reading, event, now
 from impslam.errors import ImpError
 from impslam.observers.live_view import LiveView
+from impslam.paths import unused
 from impslam.platform.helm import Helm
 from impslam.platform.mapper import LiveMapper, MapperStatus
 from impslam.platform.recorder import LogRecorder, RecordingStatus
 from impslam.platform.store import LogStore
 from impslam.types import Event, Image, Velocity
-
-log = logging.getLogger(__name__)
 
 EVENTS = 200  # kept for the page; the log has all
 
@@ -105,11 +103,7 @@ class Station:
     def save_map(self) -> Path:
         """Write the map as it is now into a run folder of its own; mapping goes on."""
         with self._saving:  # two people may press at the same time
-            stem, number = time.strftime("map-%Y%m%d-%H%M%S"), 1
-            folder = self.folder / "maps" / stem
-            while folder.exists():
-                number += 1
-                folder = folder.with_name(f"{stem}-{number}")
+            folder = unused(self.folder / "maps", time.strftime("map-%Y%m%d-%H%M%S"))
             try:
                 return self.mapper.save(folder)
             except ImpError:  # half a map is none, and takes room on a disk that has none
@@ -139,12 +133,10 @@ class Station:
 
     def _announce(self, level: str, text: str) -> None:
         """Note what happened to the robot as a whole, in the log and on the page."""
-        log.log(logging.getLevelNamesMapping()[level.upper()], "%s", text)
-        moment = now()
-        self._receive(Reading(Event(moment, level, "robot", text), moment, "robot"))
+        self._receive(event("robot", level, text))
 
-    def _note(self, event: Event) -> None:
-        self.events.append(event)
+    def _note(self, told: Event) -> None:
+        self.events.append(told)
         del self.events[:-EVENTS]
 
 

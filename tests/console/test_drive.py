@@ -45,21 +45,9 @@ def test_a_command_from_a_queue_that_a_broken_link_filled_is_none():
 
 
 @pytest.fixture(scope="module")
-def browser(chromium):
-    with browsing.browser(chromium) as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
 def shared():
     with browsing.robot() as made:
         yield made
-
-
-@pytest.fixture
-def robot(shared):
-    shared.ask("reset")
-    return shared
 
 
 def middle(page):

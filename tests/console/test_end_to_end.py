@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
-from tests.console.pilot import ARENA, FLAGS, Pilot
+from playwright.sync_api import Browser, Page, expect
+from tests.console.pilot import ARENA, Pilot
 from tests.console.robot_process import PASSWORD, RobotProcess, imp
 
 from impslam.evaluation.landmarks import corners, score_landmarks
@@ -16,14 +16,6 @@ from impslam.simulation.world import load_world
 pytestmark = pytest.mark.browser
 
 SHOTS = os.environ.get("IMPSLAM_SHOTS")  # a folder for the pictures of the docs
-
-
-@pytest.fixture(scope="module")
-def browser(chromium):
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
-        yield browser
-        browser.close()
 
 
 def log_in(browser: Browser, address: str, **context) -> Page:

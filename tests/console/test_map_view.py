@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from playwright.sync_api import expect
-from tests.console import browsing
 from tests.console.browsing import until, visit
 
 from impslam.console import encoding
@@ -227,18 +226,6 @@ def test_expiring_a_value_that_is_being_made_waits_for_nobody():
 
 
 # --------------------------------------------------------------------------- on the page
-
-
-@pytest.fixture(scope="module")
-def browser(chromium):
-    with browsing.browser(chromium) as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def robot():
-    with browsing.robot("--tour") as made:
-        yield made
 
 
 def frames(watched):

@@ -50,24 +50,6 @@ def test_latency_is_told_with_median_and_p99():
     assert "not known" in page_row([])
 
 
-@pytest.fixture(scope="module")
-def browser(chromium):
-    with browsing.browser(chromium) as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def shared():
-    with browsing.robot("--tour") as made:
-        yield made
-
-
-@pytest.fixture
-def robot(shared):
-    shared.ask("reset")
-    return shared
-
-
 @pytest.mark.browser
 @pytest.mark.parametrize("context", [{}, PHONE], ids=["desktop", "phone"])
 def test_the_page_is_offline_quiet_and_fits(browser, robot, context):

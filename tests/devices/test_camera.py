@@ -1,9 +1,9 @@
-import threading
 import time
 
 import cv2
 import numpy as np
 import pytest
+from tests.devices.inbox import PATIENCE, Inbox
 
 from impslam.component import build
 from impslam.devices.base import now
@@ -12,28 +12,6 @@ from impslam.simulation.scene import Scene
 from impslam.simulation.world import load_world
 from impslam.types import Event, Image
 from impslam.virtual.camera import CameraEmulator
-
-PATIENCE = 20.0  # s, for a loaded machine
-
-
-class Inbox:
-    """What a device delivered."""
-
-    def __init__(self):
-        self.readings, self.news = [], threading.Condition()
-
-    def __call__(self, reading):
-        with self.news:
-            self.readings.append(reading)
-            self.news.notify_all()
-
-    def of(self, kind):
-        return [r for r in self.readings if isinstance(r.message, kind)]
-
-    def wait(self, kind, number):
-        with self.news:
-            assert self.news.wait_for(lambda: len(self.of(kind)) >= number, PATIENCE), self.readings
-            return self.of(kind)
 
 
 @pytest.fixture

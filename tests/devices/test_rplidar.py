@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from tests.devices.inbox import Inbox
 
 from impslam.component import build
 from impslam.devices.base import now
@@ -17,8 +18,6 @@ from impslam.devices.rplidar_scans import NodeClock, Turns, laser_scan
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.types import Event, LaserScan
 from impslam.virtual.rplidar import A1, RPLidarEmulator
-
-PATIENCE = 20.0  # s, for a loaded machine
 
 
 def stream(turns, beams=360, shift=0.0, ranges=None, first=0):
@@ -237,28 +236,6 @@ class Line:
         self.closing.set()
         self.thread.join()
         self.server.close()
-
-
-class Inbox:
-    """What a device delivered."""
-
-    def __init__(self):
-        self.readings, self.news = [], threading.Condition()
-
-    def __call__(self, reading):
-        with self.news:
-            self.readings.append(reading)
-            self.news.notify_all()
-
-    def of(self, kind):
-        return [r for r in self.readings if isinstance(r.message, kind)]
-
-    def wait(self, kind, number):
-        with self.news:
-            assert self.news.wait_for(lambda: len(self.of(kind)) >= number, PATIENCE), [
-                r.message for r in self.of(Event)
-            ]
-            return self.of(kind)
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ export default {
           <div><b>{{ told(command[1] * limits[1] * 180 / Math.PI, 0) }}</b> °/s</div>
         </div>
         <label class="speed">
-          <span>Speed up to {{ (share * limits[0]).toFixed(2) }} m/s</span>
+          <span>Speed up to <b>{{ (share * limits[0]).toFixed(2) }} m/s</b></span>
           <input type="range" min="0.1" max="1" step="0.05" v-model.number="share" data-testid="speed"
                  aria-label="Speed limit" @change="$event.target.blur()" />
         </label>

@@ -75,6 +75,7 @@ class Pipeline:
         self._rng = np.random.default_rng(config.seed)
         self._clock = Stopwatch()
         self._gate = Gate(config.keyframes)
+        self._newest: StepResult | None = None  # the timeline's motion begins where it ends
         self._seen = 0
         self.counts: dict[str, int] = {}
         self.problems = Problems()
@@ -153,10 +154,21 @@ class Pipeline:
             with self._clock("matching"):
                 refined = self._matcher.refine(increment, reading.scan)
         with self._clock("slam"):
-            result = self.slam.step(refined, reading, increment)
+            result = self._newest = self.slam.step(refined, reading, increment)
         if middle == message.stamp:
             return result
         return _at_stamp(result, since, self._timeline.ahead(message.stamp))
+
+    def dead_reckoned(self) -> StepResult | None:
+        """Return the newest result, carried on by all motion since; None before the first one.
+
+        That is where a robot is whose scans do not come. The filter is left as it is.
+        """
+        if self._newest is None:
+            return None
+        ahead = self._timeline.all_ahead()
+        carried = _at_stamp(self._newest, Increment.none(ahead.stamp), ahead)
+        return replace(carried, stamp=ahead.stamp)
 
     @property
     def waiting(self) -> int:

@@ -78,3 +78,26 @@ def test_poses_give_increments_in_the_body_frame():
         odometry.update(OdometryPose(1.1, np.array([500.0, 6.0, 0])))
     increment = odometry.update(OdometryPose(1.2, np.array([500.5, 6.0, 0])))
     np.testing.assert_allclose(increment.d_pose, [0.5, 0, 0], atol=1e-12)
+
+
+@given(st.lists(st.sampled_from(["add", "look", "take", "put back"]), max_size=30))
+def test_all_ahead_is_all_that_was_not_taken(steps):
+    """Whatever happens between two looks, also where what was added up before is gone."""
+    timeline, time, taken = Timeline(), 0.0, Increment.none(0.0)
+    timeline.start(0.0)
+    for step in steps:
+        if step == "add":
+            timeline.add(increments([time, time + 0.2])[0])
+            time += 0.2
+        elif step == "look":
+            timeline.all_ahead()
+        elif step == "take":
+            taken = timeline.take(0.7 * time)
+        else:
+            timeline.put_back(taken)
+            taken = Increment.none(0.0)
+    found, want = timeline.all_ahead(), timeline.ahead(time)
+    np.testing.assert_allclose(found.d_pose, want.d_pose, atol=1e-12)
+    np.testing.assert_allclose(found.covariance, want.covariance, atol=1e-12)
+    assert found.duration == pytest.approx(want.duration)
+    assert found.stamp == pytest.approx(want.stamp) or not timeline._pending

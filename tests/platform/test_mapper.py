@@ -198,6 +198,42 @@ def test_a_folder_that_cannot_be_made_ends_in_one_line(room, tmp_path):
     mapper.stop()
 
 
+def test_a_robot_whose_lidar_is_silent_is_shown_where_its_wheels_say(tmp_path):
+    everything = list(perfect(load_world("room")))
+    truth = {m.stamp: m.pose for m in everything if isinstance(m, TruePose)}
+    messages = [m for m in everything if isinstance(m, LaserScan | WheelAngles)]
+    third = len(messages) // 3
+    blind = [m for m in messages[third : 2 * third] if isinstance(m, WheelAngles)]
+    view = LiveView()
+    mapper = live(load("imp"), view)
+    mapper.start()
+    hand(mapper, messages[:third])
+    drain(mapper)
+    before = view.snapshot()
+    assert before.lost == ""
+    hand(mapper, blind)
+    wait_until(lambda: view.snapshot().stamp >= blind[-1].stamp)
+    shown = view.snapshot()
+    assert shown.lost == "no usable scan for 1 s; the pose is dead-reckoned"
+    assert np.linalg.norm(shown.pose[:2] - before.pose[:2]) > 0.5
+    assert np.abs(shown.pose - truth[shown.stamp])[:2].max() < 0.01
+    assert np.trace(shown.covariance) > np.trace(before.covariance)
+    assert (len(before.points) > 0, len(shown.points)) == (True, 0)
+    assert (shown.scans, math.isnan(shown.arrived)) == (before.scans, True)
+    wait_until(lambda: "2 s" in view.snapshot().lost)  # also where the wheels say nothing
+    hand(mapper, messages[2 * third :])
+    drain(mapper)
+    after = view.snapshot()
+    assert (after.lost, len(after.points) > 0) == ("", True)
+    mapper.save(tmp_path / "live")
+    mapper.stop()
+    recorder = Recorder(tmp_path / "log")
+    heard = [*messages[:third], *blind, *messages[2 * third :]]
+    run(load("imp"), Played.of(heard, tmp_path), [recorder])
+    paths = [(tmp_path / name / "trajectory.tum").read_text() for name in ("live", "log")]
+    assert paths[0] == paths[1], "looking changes nothing"
+
+
 def test_a_new_map_begins_at_the_origin(room):
     view = LiveView()
     mapper = live(load("imp"), view)

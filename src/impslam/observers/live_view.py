@@ -39,14 +39,16 @@ class Snapshot:
     ----------
     version : counts up with each change, over all maps of a view; equal versions are equal snapshots
     run : counts the maps of a view: another number is another map
-    stamp : s, of the newest scan in it, NaN before the first
+    stamp : s, of the newest scan in it, NaN before the first; later while none comes
     scans : how many scans are in it
     pose, covariance : (3,) and (3, 3), `T_map_base` at `stamp`
     odometry : (3,) dead reckoning from the same start
-    path : (n, 2) float32 m in map, thinned, oldest first, its end is the pose; n is bounded
+    path : (n, 2) float32 m in map, thinned, oldest first, its end is the pose at the newest scan; n is
+        bounded
     landmarks : the map, walls with their end points; at most 0.2 s older than the pose while there
         are less than 500, and as it is after the last scan of a log
-    points : (n, 2) float32 m in map, where the valid beams of the newest scan ended
+    points : (n, 2) float32 m in map, where the valid beams of the newest scan ended, none when that
+        is long ago
     grid : the grid's picture, None before the first; some seconds older than the pose at most
     lost : why the pose should not be trusted, in a few words, "" where all is well
     arrived : host time (`devices.base.now`) at which the newest scan arrived, NaN where nobody told
@@ -136,6 +138,21 @@ class LiveView(Observer):
             self._arrival(result.stamp),
             self._truth,
             finished=False,
+        )
+
+    def carry(self, result: StepResult, silent: float) -> None:
+        """Show where dead reckoning says that the robot is after so many s without a scan."""
+        nothing = np.empty((0, 2), np.float32)
+        self._shown = replace(
+            self._shown,
+            version=self._shown.version + 1,
+            stamp=result.stamp,
+            pose=result.pose,
+            covariance=result.covariance,
+            odometry=result.odometry,
+            points=nothing,
+            lost=f"no usable scan for {max(silent, 1.0):.0f} s; the pose is dead-reckoned",
+            arrived=float("nan"),
         )
 
     def truth(self, pose: TruePose) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -27,6 +28,7 @@ class Timeline:
         self._newest = -np.inf
         self._last_stamp = -np.inf
         self._latest: Increment | None = None
+        self._total: tuple[int, Increment] | None = None
 
     @property
     def newest(self) -> float:
@@ -53,6 +55,7 @@ class Timeline:
 
     def _oldest(self, count: int) -> Increment:
         """Remove and return the motion of so many increments."""
+        self._total = None
         total = self._pending.popleft()
         for _ in range(count - 1):
             total = total.then(self._pending.popleft())
@@ -68,6 +71,7 @@ class Timeline:
 
     def put_back(self, increment: Increment) -> None:
         """Return motion that was taken and not used."""
+        self._total = None
         self._pending.appendleft(increment)
 
     def take(self, stamp: float) -> Increment:
@@ -76,11 +80,21 @@ class Timeline:
         A scan that carries the stamp of the newest odometry message was recorded with it: all motion
         belongs before it, whatever the other stamps say.
         """
+        self._total = None
         return _consume(self._pending, stamp, together=self.ends_at(stamp))
 
     def ahead(self, stamp: float) -> Increment:
         """Return the motion up to a stamp, as far as it is known, and leave it here."""
         return _consume(self._pending.copy(), stamp, together=self.ends_at(stamp))
+
+    def all_ahead(self) -> Increment:
+        """Return all motion that is known, and leave it here; each time only what is new is added."""
+        count, total = self._total or (0, Increment.none(self.newest))
+        new = islice(reversed(self._pending), len(self._pending) - count)
+        for increment in reversed(list(new)):
+            total = total.then(increment)
+        self._total = len(self._pending), total
+        return total
 
     def twist(self, stamp: float, duration: float) -> Array:
         """Return the mean body twist (3,) from a stamp on, of what is pending, or the latest one."""

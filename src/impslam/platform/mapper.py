@@ -31,6 +31,10 @@ PATIENCE = 0.25
 """s that a scan waits for odometry to reach its end; it comes every 10 ms, and is lost by then."""
 NEWS = 10.0  # s between two lines in the log on scans that were dropped
 ANSWER = 10.0  # s until the estimator must have come to the end of a scan for the map to be saved
+SILENT = (
+    0.5  # s without a scan after which the pose shown is dead-reckoned: five of a lidar at 10 Hz
+)
+CARRY = 0.1  # s between two such poses
 BLIND = 10  # scans without odometry until it is told: a second of a lidar at 10 Hz
 LIVE = Path("live")
 """What stands in a run folder for the log's name."""
@@ -161,6 +165,7 @@ class _Mapping:
         self._compiled, self._ended, self._failure = False, False, ""
         self._progress = self._news = float("-inf")  # monotonic
         self._told = 0
+        self._stepped = self._carried = time.monotonic()
         self._newest = self._latency = float("nan")
         self.thread = threading.Thread(target=self._work, name="mapper", daemon=True)
 
@@ -243,6 +248,7 @@ class _Mapping:
             self._compiled = True
             while self.open:
                 self._next()
+                self._carry()
                 self._tell_dropped()
         except ImpError as error:
             self._fail(str(error))
@@ -258,7 +264,7 @@ class _Mapping:
     def _next(self) -> None:
         """Take in one message, or use the scans whose odometry does not come."""
         run = self.run
-        taken = self._inbox.take(PATIENCE if run.pipeline.waiting else None)
+        taken = self._inbox.take(PATIENCE)
         with self._door:
             pass
         with self._between:
@@ -272,7 +278,17 @@ class _Mapping:
             if run.steps > steps:
                 self._newest = self._view.snapshot().arrived
                 self._latency = now() - self._newest
-                self._progress = time.monotonic()
+                self._progress = self._stepped = time.monotonic()
+
+    def _carry(self) -> None:
+        """Show where the robot is though no scan comes: it may be driven on."""
+        moment = time.monotonic()
+        silent = moment - self._stepped
+        if silent < SILENT or moment - self._carried < CARRY or self._inbox.waiting:
+            return
+        if (result := self.run.pipeline.dead_reckoned()) is not None:
+            self._view.carry(result, silent)
+            self._carried = moment
 
     def _feed(self, message: Message, arrived: float) -> None:
         if isinstance(message, self._scans):

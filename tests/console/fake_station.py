@@ -246,6 +246,12 @@ class FakeStation:
         self.picture: Image | None = None
         self.lost: str = ""
         self.pose, self.odometry = np.zeros(3), np.zeros(3)
+        self.faults: list[dict[str, Any]] = []
+
+    def fault(self, fault: str, **what: Any) -> None:
+        if fault == "malfunction":
+            raise ImpError("fault malfunction: only a URG tells statuses; choose another fault")
+        self.faults.append({"fault": fault, **what})
 
     def start(self) -> None:
         self._announce("info", "the robot is ready")
@@ -379,7 +385,7 @@ def serve(port: int, *, tour: bool, replay: bool) -> None:
     def state() -> dict[str, Any]:
         helm, drive = station.helm.state(), station.drive
         return {
-            "told": drive.told, "stops": drive.stops, "releases": drive.releases,
+            "told": drive.told, "faults": station.faults, "stops": drive.stops, "releases": drive.releases,
             "driver": helm.name, "stopped": helm.stopped, "speed": helm.speed,
             "turn_rate": helm.turn_rate, "latencies": page.latencies().tolist(),
             "player": [player.state, player.speed, player.steps], "starts": station.mapper.starts,
@@ -423,7 +429,8 @@ def serve(port: int, *, tour: bool, replay: bool) -> None:
         """The session in the cookie is over; its page is served no more, as the guard does."""
 
     view = cast("Any", station.view)
-    model = Model("IMP", view, cast("Any", station))
+    fault = station.fault if station.tour else None
+    model = Model("IMP", view, cast("Any", station), fault=fault)
     if replay:
         model = Model("20261120-141503-arena.mcap", view, player=cast("Any", player))
     page.build(model)

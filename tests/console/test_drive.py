@@ -234,6 +234,14 @@ def test_a_session_that_ends_leaves_the_helm_and_commands_no_more(browser, robot
         expect(page.get_by_text("log in again")).to_be_visible()
 
 
+@pytest.mark.browser
+def test_a_real_robot_offers_no_faults(browser, robot):
+    with visit(browser, robot) as watched:
+        watched.page.get_by_test_id("tab-health").click()
+        expect(watched.page.get_by_test_id("panel-events")).to_be_visible()
+        expect(watched.page.get_by_test_id("panel-faults")).to_have_count(0)
+
+
 FORGE = """(args) => {
   let sent = 0;
   for (const [id, element] of Object.entries(mounted_app.elements))

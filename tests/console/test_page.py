@@ -8,10 +8,12 @@ from playwright.sync_api import expect
 from tests.console import browsing
 from tests.console.browsing import until, visit
 
+from impslam.console.fault_panel import FAULTS
 from impslam.console.health_panel import device_row, event_row, page_row
 from impslam.console.widgets import duration, size
 from impslam.devices.base import Health
 from impslam.types import Event
+from impslam.virtual.faults import parse_fault
 
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
 
@@ -175,6 +177,36 @@ def test_mapping_is_begun_anew_and_saved(browser, robot):
         expect(page.get_by_test_id("map-saved")).to_contain_text("maps/map-20261121-101500")
         link = page.get_by_test_id("map-download")
         expect(link).to_have_attribute("href", "/maps/map-20261121-101500.zip")
+
+
+def test_every_fault_on_the_page_is_one_that_a_virtual_robot_knows():
+    asked = [
+        parse_fault(what if device == "motors" else {**what, "device": device})
+        for device, faults in FAULTS.items()
+        for what in faults.values()
+    ]
+    kinds = {"noise", "delay", "unplug", "reboot", "malfunction", "stall"}
+    assert {fault.fault for fault in asked} == kinds
+
+
+@pytest.mark.browser
+def test_faults_of_a_virtual_robot(browser, robot):
+    with visit(browser, robot) as watched, visit(browser, robot, "watcher") as other:
+        page = watched.page
+        page.get_by_test_id("tab-health").click()
+        page.get_by_test_id("faults").click()
+        page.get_by_test_id("fault-lidar-unplug").click()
+        page.get_by_test_id("fault-motors-stall").click()
+        until(lambda: len(robot.state()["faults"]) == 2)
+        assert robot.state()["faults"] == [
+            {"fault": "unplug", "seconds": 2.0, "device": "lidar"},
+            {"fault": "stall", "side": "both", "seconds": 2.0},
+        ]
+        page.get_by_test_id("fault-lidar-malfunction").click()
+        expect(page.get_by_text("only a URG tells statuses")).to_be_visible()
+        other.page.get_by_test_id("tab-health").click()
+        expect(other.page.get_by_test_id("health-lidar")).to_be_visible()
+        expect(other.page.get_by_test_id("panel-faults")).to_have_count(0)
 
 
 @pytest.mark.browser

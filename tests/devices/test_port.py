@@ -98,6 +98,19 @@ def test_a_port_of_others_is_told(monkeypatch):
         open_port("/dev/ttyUSB0", 115200)
 
 
+@pytest.mark.parametrize(
+    ("url", "advice"),
+    [
+        ("socket://127.0.0.1:1", "nothing listens there"),
+        ("socket://nowhere.invalid:10940", "(no such host|its name cannot be looked up)"),
+        ("/dev/null", "this is no serial port"),
+    ],
+)
+def test_the_system_s_reason_is_found_behind_pyserial_s(url, advice):
+    with pytest.raises(DeviceError, match=f"^{url}: cannot be opened: {advice}; check [^;]*$"):
+        open_port(url, 115200)
+
+
 @pytest.mark.parametrize("url", ["socket://127.0.0.1:1", "socket://127.0.0.1", "what://ever", ""])
 def test_what_cannot_be_opened_is_told_in_one_line(url):
     with pytest.raises(DeviceError) as caught:

@@ -21,6 +21,7 @@ from impslam.platform.robot_file import RobotFile, load_robot
 from impslam.platform.service import Watchdog, unit
 
 if TYPE_CHECKING:
+    from impslam.console.model import Fault
     from impslam.console.session import Right
     from impslam.platform.station import Station
 
@@ -107,12 +108,12 @@ def robot(
     allowed(settings)
     with (
         listening(settings) as listener,  # before anything moves: another robot may be on its port
-        running_station(config, simulated or Simulated(), folder) as (station, title),
+        running_station(config, simulated or Simulated(), folder) as (station, title, fault),
     ):
         station.begin(record=record, map_=map_)
         pulse = Pulse()
         with Watchdog(lambda: pulse.alive() and station.helm.alive):
-            model = Model(title, station.view, station=station)
+            model = Model(title, station.view, station=station, fault=fault)
             serve(model, settings, ready=say, beat=pulse.beat, listener=listener)
     say(f"stopped; logs are in {station.folder}")
 
@@ -182,8 +183,8 @@ def ignore(line: str) -> None:
 @contextmanager
 def running_station(
     config: Path | None, simulated: Simulated, folder: Path | None
-) -> Iterator[tuple[Station, str]]:
-    """Give a running station, and the robot's name; everything is stopped at the end."""
+) -> Iterator[tuple[Station, str, Fault | None]]:
+    """Give a running station, the robot's name, and a virtual one's faults; at the end all stops."""
     from impslam.platform.station import Station  # noqa: PLC0415  # numba takes a second to load
 
     if config is None and not simulated.virtual:
@@ -192,12 +193,14 @@ def running_station(
             "`imp robot --virtual`"
         )
     chosen = RobotFile() if config is None else load_robot(config)
+    fault: Fault | None = None
     with ExitStack() as stack:
         if simulated.virtual:
             from impslam.virtual.process import VirtualRobot  # noqa: PLC0415  # needs the extra
 
             imp = stack.enter_context(VirtualRobot(simulated.world, simulated.seed))
             chosen = chosen.model_copy(update={"devices": imp.devices()})
+            fault = imp.fault
         station = Station(
             chosen.make_devices(),
             chosen.preset,
@@ -207,7 +210,7 @@ def running_station(
         )
         stack.callback(station.stop)
         station.start()
-        yield station, chosen.name
+        yield station, chosen.name, fault
 
 
 def _new_password(right: str) -> str:

@@ -72,7 +72,7 @@ class LogPanel:
         self._binned: list[BinnedLog] | None = None
         with card("Logs", "folder", "logs"):
             self._list = tagged(ui.element("div").classes("list"), "logs")
-            with html.details().classes("bin") as self._bin:
+            with html.details().classes("fold") as self._bin:
                 with html.summary():
                     self._summary = text("bin-summary", "Recycle bin")
                 self._bin_list = tagged(ui.element("div").classes("list"), "bin")

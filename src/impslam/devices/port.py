@@ -35,6 +35,12 @@ _ADVICE = {
     errno.EBUSY: "another program has it open; close that one",
     errno.EIO: "the line is dead; check the plug",
     errno.ENOTTY: "this is no serial port; check the path",
+    errno.ECONNREFUSED: "nothing listens there; check its supply, and the port's number",
+    errno.EHOSTUNREACH: "cannot be reached; check its address, its supply and the network",
+    errno.ENETUNREACH: "cannot be reached; check its address, its supply and the network",
+    errno.ETIMEDOUT: "does not answer; check its address, its supply and the network",
+    socket.EAI_NONAME: "no such host; check its name, or give its address",
+    socket.EAI_AGAIN: "its name cannot be looked up; check the network, or give its address",
 }
 
 
@@ -142,8 +148,16 @@ def _send_at_once(port: serial.SerialBase) -> None:
 
 
 def _explained(url: str | None, what: str, error: Exception) -> DeviceError:
-    advice = _ADVICE.get(getattr(error, "errno", None) or 0, "")
-    return DeviceError(f"{url}: {what}: {advice or _reason(error)}")
+    return DeviceError(f"{url}: {what}: {_ADVICE.get(_number(error)) or _reason(error)}")
+
+
+def _number(error: Exception) -> int:
+    """Return the system's number of an error, which pyserial may have put into words; 0: none."""
+    for one in (error, error.__context__):
+        first = one.args[0] if one is not None and one.args else None
+        if isinstance(first, int):  # of an OSError, and of termios's error, which is none
+            return first
+    return 0
 
 
 def _reason(error: Exception) -> str:

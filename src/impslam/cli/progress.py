@@ -21,14 +21,15 @@ PERIOD = 0.1  # s between two updates: smooth to the eye, nothing to the run
 
 
 class Bar(Observer):
-    """Shows how far a run has come. Does nothing without a display."""
+    """Shows how far a run has come. Does nothing without a display.
+
+    How much there is to do the source tells while it is open: during the run.
+    """
 
     def __init__(self, source: Source, display: Any = None) -> None:
         self._source, self._display, self._due = source, display, 0.0
         if display is not None:
-            self._task = display.add_task(
-                "starting (the very first run compiles)", total=source.total
-            )
+            self._task = display.add_task("starting (the very first run compiles)", total=None)
 
     def step(self, result: StepResult) -> None:
         """Move on."""
@@ -47,8 +48,7 @@ class Bar(Observer):
         """Say what comes after the last scan."""
         del outcome
         if self._display is not None:
-            total = self._source.total
-            self._display.update(self._task, description="writing the report", completed=total)
+            self._display.update(self._task, description="writing the report", total=None)
 
 
 def follow(steps: Iterable[T], source: Source, display: Any, what: str) -> Iterator[T]:

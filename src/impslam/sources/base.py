@@ -98,7 +98,10 @@ class Source(Component):
 
     @property
     def total(self) -> int | None:
-        """Number of steps for a progress bar (messages or bytes), or None if only reading tells."""
+        """Number of steps for a progress bar (messages or bytes), or None if only reading tells.
+
+        Ask while the source is open.
+        """
         return None
 
     @property

@@ -7,6 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
+
+# The same code gives the same answer, also on a slow machine; `--hypothesis-profile=default` searches with new examples.
+settings.register_profile("repeatable", derandomize=True, deadline=None)
+settings.load_profile("repeatable")
 
 DATA = Path(os.environ.get("IMPSLAM_DATA", Path(__file__).parents[2] / "shared" / "data"))
 

@@ -126,7 +126,7 @@ RANGES = st.lists(
 
 
 @pytest.mark.parametrize("name", EXTRACTORS)
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, deadline=None)
 @given(ranges=RANGES, span=st.floats(0.01, 2 * np.pi), seed=st.integers(0, 99))
 def test_any_ranges(name, ranges, span, seed):
     scan = ready(np.linspace(-span / 2, span / 2, len(ranges)), ranges)
@@ -134,7 +134,7 @@ def test_any_ranges(name, ranges, span, seed):
 
 
 @pytest.mark.parametrize("name", EXTRACTORS)
-@settings(max_examples=15, deadline=None, derandomize=True)
+@settings(max_examples=15, deadline=None)
 @given(pieces=st.lists(st.tuples(st.floats(0.1, 5.5), st.integers(1, 60)), max_size=8))
 def test_any_steps(name, pieces):
     """Arcs about the laser with jumps between them: edges, gaps and thin things."""

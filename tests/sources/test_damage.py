@@ -34,7 +34,6 @@ DAMAGED = sorted(WRITERS | STORAGES)
 FUZZ = settings(
     max_examples=60,
     deadline=None,
-    derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 

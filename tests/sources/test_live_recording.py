@@ -22,7 +22,6 @@ SYNCS, EACH = 5, 8  # chunks of a log, and wheel readings in each
 FUZZ = settings(
     max_examples=150,
     deadline=None,
-    derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 

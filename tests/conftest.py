@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-# The same code gives the same answer, also on a slow machine; `--hypothesis-profile=default` searches with new examples.
+# The same code gives the same answer, also on a slow machine.
+# `--hypothesis-profile=default` searches with new examples.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 

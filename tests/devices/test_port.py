@@ -111,6 +111,21 @@ def test_the_system_s_reason_is_found_behind_pyserial_s(url, advice):
         open_port(url, 115200)
 
 
+def test_a_failed_lookup_is_not_taken_for_a_missing_port(monkeypatch):
+    """Lookups have numbers of their own: on macOS a name server's silence has that of ENOENT."""
+    serial = importlib.import_module("serial")
+
+    def refuse(*_, **__):
+        try:
+            raise socket.gaierror(errno.ENOENT, "Temporary failure in name resolution")
+        except OSError:
+            raise serial.SerialException("Temporary failure in name resolution")  # noqa: B904
+
+    monkeypatch.setattr(serial, "serial_for_url", refuse)
+    with pytest.raises(DeviceError, match="cannot be opened: Temporary failure"):
+        open_port("socket://lidar:10940", 115200)
+
+
 @pytest.mark.parametrize("url", ["socket://127.0.0.1:1", "socket://127.0.0.1", "what://ever", ""])
 def test_what_cannot_be_opened_is_told_in_one_line(url):
     with pytest.raises(DeviceError) as caught:

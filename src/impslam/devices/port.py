@@ -39,6 +39,8 @@ _ADVICE = {
     errno.EHOSTUNREACH: "cannot be reached; check its address, its supply and the network",
     errno.ENETUNREACH: "cannot be reached; check its address, its supply and the network",
     errno.ETIMEDOUT: "does not answer; check its address, its supply and the network",
+}
+_LOOKUP_ADVICE = {  # numbers of their own, some of which are other errors' where Linux is not
     socket.EAI_NONAME: "no such host; check its name, or give its address",
     socket.EAI_AGAIN: "its name cannot be looked up; check the network, or give its address",
 }
@@ -148,16 +150,17 @@ def _send_at_once(port: serial.SerialBase) -> None:
 
 
 def _explained(url: str | None, what: str, error: Exception) -> DeviceError:
-    return DeviceError(f"{url}: {what}: {_ADVICE.get(_number(error)) or _reason(error)}")
+    return DeviceError(f"{url}: {what}: {_advice(error) or _reason(error)}")
 
 
-def _number(error: Exception) -> int:
-    """Return the system's number of an error, which pyserial may have put into words; 0: none."""
+def _advice(error: Exception) -> str:
+    """Return what to do about the system's error, which pyserial may have put into words."""
     for one in (error, error.__context__):
         first = one.args[0] if one is not None and one.args else None
         if isinstance(first, int):  # of an OSError, and of termios's error, which is none
-            return first
-    return 0
+            known = _LOOKUP_ADVICE if isinstance(one, socket.gaierror) else _ADVICE
+            return known.get(first, "")
+    return ""
 
 
 def _reason(error: Exception) -> str:

@@ -180,11 +180,7 @@ def test_mapping_is_begun_anew_and_saved(browser, robot):
 
 
 def test_every_fault_on_the_page_is_one_that_a_virtual_robot_knows():
-    asked = [
-        parse_fault(what if device == "motors" else {**what, "device": device})
-        for device, faults in FAULTS.items()
-        for what in faults.values()
-    ]
+    asked = [parse_fault(f.model_dump()) for faults in FAULTS.values() for f in faults.values()]
     kinds = {"noise", "delay", "unplug", "reboot", "malfunction", "stall"}
     assert {fault.fault for fault in asked} == kinds
 

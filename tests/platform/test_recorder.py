@@ -16,7 +16,7 @@ from benchmarks.kill9 import LIMIT, FullRate, kill_once
 from rosbags.rosbag2.storage_mcap import McapReader
 from tests.sources.logs import read
 
-from impslam.devices.base import Reading, now
+from impslam.devices.base import Reading, event, now
 from impslam.platform import recorder as recorder_module
 from impslam.platform import recorder_thread
 from impslam.platform.recorder import LogRecorder, RecordingError, RecordingStatus, file_name
@@ -39,7 +39,13 @@ PATIENCE = 20.0  # s; a loaded machine is no failure
 
 @pytest.fixture
 def recorder(tmp_path: Path) -> LogRecorder:
-    return LogRecorder(tmp_path / "logs", "imp", 0, unheard)
+    """Tells into its own log, as on the robot."""
+
+    def tell(level: str, text: str) -> None:
+        made.put(event("recorder", level, text))
+
+    made = LogRecorder(tmp_path / "logs", "imp", 0, tell)
+    return made
 
 
 @pytest.fixture
@@ -104,10 +110,10 @@ def test_all_that_the_robot_says_is_in_the_log(recorder: LogRecorder) -> None:
     fast = ["/joint_states", "/imu", "/imu/acceleration_2", "/imu/magnetic_field", "/temperature"]
     fast += ["/encoders/voltage", "/humidity", "/clock/autopilot"]
     want = dict.fromkeys(fast, 200) | {"/scan": 20, "/camera/image/compressed": 10}
-    assert topics(path) == want | {"/impslam/preset": 1}
+    assert topics(path) == want | {"/impslam/preset": 1, "/rosout": 1}
     kinds = ["WheelAngles", "EncoderVoltages", "Imu", "Acceleration", "MagneticField", "Climate"]
     written = dict.fromkeys([*kinds, "DeviceTime"], 200) | {"LaserScan": 20, "Image": 10}
-    assert status.written == written
+    assert status.written == written | {"Event": 1}
     found, source = read(path)
     assert source.preset == "imp"
     assert not source.problems.counts
@@ -234,13 +240,13 @@ def test_a_second_lidar_has_a_topic_of_its_own(recorder: LogRecorder) -> None:
     recorder.stop()
     found = topics(path)
     assert (found["/scan"], found["/scan/rear_lidar"]) == (3, 1)
-    assert (found["/clock/urg"], found["/clock/_9_dof"], found["/rosout"]) == (1, 1, 2)
+    assert (found["/clock/urg"], found["/clock/_9_dof"], found["/rosout"]) == (1, 1, 3)
     streams = {stream.topic: stream for stream in source_streams(path)}
     assert {t for t, s in streams.items() if s.used} == {"/scan", "/impslam/preset"}
     assert streams["/scan/rear_lidar"].note == "scan is /scan; set topics.scan to use this one"
     assert streams["/clock/urg"].note == "kept: a device's clock"
     _, source = read(path)
-    assert source.problems.counts["error on the robot"] == 2
+    assert source.problems.counts["error on the robot"] == 2  # of the three events
     assert source.problems.examples["error on the robot"] == f"{path}: urg: lost"
 
 

@@ -48,7 +48,7 @@ class Bar(Observer):
         """Say what comes after the last scan."""
         del outcome
         if self._display is not None:
-            self._display.update(self._task, description="writing the report", total=None)
+            self._display.update(self._task, description="writing the report")
 
 
 def follow(steps: Iterable[T], source: Source, display: Any, what: str) -> Iterator[T]:

@@ -7,7 +7,7 @@ from nicegui.element import Element
 
 from impslam.console.camera import Camera
 from impslam.console.drive_panel import DrivePanel
-from impslam.console.fault_panel import FaultPanel
+from impslam.console.fault_panel import fault_panel
 from impslam.console.feed import Feed
 from impslam.console.header import Header
 from impslam.console.health_panel import EventPanel, HealthPanel
@@ -52,7 +52,7 @@ class RobotPanels:
             with _tab("health"):
                 self._health = HealthPanel(feed, health)
                 if feed.model.fault is not None and viewer.session.may_drive:
-                    FaultPanel(feed.model.fault, viewer)
+                    fault_panel(feed.model.fault, viewer)
                 self._events = EventPanel()
             with _tab("camera"), card("Camera", "photo_camera", "camera"):
                 Camera()

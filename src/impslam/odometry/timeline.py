@@ -28,7 +28,7 @@ class Timeline:
         self._newest = -np.inf
         self._last_stamp = -np.inf
         self._latest: Increment | None = None
-        self._total: tuple[int, Increment] | None = None
+        self._added: tuple[Increment, int, Increment] | None = None
 
     @property
     def newest(self) -> float:
@@ -55,7 +55,6 @@ class Timeline:
 
     def _oldest(self, count: int) -> Increment:
         """Remove and return the motion of so many increments."""
-        self._total = None
         total = self._pending.popleft()
         for _ in range(count - 1):
             total = total.then(self._pending.popleft())
@@ -71,7 +70,6 @@ class Timeline:
 
     def put_back(self, increment: Increment) -> None:
         """Return motion that was taken and not used."""
-        self._total = None
         self._pending.appendleft(increment)
 
     def take(self, stamp: float) -> Increment:
@@ -80,7 +78,6 @@ class Timeline:
         A scan that carries the stamp of the newest odometry message was recorded with it: all motion
         belongs before it, whatever the other stamps say.
         """
-        self._total = None
         return _consume(self._pending, stamp, together=self.ends_at(stamp))
 
     def ahead(self, stamp: float) -> Increment:
@@ -89,11 +86,15 @@ class Timeline:
 
     def all_ahead(self) -> Increment:
         """Return all motion that is known, and leave it here; each time only what is new is added."""
-        count, total = self._total or (0, Increment.none(self.newest))
+        if not self._pending:
+            return Increment.none(self.newest)
+        first, count, total = self._added or (None, 0, Increment.none(self.newest))
+        if self._pending[0] is not first:  # some was taken or put back since
+            first, count, total = self._pending[0], 0, Increment.none(self.newest)
         new = islice(reversed(self._pending), len(self._pending) - count)
         for increment in reversed(list(new)):
             total = total.then(increment)
-        self._total = len(self._pending), total
+        self._added = first, len(self._pending), total
         return total
 
     def twist(self, stamp: float, duration: float) -> Array:

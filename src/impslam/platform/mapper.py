@@ -31,9 +31,8 @@ PATIENCE = 0.25
 """s that a scan waits for odometry to reach its end; it comes every 10 ms, and is lost by then."""
 NEWS = 10.0  # s between two lines in the log on scans that were dropped
 ANSWER = 10.0  # s until the estimator must have come to the end of a scan for the map to be saved
-SILENT = (
-    0.5  # s without a scan after which the pose shown is dead-reckoned: five of a lidar at 10 Hz
-)
+SILENT = 0.5
+"""s without a scan after which the pose shown is dead-reckoned: five scans of a lidar at 10 Hz."""
 CARRY = 0.1  # s between two such poses
 BLIND = 10  # scans without odometry until it is told: a second of a lidar at 10 Hz
 LIVE = Path("live")

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from impslam.evaluation.landmarks import LandmarkScore
-from impslam.experiments.arena_runs import Way, drive_and_map
-from impslam.experiments.arena_scores import NAMED
+from impslam.studies.arena_runs import Way, drive_and_map
+from impslam.studies.arena_scores import NAMED
 
 CYLINDER, END, WALL = 0.03, 0.03, 0.02  # m, what the default preset is to keep
 

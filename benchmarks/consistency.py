@@ -19,7 +19,7 @@ import numpy as np
 from impslam.evaluation.consistency import share_within
 from impslam.evaluation.consistency_setting import HUANG
 from impslam.evaluation.consistency_study import Row, consistency_study
-from impslam.experiments.base import Job
+from impslam.studies.base import Job
 from impslam.types import Array
 
 FIRST = 1

@@ -22,9 +22,9 @@ from pathlib import Path
 
 import numpy as np
 
-from impslam.devices.base import Reading, now
 from impslam.errors import ImpError
-from impslam.platform.recorder import LogRecorder
+from impslam.platform.devices.base import Reading, now
+from impslam.platform.station.recorder import LogRecorder
 from impslam.sources.base import recognise
 from impslam.types import (
     Acceleration,

@@ -26,10 +26,10 @@ for _library in ("OPENBLAS", "MKL", "OMP"):  # one core
 import numpy as np
 
 from impslam.config import load
-from impslam.devices.base import now
 from impslam.observers.live_view import LiveView
 from impslam.pipeline import Pipeline
-from impslam.platform.mapper import LiveMapper
+from impslam.platform.devices.base import now
+from impslam.platform.station.mapper import LiveMapper
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.types import (

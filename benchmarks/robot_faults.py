@@ -21,12 +21,12 @@ from pathlib import Path
 
 import numpy as np
 
-from impslam.devices.base import Device
 from impslam.errors import ImpError
-from impslam.platform.robot_file import RobotFile
-from impslam.platform.station import Station
+from impslam.platform.devices.base import Device
+from impslam.platform.station.robot_file import RobotFile
+from impslam.platform.station.station import Station
+from impslam.platform.virtual.process import VirtualRobot
 from impslam.sources.rosbag import RosBag
-from impslam.virtual.process import VirtualRobot
 
 HANGS = 20.0  # s
 MESSAGE = {"autopilot": "WheelAngles", "lidar": "LaserScan", "camera": "Image"}

@@ -37,7 +37,7 @@ SAMPLE = 10.0  # s between looks at memory and CPU
 def visit(link: str, minutes: float, chromium: str) -> None:
     """Drive from a browser until the time is over; print when keys are pressed."""
     from playwright.sync_api import sync_playwright  # noqa: PLC0415  # the robot needs it not
-    from tests.console.pilot import ARENA, FLAGS, Pilot  # noqa: PLC0415
+    from tests.platform.console.pilot import ARENA, FLAGS, Pilot  # noqa: PLC0415
 
     end = time.monotonic() + 60 * minutes
     with sync_playwright() as playwright:
@@ -125,7 +125,7 @@ class Watcher(threading.Thread):
     def run(self) -> None:
         import signal  # noqa: PLC0415
 
-        from impslam.console import page  # noqa: PLC0415
+        from impslam.platform.console import page  # noqa: PLC0415
 
         self.link.wait(60)
         words = [sys.executable, __file__, "--visit", self.address]
@@ -166,12 +166,12 @@ def main() -> None:
     if options.visit:
         visit(options.visit, options.minutes, options.chromium)
         return
-    from impslam.console.model import Model  # noqa: PLC0415
-    from impslam.console.server import ServerSettings, serve  # noqa: PLC0415
-    from impslam.platform.robot_file import RobotFile  # noqa: PLC0415
-    from impslam.platform.station import Station  # noqa: PLC0415
+    from impslam.platform.console.model import Model  # noqa: PLC0415
+    from impslam.platform.console.server import ServerSettings, serve  # noqa: PLC0415
+    from impslam.platform.station.robot_file import RobotFile  # noqa: PLC0415
+    from impslam.platform.station.station import Station  # noqa: PLC0415
+    from impslam.platform.virtual.process import VirtualRobot  # noqa: PLC0415
     from impslam.sources.rosbag import RosBag  # noqa: PLC0415
-    from impslam.virtual.process import VirtualRobot  # noqa: PLC0415
 
     logging.basicConfig(level=logging.WARNING)
     with tempfile.TemporaryDirectory() as folder, VirtualRobot("arena", 0) as imp:

@@ -23,11 +23,11 @@ for _library in ("OPENBLAS", "MKL", "OMP"):  # one core
 import numpy as np
 
 from impslam.component import build
-from impslam.devices.base import Device, DriveDevice, Reading
+from impslam.platform.devices.base import Device, DriveDevice, Reading
+from impslam.platform.virtual.autopilot import AutopilotEmulator
+from impslam.platform.virtual.process import VirtualRobot
 from impslam.simulation.body import Body, Sweeps
 from impslam.simulation.world import load_world
-from impslam.virtual.autopilot import AutopilotEmulator
-from impslam.virtual.process import VirtualRobot
 
 WORLD = "arena"
 SPEED, TURN_RATE = (

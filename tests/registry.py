@@ -10,7 +10,8 @@ from impslam import component
 @contextmanager
 def own_registry() -> Iterator[None]:
     """Put the registry back as it was, so that no test sees what another one registered."""
-    component.load_components()
+    for role in component.roles():
+        component.components(role)
     roles = {role: dict(known) for role, known in component._ROLES.items()}
     try:
         yield

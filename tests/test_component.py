@@ -112,7 +112,7 @@ def test_installed_plug_ins_are_imported(monkeypatch):
     """An entry point names a module; importing it registers what is in it."""
     entry = EntryPoint("toys", "tests.toys", "impslam.components")
     monkeypatch.setattr(component, "entry_points", lambda group: [entry] if group else [])
-    component.load_components()
+    component.load_entry_points()
     assert find("extractor", "toy").describe() == "A toy."
 
 
@@ -120,7 +120,7 @@ def test_a_broken_plug_in_is_named(monkeypatch):
     entry = EntryPoint("broken", "there_is.no_such_module", "impslam.components")
     monkeypatch.setattr(component, "entry_points", lambda group: [entry] if group else [])
     with pytest.raises(ConfigError) as error:
-        component.load_components()
+        component.load_entry_points()
     assert "plug-in broken = there_is.no_such_module: cannot be imported" in one_line(error)
 
 

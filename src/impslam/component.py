@@ -31,18 +31,19 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from impslam.errors import ConfigError
 
 _ROLES: dict[str, dict[str, type[Component]]] = {}
-_ROOMS = (
-    "association",
-    "devices",
-    "extractors",
-    "filters",
-    "landmarks",
-    "lifecycle",
-    "matching",
-    "odometry",
-    "sensors",
-    "sources",
-)
+_PACKAGES = {
+    "association": "impslam.association",
+    "device": "impslam.platform.devices",
+    "extractor": "impslam.extractors",
+    "filter": "impslam.filters",
+    "landmark": "impslam.landmarks",
+    "lifecycle": "impslam.lifecycle",
+    "matcher": "impslam.matching",
+    "odometry": "impslam.odometry",
+    "sensor": "impslam.sensors",
+    "source": "impslam.sources",
+}
+"""Where the components of each role live. They are imported when the role is first asked for."""
 
 C = TypeVar("C", bound="Component")
 
@@ -93,6 +94,8 @@ def register(name: str) -> Callable[[type[C]], type[C]]:
     """Make a component known under `name` in the role of its base class."""
 
     def add(cls: type[C]) -> type[C]:
+        if cls.role in _PACKAGES and not cls.__module__.startswith(f"{_PACKAGES[cls.role]}."):
+            _import_role(cls.role)  # a plug-in that takes a known name is the one to be blamed
         known = _ROLES.setdefault(cls.role, {})
         if name in known and _place(known[name]) != _place(cls):
             raise ConfigError(
@@ -110,12 +113,16 @@ def _place(cls: type) -> tuple[str, str]:
     return cls.__module__, cls.__qualname__
 
 
-def load_components() -> None:
-    """Import every room of the package and every installed plug-in, once."""
-    for room in _ROOMS:
-        package = importlib.import_module(f"impslam.{room}")
-        for module in pkgutil.iter_modules(package.__path__, f"impslam.{room}."):
-            importlib.import_module(module.name)
+@functools.cache
+def _import_role(role: str) -> None:
+    """Import the package of a role, which registers its components, once."""
+    package = importlib.import_module(_PACKAGES[role])
+    for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
+        importlib.import_module(module.name)
+
+
+def load_entry_points() -> None:
+    """Import the plug-ins that installed packages register, and name the one that fails."""
     for entry in entry_points(group="impslam.components"):
         _guarded(f"plug-in {entry.name} = {entry.value}", entry.load)
 
@@ -162,21 +169,21 @@ def _guarded(what: str, load: Callable[[], object]) -> None:
         raise ConfigError(f"{what}: cannot be imported: {type(error).__name__}: {error}") from error
 
 
-@functools.cache
-def _load_once() -> None:
-    load_components()
+_load_entry_points_once = functools.cache(load_entry_points)
 
 
 def components(role: str) -> Mapping[str, type[Component]]:
     """Return the registered components of a role, by name."""
-    _load_once()
+    if role in _PACKAGES:
+        _import_role(role)
+    _load_entry_points_once()
     return dict(sorted(_ROLES.get(role, {}).items()))
 
 
 def roles() -> list[str]:
     """Return the names of all roles that have a component."""
-    _load_once()
-    return sorted(_ROLES)
+    _load_entry_points_once()
+    return sorted({*_PACKAGES, *_ROLES})
 
 
 def near_miss(word: str, known: Any) -> str:

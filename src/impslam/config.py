@@ -22,7 +22,6 @@ from impslam.component import (
     build,
     components,
     explain,
-    load_components,
     load_plugin,
     near_miss,
     parameter,
@@ -285,7 +284,6 @@ def _load_plugins(table: Table) -> None:
     places = table.get("plugins", ())
     if not isinstance(places, list | tuple) or not all(isinstance(p, str) for p in places):
         raise ConfigError(f'plugins = {places!r}: expected a list, e.g. plugins = ["my_part.py"]')
-    load_components()  # first, so that a plug-in that takes a known name is the one to be blamed
     for place in places:
         load_plugin(place)
 

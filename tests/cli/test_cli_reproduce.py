@@ -8,7 +8,7 @@ import pytest
 
 from impslam.cli import main
 from impslam.cli import reproduce as command
-from impslam.experiments.base import Job, Part, Picture, Table
+from impslam.studies.base import Job, Part, Picture, Table
 
 PNG = b"\x89PNG\r\n\x1a\n and so on"
 

@@ -150,7 +150,7 @@ def test_a_replay_that_is_left_early_leaves_one_line_and_no_folder(
         os.kill(os.getpid(), signal.SIGINT)
 
     before = signal.getsignal(signal.SIGINT)
-    monkeypatch.setattr("impslam.platform.player.warm_up", lambda config: None)
+    monkeypatch.setattr("impslam.platform.station.player.warm_up", lambda config: None)
     threading.Thread(target=leave, daemon=True).start()
     said = imp("run", room, "--live", "--port", 0, "-o", tmp_path / "run", "--quiet")
     assert said.code == 130

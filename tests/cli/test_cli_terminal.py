@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from impslam.console.accounts import Accounts
+from impslam.platform.console.accounts import Accounts
 
 IMP = Path(sys.executable).with_name("imp")
 OWN = "import os, sys; os.open(os.ttyname(0), os.O_RDWR); os.execv(sys.argv[1], sys.argv[1:])"

@@ -7,11 +7,10 @@ import pytest
 from tests.filters.worlds import MODELS, R_POINT, drive, observe
 
 from impslam.association.known import Known
-from impslam.component import components, load_components
+from impslam.component import components
 from impslam.filters.ekf import Ekf
 from impslam.types import Observation
 
-load_components()
 FAMILY = sorted(n for n, cls in components("filter").items() if issubclass(cls, Ekf))
 
 

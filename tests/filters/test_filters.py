@@ -7,12 +7,11 @@ from tests.filters.worlds import CYLINDERS, MODELS, drive, observe
 from tests.numeric import wrapped
 
 from impslam.association.known import Known
-from impslam.component import components, load_components
+from impslam.component import components
 from impslam.filters.ekf import Ekf
 from impslam.geometry.se2 import compose
 from impslam.types import Increment, Observation
 
-load_components()
 FILTERS = sorted(components("filter"))
 
 

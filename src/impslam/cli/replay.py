@@ -35,9 +35,9 @@ def replay(
         If it was left before the log's end.
     """
     need_web()
-    from impslam.console.model import Model  # noqa: PLC0415  # needs the extra
-    from impslam.console.server import ServerSettings, listening, serve  # noqa: PLC0415
-    from impslam.platform.player import play_live  # noqa: PLC0415
+    from impslam.platform.console.model import Model  # noqa: PLC0415  # needs the extra
+    from impslam.platform.console.server import ServerSettings, listening, serve  # noqa: PLC0415
+    from impslam.platform.station.player import play_live  # noqa: PLC0415
 
     view, settings = LiveView(), ServerSettings(port=port)
     with listening(settings) as listener:

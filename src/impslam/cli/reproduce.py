@@ -17,8 +17,8 @@ from impslam.cli.console import Common
 from impslam.cli.progress import display
 from impslam.component import near_miss
 from impslam.errors import ConfigError
-from impslam.experiments.base import Experiment, Job, Part
-from impslam.experiments.write import FIGURES, PAGE, write
+from impslam.studies.base import Experiment, Job, Part
+from impslam.studies.write import FIGURES, PAGE, write
 
 EXPERIMENTS = {
     "points": ("arena:points", 100),
@@ -111,7 +111,7 @@ def _chosen(words: Iterable[str]) -> list[str]:
 
 def _experiment(name: str) -> Experiment:
     module, function = EXPERIMENTS[name][0].split(":")
-    experiment: Experiment = getattr(import_module(f"impslam.experiments.{module}"), function)
+    experiment: Experiment = getattr(import_module(f"impslam.studies.{module}"), function)
     return experiment
 
 

@@ -17,13 +17,13 @@ from impslam.cli import console
 from impslam.cli.console import Common, Flag
 from impslam.cli.replay import need_web
 from impslam.errors import ConfigError, ImpError
-from impslam.platform.robot_file import RobotFile, load_robot
-from impslam.platform.service import Watchdog, unit
+from impslam.platform.station.robot_file import RobotFile, load_robot
+from impslam.platform.station.service import Watchdog, unit
 
 if TYPE_CHECKING:
-    from impslam.console.model import Fault
-    from impslam.console.session import Right
-    from impslam.platform.station import Station
+    from impslam.platform.console.model import Fault
+    from impslam.platform.console.session import Right
+    from impslam.platform.station.station import Station
 
 app = App(name="robot", help="Drive, record and map from a page that the robot serves.")
 
@@ -97,8 +97,8 @@ def robot(
         Begin to map at once.
     """
     need_web()
-    from impslam.console.model import Model  # noqa: PLC0415  # needs the extra
-    from impslam.console.server import ServerSettings, allowed, listening, serve  # noqa: PLC0415
+    from impslam.platform.console.model import Model  # noqa: PLC0415  # needs the extra
+    from impslam.platform.console.server import ServerSettings, allowed, listening, serve  # noqa: PLC0415
 
     where = serving or Serving()
     settings = ServerSettings(
@@ -127,7 +127,7 @@ def password(*, watch: Flag = False, common: Common | None = None) -> None:
     watch
         Set the password of those who may only watch.
     """
-    from impslam.console.accounts import Accounts  # noqa: PLC0415  # not needed to serve
+    from impslam.platform.console.accounts import Accounts  # noqa: PLC0415  # not needed to serve
 
     right: Right = "watch" if watch else "drive"
     accounts = Accounts()
@@ -185,7 +185,7 @@ def running_station(
     config: Path | None, simulated: Simulated, folder: Path | None
 ) -> Iterator[tuple[Station, str, Fault | None]]:
     """Give a running station, the robot's name, and a virtual one's faults; at the end all stops."""
-    from impslam.platform.station import Station  # noqa: PLC0415  # numba takes a second to load
+    from impslam.platform.station.station import Station  # noqa: PLC0415  # numba takes a second to load
 
     if config is None and not simulated.virtual:
         raise ConfigError(
@@ -196,7 +196,7 @@ def running_station(
     fault: Fault | None = None
     with ExitStack() as stack:
         if simulated.virtual:
-            from impslam.virtual.process import VirtualRobot  # noqa: PLC0415  # needs the extra
+            from impslam.platform.virtual.process import VirtualRobot  # noqa: PLC0415  # needs the extra
 
             imp = stack.enter_context(VirtualRobot(simulated.world, simulated.seed))
             chosen = chosen.model_copy(update={"devices": imp.devices()})

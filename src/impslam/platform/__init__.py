@@ -1,1 +1,1 @@
-"""The robot computer: devices to log, map and page; drive commands back."""
+"""The robot computer: devices, the station that records and maps, its web console, and a virtual robot."""

@@ -1,0 +1,139 @@
+"""What a request or a socket presents, and whether its shape, host and origin are in order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from dataclasses import dataclass
+from http.cookies import CookieError
+
+from starlette.requests import cookie_parser
+from starlette.types import Scope
+
+from impslam.platform.console import hosts, login
+
+TARGET = 4096  # bytes of path and query; the page's longest is below 300
+HEADERS = 16 * 1024  # bytes of all headers; browsers send below 2 kB
+METHODS = frozenset({"GET", "HEAD", "POST"})
+FILES = ("/logs", "/maps")  # what scripts may fetch with user and password, without a session
+
+HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9_.-]+)(?::[0-9]{1,5})?", re.IGNORECASE)
+_ODD = re.compile(r"[\x00-\x1f\x7f\\]|(?:^|/)\.\.?(?:/|$)")
+_HIDDEN = re.compile(rb"%(?:2f|5c|00)", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why a request goes no further: the status it gets, and what the log is told."""
+
+    status: int
+    what: str
+    detail: str = ""
+
+
+class Asked:
+    """One request or socket, as it presents itself."""
+
+    def __init__(self, scope: Scope) -> None:
+        self.scope = scope
+        self.socket: bool = scope["type"] == "websocket"
+        self.method: str = "GET" if self.socket else scope["method"]
+        self.path: str = scope["path"]
+        self.target: bytes = scope.get("raw_path", b"") + b"?" + scope.get("query_string", b"")
+        client = scope.get("client")
+        self.address: str = client[0] if client else "unknown"
+
+    def headers(self, name: str) -> list[str]:
+        """Return the values of a header, in order."""
+        key = name.encode()
+        return [value.decode("latin-1") for header, value in self.scope["headers"] if header == key]
+
+    def header(self, name: str) -> str:
+        """Return a header's value, empty where it is missing."""
+        return next(iter(self.headers(name)), "")
+
+    @property
+    def size(self) -> int:
+        """Bytes of all headers."""
+        return sum(len(name) + len(value) for name, value in self.scope["headers"])
+
+    @property
+    def origin(self) -> str:
+        """The origin that a page of this server has."""
+        scheme = "https" if self.scope["scheme"] in {"https", "wss"} else "http"
+        return f"{scheme}://{self.header('host')}".lower()
+
+    @property
+    def changes(self) -> bool:
+        """Whether it may change something: a socket, or anything but GET and HEAD."""
+        return self.socket or self.method not in {"GET", "HEAD"}
+
+    @property
+    def public(self) -> bool:
+        """Whether it is served to those who have no session."""
+        return not self.socket and self.path in login.PATHS
+
+    @property
+    def by_script(self) -> bool:
+        """Whether user and password may stand in for a session."""
+        files = any(self.path == top or self.path.startswith(f"{top}/") for top in FILES)
+        return files and not self.changes
+
+    def cookie(self, name: str) -> str:
+        """Return a cookie's value, empty where it is missing."""
+        try:
+            return cookie_parser("; ".join(self.headers("cookie"))).get(name, "")
+        except CookieError:
+            return ""
+
+
+def shape(asked: Asked) -> Refusal | None:
+    """Refuse what is larger or odder than anything the page sends."""
+    if len(asked.target) > TARGET:
+        return Refusal(414, "a long target", f"{len(asked.target)} bytes")
+    if asked.size > HEADERS:
+        return Refusal(431, "large headers", f"{asked.size} bytes")
+    if _ODD.search(asked.path) or _HIDDEN.search(asked.target.partition(b"?")[0]):
+        return Refusal(400, "an odd path", asked.target.partition(b"?")[0].decode("latin-1"))
+    if asked.method not in METHODS:
+        return Refusal(405, "a method", asked.method)
+    return None
+
+
+def host(asked: Asked, names: Collection[str]) -> Refusal | None:
+    """Refuse who believes to talk to another host (an address cannot be bound anew)."""
+    found = asked.headers("host")
+    match = HOST.fullmatch(found[0]) if len(found) == 1 else None
+    if match is None:
+        return Refusal(400, "no host", ", ".join(found))
+    named = match[1].lower().rstrip(".").strip("[]")
+    server = asked.scope.get("server")
+    if named in names or (server and plain(named) == plain(server[0])):
+        return None
+    return Refusal(421, "a foreign host", found[0])
+
+
+def origin(asked: Asked) -> Refusal | None:
+    """Refuse what pages of others send; what changes something has to say where it comes from.
+
+    Cookies do not tell ports apart, so that a page on another port of the same host counts as
+    foreign here, whatever `SameSite` says. Only a link may lead here from anywhere.
+    """
+    origins, site = asked.headers("origin"), asked.header("sec-fetch-site")
+    if any(origin.lower() != asked.origin for origin in origins) or len(origins) > 1:
+        return Refusal(403, "a foreign origin", ", ".join(origins))
+    if asked.changes and not origins:
+        return Refusal(403, "no origin")
+    link = asked.header("sec-fetch-mode") == "navigate" and not asked.changes
+    framed = asked.header("sec-fetch-dest") in {"iframe", "frame", "embed", "object"}
+    if site not in {"", "same-origin", "none"} and (framed or not link):
+        return Refusal(403, "a foreign origin", site)
+    return None
+
+
+def plain(address: str) -> str:
+    """Return an address in its one form; unchanged where it is none."""
+    try:
+        return str(hosts.ip(address))
+    except ValueError:
+        return address

@@ -1,0 +1,118 @@
+"""The drive panel: who has the helm, and the commands of who has it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from nicegui import ui
+from nicegui.element import Element
+from nicegui.events import GenericEventArguments
+
+from impslam.errors import ImpError
+from impslam.platform.console.link import fresh
+from impslam.platform.console.stop_button import StopButton
+from impslam.platform.console.viewer import Viewer
+from impslam.platform.console.widgets import button, card, line, show, text
+from impslam.platform.station.helm import HelmState
+from impslam.platform.station.station import Station
+
+
+class DrivePad(Element, component="drive_pad.js"):
+    """Joystick, keys and speed; tells commands as fractions of the limits, ten times a second."""
+
+    def __init__(self, limits: tuple[float, float]) -> None:
+        super().__init__()
+        self._props["limits"] = list(limits)
+        self._props["driving"] = False
+
+    def enable(self, *, driving: bool) -> None:
+        """Let the pad send commands, or make it let go."""
+        if driving != self._props["driving"]:
+            self._props["driving"] = driving
+
+
+class DrivePanel:
+    """Take and leave the helm, drive, release the emergency stop; for watchers: who drives."""
+
+    def __init__(self, station: Station, viewer: Viewer, stop: StopButton) -> None:
+        self._station, self._viewer, self._stop = station, viewer, stop
+        self._pad: DrivePad | None = None
+        with card("Drive", "sports_esports", "drive"):
+            with line():
+                self._who = text("driver", "Nobody drives", "who")
+                self._take = button(
+                    "Take the helm", "take", self._on_take, "primary", "sports_esports"
+                )
+                self._leave = button("Let go", "leave", self._on_leave)
+            with ui.element("div").classes("notice") as self._stopped:
+                self._why = text("stopped", "")
+                self._release = button("Release", "release", self._on_release, "danger")
+            if viewer.session.may_drive:
+                self._pad = DrivePad(station.limits).on("command", self._on_command)
+            else:
+                text("watching", "You are watching. Anyone may press STOP.", "soft")
+        self.update()
+
+    def update(self) -> None:
+        """Show the helm as it is by now."""
+        state = self._station.helm.state()
+        may, mine = self._viewer.session.may_drive, state.driver == self._viewer.driver
+        self._who.text = self._said(state, mine=mine, same=state.name == self._viewer.session.name)
+        show(self._take, may and state.driver is None)
+        show(self._leave, mine)
+        show(self._stopped, bool(state.stopped))
+        self._why.text = state.stopped.capitalize()
+        show(self._release, mine)
+        self._stop.show(stopped=bool(state.stopped))
+        if self._pad is not None:
+            self._pad.enable(driving=mine and not state.stopped)
+
+    def leave(self) -> None:
+        """Let go of the helm: the page is gone, or its session has ended."""
+        self._station.helm.leave(self._viewer.driver)
+
+    @staticmethod
+    def _said(state: HelmState, *, mine: bool, same: bool) -> str:
+        if state.driver is None:
+            return "Nobody drives"
+        who = "You drive" if mine or same else f"{state.name} drives"
+        where = " on another page" if same and not mine else ""
+        if abs(state.speed) >= 0.005:
+            return f"{who}{where}, {state.speed:.2f} m/s"
+        return f"{who}{where}{', turning' if state.turn_rate else ''}"
+
+    def _on_take(self) -> None:
+        session = self._viewer.session
+        self._viewer.do(lambda: self._station.helm.take(self._viewer.driver, session.name))
+        self.update()
+
+    def _on_leave(self) -> None:
+        self.leave()
+        self.update()
+
+    def _on_release(self) -> None:
+        self._viewer.do(lambda: self._station.helm.release(self._viewer.driver))
+        self.update()
+
+    def _on_command(self, event: GenericEventArguments) -> None:
+        """Pass a command on; it may come from anywhere, whatever the page shows."""
+        command = _command(event.args)
+        if command is None or self._viewer.refused():
+            return
+        forward, left = command
+        speed, turn_rate = self._station.limits
+        try:
+            self._station.helm.drive(self._viewer.driver, forward * speed, left * turn_rate)
+        except ImpError:
+            self.update()  # someone else has the helm by now: the page shows it
+
+
+def _command(args: Any) -> tuple[float, float] | None:
+    """Return fractions forward and left in [-1, 1], None for what is malformed or came too late."""
+    if not isinstance(args, list) or len(args) != 3 or not fresh(args[2]):
+        return None
+    if not all(isinstance(value, int | float) and math.isfinite(value) for value in args[:2]):
+        return None
+    forward, left = (max(-1.0, min(1.0, float(value))) for value in args[:2])
+    return forward, left

@@ -1,0 +1,51 @@
+"""Faults on command, on the page of a virtual robot: what goes wrong there, without breaking anything."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+
+from nicegui import html
+
+from impslam.platform.console.model import Fault
+from impslam.platform.console.viewer import Viewer
+from impslam.platform.console.widgets import button, card, line, tagged
+from impslam.platform.virtual import faults
+from impslam.platform.virtual.faults import Delay, Malfunction, Noise, Reboot, Stall, Unplug
+
+SECONDS = 2.0  # s that a fault lasts: longer than a device's patience
+FRAMES, SCANS = 0.01, 3e-4
+"""1/byte: noise that spoils every second frame (of 70 bytes), every second scan (of 2100)."""
+FAULTS: Mapping[str, Mapping[str, faults.Fault]] = {
+    "autopilot": {
+        "Noise": Noise(device="autopilot", rate=FRAMES, seconds=SECONDS),
+        "Unplug": Unplug(device="autopilot", seconds=SECONDS),
+        "Hold back": Delay(device="autopilot", seconds=SECONDS),
+        "Reboot": Reboot(device="autopilot"),
+    },
+    "lidar": {
+        "Noise": Noise(device="lidar", rate=SCANS, seconds=SECONDS),
+        "Unplug": Unplug(device="lidar", seconds=SECONDS),
+        "Hold back": Delay(device="lidar", seconds=SECONDS),
+        "Reboot": Reboot(device="lidar"),
+        "Malfunction": Malfunction(),
+    },
+    "camera": {
+        "Unplug": Unplug(device="camera", seconds=SECONDS),
+        "Freeze": Delay(device="camera", seconds=SECONDS),
+    },
+    "motors": {"Stall": Stall(side="both", seconds=SECONDS)},
+}
+"""Device -> what a button says -> the fault it asks for."""
+
+
+def fault_panel(fault: Fault, viewer: Viewer) -> None:
+    """Put up a button for each fault of each device; what follows, health and events tell."""
+    with card("Virtual robot", "bolt", "faults"), html.details().classes("fold"):
+        tagged(html.summary(f"Let something go wrong for {SECONDS:.0f} s"), "faults")
+        for device, offered in FAULTS.items():
+            html.h3(device.capitalize())
+            with line():
+                for label, one in offered.items():
+                    act = partial(viewer.run, partial(fault, **one.model_dump()))
+                    button(label, f"fault-{device}-{one.fault}", act)

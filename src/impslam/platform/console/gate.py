@@ -1,0 +1,187 @@
+"""The gate: passwords and one-time links become sessions here, and nowhere else."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import binascii
+import hmac
+import logging
+import math
+import secrets
+import time
+from collections.abc import Callable
+
+from impslam.errors import ImpError
+from impslam.platform.console.accounts import LONGEST, Accounts, AccountsError
+from impslam.platform.console.refusals import Refusals
+from impslam.platform.console.session import Right, Session, Sessions, digest
+from impslam.platform.console.throttle import Throttle
+
+log = logging.getLogger(__name__)
+
+LINK_LIFE = 600.0  # s; long enough to walk from the terminal to the browser
+LINK_PAUSE = 60.0  # s between two links that are made because somebody asks for the page
+BASIC_LIFE = 300.0  # s; a download that resumes every few seconds costs one hash in five minutes
+BASIC_MOST = 16  # passwords remembered at a time
+
+
+class Refused(ImpError):
+    """A login that is not let in; `wait` is how many s until the next try is looked at."""
+
+    def __init__(self, message: str, wait: float = 0.0) -> None:
+        super().__init__(message)
+        self.wait = wait
+
+
+class Gate:
+    """Lets in who has a password, or, where none is set, who holds the link from the terminal.
+
+    Parameters
+    ----------
+    accounts : the passwords
+    secure : whether the page is served over TLS
+    show : called with the path of a new one-time link, to be printed where the robot was started
+    clock : s, never stepping back
+    """
+
+    def __init__(
+        self,
+        accounts: Accounts,
+        *,
+        secure: bool,
+        show: Callable[[str], None] = lambda path: None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.accounts, self.secure = accounts, secure
+        self.sessions, self.refusals = Sessions(clock), Refusals(clock)
+        self._throttle = Throttle(clock)
+        self._show, self._clock = show, clock
+        self._link: tuple[bytes, float] | None = None
+        self._linked = -math.inf
+        self._version = accounts.version()
+        self._secret = secrets.token_bytes(32)
+        self._basic: dict[bytes, tuple[Right, float]] = {}
+        self._hashing = asyncio.Semaphore(1)  # one core at most, whoever logs in
+
+    @property
+    def cookie(self) -> str:
+        """Name of the cookie; `__Host-` makes browsers keep it from other hosts and from HTTP."""
+        return "__Host-imp_session" if self.secure else "imp_session"
+
+    def open_by_link(self) -> bool:
+        """Return whether no password is set, so that the link of the terminal lets in."""
+        try:
+            return not self.accounts.rights()
+        except AccountsError as error:
+            log.error("%s", error)  # noqa: TRY400  # what to do is in the message
+            return False
+
+    def offer_link(self) -> None:
+        """Show a new link where nobody can come in by another; at most one a minute."""
+        moment = self._clock()
+        waits = self._link is not None and moment < self._link[1]
+        if waits or moment - self._linked < LINK_PAUSE or not self.open_by_link():
+            return
+        token = secrets.token_urlsafe(32)
+        self._link, self._linked = (digest(token), moment + LINK_LIFE), moment
+        self._show(f"/login?token={token}")
+
+    def redeem(self, address: str, token: str) -> tuple[str, Session]:
+        """Return a session that may drive, and its token, for a link that was not used before.
+
+        Raises
+        ------
+        Refused
+            If it was used, is too old, or never was.
+        """
+        link, moment = self._link, self._clock()
+        known = link is not None and hmac.compare_digest(link[0], digest(token))
+        if link is None or not known or moment >= link[1] or not self.open_by_link():
+            self.refusals.tell(address, "a link that does not hold")
+            raise Refused("This link was used before, or is too old.")
+        self._link = None
+        return self._begin(address, "drive", "a link")
+
+    async def enter(self, address: str, password: str) -> tuple[str, Session]:
+        """Return a session with the right that a password gives, and its token.
+
+        Raises
+        ------
+        Refused
+            If it gives none, or too many were tried.
+        """
+        right = await self._right(address, password, "login")
+        return self._begin(address, right, "a password")
+
+    async def basic(self, address: str, header: str) -> Session | None:
+        """Return a session for one request that carries a user (the right) and its password.
+
+        Nothing is returned where that is not so; it is told in the log.
+        """
+        user, password = _user(header)
+        key = hmac.digest(self._secret, f"{user}:{password}".encode("utf-8", "replace"), "sha256")
+        right, until = self._basic.get(key, (None, 0.0))
+        if right is None or self._clock() >= until:
+            try:
+                right = await self._right(address, password, "basic login")
+            except Refused:
+                return None
+            if right != user:
+                self.refusals.tell(address, "basic login", "a wrong user")
+                return None
+            self._remember(key, right)
+        return Session(f"basic-{right}", f"{user}'s script", may_drive=False, clock=self._clock)
+
+    def sweep(self) -> None:
+        """Call about once a second: sessions end when a password changes, counts reach the log."""
+        self.refusals.flush()
+        version = self.accounts.version()
+        if version != self._version:
+            self._version = version
+            self.close()
+            log.warning("the passwords have changed: every session has ended")
+
+    def close(self) -> None:
+        """End every session and whatever could begin one without a password."""
+        self._link = None
+        self._basic.clear()
+        self.sessions.end_all()
+
+    async def _right(self, address: str, password: str, what: str) -> Right:
+        wait = self._throttle.wait(address)
+        if wait > 0.0:
+            self.refusals.tell(address, what, "too many tries")
+            raise Refused("Too many tries.", wait)
+        try:
+            async with self._hashing:
+                right = await asyncio.to_thread(self.accounts.right, password[: LONGEST + 1])
+        except AccountsError as error:
+            log.error("%s", error)  # noqa: TRY400  # what to do is in the message
+            raise Refused("The robot cannot read its passwords; its log says why.") from None
+        if right is None:
+            self.refusals.tell(address, what, "a wrong password")
+            raise Refused("This is not a password of this robot.")
+        self._throttle.forgive(address)
+        return right
+
+    def _begin(self, address: str, right: Right, by: str) -> tuple[str, Session]:
+        token, session = self.sessions.begin(right)
+        log.info("%s logs in as %s with %s", address, session.name, by)
+        return token, session
+
+    def _remember(self, key: bytes, right: Right) -> None:
+        if len(self._basic) >= BASIC_MOST:
+            del self._basic[next(iter(self._basic))]
+        self._basic[key] = right, self._clock() + BASIC_LIFE
+
+
+def _user(header: str) -> tuple[str, str]:
+    """Return user and password of a header `Basic ...` (RFC 7617), empty where it is none."""
+    scheme, _, code = header.partition(" ")
+    try:
+        text = base64.b64decode(code.strip(), validate=True).decode()
+    except (binascii.Error, UnicodeDecodeError):
+        return "", ""
+    user, _, password = text.partition(":")
+    return (user, password) if scheme.lower() == "basic" else ("", "")

@@ -1,0 +1,155 @@
+"""The guard: stands before the whole app, and lets nothing through that it has not looked at.
+
+Every request and every socket is asked for its size, the host it believes to talk to (else a name
+that is bound to the robot's address would make it a page of its own: DNS rebinding), the page it
+comes from (else any page in the same browser could use the robot), and its session. What passes
+carries the session as `request.state.session`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import re
+import time
+from collections.abc import Callable, Iterable
+
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from impslam.platform.console.asked import Asked, Refusal, host, origin, shape
+from impslam.platform.console.gate import Gate
+from impslam.platform.console.line import Ended, Line, read, replayed, while_alive
+from impslam.platform.console.sealed import Sealed
+from impslam.platform.console.session import Session
+
+BODY = 64 * 1024  # bytes of a request's body, and of a socket's message
+LOGIN_BODY = 4 * 1024  # bytes, from those who have no session yet
+BODY_TIME = 10.0  # s for the whole body: below 64 kbit/s no page can be driven from anyway
+GRACE = 1.0  # s for a socket that is cut to take note
+LOOK = 0.25  # s between two looks whether an open socket's session still holds
+
+_CLAIMS = re.compile(rb"x-forwarded-.*|forwarded|x-real-ip|x-original-.*")
+
+
+class Guard:
+    """Middleware (pure ASGI, outermost) that refuses what is not in order, and tells the log.
+
+    Parameters
+    ----------
+    app : what is guarded
+    gate : knows the sessions
+    names : host names that this server is reached by, beside the address it is reached at
+    clock : s, never stepping back
+    """
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        gate: Gate,
+        names: Iterable[str],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.app, self._gate, self._clock = app, gate, clock
+        self._names = frozenset(name.lower().rstrip(".") for name in names)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Look at one request or socket, and pass it on or refuse it."""
+        if scope["type"] == "lifespan":
+            await self.app(scope, receive, send)
+            return
+        asked = Asked(scope)
+        send = Sealed(asked, send)
+        refusal = shape(asked) or host(asked, self._names) or origin(asked)
+        session = None if refusal else await self._session(asked)
+        if refusal is None and session is None and not asked.public:
+            refusal = Refusal(401, "no session", f"{asked.method} {asked.path}")
+        if refusal is not None:
+            await self._refuse(asked, refusal, receive, send)
+            return
+        scope = _passed(scope, session)
+        if session is not None and asked.socket:
+            await self._socket(asked, session, scope, receive, send)
+        else:
+            await self._request(asked, session, scope, receive, send)
+
+    async def _session(self, asked: Asked) -> Session | None:
+        token = asked.cookie(self._gate.cookie)
+        session = self._gate.sessions.find(token) if token else None
+        if session is not None:
+            session.use()
+        elif asked.by_script and (header := asked.header("authorization")):
+            session = await self._gate.basic(asked.address, header)
+        return session
+
+    async def _refuse(self, asked: Asked, why: Refusal, receive: Receive, send: Send) -> None:
+        detail = why.detail or f"{asked.method} {asked.path}"
+        if why.status == 401 and asked.cookie(self._gate.cookie):
+            why = Refusal(401, "a session that has ended", detail)
+        self._gate.refusals.tell(asked.address, why.what, detail)
+        response = _answer(asked, why)
+        response.headers["connection"] = "close"  # what it goes on to send is not read
+        await response(asked.scope, receive, send)
+
+    async def _request(
+        self, asked: Asked, session: Session | None, scope: Scope, receive: Receive, send: Send
+    ) -> None:
+        limit = BODY if session is not None else LOGIN_BODY
+        try:
+            async with asyncio.timeout(BODY_TIME):
+                body = await read(asked, receive, limit)
+        except TimeoutError:
+            body = Refusal(408, "a slow body")
+        if isinstance(body, Refusal):
+            await self._refuse(asked, body, receive, send)
+            return
+        if body is None:
+            return
+        try:
+            await self.app(scope, replayed(body, receive), while_alive(session, send))
+        except Ended:
+            self._gate.refusals.tell(asked.address, "the rest after its session ended", asked.path)
+
+    async def _socket(
+        self, asked: Asked, session: Session, scope: Scope, receive: Receive, send: Send
+    ) -> None:
+        """Pass messages on for as long as the session holds, then close the socket."""
+        line = Line(session, receive, send, self._clock)
+        app = asyncio.ensure_future(self.app(scope, line.receive, line.send))
+        try:
+            while not app.done():
+                if why := line.wrong():
+                    self._gate.refusals.tell(asked.address, why, asked.path)
+                    with contextlib.suppress(TimeoutError):
+                        await asyncio.wait_for(line.cut(), GRACE)  # who reads nothing gets nothing
+                    await asyncio.wait({app}, timeout=GRACE)
+                    break
+                await asyncio.wait({app}, timeout=LOOK)
+        finally:
+            if not app.done():
+                app.cancel()
+        if line.broken:
+            self._gate.refusals.tell(asked.address, "a socket message that is odd, or too large")
+        if app.done() and not app.cancelled():
+            app.result()
+
+
+def _answer(asked: Asked, why: Refusal) -> Response:
+    """Return what the client of a refusal gets to see."""
+    if why.status != 401:
+        return PlainTextResponse(f"{why.what}\n", why.status)
+    if asked.socket:
+        return PlainTextResponse(f"{why.what}\n", 403)
+    if "text/html" in asked.header("accept"):
+        return RedirectResponse("/login", 303)
+    response = PlainTextResponse(f"{why.what}\n", 401)
+    if asked.by_script and not asked.header("sec-fetch-mode"):  # browsers have the login page
+        response.headers["www-authenticate"] = 'Basic realm="logs", charset="UTF-8"'
+    return response
+
+
+def _passed(scope: Scope, session: Session | None) -> Scope:
+    """Return what the app sees: the session, and nothing of what proxies are said to have seen."""
+    headers = [(name, value) for name, value in scope["headers"] if not _CLAIMS.fullmatch(name)]
+    state = {**scope.get("state", {}), "session": session}
+    return {**scope, "headers": headers, "state": state}

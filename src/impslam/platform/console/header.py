@@ -1,0 +1,70 @@
+"""The top of the page: what the robot is doing, who looks, and the emergency stop."""
+
+from __future__ import annotations
+
+from nicegui import html, ui
+
+from impslam.platform.console.model import Model
+from impslam.platform.console.stop_button import StopButton
+from impslam.platform.console.viewer import Viewer
+from impslam.platform.console.widgets import button, duration, show, symbol, tagged, text
+from impslam.platform.station.recorder import RecordingStatus
+from impslam.platform.station.station import Station
+
+
+class Header:
+    """Title, chips of state, the look of the page, and STOP.
+
+    Attributes
+    ----------
+    stop : the emergency stop, None in a replay
+    """
+
+    def __init__(self, model: Model, viewer: Viewer) -> None:
+        self.stop: StopButton | None = None
+        self._dark = ui.dark_mode(None)
+        with html.header().classes("top"):
+            symbol("smart_toy" if model.station is not None else "replay").classes("mark")
+            html.h1(model.title)
+            self._recording = self._chip("chip-recording", "recording")
+            self._driver = self._chip("chip-driver", "driver")
+            html.div().classes("space")
+            right = " · may drive" if model.station is not None else ""
+            right = right if viewer.session.may_drive else " · watching"
+            tagged(html.span(viewer.session.name + right), "viewer").classes("soft viewer")
+            button("Dark or light", "theme", self._on_theme, "quiet", "contrast")
+            _logout()
+            if model.station is not None:
+                self.stop = StopButton(lambda: self._on_stop(model.station, viewer))
+
+    def update(self, recording: RecordingStatus, driver: str) -> None:
+        """Show whether a log is being written, and who drives."""
+        show(self._recording, recording.active)
+        self._recording.text = f"REC {duration(recording.seconds)}"
+        show(self._driver, bool(driver))
+        self._driver.text = driver
+
+    @staticmethod
+    def _chip(testid: str, look: str) -> ui.label:
+        chip = text(testid, "", f"chip {look}")
+        show(chip, False)
+        return chip
+
+    def _on_theme(self) -> None:
+        """From what the system prefers to dark, to light, and back."""
+        after = {None: True, True: False, False: None}
+        self._dark.value = after[self._dark.value]
+
+    @staticmethod
+    def _on_stop(station: Station | None, viewer: Viewer) -> None:
+        assert station is not None
+        viewer.do(lambda: station.helm.emergency_stop(viewer.session.name), driving=False)
+
+
+def _logout() -> None:
+    """Make the button to log out: a form and no script, since who leaves must be able to."""
+    with html.form().props("method=post action=/logout"), html.button() as leave:
+        leave.classes("button quiet").props("type=submit")
+        leave.props["aria-label"] = leave.props["title"] = "Log out"
+        symbol("logout")
+    tagged(leave, "logout")

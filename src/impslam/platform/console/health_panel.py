@@ -1,0 +1,164 @@
+"""How everything is doing: devices, recorder, mapper, the page itself, and what happened."""
+
+from __future__ import annotations
+
+import html
+import re
+import time
+from collections.abc import Iterable
+
+import numpy as np
+from nicegui import ui
+
+from impslam.platform.console.feed import Feed
+from impslam.platform.console.widgets import card, milliseconds, size, tagged
+from impslam.platform.devices.base import Health
+from impslam.platform.station.mapper import MapperStatus
+from impslam.platform.station.recorder import RecordingStatus
+from impslam.platform.station.station import StationHealth
+from impslam.types import Event
+
+SHOWN = 40  # events
+LOOKS = {
+    "ok": ("check_circle", "ok"),
+    "silent": ("hourglass_empty", "warning"),
+    "opening": ("sync", "warning"),
+    "lost": ("error", "error"),
+    "stopped": ("stop_circle", "idle"),
+    "recording": ("fiber_manual_record", "ok"),
+    "running": ("check_circle", "ok"),
+    "compiling": ("sync", "warning"),
+    "failed": ("error", "error"),
+    "off": ("radio_button_unchecked", "idle"),
+}
+"""State -> icon, and how it is coloured."""
+LEVELS = {"info": "info", "warning": "warning", "error": "error"}
+UNSEEN = {"DeviceTime", "Event"}
+"""Messages about messages: what they tell has a place of its own."""
+TROUBLE = re.compile(
+    "lost|corrupt|drop|late|repeat|bad|error|reopen|restart|reboot|skip|refus|timeout|unknown|cut"
+)
+"""Counters worth seeing: what should not happen. How many messages came, the rates tell."""
+
+
+class HealthPanel:
+    """A row for each device, and for what works on what the devices say."""
+
+    def __init__(self, feed: Feed, health: StationHealth) -> None:
+        self._feed = feed
+        self._rows: dict[str, ui.html] = {}
+        with card("Health", "monitor_heart", "health"):
+            for name in (*health.devices, "recorder", "mapper", "page"):
+                self._rows[name] = ui.html("", sanitize=False)
+                tagged(self._rows[name], f"health-{name}").classes("health")
+        self.update(health)
+
+    def update(self, health: StationHealth) -> None:
+        """Show how everything is doing by now; rows that are as before send nothing."""
+        for name, device in health.devices.items():
+            self._rows[name].content = device_row(name, device)
+        self._rows["recorder"].content = recorder_row(health.recording)
+        self._rows["mapper"].content = mapper_row(health.mapping)
+        self._rows["page"].content = page_row(self._feed.latencies())
+
+
+class EventPanel:
+    """The newest events, the last one first."""
+
+    def __init__(self) -> None:
+        self._newest: tuple[int, float] = (0, 0.0)
+        with card("Events", "list_alt", "events"):
+            self._list = ui.html('<p class="soft">Nothing happened yet.</p>', sanitize=False)
+            tagged(self._list, "events").classes("events")
+            self._list.props["role"] = "log"
+
+    def update(self, events: list[Event]) -> None:
+        """Show them, if there are others than before."""
+        newest = (len(events), events[-1].stamp if events else 0.0)
+        if newest != self._newest:
+            self._newest = newest
+            self._list.content = "".join(event_row(one) for one in reversed(events[-SHOWN:]))
+
+
+def device_row(name: str, health: Health) -> str:
+    """Return a device's state, rates, troubles and detail as HTML."""
+    rates = (
+        f"{_spoken(kind)} {rate:.{_digits(rate)}f} Hz"
+        for kind, rate in health.rates.items()
+        if kind not in UNSEEN
+    )
+    troubles = (
+        f"{count} {kind}"
+        for kind, count in health.counts.items()
+        if count and TROUBLE.search(kind.lower())
+    )
+    return _row(name, health.state, rates, troubles, health.detail)
+
+
+def recorder_row(status: RecordingStatus) -> str:
+    """Return the recorder's state as HTML."""
+    dropped = (f"{n} {_spoken(kind)} dropped" for kind, n in status.dropped.items() if n)
+    facts = [f"{size(status.free)} free"]
+    if status.active:
+        facts.insert(0, f"{size(status.size)} written")
+    state = "recording" if status.active else "failed" if status.error else "off"
+    return _row("recorder", state, facts, dropped, status.error)
+
+
+def mapper_row(status: MapperStatus) -> str:
+    """Return the mapper's state as HTML."""
+    facts = [f"{status.steps} scans", f"scan to map {milliseconds(status.latency)}"]
+    dropped = [f"{status.dropped_scans} scans dropped"] if status.dropped_scans else []
+    behind = status.behind > 1.0 and status.state == "running"
+    if behind:
+        dropped.append(f"newest scan is {status.behind:.1f} s old")
+    return _row("mapper", status.state, facts if status.steps else [], dropped, status.detail)
+
+
+def page_row(latencies: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
+    """Return how late pages draw, with the figures as data attributes, as HTML."""
+    if not len(latencies):
+        return _row("page", "ok", ["scan to page: not known yet"], [], "")
+    median, p99 = np.percentile(latencies, (50, 99))
+    row = _row("page", "ok", [f"scan to page {milliseconds(median)}, p99 {milliseconds(p99)}"], [])
+    data = f'data-median="{median:.4f}" data-p99="{p99:.4f}" data-count="{len(latencies)}"'
+    return f'<div data-testid="latency" {data}>{row}</div>'
+
+
+def event_row(event: Event) -> str:
+    """Return an event as HTML, its time of day as the robot's clock shows it."""
+    look = LEVELS.get(event.level, "info")
+    moment = time.strftime("%H:%M:%S", time.localtime(event.stamp))
+    said = f"<b>{html.escape(event.source)}</b> {html.escape(event.text)}"
+    return (
+        f'<div class="event {look}"><time>{moment}</time>{_icon(look)}<span>'
+        f'<span class="sr">{look}: </span>{said}</span></div>'
+    )
+
+
+def _row(
+    name: str, state: str, facts: Iterable[str], troubles: Iterable[str], detail: str = ""
+) -> str:
+    icon, look = LOOKS.get(state, ("help", "warning"))
+    facts = [f"<span>{html.escape(fact)}</span>" for fact in facts]
+    facts += [f'<span class="trouble">{html.escape(one)}</span>' for one in troubles]
+    more = f'<div class="facts">{"".join(facts)}</div>' if facts else ""
+    if detail:
+        more += f'<div class="detail">{html.escape(detail)}</div>'
+    return (
+        f'<div class="state {look}" data-state="{html.escape(state)}">{_icon(icon)}'
+        f"<b>{html.escape(name)}</b><em>{html.escape(state)}</em></div>{more}"
+    )
+
+
+def _icon(name: str) -> str:
+    return f'<i class="q-icon material-icons notranslate" aria-hidden="true">{name}</i>'
+
+
+def _spoken(kind: str) -> str:
+    """Return a message type as words: "WheelAngles" is "wheel angles"."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", kind).lower()
+
+
+def _digits(rate: float) -> int:
+    return 0 if rate >= 9.95 else 1

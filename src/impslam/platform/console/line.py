@@ -1,0 +1,116 @@
+"""What flows after a request was let in: a socket's messages, bodies, and answers of any length."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from starlette.types import Message, Receive, Send
+
+from impslam.platform.console.asked import Asked, Refusal
+from impslam.platform.console.session import Session
+from impslam.platform.console.throttle import Bucket
+
+MESSAGES, RATE = 400, 200.0  # of a socket, at once and a second; a page sends some 30 a second
+UNREADABLE = frozenset({1002, 1003, 1007, 1009})  # codes of closing, RFC 6455 sec. 7.4.1
+
+
+class Line:
+    """One open socket: counts its messages, and can be cut from outside."""
+
+    def __init__(
+        self, session: Session, receive: Receive, send: Send, clock: Callable[[], float]
+    ) -> None:
+        self._session, self._receive, self._send = session, receive, send
+        self._bucket = Bucket(MESSAGES, RATE, clock)
+        self._cut = asyncio.Event()
+        self._flooded = False
+        self.broken = False  # whether the server closed it for what was sent
+
+    def wrong(self) -> str:
+        """Return why it has to be cut, empty where all is well."""
+        if not self._session.alive():
+            return "an open socket whose session has ended"
+        return "too many messages on a socket" if self._flooded else ""
+
+    async def receive(self) -> Message:
+        """Return the next message; once cut or wrong, that the socket is closed."""
+        message = await self._next()
+        self.broken = message.get("code") in UNREADABLE
+        if message["type"] != "websocket.receive":
+            return message
+        self._flooded = self._flooded or self._bucket.wait() > 0.0
+        if self.wrong():
+            await self._cut.wait()
+            return {"type": "websocket.disconnect", "code": 1008}
+        self._session.use()
+        return message
+
+    async def send(self, message: Message) -> None:
+        """Pass a message on, unless it comes too late."""
+        if not self._cut.is_set():
+            await self._send(message)
+
+    async def cut(self) -> None:
+        """Close the socket, and tell the app that it is closed."""
+        if not self._cut.is_set():
+            self._cut.set()
+            await self._send({"type": "websocket.close", "code": 1008, "reason": "refused"})
+
+    async def _next(self) -> Message:
+        message = asyncio.ensure_future(self._receive())
+        cut = asyncio.ensure_future(self._cut.wait())
+        try:
+            await asyncio.wait({message, cut}, return_when=asyncio.FIRST_COMPLETED)
+            if message.done() and not self._cut.is_set():
+                return message.result()
+            return {"type": "websocket.disconnect", "code": 1008}
+        finally:
+            message.cancel()
+            cut.cancel()
+
+
+class Ended(OSError):
+    """A session that ended while its answer was being sent."""
+
+
+async def read(asked: Asked, receive: Receive, limit: int) -> bytes | Refusal | None:
+    """Return the whole body, None where the client has gone; it is small, so it is read first."""
+    too_large = Refusal(413, "a large body", f"{asked.path}: more than {limit} bytes")
+    if int(asked.header("content-length") or "0") > limit:  # the server saw that it is a number
+        return too_large
+    parts = bytearray()
+    while True:
+        message = await receive()
+        if message["type"] == "http.disconnect":
+            return None
+        parts += message.get("body", b"")
+        if len(parts) > limit:
+            return too_large
+        if not message.get("more_body", False):
+            return bytes(parts)
+
+
+def replayed(body: bytes, receive: Receive) -> Receive:
+    """Return a `receive` that gives the body that was read, and then what comes."""
+    first = [{"type": "http.request", "body": body, "more_body": False}]
+
+    async def replay() -> Message:
+        return first.pop() if first else await receive()
+
+    return replay
+
+
+def while_alive(session: Session | None, send: Send) -> Send:
+    """Return a `send` that breaks off where the session ends, and that counts as using it."""
+    if session is None:
+        return send
+
+    async def checked(message: Message) -> None:
+        if message["type"] == "http.response.body" and message.get("more_body"):
+            if not session.alive():
+                raise Ended
+            session.use()
+        await send(message)
+
+    return checked

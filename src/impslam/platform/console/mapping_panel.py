@@ -1,0 +1,69 @@
+"""Start and save the map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from urllib.parse import quote
+
+from nicegui import html
+
+from impslam.platform.console.viewer import Viewer
+from impslam.platform.console.widgets import button, card, line, show, tagged, text
+from impslam.platform.station.mapper import MapperStatus
+from impslam.platform.station.station import Station
+
+SAID = {
+    "off": "Not mapping",
+    "compiling": "Compiling for this machine; once, up to a minute",
+    "running": "Mapping",
+    "failed": "Mapping has failed",
+}
+
+
+class MappingPanel:
+    """Begin a map where the robot stands; save it as it is by now."""
+
+    def __init__(self, station: Station, viewer: Viewer) -> None:
+        self._station, self._viewer = station, viewer
+        self._may = viewer.session.may_drive
+        with card("Map", "map", "mapping"):
+            with line():
+                self._start = button(
+                    "Start mapping", "map-start", self._on_start, "primary", "add_location"
+                )
+                self._anew = button("New map", "map-new", self._on_anew, "plain", "restart_alt")
+                self._save = button("Save", "map-save", self._on_save, "plain", "save")
+                self._said = text("mapping", "", "soft")
+            with line("saved") as self._saved_line:
+                self._saved = text("map-saved", "", "soft")
+                self._link = tagged(html.a("Download").classes("button plain"), "map-download")
+            show(self._saved_line, False)
+
+    def update(self, status: MapperStatus) -> None:
+        """Show the mapper as it is by now."""
+        on = status.state in {"running", "compiling"}
+        show(self._start, self._may and not on)
+        show(self._anew, self._may and on)
+        show(self._save, self._may and status.steps > 0)
+        scans = f" · {status.steps} scans" if status.steps else ""
+        self._said.text = SAID[status.state] + (f": {status.detail}" if status.detail else scans)
+
+    async def _on_start(self) -> None:
+        await self._viewer.run(self._station.start_mapping)
+        self.update(self._station.mapper.status())
+
+    async def _on_anew(self) -> None:
+        if await self._viewer.confirm(
+            "Begin a new map? The present one is given up unless it is saved.", "New map"
+        ):
+            await self._on_start()
+
+    async def _on_save(self) -> None:
+        self._said.text = "Saving …"
+        saved: Path | None = await self._viewer.run(self._station.save_map)
+        self.update(self._station.mapper.status())
+        if saved is not None:
+            self._saved.text = f"Saved on the robot in {saved}"
+            self._link.props["href"] = f"/maps/{quote(saved.name)}.zip"
+            self._link.props["download"] = f"{saved.name}.zip"
+            show(self._saved_line, True)

@@ -1,0 +1,93 @@
+"""Play, pause, step and speed of a log that is replayed."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from nicegui import html
+
+from impslam.platform.console.viewer import Viewer
+from impslam.platform.console.widgets import button, card, duration, line, show, tagged, text
+from impslam.platform.station.player import Player, PlayerStatus
+
+SPEEDS = {
+    "0.25": "¼×",
+    "0.5": "½×",
+    "1": "1×",
+    "2": "2×",
+    "5": "5×",
+    "10": "10×",
+    "inf": "as fast as possible",
+}
+OVER = {"ended", "stopped", "failed", "writing"}
+SAID = {
+    "ready": "Ready to play",
+    "compiling": "Compiling for this machine; once, up to a minute",
+    "writing": "Writing the results",
+    "ended": "The log is over",
+}
+
+
+class ReplayPanel:
+    """Steers a player."""
+
+    def __init__(self, player: Player, viewer: Viewer) -> None:
+        self._player, self._viewer = player, viewer
+        self._may = viewer.session.may_drive
+        with card("Replay", "replay", "replay"):
+            with line():
+                self._play = button("Play", "play", self._on_play, "primary", "play_arrow")
+                self._pause = button("Pause", "pause", self._on_pause, "primary", "pause")
+                self._step = button("Step", "step", self._on_step, "plain", "skip_next")
+                with tagged(html.select().classes("field"), "replay-speed") as self._speed:
+                    for value, label in SPEEDS.items():
+                        now = float(value) == self._player.status().speed
+                        html.option(label, value=value, selected=now)
+                self._speed.props["aria-label"] = "Speed"
+                self._speed.on("change", self._on_speed, js_handler="(e) => emit(e.target.value)")
+            self._bar = tagged(html.progress(max=1, value=0), "replay-position")
+            self._bar.props["aria-label"] = "Position in the log"
+            self._said = text("replay", "", "soft")
+            self._detail = text("replay-detail", "", "soft")
+        self.update()
+
+    def update(self) -> None:
+        """Show the player as it is by now."""
+        status = self._player.status()
+        going, over = status.state == "playing", status.state in OVER
+        show(self._play, self._may and not going and not over)
+        show(self._pause, self._may and going)
+        show(self._step, self._may and not going and not over)
+        show(self._speed, self._may and not over)
+        share = round(status.position / status.total, 3) if status.total else float(over)
+        if share != self._bar.props.get("value"):
+            self._bar.props["value"] = share
+        self._said.text = _said(status, share)
+        self._detail.text = status.detail
+
+    def _on_play(self) -> None:
+        ready = self._player.status().state == "ready"
+        self._do(self._player.start if ready else self._player.resume)
+
+    def _on_pause(self) -> None:
+        self._do(self._player.pause)
+
+    def _on_step(self) -> None:
+        self._do(self._player.step)
+
+    def _on_speed(self, event: Any) -> None:
+        if event.args in SPEEDS:
+            self._do(lambda: self._player.set_speed(float(event.args)))
+
+    def _do(self, work: Any) -> None:
+        self._viewer.do(work)
+        self.update()
+
+
+def _said(status: PlayerStatus, share: float) -> str:
+    state = SAID.get(status.state, status.state.capitalize())
+    usual = status.speed == 1 or math.isinf(status.speed) or status.state in OVER
+    speed = "" if usual else f" at {status.speed:g}×"
+    facts = (f"{100 * share:.0f} %", duration(status.seconds), f"{status.steps} scans")
+    return f"{state}{speed} · " + " · ".join(filter(None, facts))

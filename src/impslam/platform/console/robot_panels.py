@@ -1,0 +1,100 @@
+"""All panels beside a robot's map: what drives stays in sight, the others share a place in tabs."""
+
+from __future__ import annotations
+
+from nicegui import background_tasks, html
+from nicegui.element import Element
+
+from impslam.platform.console.camera import Camera
+from impslam.platform.console.drive_panel import DrivePanel
+from impslam.platform.console.fault_panel import fault_panel
+from impslam.platform.console.feed import Feed
+from impslam.platform.console.header import Header
+from impslam.platform.console.health_panel import EventPanel, HealthPanel
+from impslam.platform.console.log_panel import LogPanel, RecordPanel
+from impslam.platform.console.mapping_panel import MappingPanel
+from impslam.platform.console.viewer import Viewer
+from impslam.platform.console.widgets import card, symbol, tagged
+from impslam.platform.devices.base import DriveDevice
+from impslam.platform.station.station import Station, StationHealth
+
+TABS = {
+    "drive": ("sports_esports", "Drive"),
+    "record": ("radio_button_checked", "Record"),
+    "health": ("monitor_heart", "Health"),
+    "camera": ("photo_camera", "Camera"),
+}
+"""Tab -> icon, title. Where there is room, drive has a place of its own."""
+CHOOSE = (
+    "(e) => {{ document.body.dataset.tab = '{name}'; const now = e.currentTarget; "
+    "for (const tab of now.parentNode.children) tab.ariaSelected = String(tab === now); }}"
+)
+"""What a tab does in the browser: shows its panel, and says to screen readers that it does."""
+LOOK = 2  # of the slow updates: the disk is looked at half as often
+
+
+class RobotPanels:
+    """Drive, record, map, health, events, camera and logs of a station."""
+
+    def __init__(self, feed: Feed, station: Station, viewer: Viewer, header: Header) -> None:
+        assert header.stop is not None
+        self._feed, self._station, self._header = feed, station, header
+        self._count = 0
+        health = feed.health()
+        with html.aside().classes("side"):
+            with _tab("drive"):
+                self._drive = DrivePanel(station, viewer, header.stop)
+            _tabs()  # after drive, as they stand: the key Tab goes the way the eyes go
+            with _tab("record"):
+                self._record = RecordPanel(station, viewer)
+                self._mapping = MappingPanel(station, viewer)
+                self._logs = LogPanel(feed, station, viewer)
+            with _tab("health"):
+                self._health = HealthPanel(feed, health)
+                if feed.model.fault is not None and viewer.session.may_drive:
+                    fault_panel(feed.model.fault, viewer)
+                self._events = EventPanel()
+            with _tab("camera"), card("Camera", "photo_camera", "camera"):
+                Camera()
+
+    def fast(self) -> None:
+        """Show who drives, and whether the robot may move."""
+        self._drive.update()
+
+    def slow(self) -> list[str]:
+        """Show the rest, and return what is wrong with the robot."""
+        health = self._feed.health()
+        helm = self._station.helm.state()
+        self._header.update(health.recording, f"{helm.name} drives" if helm.driver else "")
+        self._record.update(health.recording)
+        self._mapping.update(health.mapping)
+        self._health.update(health)
+        self._events.update(list(self._station.events))
+        if self._count % LOOK == 0:
+            background_tasks.create(self._logs.update(), name="logs")
+        self._count += 1
+        return self._alarms(health)
+
+    def leave(self) -> None:
+        """Let go of the helm."""
+        self._drive.leave()
+
+    def _alarms(self, health: StationHealth) -> list[str]:
+        """Return which devices are lost; one that drives is told first, since nothing stops it."""
+        lost = [name for name, one in health.devices.items() if one.state == "lost"]
+        lost.sort(key=lambda name: not isinstance(self._station.devices.get(name), DriveDevice))
+        return [f"{name} lost: {health.devices[name].detail}" for name in lost]
+
+
+def _tabs() -> None:
+    with html.nav().classes("tabs").props("role=tablist"):
+        for name, (icon, title) in TABS.items():
+            tab: Element = html.button().classes(f"tab tab-{name}").props("type=button role=tab")
+            with tagged(tab.on("click", js_handler=CHOOSE.format(name=name)), f"tab-{name}"):
+                symbol(icon)
+                html.span(title)
+
+
+def _tab(name: str) -> Element:
+    panel: Element = html.div().classes(f"panel panel-{name}")
+    return panel

@@ -1,0 +1,59 @@
+"""The headers that every answer carries, so that browsers do no more with it than they should."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+from starlette.types import Message, Send
+
+from impslam.platform.console.asked import HOST, Asked
+
+PAGE_POLICY = (
+    "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
+    "connect-src 'self' {socket}; worker-src 'self' blob:; object-src 'none'; base-uri 'self'; "
+    "form-action 'self'; frame-ancestors 'none'"
+)
+_HEADERS: Final = {
+    b"x-content-type-options": b"nosniff",
+    b"x-frame-options": b"DENY",
+    b"referrer-policy": b"same-origin",  # not `no-referrer`: a form would then send no origin
+    b"permissions-policy": b"camera=(), geolocation=(), microphone=()",
+    b"cross-origin-opener-policy": b"same-origin",
+    b"cross-origin-resource-policy": b"same-origin",
+}
+
+
+class Sealed:
+    """Puts the headers on every answer that keep browsers from doing more than they should."""
+
+    def __init__(self, asked: Asked, send: Send) -> None:
+        self._asked, self._send = asked, send
+
+    async def __call__(self, message: Message) -> None:
+        """Pass a message on, with the headers where it has any."""
+        if message["type"] in {"http.response.start", "websocket.http.response.start"}:
+            message = {**message, "headers": self._headers(message.get("headers", []))}
+        await self._send(message)
+
+    def _headers(self, headers: Iterable[tuple[bytes, bytes]]) -> list[tuple[bytes, bytes]]:
+        given = [(name.lower(), value) for name, value in headers]
+        names = {name for name, _ in given}
+        ours = dict(_HEADERS)
+        if b"content-security-policy" not in names:
+            ours[b"content-security-policy"] = self._policy().encode("latin-1")
+        if not self._asked.path.startswith("/_nicegui/") or b"cache-control" not in names:
+            ours[b"cache-control"] = b"no-store"
+        kept = [
+            (name, value)
+            for name, value in given
+            if name not in ours and not name.startswith(b"access-control-") and name != b"server"
+        ]
+        return [*kept, *ours.items()]
+
+    def _policy(self) -> str:
+        # 'self' does not cover sockets in older browsers; the host was looked at before.
+        match = HOST.fullmatch(self._asked.header("host"))
+        socket = f"ws{self._asked.origin[4:]}" if match else ""
+        return PAGE_POLICY.format(socket=socket)

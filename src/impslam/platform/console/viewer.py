@@ -1,0 +1,86 @@
+"""Who looks at a page, and what they may do there."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+from collections.abc import Callable
+from typing import TypeVar
+
+from nicegui import html, run, ui
+from nicegui.client import Client
+
+from impslam.errors import ImpError
+from impslam.platform.console.session import Session
+from impslam.platform.console.widgets import button, line
+
+log = logging.getLogger(__name__)
+T = TypeVar("T")
+
+_numbers = itertools.count(1)
+
+
+class Viewer:
+    """One open page of one session.
+
+    Rights are asked for at each command and never remembered: a session may end at any time, and
+    what the browser sends need not come from a button that it was shown.
+
+    Attributes
+    ----------
+    session : the login
+    client : the open page
+    driver : names this page to the helm, so that two pages of a login do not drive at once
+    """
+
+    def __init__(self, session: Session, client: Client) -> None:
+        self.session, self.client = session, client
+        self.driver = f"{session.id}/{next(_numbers)}"
+
+    def refused(self, *, driving: bool = True) -> str:
+        """Return why a command is refused, "" if it is not."""
+        if not self.session.alive():
+            return "your session has ended; log in again"
+        if driving and not self.session.may_drive:
+            return "you may watch; log in with the drive password to change anything"
+        return ""
+
+    def do(self, work: Callable[[], object], *, driving: bool = True) -> bool:
+        """Do at once what takes no time; tell the user if it is refused or fails."""
+        if reason := self.refused(driving=driving):
+            return self._tell(reason)
+        try:
+            work()
+        except ImpError as error:
+            return self._tell(str(error))
+        return True
+
+    async def run(self, work: Callable[[], T]) -> T | None:
+        """Do in a thread what may take time; tell the user if it is refused or fails."""
+        if reason := self.refused():
+            self._tell(reason)
+            return None
+        try:
+            return await run.io_bound(work)
+        except ImpError as error:
+            self._tell(str(error))
+        return None
+
+    async def confirm(self, question: str, act: str) -> bool:
+        """Ask before what cannot be undone."""
+        with self.client, ui.dialog(value=True) as dialog, html.div().classes("dialog") as box:
+            box.props("role=alertdialog")
+            ui.label(question)
+            with line("end"):
+                button("Cancel", "cancel", lambda: dialog.submit(False))
+                button(act, "confirm", lambda: dialog.submit(True), "danger")
+        answer = await dialog
+        if not self.client.is_deleted:
+            dialog.delete()
+        return bool(answer)
+
+    def _tell(self, text: str) -> bool:
+        log.info("%s: refused: %s", self.session.name, text)
+        with self.client:  # the button that was pressed may be gone by now
+            ui.notify(text, type="negative", position="bottom", timeout=6000, multi_line=True)
+        return False

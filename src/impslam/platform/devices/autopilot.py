@@ -1,0 +1,248 @@
+"""The autopilot: encoders, inertial unit and motors on a micro-controller (thesis 3.3, 3.4).
+
+What goes over the line stands byte by byte in docs/autopilot-protocol.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
+
+from pydantic import PrivateAttr
+
+from impslam.component import parameter, register
+from impslam.errors import MessageError
+from impslam.platform.devices.autopilot_link import CommandLink
+from impslam.platform.devices.autopilot_messages import (
+    FROM_AUTOPILOT,
+    Ack,
+    Flag,
+    Hello,
+    Kind,
+    Sensors,
+)
+from impslam.platform.devices.autopilot_readings import Readings
+from impslam.platform.devices.base import DeviceError, DriveDevice, now
+from impslam.platform.devices.clock import DeviceClock
+from impslam.platform.devices.framing import Decoder, Frame
+from impslam.platform.devices.port import opened, read_some
+from impslam.types import DeviceTime
+
+REOPEN = 2.0  # s without a frame until the port is opened anew: as after an adapter that hung
+AWAY = 300.0  # s; the sequence goes round after 655 s, and then nobody knows what was lost
+
+Level: TypeAlias = Literal["info", "warning"]
+
+_FLAGS: dict[Flag, tuple[Level, str, str]] = {
+    Flag.STOPPED: ("warning", "emergency stop holds", "emergency stop released"),
+    Flag.DEAD_MAN: ("info", "no command for 0.5 s, motors off", ""),
+    Flag.STALL_LEFT: ("warning", "left motor stalls", "left motor turns again"),
+    Flag.STALL_RIGHT: ("warning", "right motor stalls", "right motor turns again"),
+    Flag.LOW_SUPPLY: ("warning", "supply is low; charge the battery", "supply is well again"),
+}
+
+
+@dataclass(slots=True)
+class _Known:
+    """What is known about the micro-controller; it outlives a connection."""
+
+    readings: Readings
+    clock: DeviceClock = field(default_factory=DeviceClock)
+    decoder: Decoder | None = None
+    boot: int | None = None
+    boots: int | None = None
+    hello: Hello | None = None
+    last_clock: int = 0
+    flags: int = Flag.DEAD_MAN  # what it starts with is no news
+    opened: float = 0.0
+    heard: float = -math.inf
+    silent: bool = False
+
+
+@register("autopilot")
+class Autopilot(DriveDevice):
+    """Wheel encoders, inertial unit, climate and motors, on a micro-controller over UART."""
+
+    port: str = parameter(
+        "/dev/imp-autopilot", "1", "serial port, or socket://HOST:PORT for a line over TCP"
+    )
+    baud: int = parameter(
+        460800, "bit/s", "speed of the line; 16 % of it is used, see the protocol", gt=0
+    )
+    track: float = parameter(0.40, "m", "distance of the driven wheels of both sides", gt=0)
+    skid: float = parameter(
+        1.5625,
+        "1",
+        "how much faster than rolling the sides must differ to turn, as the driven wheels slide "
+        "across: 1 + (wheelbase / track)^2 by Coulomb friction, for 0.30 m and 0.40 m",
+        ge=1,
+    )
+    top_speed: float = parameter(
+        1.0, "m/s", "no wheel is told more: 150 rpm of a 5 inch wheel; a turn is kept", gt=0, le=10
+    )
+    counts_per_turn: int = parameter(4096, "1", "of the accumulators, in one turn of a wheel", gt=0)
+    least_delay: float = parameter(
+        0.0015, "s", "from sampling to arrival at best: 69 bytes at 460800 baud", ge=0
+    )
+
+    _link: CommandLink = PrivateAttr()
+    _known: _Known = PrivateAttr()
+
+    def model_post_init(self, context: object, /) -> None:
+        """Begin with nothing known."""
+        self._link = CommandLink(self._count)
+        self._known = _Known(Readings(self.counts_per_turn))
+
+    # ------------------------------------------------------------------ commands
+
+    def drive(self, speed: float, turn_rate: float) -> None:
+        """Ask for a speed forward (m/s) and a turn rate (rad/s); see `DriveDevice.drive`."""
+        self._link.drive(*self.wheel_speeds(speed, turn_rate))
+
+    def emergency_stop(self) -> None:
+        """Stop and stay stopped; see `DriveDevice.emergency_stop`."""
+        self._link.stop(True)
+
+    def release(self) -> None:
+        """End an emergency stop; the robot stands until it is driven."""
+        self._link.stop(False)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it holds a stop; one whose release is under way does not count any more."""
+        return bool(self._known.flags & Flag.STOPPED) and not self._link.releasing
+
+    def latency(self) -> tuple[float, float]:
+        """Return median and 99th percentile, in s, from a command to its answer; NaN before one."""
+        return self._link.latency()
+
+    def wheel_speeds(self, speed: float, turn_rate: float) -> tuple[float, float]:
+        """Return the surface speeds of the driven wheels, left and right, in m/s.
+
+        If one exceeds the top speed, both are slowed down: the robot keeps to the curve.
+        """
+        if not (math.isfinite(speed) and math.isfinite(turn_rate)):
+            raise ValueError(f"a command of {speed} m/s and {turn_rate} rad/s is no motion")
+        half = 0.5 * self.skid * self.track * turn_rate
+        left, right = speed - half, speed + half
+        slower = max(1.0, max(abs(left), abs(right)) / self.top_speed)
+        return left / slower, right / slower
+
+    # ------------------------------------------------------------------ connection
+
+    def _serve(self) -> None:
+        with opened(self.port, self.baud) as port:
+            try:
+                decoder = self._begin()
+                self._link.attach(port)
+                while not self._stopping.is_set():
+                    data = read_some(port)
+                    moment = now()
+                    for frame in decoder.feed(data):
+                        self._take(frame, moment)
+                    self._watch_silence(moment)
+                    self._link.tend(moment)
+            finally:
+                self._link.detach()
+
+    def _begin(self) -> Decoder:
+        known, moment = self._known, now()
+        if known.decoder is None:
+            known.decoder = Decoder(FROM_AUTOPILOT, self._count)
+        known.decoder.restart(keep_sequence=moment - known.heard < AWAY)
+        known.hello, known.opened, known.silent = None, moment, False
+        return known.decoder
+
+    def _watch_silence(self, moment: float) -> None:
+        known = self._known
+        silence, most = moment - max(known.heard, known.opened), max(REOPEN, self.patience)
+        if silence > self.patience and not known.silent:
+            known.silent = True
+            self._count("silences", 1)
+        if silence > most:  # the text stays the same, so that it is told once
+            raise DeviceError(
+                f"{self.port}: nothing understood for {most:.1f} s; check the autopilot's supply, "
+                "its wiring and the baud rate"
+            )
+        if known.hello is None and moment - known.opened > REOPEN:
+            raise DeviceError(f"{self.port}: frames, but no HELLO; check the autopilot's firmware")
+
+    # ------------------------------------------------------------------ what it says
+
+    def _take(self, frame: Frame, arrived: float) -> None:
+        known = self._known
+        known.heard, known.silent = arrived, False
+        if frame.boot != known.boot:
+            self._begin_anew(known.boot is not None)
+            known.boot = frame.boot
+        try:
+            if frame.type == Kind.SENSORS:
+                self._on_sensors(Sensors.parse(frame.payload), arrived)
+            elif frame.type == Kind.ACK:
+                self._link.answered(Ack.parse(frame.payload), arrived)
+            else:
+                self._on_hello(Hello.parse(frame.payload))
+        except MessageError as error:
+            self._count("refused", 1)
+            if self._vitals.counts["refused"] == 1:
+                self._tell("warning", str(error))
+
+    def _begin_anew(self, rebooted: bool) -> None:
+        """Continue across a reboot: clock and accumulators begin at 0, its time is to be set."""
+        if rebooted:
+            self._count("reboots", 1)
+        self._known.clock.restart()
+        self._known.last_clock = 0
+        self._known.readings.restart()
+        self._link.greet()
+
+    def _on_hello(self, hello: Hello) -> None:
+        known = self._known
+        who = (
+            f"firmware {hello.major}.{hello.minor}, boot {hello.boots} "
+            f"({hello.reset.name.lower().replace('_', '-')})"
+        )
+        if known.boots not in {None, hello.boots}:
+            self._tell("warning", f"rebooted: {who}")
+        if known.hello is None:
+            self._ready(f"{who} at {self.port}")
+        known.boots, known.hello = hello.boots, hello
+
+    def _on_sensors(self, sensors: Sensors, arrived: float) -> None:
+        known = self._known
+        if sensors.clock < known.last_clock:  # only a reboot does that, whatever its boot number
+            self._begin_anew(True)
+        known.last_clock = sensors.clock
+        self._note_flags(sensors.flags)
+        device = 1e-6 * sensors.clock
+        stamp = self._stamp(device, arrived)
+        if known.hello is None:
+            self._count("before HELLO", 1)
+            known.readings.follow(sensors)
+            return
+        for message in known.readings.messages(sensors, known.hello, stamp):
+            self._deliver(message, arrived, device)
+        self._deliver(DeviceTime(stamp, self.title, device), arrived, device)
+
+    def _stamp(self, device: float, arrived: float) -> float:
+        """Return the host's time of a reading, and note what the clocks did."""
+        clock = self._known.clock
+        restarts, stalls = clock.restarts, clock.stalls
+        clock.observe(device, arrived - self.least_delay)
+        if clock.restarts > restarts:
+            self._count("clock jumps", 1)
+            self._tell("warning", "a clock jumped, the micro-controller's or this computer's")
+        if clock.stalls > stalls:
+            self._count("stalls", 1)
+        return clock.to_host(device)
+
+    def _note_flags(self, flags: Flag) -> None:
+        known = self._known
+        for flag, (level, set_, cleared) in _FLAGS.items():
+            if flags & flag and not known.flags & flag:
+                self._tell(level, set_)
+            elif cleared and known.flags & flag and not flags & flag:
+                self._tell("info", cleared)
+        known.flags = flags
+        self._link.check_stopped(bool(flags & Flag.STOPPED))

@@ -1,0 +1,168 @@
+"""Byte ports: a serial line, a pseudo-terminal or a TCP connection, behind one way to open them.
+
+pyserial comes with the `robot` extra and is imported when the first port is opened, so that who
+only maps logs does not need it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import importlib
+import os
+import select
+import socket
+import time
+from collections.abc import Iterator
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+from impslam.platform.devices.base import DeviceError
+
+if TYPE_CHECKING:
+    import serial
+
+TIMEOUT = 0.05  # s that a read or a write may take: a quarter of what a device has to end in
+CHUNK = 4096  # bytes, one page: what a tty buffers
+
+_ADVICE = {
+    errno.ENOENT: "no such port; plug it in, and see `ls /dev/serial/by-id`",
+    errno.ENODEV: "the device has gone; plug it in",
+    errno.ENXIO: "the device has gone; plug it in",
+    errno.EACCES: "not allowed; add the user to the group dialout and log in again",
+    errno.EPERM: "not allowed; add the user to the group dialout and log in again",
+    errno.EAGAIN: "another program has it open; close that one",
+    errno.EBUSY: "another program has it open; close that one",
+    errno.EIO: "the line is dead; check the plug",
+    errno.ENOTTY: "this is no serial port; check the path",
+    errno.ECONNREFUSED: "nothing listens there; check its supply, and the port's number",
+    errno.EHOSTUNREACH: "cannot be reached; check its address, its supply and the network",
+    errno.ENETUNREACH: "cannot be reached; check its address, its supply and the network",
+    errno.ETIMEDOUT: "does not answer; check its address, its supply and the network",
+}
+_LOOKUP_ADVICE = {  # numbers of their own, some of which are other errors' where Linux is not
+    socket.EAI_NONAME: "no such host; check its name, or give its address",
+    socket.EAI_AGAIN: "its name cannot be looked up; check the network, or give its address",
+}
+
+
+def extra(module: str) -> ModuleType:
+    """Import a module that comes with the `robot` extra.
+
+    Raises
+    ------
+    DeviceError
+        If the extra is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise DeviceError(
+            f'{module} is not installed; install it with: pip install "impslam[robot]"'
+        ) from error
+
+
+def open_port(url: str, baud: int) -> serial.SerialBase:
+    """Open a port: "/dev/ttyUSB0", a pseudo-terminal's path, or "socket://host:port" (TCP).
+
+    It is locked against other programs where the system can; reads and writes end after `TIMEOUT`.
+    `baud` has no meaning over TCP.
+
+    Raises
+    ------
+    DeviceError
+        If it cannot be opened: what, where, what to do.
+    """
+    pyserial = extra("serial")
+    try:
+        port: serial.SerialBase = pyserial.serial_for_url(
+            url, baudrate=baud, timeout=TIMEOUT, write_timeout=TIMEOUT, exclusive=True
+        )
+        if url.startswith("socket://"):
+            _send_at_once(port)
+    except (OSError, ValueError, OverflowError) as error:
+        raise _explained(url, "cannot be opened", error) from error
+    return port
+
+
+@contextlib.contextmanager
+def opened(url: str, baud: int) -> Iterator[serial.SerialBase]:
+    """Open a port as `open_port` does, and close it whatever happens."""
+    port = open_port(url, baud)
+    connection = getattr(port, "_socket", None)
+    try:
+        yield port
+    finally:
+        port.close()
+        if connection is not None:
+            connection.close()  # pyserial 3.5 forgets one whose other end has hung up
+
+
+def read_some(port: serial.SerialBase, wait: float = TIMEOUT) -> bytes:
+    """Return what has come, waiting at most `wait` s for the first byte; empty if none came.
+
+    pyserial's `read` waits for a number of bytes; this one gives them as soon as they are there.
+
+    Raises
+    ------
+    DeviceError
+        If the port is dead.
+    """
+    try:
+        ready, _, _ = select.select([port.fileno()], [], [], wait)
+        if not ready:
+            return b""
+        data = os.read(port.fileno(), CHUNK)
+    except BlockingIOError:  # pragma: no cover  # readiness may be spurious: select(2), BUGS
+        return b""
+    except (OSError, ValueError, TypeError) as error:  # pyserial's of a port closed meanwhile
+        raise _explained(port.port, "has been lost", error) from error
+    if not data:
+        raise DeviceError(f"{port.port}: has been lost: the other end hung up; check the plug")
+    return data
+
+
+def write_all(port: serial.SerialBase, data: bytes) -> None:
+    """Write all of it, within `TIMEOUT`.
+
+    pyserial's `write` spins while a full port takes nothing; this one sleeps.
+
+    Raises
+    ------
+    DeviceError
+        If the port is dead or does not take it in time; part of it may have been written.
+    """
+    end, left = time.monotonic() + TIMEOUT, memoryview(data)
+    try:
+        while left:
+            _, ready, _ = select.select([], [port.fileno()], [], max(0.0, end - time.monotonic()))
+            if not ready:
+                raise DeviceError(f"{port.port}: takes nothing any more; check the device")
+            left = left[os.write(port.fileno(), left) :]
+    except (OSError, ValueError, TypeError) as error:  # pyserial's of a port closed meanwhile
+        raise _explained(port.port, "cannot be written to", error) from error
+
+
+def _send_at_once(port: serial.SerialBase) -> None:
+    """Send small writes at once: TCP holds them back until what went before is acknowledged."""
+    with socket.socket(fileno=os.dup(port.fileno())) as connection:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+
+def _explained(url: str | None, what: str, error: Exception) -> DeviceError:
+    return DeviceError(f"{url}: {what}: {_advice(error) or _reason(error)}")
+
+
+def _advice(error: Exception) -> str:
+    """Return what to do about the system's error, which pyserial may have put into words."""
+    for one in (error, error.__context__):
+        first = one.args[0] if one is not None and one.args else None
+        if isinstance(first, int):  # of an OSError, and of termios's error, which is none
+            known = _LOOKUP_ADVICE if isinstance(one, socket.gaierror) else _ADVICE
+            return known.get(first, "")
+    return ""
+
+
+def _reason(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return f"{text or type(error).__name__}; check the port's name, its plug and its supply"

@@ -1,0 +1,160 @@
+"""What a SCIP sensor says of itself: version (VV), parameters (PP) and state (II)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from impslam.platform.devices.base import DeviceError
+from impslam.platform.devices.scip import DamagedError, checksum
+
+_LONGEST_TEXT = 120  # characters of a field that are kept; the longest known has 45
+
+# What a parameter may be, whatever the sensor says: requests have four digits for a step, a
+# distance three characters of 6 bits; a turn of 10 ms to 1 s in parts of 10 to 0.01 degrees.
+_BOUNDS = {
+    "DMIN": (0, 2**18 - 1),
+    "DMAX": (1, 2**18 - 1),
+    "ARES": (36, 36000),
+    "AMIN": (0, 9999),
+    "AMAX": (0, 9999),
+    "AFRT": (0, 9999),
+    "SCAN": (60, 6000),
+}
+
+
+def fields(body: tuple[bytes, ...]) -> dict[str, str]:
+    """Return the fields of lines "KEY:value;" + checksum, which does not count the semicolon.
+
+    Raises
+    ------
+    DamagedError
+        If a line is damaged.
+    """
+    found = {}
+    for line in body:
+        said, semicolon, seal = line.rpartition(b";")
+        key, colon, value = said.partition(b":")
+        if not semicolon or not colon or len(seal) != 1 or checksum(said) != seal[0]:
+            raise DamagedError("a line of what the sensor says of itself is damaged")
+        found[key.decode("ascii", "replace")] = value.decode("ascii", "replace").strip()[
+            :_LONGEST_TEXT
+        ]
+    return found
+
+
+def to_line(key: str, value: str) -> bytes:
+    """Return a field as a sensor sends it."""
+    said = f"{key}:{value}".encode("ascii")
+    return b"%b;%c\n" % (said, checksum(said))
+
+
+@dataclass(frozen=True, slots=True)
+class Version:
+    """VV: who made it and what runs on it."""
+
+    vendor: str
+    product: str
+    firmware: str
+    protocol: str
+    serial: str
+
+    @classmethod
+    def of(cls, body: tuple[bytes, ...]) -> Version:
+        """Read the answer to VV; what it does not say is empty."""
+        said = fields(body)
+        return cls(*(said.get(key, "") for key in ("VEND", "PROD", "FIRM", "PROT", "SERI")))
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """II: how it is doing, in its own words."""
+
+    model: str
+    laser: str
+    speed: str
+    measuring: str
+    bit_rate: str
+    time: str
+    state: str
+
+    @classmethod
+    def of(cls, body: tuple[bytes, ...]) -> State:
+        """Read the answer to II; what it does not say is empty."""
+        said = fields(body)
+        keys = ("MODL", "LASR", "SCSP", "MESM", "SBPS", "TIME", "STAT")
+        return cls(*(said.get(key, "") for key in keys))
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """PP: what it measures.
+
+    Attributes
+    ----------
+    model : its name
+    shortest, longest : mm, distances below and above are none
+    steps : of a whole turn, counted counter-clockwise seen from above
+    first, last : step, between which it measures
+    front : step that looks along the sensor's x axis
+    speed : rpm
+    """
+
+    model: str
+    shortest: int
+    longest: int
+    steps: int
+    first: int
+    last: int
+    front: int
+    speed: int
+
+    @classmethod
+    def of(cls, body: tuple[bytes, ...]) -> Parameters:
+        """Read the answer to PP.
+
+        Raises
+        ------
+        DamagedError
+            If a line is damaged.
+        DeviceError
+            If a parameter is missing, no number, or cannot be.
+        """
+        said = fields(body)
+        values = cls(said.get("MODL", ""), *(_number(said, key) for key in _BOUNDS))
+        if values.shortest >= values.longest:
+            raise DeviceError(
+                f"the sensor says DMIN {values.shortest} and DMAX {values.longest}, which leaves "
+                "no distance to measure; is it a SCIP 2.0 range finder?"
+            )
+        if not values.first < values.last < values.first + values.steps:
+            raise DeviceError(
+                f"the sensor says it measures from step {values.first} to {values.last} of "
+                f"{values.steps} a turn, which cannot be; is it a SCIP 2.0 range finder?"
+            )
+        return values
+
+    @property
+    def turn(self) -> float:
+        """Time of a turn, in s."""
+        return 60.0 / self.speed
+
+    @property
+    def step_time(self) -> float:
+        """Time from a step to the next, in s."""
+        return self.turn / self.steps
+
+    @property
+    def step_angle(self) -> float:
+        """Angle from a step to the next, in rad."""
+        return 2.0 * math.pi / self.steps
+
+
+def _number(said: dict[str, str], key: str) -> int:
+    text, (low, high) = said.get(key, ""), _BOUNDS[key]
+    if not (text.isdigit() and len(text) < 10 and low <= int(text) <= high):
+        raise DeviceError(
+            f"the sensor says {key} = {text!r}, expected a number from {low} to {high}; "
+            "is it a SCIP 2.0 range finder?"
+        )
+    return int(text)

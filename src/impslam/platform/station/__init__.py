@@ -1,0 +1,1 @@
+"""The station: devices to log, map and page; drive commands back."""

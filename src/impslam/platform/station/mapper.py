@@ -1,0 +1,302 @@
+"""Maps what live sources send, and drops whole scans rather than fall behind."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+from impslam.config import Config
+from impslam.errors import ImpError
+from impslam.observers.grid_mapper import GridMapper
+from impslam.observers.history import History
+from impslam.observers.live_view import LiveView
+from impslam.pipeline import Run
+from impslam.platform.devices.base import now
+from impslam.platform.station import map_files
+from impslam.platform.station.inbox import LIMIT, Inbox
+from impslam.platform.station.map_files import Draft, draft
+from impslam.platform.station.warm_up import warm_up
+from impslam.types import Message
+
+log = logging.getLogger(__name__)
+
+State: TypeAlias = Literal["off", "compiling", "running", "failed"]
+
+PATIENCE = 0.25
+"""s that a scan waits for odometry to reach its end; it comes every 10 ms, and is lost by then."""
+NEWS = 10.0  # s between two lines in the log on scans that were dropped
+ANSWER = 10.0  # s until the estimator must have come to the end of a scan for the map to be saved
+SILENT = 0.5
+"""s without a scan after which the pose shown is dead-reckoned: five scans of a lidar at 10 Hz."""
+CARRY = 0.1  # s between two such poses
+BLIND = 10  # scans without odometry until it is told: a second of a lidar at 10 Hz
+LIVE = Path("live")
+"""What stands in a run folder for the log's name."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapperStatus:
+    """How mapping is doing.
+
+    Attributes
+    ----------
+    state : "off" (never started, or stopped), "compiling" (before the first scan; a minute at worst,
+        on a fresh machine only), "running", or "failed"
+    steps : scans mapped
+    dropped_scans : scans that came too fast to be mapped
+    waiting : scans that wait to be mapped
+    behind : s since the newest mapped scan arrived, NaN before the first; one sweep when all is well
+    latency : s from the newest mapped scan's arrival to its being mapped, NaN before the first
+    detail : one line: why it failed, what was dropped; "" where all is well
+    refused : scans that could not be used: without beams
+    """
+
+    state: State
+    steps: int
+    dropped_scans: int
+    waiting: int
+    behind: float
+    latency: float
+    detail: str
+    refused: int = 0
+
+
+OFF = MapperStatus("off", 0, 0, 0, float("nan"), float("nan"), "")
+
+
+class LiveMapper:
+    """Runs the estimator in a thread of its own on messages that others put.
+
+    Parameters
+    ----------
+    config : what is estimated, and how
+    view : what shows the map
+    prepare : compiles the estimator of a config; called in the mapper's thread before the first scan
+    """
+
+    def __init__(
+        self, config: Config, view: LiveView, prepare: Callable[[Config], None] = warm_up
+    ) -> None:
+        self._config, self._view, self._prepare = config, view, prepare
+        self._lock = threading.Lock()
+        self._mapping: _Mapping | None = None
+
+    def warm_up(self) -> None:
+        """Compile in the background; called at a program's start, the first map need not wait."""
+        threading.Thread(target=self._compile, name="warm-up", daemon=True).start()
+
+    def _compile(self) -> None:
+        try:
+            self._prepare(self._config)
+        except Exception as error:  # it is told when mapping starts, and fails again
+            log.warning("the estimator cannot be compiled: %s", error)
+
+    def start(self) -> None:
+        """Begin a new map, the robot standing at its origin; an older one is given up."""
+        with self._lock:
+            before = self._mapping
+            if before is not None:
+                before.end()
+            thread = None if before is None else before.thread
+            self._mapping = _Mapping(self._config, self._view, self._prepare, thread)
+            self._mapping.thread.start()
+
+    def put(self, message: Message, arrived: float | None = None) -> None:
+        """Take a message from any thread; never blocks.
+
+        `arrived` is the host time at which it came, now if it is not given.
+        """
+        mapping = self._mapping
+        if mapping is not None and mapping.open:
+            mapping.put(message, now() if arrived is None else arrived)
+
+    def stop(self) -> None:
+        """End mapping; the map stays to be seen and saved."""
+        with self._lock:
+            if self._mapping is not None:
+                self._mapping.end()
+                self._mapping.thread.join(2.0)
+
+    def save(self, folder: Path) -> Path:
+        """Write a run folder of what is mapped by now, and return it; mapping goes on.
+
+        It takes a second or two, in the caller's thread; scans wait only while the map is copied.
+
+        Raises
+        ------
+        ImpError
+            If nothing is mapped yet, or the folder cannot be written to.
+        """
+        mapping = self._mapping
+        if mapping is None or mapping.run.steps == 0:
+            raise ImpError("there is no map to save yet; start mapping and wait for a scan")
+        return map_files.write(folder, mapping.draft())
+
+    def status(self) -> MapperStatus:
+        """Return how mapping is doing; never blocks."""
+        return OFF if self._mapping is None else self._mapping.status()
+
+
+class _Mapping:
+    """One map, from its start to its end, and the thread that makes it."""
+
+    def __init__(
+        self,
+        config: Config,
+        view: LiveView,
+        prepare: Callable[[Config], None],
+        before: threading.Thread | None,
+    ) -> None:
+        self._config, self._view, self._prepare, self._before = config, view, prepare, before
+        self._grid, self._history = GridMapper(config.grid.resolution), History()
+        self.run = Run(config, [self._grid, self._history, view])
+        robot = self.run.pipeline.robot
+        self._scans = tuple(sensor.consumes for sensor in robot.sensors.values())
+        self._wanted = (robot.odometry.consumes, *self._scans)
+        self._inbox = Inbox()
+        # Who copies the map takes the door first, so that the estimator lets them in.
+        self._door, self._between = threading.Lock(), threading.Lock()
+        self._compiled, self._ended, self._failure = False, False, ""
+        self._progress = self._news = float("-inf")  # monotonic
+        self._told = 0
+        self._stepped = self._carried = time.monotonic()
+        self._newest = self._latency = float("nan")
+        self.thread = threading.Thread(target=self._work, name="mapper", daemon=True)
+
+    @property
+    def state(self) -> State:
+        if self._failure:
+            return "failed"
+        if self._ended:
+            return "off"
+        return "running" if self._compiled else "compiling"
+
+    @property
+    def open(self) -> bool:
+        """Tell whether messages are taken."""
+        return not (self._failure or self._ended)
+
+    def put(self, message: Message, arrived: float) -> None:
+        """Take what the estimator understands; the rest costs this test.
+
+        The map begins when the estimator is ready: what the wheels feel before that would only make
+        the pose at its origin, which is certain by definition, uncertain.
+        """
+        if self._compiled and isinstance(message, self._wanted):
+            room = self._inbox.put(message, arrived, isinstance(message, self._scans))
+            if not room:
+                self._fail(f"the estimator has left {LIMIT} messages waiting; start a new map")
+
+    def end(self) -> None:
+        """Take no more messages; the thread ends after the scan it is at."""
+        self._ended = True
+        self._inbox.wake()
+
+    def draft(self) -> Draft:
+        """Return a copy of the map as it is between two scans."""
+        with self._door:
+            if not self._between.acquire(timeout=ANSWER):
+                raise ImpError("the estimator has been at one scan for 10 s; stop mapping first")
+            try:
+                return draft(self.run.outcome(LIVE, ""), self._history, self._grid.grid)
+            finally:
+                self._between.release()
+
+    def status(self) -> MapperStatus:
+        run, inbox = self.run, self._inbox
+        return MapperStatus(
+            self.state,
+            run.steps,
+            inbox.dropped,
+            inbox.waiting,
+            now() - self._newest,
+            self._latency,
+            self._failure or self._of_late() or self._without_motion(),
+            run.pipeline.problems.counts.get("scan", 0),
+        )
+
+    def _of_late(self) -> str:
+        recent = time.monotonic() - self._inbox.dropped_at < NEWS
+        return self._dropped() if recent else ""
+
+    def _without_motion(self) -> str:
+        """Return what a map lacks where scans come and odometry does not: drives look like stands."""
+        felt = self.run.pipeline.robot.odometry.consumes.__name__
+        if self.run.steps < BLIND or self.run.pipeline.counts.get(felt):
+            return ""
+        return f"no {felt} has come, the map is made without odometry; check the autopilot"
+
+    def _dropped(self) -> str:
+        return (
+            f"{self._inbox.dropped} scans dropped by now: this computer is too slow for the lidar"
+        )
+
+    # ------------------------------------------------------------------ in the thread
+
+    def _work(self) -> None:
+        try:
+            if self._before is not None:
+                self._before.join()  # it shows its map in the same view
+            self._view.begin(self.run.pipeline.slam.landmarks, self._grid.grid)
+            self._prepare(self._config)
+            self._compiled = True
+            while self.open:
+                self._next()
+                self._carry()
+                self._tell_dropped()
+        except ImpError as error:
+            self._fail(str(error))
+        except Exception as error:  # the robot goes on without a map
+            log.debug("mapping failed", exc_info=True)
+            self._fail(f"{type(error).__name__}: {error}; start a new map, and please report it")
+
+    def _fail(self, reason: str) -> None:
+        if self.open:
+            self._failure = " ".join(reason.split())
+            log.error("mapping failed: %s", self._failure)
+
+    def _next(self) -> None:
+        """Take in one message, or use the scans whose odometry does not come."""
+        run = self.run
+        taken = self._inbox.take(PATIENCE)
+        with self._door:
+            pass
+        with self._between:
+            steps = run.steps
+            if not run.pipeline.waiting:
+                self._progress = time.monotonic()
+            if taken is not None:
+                self._feed(*taken)
+            if time.monotonic() - self._progress > PATIENCE and self._inbox.empty:
+                run.flush()
+            if run.steps > steps:
+                self._newest = self._view.snapshot().arrived
+                self._latency = now() - self._newest
+                self._progress = self._stepped = time.monotonic()
+
+    def _carry(self) -> None:
+        """Show where the robot is though no scan comes: it may be driven on."""
+        moment = time.monotonic()
+        silent = moment - self._stepped
+        if silent < SILENT or moment - self._carried < CARRY or self._inbox.waiting:
+            return
+        if (result := self.run.pipeline.dead_reckoned()) is not None:
+            self._view.carry(result, silent)
+            self._carried = moment
+
+    def _feed(self, message: Message, arrived: float) -> None:
+        if isinstance(message, self._scans):
+            self._view.expect(message.stamp, arrived)
+        self.run.feed(message)
+
+    def _tell_dropped(self) -> None:
+        """Log what was dropped, in a line now and then."""
+        dropped, moment = self._inbox.dropped, time.monotonic()
+        if dropped > self._told and moment - self._news >= NEWS:
+            log.warning("%s", self._dropped())
+            self._told, self._news = dropped, moment

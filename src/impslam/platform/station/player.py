@@ -1,0 +1,206 @@
+"""Plays a log through the estimator as if it happened now: pause, step, speed."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+from impslam.config import Config
+from impslam.errors import ImpError
+from impslam.observers.base import Observer, Outcome
+from impslam.observers.grid_mapper import GridMapper
+from impslam.observers.live_view import LiveView
+from impslam.pipeline import Run
+from impslam.platform.devices.base import now
+from impslam.platform.station.pace import Pace
+from impslam.platform.station.warm_up import warm_up
+from impslam.sources.base import Source
+from impslam.types import Message
+
+State: TypeAlias = Literal[
+    "ready", "compiling", "playing", "paused", "writing", "ended", "stopped", "failed"
+]
+
+STOP = 5.0  # s to end the scan at work
+WRITE = 120.0  # s to write the run folder of a log that was played to its end
+
+
+@dataclass(frozen=True, slots=True)
+class PlayerStatus:
+    """Where a replay is.
+
+    Attributes
+    ----------
+    state : "ready" (not started), "compiling" (first run on a machine), "playing", "paused",
+        "writing" (the log is over, the run folder is being written), "ended", "stopped" (early, by
+        request), "failed"
+    position, total : how far in the log, in its own unit (messages or bytes); total None if unknown
+    stamp : s, the log's, of the newest scan played, NaN before the first
+    seconds : s of log played, gaps that were skipped left out
+    speed : s of log in a second, inf: as fast as possible
+    steps : scans mapped
+    skipped : s of log skipped in gaps
+    detail : one line: why it failed, or the last gap or jump that was skipped; "" where all is well
+    """
+
+    state: State
+    position: int
+    total: int | None
+    stamp: float
+    seconds: float
+    speed: float
+    steps: int
+    skipped: float
+    detail: str
+
+
+class Player:
+    """Runs a log through the estimator in a thread of its own, at the pace of its stamps.
+
+    A run at any pace gives the same files as one without: the pace says when a scan is read, and
+    nothing else. Scans set the pace; what lies between them is read with the scan after it.
+
+    Parameters
+    ----------
+    config : what is estimated, and how
+    source : the log
+    observers : what else looks at the run, e.g. what writes the run folder
+    view : what shows the map
+    prepare : compiles the estimator of a config
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        source: Source,
+        observers: Iterable[Observer],
+        view: LiveView,
+        prepare: Callable[[Config], None] = warm_up,
+    ) -> None:
+        self._config, self._source, self._view, self._prepare = config, source, view, prepare
+        self._grid = GridMapper(config.grid.resolution)
+        self._run = Run(config, [self._grid, view, *observers])
+        self._pace = Pace()
+        self._phase: State = "ready"
+        self._position: tuple[int, int | None] = 0, None
+        self._outcome: Outcome | None = None
+        self._error: Exception | None = None
+        self._thread = threading.Thread(target=self._work, name="player", daemon=True)
+
+    def start(self) -> None:
+        """Begin to play; what `pause` and `set_speed` said before holds."""
+        self._phase = "compiling"
+        self._thread.start()
+
+    def pause(self) -> None:
+        """Halt before the next scan."""
+        self._pace.pause()
+
+    def resume(self) -> None:
+        """Go on."""
+        self._pace.resume()
+
+    def step(self) -> None:
+        """Play one scan and halt."""
+        self._pace.step()
+
+    def set_speed(self, speed: float) -> None:
+        """Play `speed` s of log in a second, 0.1 to 100, or inf: as fast as possible.
+
+        Raises
+        ------
+        ImpError
+            If it is another number.
+        """
+        self._pace.set_speed(speed)
+
+    def stop(self) -> None:
+        """End early; observers are not told an outcome, so no run folder of half a log is made."""
+        self._pace.stop()
+        if self._thread.is_alive():
+            self._thread.join(STOP)
+        if self._phase == "writing":  # nothing was left early; half a folder would stay
+            self._thread.join(WRITE)
+
+    def wait(self, timeout: float | None = None) -> Outcome | None:
+        """Wait for the end; return what the run was, None if stopped or not yet over.
+
+        Raises
+        ------
+        ImpError
+            What made it fail.
+        """
+        self._thread.join(timeout)
+        if self._error is not None:
+            raise self._error
+        return self._outcome
+
+    def status(self) -> PlayerStatus:
+        """Return where the replay is; never blocks."""
+        stamp, seconds, skipped, note = self._pace.place
+        state: State = self._phase
+        if state == "playing" and self._pace.paused:
+            state = "paused"
+        detail = note if self._error is None else _in_a_line(self._error)
+        return PlayerStatus(
+            state,
+            *self._position,
+            stamp,
+            seconds,
+            self._pace.speed,
+            self._run.steps,
+            skipped,
+            detail,
+        )
+
+    def _work(self) -> None:
+        try:
+            self._view.begin(self._run.pipeline.slam.landmarks, self._grid.grid)
+            self._prepare(self._config)
+            self._phase = "playing"
+            self._phase = self._play()
+        except Exception as error:  # who waits for the end gets it
+            self._error, self._phase = error, "failed"
+
+    def _play(self) -> State:
+        with self._source as source:
+            for message in source:
+                if not self._admits(message):
+                    return "stopped"
+                steps = self._run.steps
+                self._run.feed(message)
+                if self._run.steps > steps:
+                    self._pace.stepped(self._run.steps - steps)
+            self._run.flush()
+            self._position = source.position, source.total
+        self._phase = "writing"
+        self._outcome = self._run.finish(self._source)
+        return "ended"
+
+    def _admits(self, message: Message) -> bool:
+        """Wait until it is time for a message; tell whether to go on."""
+        if self._run.pipeline.robot.sensor_for(message) is None:
+            return True
+        self._position = self._source.position, self._source.total
+        verdict = self._pace.wait(message.stamp)
+        while verdict == "halted":
+            self._view.refresh()
+            verdict = self._pace.wait(message.stamp)
+        self._view.expect(message.stamp, now())
+        return verdict == "go"
+
+
+def _in_a_line(error: Exception) -> str:
+    words = " ".join(str(error).split())
+    return words if isinstance(error, ImpError) else f"{type(error).__name__}: {words}"
+
+
+def play_live(
+    config: Config, source: Source, observers: Iterable[Observer], view: LiveView
+) -> Player:
+    """Start to replay a log and return its player."""
+    player = Player(config, source, observers, view)
+    player.start()
+    return player

@@ -1,0 +1,73 @@
+"""The robot file: what a robot is made of, as TOML.
+
+name = "imp-1"
+preset = "imp"
+
+[devices.autopilot]
+kind = "autopilot"
+port = "/dev/imp-autopilot"
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from impslam.component import build, explain, parameter
+from impslam.errors import ConfigError
+from impslam.platform.devices.base import Device
+
+Table = dict[str, Any]
+
+
+class RobotFile(BaseModel):
+    """A robot's devices and its limits."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str = parameter("imp", "1", "the robot's name, on the page and in certificates")
+    preset: str = parameter("imp", "1", "preset or config that maps live; its logs name it, too")
+    folder: Path = parameter(Path("logs"), "1", "where logs and maps are kept")
+    max_speed: float = parameter(
+        0.5, "m/s", "no command exceeds it: half of walking pace, stopped within 0.3 m", gt=0
+    )
+    max_turn_rate: float = parameter(
+        1.0, "rad/s", "no command exceeds it: a scan of 0.1 s then smears by 6 deg", gt=0
+    )
+    disk_floor_mb: int = parameter(
+        500, "MB", "recording ends when less is free: a system without disk does not boot", ge=0
+    )
+    devices: dict[str, Table] = parameter({}, "1", "a table for each: its kind and parameters")
+
+    def make_devices(self) -> dict[str, Device]:
+        """Return the devices by name, none of them started."""
+        return {
+            name: build("device", {"label": name, **table}, f"devices.{name}")
+            for name, table in self.devices.items()
+        }
+
+
+def load_robot(path: Path) -> RobotFile:
+    """Read a robot file.
+
+    Raises
+    ------
+    ConfigError
+        One line that names the key and what to do.
+    """
+    try:
+        table = tomllib.loads(path.read_text("utf-8"))
+        robot = RobotFile(**table)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error}); give -c a robot file") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+    except ValidationError as error:
+        raise ConfigError(explain(error, str(path), RobotFile.model_fields)) from None
+    if not robot.devices:
+        raise ConfigError(f"{path}: names no device; add a table such as [devices.lidar]")
+    robot.make_devices()
+    return robot

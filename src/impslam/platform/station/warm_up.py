@@ -1,0 +1,85 @@
+"""Compiles what the estimator needs before the first scan, without holding up the rest.
+
+Numba compiles a kernel when it is first called: on a fresh machine 20 s, mostly with Python's global
+lock held, in which devices and the helm would stall for tenths of a second again and again. So a
+process of its own, at low priority, maps a simulated drive with the same config; what it compiles
+stays on the disk, from where this process then loads it in less than a second.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+from pathlib import Path
+
+from impslam.config import Config, load
+from impslam.observers.grid_mapper import GridMapper
+from impslam.observers.summary import config_toml
+from impslam.pipeline import Run
+from impslam.simulation.simulate import simulate
+from impslam.simulation.world import load_world
+from impslam.types import Message, OdometryPose, Steering, TruePose, Velocity
+
+log = logging.getLogger(__name__)
+
+WORLD = "arena"
+SCANS = 100  # by then landmarks have come, been matched and gone: all kernels have been called
+PATIENCE = 600.0  # s for the process; the slowest computer that is worth a try needs a third
+NICENESS = 10
+
+_done: set[str] = set()
+_lock = threading.Lock()
+
+
+def warm_up(config: Config) -> None:
+    """Return once the estimator of a config is compiled; at once if this process has done so."""
+    table = config_toml(config.resolved())
+    with _lock:
+        if table in _done:
+            return
+        _compile_apart(table)
+        rehearse(config)
+        _done.add(table)
+
+
+def rehearse(config: Config) -> None:
+    """Map the beginning of a simulated drive."""
+    run = Run(config, [GridMapper()])
+    kind = run.pipeline.robot.odometry.consumes
+    for message in simulate(load_world(WORLD)):
+        run.feed(_as_felt(message, kind))
+        if run.steps >= SCANS:
+            return
+
+
+def _as_felt(message: Message, kind: type) -> Message:
+    """Return a true pose as the odometry of a kind would tell it; other messages as they are."""
+    if isinstance(message, TruePose):
+        if kind is OdometryPose:
+            return OdometryPose(message.stamp, message.pose)
+        if kind is Velocity:
+            return Velocity(message.stamp, 0.1, 0.0)
+        if kind is Steering:
+            return Steering(message.stamp, 0.1, 0.0)
+    return message
+
+
+def _compile_apart(table: str) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "config.toml"
+        path.write_text(table, encoding="utf-8")
+        command = [sys.executable, "-m", "impslam.platform.station.warm_up", str(path)]
+        try:
+            subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE)  # noqa: S603  ours
+        except (OSError, subprocess.SubprocessError) as error:
+            log.warning("compiling apart failed (%s); it is done in place", error)
+
+
+if __name__ == "__main__":
+    if hasattr(os, "nice"):
+        os.nice(NICENESS)
+    rehearse(load(sys.argv[1]))

@@ -1,0 +1,84 @@
+"""Putting a virtual IMP together from what is wanted of it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from impslam.component import parameter
+from impslam.platform.virtual.autopilot import AutopilotEmulator
+from impslam.platform.virtual.base import Emulator
+from impslam.platform.virtual.camera import CameraEmulator
+from impslam.platform.virtual.imp import VirtualImp
+from impslam.platform.virtual.line import Line, PtyLine, TcpLine
+from impslam.platform.virtual.rplidar import A1, RPLidarEmulator
+from impslam.platform.virtual.urg import UrgEmulator
+from impslam.simulation.body import Body, Sweeps
+from impslam.simulation.robot import SimulatedRobot
+from impslam.simulation.world import World
+
+DRIFT = 30e-6  # 1, standard deviation of a quartz's rate: parts are sold with 20 to 50 ppm
+BAUD = 460800  # bit/s, as docs/autopilot-protocol.md sets the autopilot's UART
+
+
+class Setup(BaseModel):
+    """What is wanted of a virtual IMP."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    world: World
+    robot: SimulatedRobot = SimulatedRobot()
+    seed: int = parameter(0, "1", "of every random draw", ge=0)
+    folder: Path = parameter(..., "", "where the pseudo-terminals' links are made")
+    lidar: Literal["urg", "rplidar"] = parameter("urg", "", "which lidar it has")
+    lidar_line: Literal["tcp", "pty"] = parameter("tcp", "", "what the lidar is connected by")
+    autopilot_line: Literal["tcp", "pty"] = parameter(
+        "tcp" if sys.platform == "win32" else "pty", "", "what the autopilot is connected by"
+    )
+    camera: bool = parameter(True, "", "whether it has a camera")
+
+
+def assemble(setup: Setup) -> VirtualImp:
+    """Make a virtual IMP; its ports are open when this returns.
+
+    Raises
+    ------
+    ConfigError
+        If the world cannot be driven in.
+    """
+    streams = np.random.SeedSequence(setup.seed).spawn(6)
+    seeds = [int(stream.generate_state(1)[0]) for stream in streams]
+    body = Body(setup.world, setup.robot, setup.seed)
+    drifts = DRIFT * np.random.default_rng(seeds[0]).standard_normal(2)
+    emulators: dict[str, Emulator] = {
+        "autopilot": AutopilotEmulator(body, drift=float(drifts[0]), seed=seeds[1]),
+        "lidar": _lidar(setup, body, float(drifts[1]), seeds[2], seeds[3]),
+    }
+    lines: dict[str, Line] = {
+        "autopilot": _line(setup.autopilot_line, setup.folder / "autopilot", seeds[4], BAUD),
+        "lidar": _line(setup.lidar_line, setup.folder / "lidar", seeds[5]),
+    }
+    imp = VirtualImp(body, emulators, lines)
+    if setup.camera:
+        imp.add_camera(CameraEmulator(body.scene, imp.pose, lambda: body.time))
+    return imp
+
+
+def _lidar(setup: Setup, body: Body, drift: float, seed: int, noise: int) -> Emulator:
+    """Return the lidar's emulator; its sweeps are computed once, so that no first one is late."""
+    body.advance(0.2)
+    if setup.lidar == "rplidar":
+        sweeps = Sweeps(body, noise, A1)
+        sweeps.ranges(0.0)
+        return RPLidarEmulator(sweeps, A1)
+    sweeps = Sweeps(body, noise)
+    sweeps.ranges(0.0)
+    return UrgEmulator(sweeps, drift=drift, seed=seed)
+
+
+def _line(kind: str, path: Path, seed: int, baud: int = 0) -> Line:
+    return PtyLine(path, seed, baud) if kind == "pty" else TcpLine(seed=seed, baud=baud)

@@ -1,0 +1,237 @@
+"""The autopilot's firmware, emulated: what docs/autopilot-protocol.md asks of a micro-controller."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+
+from impslam.errors import MessageError
+from impslam.platform.devices.autopilot_messages import (
+    COMMANDS,
+    Ack,
+    Drive,
+    Flag,
+    Hello,
+    Kind,
+    Reset,
+    Result,
+    Sensors,
+    SetTime,
+    parse_empty,
+)
+from impslam.platform.devices.framing import Decoder, Encoder, Frame
+from impslam.platform.virtual.base import Vehicle
+from impslam.platform.virtual.wheel_encoders import AbsoluteEncoder, Accumulator
+from impslam.types import Array
+
+PERIOD = 0.01  # s between SENSORS
+HELLO_EVERY = 1.0  # s
+DEAD_MAN = 0.5  # s without a drive after which the motors are off
+BOOTING = 0.05  # s from reset to the first HELLO
+FIRMWARE = (1, 0)
+
+GYRO = math.radians(500.0) / 32768.0  # rad/s a step: +-500 deg/s
+ACCELEROMETER = 4.0 * 9.80665 / 32768.0  # m/s^2 a step: +-4 g
+ACCELEROMETER_2 = 8.0 * 9.80665 / 32768.0  # m/s^2 a step: +-8 g
+MAGNETOMETER = 0.15e-6  # T a step
+
+_FIELD = (20e-6, 45e-6)  # T, to magnetic north (x of map) and down: middle latitudes
+_FIELD_NOISE = 0.3e-6  # T, two steps
+_FORCE_NOISE = 0.04  # m/s^2, of the second, coarser accelerometer
+
+
+class AutopilotEmulator:
+    """The micro-controller without its wires: bytes in, bytes out, at given times.
+
+    Parameters
+    ----------
+    vehicle : what its wires go to; an attribute `stalled` (two bools, left first) is told as motor
+        stalls where there is one
+    drift : 1, device seconds per true second, less 1: e.g. 30e-6
+    seed : of all noise
+    """
+
+    def __init__(self, vehicle: Vehicle, *, drift: float = 30e-6, seed: int = 0) -> None:
+        self.vehicle, self.drift = vehicle, drift
+        self.low_supply = False
+        self.counts: Counter[str] = Counter()  # what was wrong with what the host sent
+        self._boots = 0
+        self._rng, left, right = np.random.default_rng(seed).spawn(3)
+        self._encoders = AbsoluteEncoder(left), AbsoluteEncoder(right)
+        self.reboot(0.0, Reset.POWER)
+
+    # ------------------------------------------------------------------ what happens to it
+
+    def reboot(self, time: float, reason: Reset = Reset.BROWN_OUT) -> None:
+        """Forget everything but the number of boots; motors off."""
+        self.vehicle.drive(0.0, 0.0)
+        self._boots += 1
+        self._reason = reason
+        self._encoder = Encoder(self._boots)
+        self._decoder = Decoder(COMMANDS, lambda what, n: self.counts.update({what: n}))
+        self._accumulators = Accumulator(), Accumulator()
+        self._ready_at = time + BOOTING
+        self._sensors_at = self._hello_at = self._ready_at
+        self._out = bytearray()
+        self._state = Flag.DEAD_MAN  # one of STOPPED, DEAD_MAN, and none: driving
+        self._drive_until = -math.inf
+        self._applied = self._applied_clock = self._host_offset = 0
+
+    def receive(self, data: bytes, time: float) -> None:
+        """Take what the host sent; before the boot has ended nobody listens."""
+        if time < self._ready_at:
+            return
+        for frame in self._decoder.feed(data):
+            self._do(frame, time)
+
+    def due(self, time: float) -> bytes:
+        """Return what is sent until `time`; to be called every ms, as its timer interrupt is."""
+        if time < self._ready_at:
+            return b""
+        self._sample_encoders(time)
+        self._watch_dead_man(time)
+        if time >= self._hello_at:
+            self._hello_at = max(self._hello_at + HELLO_EVERY, time)
+            self._say_hello(time)
+        if time >= self._sensors_at:
+            self._say_sensors(time)
+            # What was missed is not sent late: it could only repeat what is read now.
+            missed = math.floor((time - self._sensors_at) / PERIOD)
+            self._sensors_at += PERIOD * (missed + 1)
+        out = bytes(self._out)
+        self._out.clear()
+        return out
+
+    # ------------------------------------------------------------------ sensors
+
+    def _clock(self, time: float) -> int:
+        """Return its own clock in us since it was reset."""
+        return int((time - self._ready_at + BOOTING) * (1.0 + self.drift) * 1e6)
+
+    def _sample_encoders(self, time: float) -> None:
+        for angle, encoder, accumulator in zip(
+            self.vehicle.wheel_angles(), self._encoders, self._accumulators, strict=True
+        ):
+            accumulator.add(encoder.read(angle, time), time)
+
+    def _say_hello(self, time: float) -> None:
+        hello = Hello(
+            self._boots,
+            *FIRMWARE,
+            self._reason,
+            GYRO,
+            ACCELEROMETER,
+            ACCELEROMETER_2,
+            MAGNETOMETER,
+            self._clock(time),
+            self._host_offset,
+        )
+        self._say(Kind.HELLO, hello.pack())
+
+    def _say_sensors(self, time: float) -> None:
+        rates, forces = self.vehicle.inertial()
+        left, right = self._accumulators
+        temperature, humidity = _climate(time)
+        sensors = Sensors(
+            clock=self._clock(time),
+            counts=(_signed(left.count), _signed(right.count)),
+            voltages=(left.reading or 0, right.reading or 0),
+            gyro=_steps(rates, GYRO),
+            accelerometer=_steps(forces, ACCELEROMETER),
+            accelerometer_2=_steps(
+                forces + _FORCE_NOISE * self._rng.standard_normal(3), ACCELEROMETER_2
+            ),
+            magnetometer=_steps(self._field(), MAGNETOMETER),
+            temperature=temperature,
+            humidity=humidity,
+            flags=self._flags(),
+            applied=self._applied,
+            applied_clock=self._applied_clock,
+        )
+        self._say(Kind.SENSORS, sensors.pack())
+
+    def _field(self) -> Array:
+        """Return the Earth's field in the body's frame, in T."""
+        heading = self.vehicle.heading()
+        north, down = _FIELD
+        field = np.array([north * math.cos(heading), -north * math.sin(heading), -down])
+        return field + _FIELD_NOISE * self._rng.standard_normal(3)
+
+    def _flags(self) -> Flag:
+        left, right = getattr(self.vehicle, "stalled", (False, False))
+        flags = self._state
+        flags |= Flag.STALL_LEFT * bool(left) | Flag.STALL_RIGHT * bool(right)
+        return flags | Flag.LOW_SUPPLY * self.low_supply
+
+    # ------------------------------------------------------------------ commands
+
+    def _do(self, frame: Frame, time: float) -> None:
+        actions: dict[int, Callable[[bytes, float], Result]] = {
+            Kind.DRIVE: self._on_drive,
+            Kind.STOP: self._on_stop,
+            Kind.RELEASE: self._on_release,
+            Kind.SET_TIME: self._on_set_time,
+        }
+        try:
+            result = actions[frame.type](frame.payload, time)
+        except MessageError:
+            result = Result.MALFORMED
+        clock = self._clock(time)
+        if result is Result.DONE:
+            self._applied, self._applied_clock = frame.sequence, clock
+        self._say(Kind.ACK, Ack(frame.type, result, frame.sequence, clock).pack())
+        if frame.type == Kind.SET_TIME:
+            self._say_hello(time)
+
+    def _on_drive(self, payload: bytes, time: float) -> Result:
+        command = Drive.parse(payload)
+        if self._state & Flag.STOPPED:
+            return Result.STOPPED
+        self._state, self._drive_until = Flag(0), time + DEAD_MAN
+        self.vehicle.drive(1e-3 * command.left, 1e-3 * command.right)
+        return Result.DONE
+
+    def _on_stop(self, payload: bytes, time: float) -> Result:
+        # A stop with a payload is no stop that was ever sent, but standing is never wrong.
+        self._state = Flag.STOPPED
+        self.vehicle.drive(0.0, 0.0)
+        parse_empty("STOP", payload)
+        return Result.DONE
+
+    def _on_release(self, payload: bytes, time: float) -> Result:
+        parse_empty("RELEASE", payload)
+        if self._state & Flag.STOPPED:
+            self._state = Flag.DEAD_MAN
+        return Result.DONE
+
+    def _on_set_time(self, payload: bytes, time: float) -> Result:
+        self._host_offset = SetTime.parse(payload).host - self._clock(time)
+        return Result.DONE
+
+    def _watch_dead_man(self, time: float) -> None:
+        if not self._state and time >= self._drive_until:
+            self._state = Flag.DEAD_MAN
+            self.vehicle.drive(0.0, 0.0)
+
+    def _say(self, kind: Kind, payload: bytes) -> None:
+        self._out += self._encoder.encode(kind, payload)[1]
+
+
+def _steps(values: Array, scale: float) -> tuple[int, int, int]:
+    """Return a converter's steps, which end at 16 bits."""
+    x, y, z = np.clip(np.rint(values / scale), -32768, 32767).astype(int).tolist()
+    return x, y, z
+
+
+def _signed(count: int) -> int:
+    """Return the lower 32 bits, signed."""
+    return (count + (1 << 31)) % (1 << 32) - (1 << 31)
+
+
+def _climate(time: float) -> tuple[int, int]:
+    """Return temperature (0.01 degC) and humidity (0.01 %): a room in the course of an hour."""
+    wave = math.sin(2.0 * math.pi * time / 3600.0)
+    return round(2300 + 150 * wave), round(4500 - 400 * wave)

@@ -1,0 +1,54 @@
+"""What a virtual IMP is asked from outside, as one JSON object a line, and what it answers.
+
+    {"ask": "ports"}                    {"autopilot": "/tmp/.../autopilot", "lidar": "socket://..."}
+    {"ask": "truth", "since": 12.5}     pose, twist, motors, commands (`VirtualImp.truth`)
+    {"ask": "status"}                   how well it keeps up, what its lines counted
+    {"fault": "unplug", "device": "lidar", "seconds": 2}      {} (`faults` tells which there are)
+
+What cannot be done is answered by {"error": one line}.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from impslam.component import near_miss
+from impslam.errors import ConfigError, ImpError
+from impslam.platform.virtual.faults import parse_fault
+from impslam.platform.virtual.imp import VirtualImp
+
+Answer = dict[str, Any]
+
+
+def answer(imp: VirtualImp, line: str) -> str:
+    """Do what a line asks for; the answer is one line too, whatever the line was."""
+    try:
+        request = json.loads(line)
+        if not isinstance(request, dict):
+            raise ConfigError("a request is a JSON object")
+        reply = _answer(imp, request)
+    except ImpError as error:
+        reply = {"error": str(error)}
+    except ValueError as error:
+        reply = {"error": f"not JSON ({error}); send one object a line"}
+    return json.dumps(reply)
+
+
+def _answer(imp: VirtualImp, request: Mapping[str, Any]) -> Answer:
+    if "fault" in request:
+        imp.fault(parse_fault(request))
+        return {}
+    since = request.get("since", 0.0)
+    if not isinstance(since, int | float):
+        raise ConfigError(f"since = {since!r} is no time in s")
+    asks: dict[str, Callable[[], Answer]] = {
+        "ports": lambda: dict(imp.ports()),
+        "truth": lambda: imp.truth(since),
+        "status": imp.status,
+    }
+    asked = str(request.get("ask"))
+    if asked not in asks:
+        raise ConfigError(f"cannot be asked for {asked!r}; {near_miss(asked, asks)}")
+    return asks[asked]()

@@ -1,0 +1,134 @@
+"""The URG-04LX behind its protocol: motor, clock, laser, and what its steps read."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from impslam.platform.devices import scip
+from impslam.platform.devices.scip_info import Parameters, to_line
+from impslam.platform.virtual.base import Surroundings
+from impslam.types import Ints
+
+URG_04LX: Final = Parameters(
+    "URG-04LX(Hokuyo Automatic Co.,Ltd.)", 20, 5600, 1024, 44, 725, 384, 600
+)
+LAST_STEP: Final = 768  # may be asked for; outside `first` to `last` it answers 19
+NO_ECHO, TOO_NEAR, NOT_MEASURED = 0, 6, 19  # error codes
+
+
+class UrgSensor:
+    """What turns and measures. Times in s of the virtual robot.
+
+    Attributes
+    ----------
+    laser_on : since when the laser is on; inf: it is off
+    slowed : hundredths by which the motor turns slower than the standard
+    """
+
+    def __init__(
+        self, surroundings: Surroundings, drift: float, clock_start: int, turn: float
+    ) -> None:
+        self.parameters = URG_04LX
+        self._surroundings, self._rate, self._turn = surroundings, 1.0 + drift, turn
+        self.reset(0.0, clock_start)
+
+    def reset(self, time: float, clock_start: int = 0) -> None:
+        """Begin anew: its clock (ms), its motor, and the laser off."""
+        self._begun, self._clock_start = time, clock_start
+        self.laser_on, self.slowed = math.inf, 0
+
+    @property
+    def turn(self) -> float:
+        """Time of a turn, in s; its clock's error is its motor's too."""
+        return self._turn / self._rate * (1.0 + 0.01 * self.slowed)
+
+    def clock(self, time: float) -> int:
+        """Return its clock in ms."""
+        elapsed = (time - self._begun) * self._rate
+        # A microsecond covers the rounding of a moment that was made from whole turns.
+        return (self._clock_start + int(1e3 * elapsed + 1e-3)) % (1 << scip.STAMP_BITS)
+
+    def begin(self, sweep: int) -> float:
+        """Return when a sweep was at step 0."""
+        return self._begun + sweep * self.turn
+
+    def end(self, sweep: int) -> float:
+        """Return when a sweep was at the last step that measures."""
+        return self.begin(sweep) + self.turn * self.parameters.last / self.parameters.steps
+
+    def next_to_end(self, time: float) -> int:
+        """Return the first sweep that ends after a time."""
+        return max(0, math.floor((time - self.end(0)) / self.turn) + 1)
+
+    def measured(self, sweep: int) -> bool:
+        """Tell whether the laser was on through a whole sweep (that has ended)."""
+        return sweep >= 0 and self.begin(sweep) >= self.laser_on
+
+    def values(self, sweep: int) -> Ints:
+        """Return what steps 0 to 768 read in a sweep, in mm or as error codes."""
+        parameters = self.parameters
+        begin = self.begin(sweep) + self.turn * parameters.first / parameters.steps
+        read = np.rint(1e3 * self._surroundings.ranges(begin)).astype(np.int64)
+        read[(read > 0) & (read < parameters.shortest)] = TOO_NEAR
+        read[(read <= 0) | (read > parameters.longest)] = NO_ECHO
+        values = np.full(LAST_STEP + 1, NOT_MEASURED, dtype=np.int64)
+        values[parameters.first : parameters.last + 1] = read
+        return values
+
+
+def clustered(values: Ints, cluster: int) -> Ints:
+    """Return the least distance of each `cluster` neighbours; the last group may be smaller.
+
+    Error codes count only where a group has nothing else.
+    """
+    groups = np.arange(0, len(values), max(1, cluster))
+    behind = np.int64(1 << 20)  # puts the codes behind all distances
+    ranked = np.where(values < scip.ERROR_CODES, values + behind, values)
+    least = np.minimum.reduceat(ranked, groups)
+    return np.asarray(np.where(least >= behind, least - behind, least), dtype=np.int64)
+
+
+def version() -> bytes:
+    """Return what VV answers."""
+    return _to_lines(
+        VEND="Hokuyo Automatic Co.,Ltd.",
+        PROD="SOKUIKI Sensor URG-04LX",
+        FIRM="3.3.00,06/Mar./2008",
+        PROT="SCIP 2.0",
+        SERI="H0000000",
+    )
+
+
+def parameters(p: Parameters) -> bytes:
+    """Return what PP answers."""
+    return _to_lines(
+        MODL=p.model,
+        DMIN=str(p.shortest),
+        DMAX=str(p.longest),
+        ARES=str(p.steps),
+        AMIN=str(p.first),
+        AMAX=str(p.last),
+        AFRT=str(p.front),
+        SCAN=str(p.speed),
+    )
+
+
+def state(sensor: UrgSensor, time: float, bit_rate: int, failure: str) -> bytes:
+    """Return what II answers."""
+    laser = sensor.laser_on < math.inf
+    return _to_lines(
+        MODL=sensor.parameters.model,
+        LASR="ON" if laser else "OFF",
+        SCSP=f"Initial({sensor.parameters.speed}[rpm])<-Default setting by user",
+        MESM="Measuring" if laser else "IDLE",
+        SBPS=f"{bit_rate}[bps]<-Default setting by user",
+        TIME=f"{sensor.clock(time):06X}",
+        STAT=f"Malfunction {failure}" if failure else "Sensor works well.",
+    )
+
+
+def _to_lines(**said: str) -> bytes:
+    return b"".join(to_line(key, value) for key, value in said.items())

@@ -1,0 +1,247 @@
+"""The drawings of Chapter IV: ranges and their derivative, scans from above.
+
+Importing this module imports matplotlib (0.3 s); import it where a picture is drawn. Figures are
+drawn on their own canvas, without pyplot and its global state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch, Polygon, Wedge
+
+from impslam.evaluation.plots import INK, PALE, as_png
+from impslam.extractors.readings import usable
+from impslam.geometry.se2 import compose, transform
+from impslam.studies.chapter4_scans import Jumps, Shot, Sighting
+from impslam.types import Array, Observation
+
+TRUE, SPURIOUS = "#2563eb", "#d81b60"
+WORLD, ROUND, LEG, FIELD = "#c2c8cf", "#d5d9de", "#f2c38d", "#eef4fb"
+READING = "#5b6671"
+LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 9, "columnspacing": 1.2}
+WIDTH = 8.6  # in
+MARGIN = 0.35  # m round what is shown
+ROBOT = 0.25  # m, radius of the robot's outline
+
+
+def png(figure: Figure, dpi: int = 150) -> bytes:
+    """Return a figure as a PNG, the same bytes each time."""
+    return as_png(figure, dpi=dpi, bbox_inches="tight", pad_inches=0.1)
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure of so many inches on its own canvas."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+# --------------------------------------------------------------------------- range and derivative
+
+
+def jumps_figure(sighting: Sighting, seen: Jumps, threshold: float, radius: float) -> Figure:
+    """Draw the scan from above, its ranges, and their derivative with the jumps (Fig. 11)."""
+    figure = new_figure(WIDTH + 1.4, 6.4)
+    panels: Any = figure.subfigures(1, 2, width_ratios=(1.0, 2.2))
+    above, right = panels
+    _scan(above.subplots(), sighting, _bounds(sighting.shot), radius)
+    _legend(above, sighting, 2)
+    ranges, slopes = right.subplots(2, 1, sharex=True)
+    degrees = np.degrees(seen.angles)
+    echo = seen.ranges > 0.0
+    ranges.plot(degrees[echo], seen.ranges[echo], ".", ms=2.5, color=READING, label="range")
+    if not echo.all():
+        look: dict[str, Any] = {"ms": 5, "color": SPURIOUS, "label": "no echo: 0"}
+        ranges.plot(degrees[~echo], seen.ranges[~echo], "x", **look)
+    _objects(ranges, slopes, sighting, seen)
+    _slopes(slopes, seen, threshold)
+    ranges.set_ylabel("range in m")
+    slopes.set(ylabel="d range / d angle in m/rad", xlabel="angle of the beam in degrees")
+    for axes in (ranges, slopes):
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, **LEGEND)
+        _style(axes)
+    return figure
+
+
+def _objects(ranges: Axes, slopes: Axes, sighting: Sighting, seen: Jumps) -> None:
+    """Shade the objects: those that became cylinders, and the rest."""
+    begins = {int(o.beams[0]) for o in (*sighting.true, *sighting.spurious)}
+    labels = {True: "taken for a cylinder", False: "dropped: no range in the middle"}
+    for begin, end in seen.objects:
+        taken = int(begin) in begins
+        span = np.degrees(seen.angles[[begin, end]]) + np.array([-0.4, 0.4])
+        look: dict[str, Any] = {"color": TRUE if taken else SPURIOUS, "alpha": 0.16, "lw": 0}
+        ranges.axvspan(*span, label=labels.pop(taken, None), **look)
+        slopes.axvspan(*span, **look)
+
+
+def _slopes(axes: Axes, seen: Jumps, threshold: float) -> None:
+    degrees = np.degrees(seen.between)
+    axes.plot(degrees, seen.slopes, color=READING, lw=0.8)
+    for sign in (-1.0, 1.0):
+        label = f"threshold ±{threshold:g} m/rad" if sign > 0.0 else None
+        axes.axhline(sign * threshold, color=PALE, lw=1.0, ls=(0, (4, 3)), label=label)
+    look: dict[str, Any] = {"ls": "", "ms": 7, "mec": "white", "mew": 0.6}
+    begins, ends = seen.falls, seen.rises
+    axes.plot(degrees[begins], seen.slopes[begins], "v", color="#15803d", label="begins", **look)
+    axes.plot(degrees[ends], seen.slopes[ends], "^", color="#f2a03d", label="ends", **look)
+    # Linear up to the threshold, logarithmic beyond: a lost beam jumps ten times as far.
+    axes.set_yscale("symlog", linthresh=threshold, linscale=1.0)
+    ticks = threshold * np.array([-16.0, -4.0, -1.0, 0.0, 1.0, 4.0, 16.0])
+    axes.set_yticks(ticks, [f"{tick:g}".replace("-", "−") for tick in ticks])
+    axes.minorticks_off()
+
+
+# --------------------------------------------------------------------------- from above
+
+
+def scan_figure(sighting: Sighting, radius: float = 0.0) -> Figure:
+    """Draw a scan from above: the truth pale, the readings, true and spurious findings.
+
+    `radius` (m) is that of the cylinders found.
+    """
+    box = _bounds(sighting.shot)
+    figure = new_figure(*_size(box, WIDTH, 7.4))
+    _scan(figure.subplots(), sighting, box, radius)
+    _legend(figure, sighting, 4 if _is_wide(box) else 2)
+    return figure
+
+
+def people_figure(sighting: Sighting) -> Figure:
+    """Draw the truth with its people beside (or above) the walls that were found (Figs. 18, 19)."""
+    box = _bounds(sighting.shot)
+    wide = _is_wide(box)
+    width, height = _size(box, WIDTH if wide else WIDTH / 2, 6.4)
+    figure = new_figure(width, 2 * height) if wide else new_figure(2 * width, height)
+    panels = list(figure.subplots(2 if wide else 1, 1 if wide else 2, squeeze=False).flat)
+    bare = Sighting(sighting.shot, (), ())
+    _scan(panels[0], bare, box, 0.0, readings=False)
+    _scan(panels[1], sighting, box, 0.0)
+    for axes, title in zip(panels, ("(a) the scene", "(b) readings and walls found"), strict=True):
+        axes.set_title(title, loc="left", color=INK, fontsize=10)
+    _legend(figure, sighting, 4)
+    return figure
+
+
+def _is_wide(box: Sequence[float]) -> bool:
+    return box[1] - box[0] > 1.5 * (box[3] - box[2])
+
+
+def _bounds(shot: Shot) -> tuple[float, float, float, float]:
+    """Return left, right, bottom, top in map of the readings and the robot."""
+    points = transform(shot.pose, shot.scan.points[usable(shot.scan)])
+    points = np.vstack([points, shot.pose[:2] - ROBOT, shot.pose[:2] + ROBOT])
+    (x0, y0), (x1, y1) = points.min(axis=0) - MARGIN, points.max(axis=0) + MARGIN
+    return float(x0), float(x1), float(y0), float(y1)
+
+
+def _size(box: Sequence[float], width: float, tallest: float) -> tuple[float, float]:
+    """Return the inches of a figure of this box, with room for labels and a legend."""
+    ratio = (box[3] - box[2]) / (box[1] - box[0])
+    height = min((width - 0.75) * ratio, tallest)
+    return max(height / ratio + 0.75, 4.2), height + 1.1
+
+
+def _scan(
+    axes: Axes, sighting: Sighting, box: Sequence[float], radius: float, readings: bool = True
+) -> None:
+    shot = sighting.shot
+    left, right, bottom, top = box
+    _field(axes, shot)
+    _world(axes, shot)
+    if readings:
+        points = transform(shot.pose, shot.scan.points[usable(shot.scan)])
+        axes.plot(*points.T, ".", ms=3.2, mew=0, color=READING, zorder=4, label="reading")
+    _findings(axes, shot, sighting.true, TRUE, radius)
+    _findings(axes, shot, sighting.spurious, SPURIOUS, radius)
+    _robot(axes, shot.pose)
+    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
+    axes.set(xlabel="x in m", ylabel="y in m")
+    _style(axes)
+
+
+def _legend(figure: Any, sighting: Sighting, columns: int) -> None:
+    """Put the legend above a figure of scans from above."""
+    figure.legend(handles=_keys(sighting), loc="outside upper center", ncols=columns, **LEGEND)
+
+
+def _field(axes: Axes, shot: Shot) -> None:
+    """Draw how far and wide the lidar sees."""
+    x, y, heading = compose(shot.pose, shot.scan.laser)
+    low, high = np.degrees(heading + shot.scan.angles[[0, -1]])
+    axes.add_patch(Wedge((x, y), shot.scan.range_max, low, high, fc=FIELD, ec="none", zorder=0))
+
+
+def _world(axes: Axes, shot: Shot) -> None:
+    """Draw the truth: what is straight, what is round, legs."""
+    lines = np.vstack([shot.scene.segments, shot.leaves]).reshape(-1, 2, 2)
+    axes.add_collection(LineCollection(list(lines), colors=WORLD, linewidths=4.0, zorder=1))
+    for x, y, radius in shot.scene.circles:
+        axes.add_patch(Circle((x, y), radius, fc=ROUND, ec=WORLD, lw=1.2, zorder=1))
+    for x, y, radius in shot.legs:
+        axes.add_patch(Circle((x, y), radius, fc=LEG, ec="#c97a1c", lw=1.0, zorder=2))
+
+
+def _robot(axes: Axes, pose: Array) -> None:
+    """Draw the robot's outline with its bow."""
+    shape = 0.8 * ROBOT * np.array([[1.0, 0.0], [-0.7, 0.65], [-0.4, 0.0], [-0.7, -0.65]])
+    look: dict[str, Any] = {"fc": INK, "ec": "white", "lw": 0.8, "zorder": 8}
+    axes.add_patch(Polygon(transform(pose, shape), **look))
+
+
+def _findings(
+    axes: Axes, shot: Shot, found: Sequence[Observation], colour: str, radius: float
+) -> None:
+    spurious = colour == SPURIOUS
+    style: Any = (0, (3, 1.2)) if spurious else "-"
+    for finding in found:
+        if finding.end_points is not None:
+            ends = transform(shot.pose, finding.end_points)
+            axes.plot(*ends.T, color=colour, lw=2.4, ls=style, zorder=6, gid="wall")
+            continue
+        x, y = transform(shot.pose, finding.z[None])[0]
+        axes.add_patch(Circle((x, y), radius, fill=False, ec=colour, lw=2.0, ls=style, zorder=6))
+        axes.plot(x, y, "x" if spurious else "+", ms=7, mew=1.6, color=colour, zorder=7)
+
+
+def _keys(sighting: Sighting) -> list[Any]:
+    """Return the legend's entries for what is there."""
+    shot, found = sighting.shot, (*sighting.true, *sighting.spurious)
+    kind = found[0].kind if found else ""
+    bad: dict[str, Any] = {"color": SPURIOUS, "lw": 2.2, "ls": (0, (3, 1.2))}
+    entries = [
+        (True, Line2D([], [], color=INK, marker=(3, 0, -90), ls="", ms=9, label="robot")),
+        (True, Patch(fc=FIELD, ec=WORLD, lw=0.5, label="field of view")),
+        (True, Line2D([], [], color=WORLD, lw=4, label="truth")),
+        (len(shot.legs) > 0, _dot("leg", LEG, "#c97a1c")),
+        (True, Line2D([], [], color=READING, marker=".", ls="", label="reading")),
+        (
+            bool(sighting.true),
+            Line2D([], [], color=TRUE, lw=2.4, label=f"{kind}, true ({len(sighting.true)})"),
+        ),
+        (
+            bool(sighting.spurious),
+            Line2D([], [], label=f"{kind}, spurious ({len(sighting.spurious)})", **bad),
+        ),
+    ]
+    return [handle for there, handle in entries if there]
+
+
+def _dot(label: str, face: str, edge: str) -> Line2D:
+    return Line2D([], [], marker="o", ls="", ms=7, mfc=face, mec=edge, label=label)
+
+
+def _style(axes: Axes) -> None:
+    axes.tick_params(colors=PALE, labelcolor=INK, labelsize=9)
+    axes.grid(color="#000000", alpha=0.06, lw=0.6)
+    axes.set_axisbelow(True)
+    for spine in axes.spines.values():
+        spine.set_color("#d4d9de")

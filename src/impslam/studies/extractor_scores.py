@@ -1,0 +1,203 @@
+"""Observations of labelled scans judged: found, found again, of something else, false; how far off.
+
+An observation is of a thing if more than half of its beams hit it and it lies within the gates
+below, which are as wide as the coarsest extractor needs. Each landmark is found once, by the
+observation that rests on most of its beams.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.errors import ShapeError
+from impslam.geometry.angles import wrap
+from impslam.geometry.circles import fit_circle
+from impslam.geometry.lines import fit_line
+from impslam.studies.bounds import bound, circle_jacobian, wall_jacobian
+from impslam.studies.labelled_scans import LabelledScan, Seen
+from impslam.types import Array, Ints, Observation, Scan
+
+OFF = 0.1
+"""m, farthest that an observation may be from the thing (of a wall, at the middle of what is seen)."""
+TURNED = math.radians(10.0)
+"""rad, farthest that a wall may be turned: a bin of the thesis's Hough transform."""
+SAME_RADIUS = 0.01
+"""Relative difference up to which a radius that is taken for known is right."""
+
+
+class Counts(NamedTuple):
+    """What came out of a scan.
+
+    Attributes
+    ----------
+    visible : landmarks of which enough is seen
+    found : how many of these were observed
+    again : further observations of the same ones
+    other : observations of what is there, but is no landmark or hardly seen
+    false : observations of nothing that is there
+    whole, whole_found : of the visible, how many are seen from edge to edge; cylinders only
+    """
+
+    visible: int
+    found: int
+    again: int
+    other: int
+    false: int
+    whole: int = 0
+    whole_found: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """A visible landmark's observation against the truth.
+
+    Attributes
+    ----------
+    error : (2,) of z, observed less true
+    R, bound : (2, 2) as the extractor gives it, and the Cramér-Rao bound
+    radial : m, error of a centre along the line of sight; NaN of walls
+    radius_error, radius_bound : m and m^2; NaN of walls, and where the radius is taken for known
+    beams : how many truly hit it
+    used : share of these that the observation rests on
+    own_excess : squared error in the bound of those alone; NaN where they tell nothing
+    """
+
+    error: Array
+    R: Array
+    bound: Array
+    radial: float
+    radius_error: float
+    radius_bound: float
+    beams: int
+    used: float
+    own_excess: float
+
+
+def judge(
+    labelled: LabelledScan,
+    kind: str,
+    observations: Sequence[Observation],
+    radius: float | None = None,
+) -> tuple[Counts, list[Found]]:
+    """Return what the observations of one kind are worth.
+
+    `radius` is what the extractor takes the radius of every cylinder for, None if it measures it.
+    A cylinder of another radius counts as found, but is left out of the errors.
+    """
+    best: dict[int, tuple[int, Observation]] = {}
+    again = other = false = 0
+    for o in observations:
+        which = _thing(labelled, o)
+        if which is None:
+            false += 1
+        elif not labelled.seen[which].visible:
+            other += 1
+        else:
+            support = len(np.intersect1d(o.beams, labelled.seen[which].beams))
+            again += which in best
+            if which not in best or support > best[which][0]:
+                best[which] = support, o
+    visible = [s for s in labelled.seen if s.visible and s.kind == kind]
+    whole = sum(s.whole for s in visible), sum(labelled.seen[which].whole for which in best)
+    found = [
+        compare(labelled, labelled.seen[which], o, radius)
+        for which, (_, o) in best.items()
+        if radius is None or abs(labelled.seen[which].radius / radius - 1.0) <= SAME_RADIUS
+    ]
+    return Counts(len(visible), len(best), again, other, false, *whole), found
+
+
+def _thing(labelled: LabelledScan, o: Observation) -> int | None:
+    """Return what an observation is of: the thing nearest to it among those that it may be of."""
+    fitting = [
+        (_distance(o, seen), which)
+        for which, seen in enumerate(labelled.seen)
+        if seen.kind == o.kind and _is_of(o, seen)
+    ]
+    return min(fitting)[1] if fitting else None
+
+
+def _is_of(o: Observation, seen: Seen) -> bool:
+    if len(o.beams) and 2 * np.count_nonzero(np.isin(o.beams, seen.beams)) <= len(o.beams):
+        return False
+    turned = o.kind == "wall" and abs(wrap(float(o.z[1] - seen.z[1]))) > TURNED
+    return _distance(o, seen) <= OFF and not turned
+
+
+def _distance(o: Observation, seen: Seen) -> float:
+    """Return how far an observation is from a thing, in m."""
+    if o.kind != "wall":
+        return float(np.hypot(*(o.z - seen.z)))
+    normal = np.array([math.cos(o.z[1]), math.sin(o.z[1])])
+    return abs(float(normal @ seen.ends.mean(axis=0) - o.z[0]))
+
+
+def compare(labelled: LabelledScan, seen: Seen, o: Observation, radius: float | None) -> Found:
+    """Return an observation's error beside the bound of all beams that hit the landmark."""
+    error = o.z - seen.z
+    if o.kind == "wall":
+        error[1] = wrap(float(error[1]))
+    radial = radius_error = radius_bound = math.nan
+    best = _bound(labelled, seen, seen.beams, radius)
+    if o.kind != "wall":
+        sight = seen.z - labelled.scan.laser[:2]
+        radial = float(error @ sight / np.hypot(*sight))
+        if radius is None:
+            radius_error = o.attributes.get("radius", math.nan) - seen.radius
+            radius_bound = float(best[2, 2])
+    mine = np.isin(seen.beams, o.beams)
+    own = _bound(labelled, seen, seen.beams[mine], radius)[:2, :2]
+    excess = float(error @ np.linalg.solve(own, error)) if np.isfinite(own).all() else math.nan
+    return Found(
+        error,
+        o.R,
+        best[:2, :2],
+        radial,
+        radius_error,
+        radius_bound,
+        len(seen.beams),
+        float(mine.mean()),
+        excess,
+    )
+
+
+def _bound(labelled: LabelledScan, seen: Seen, beams: Ints, radius: float | None) -> Array:
+    """Return the bound that some beams set to z, and to the radius if it is not known."""
+    rays, sigmas = (labelled.origins[beams], labelled.directions[beams]), labelled.sigmas[beams]
+    if seen.kind == "wall":
+        return bound(wall_jacobian(seen.z, *rays), sigmas, labelled.bias)
+    jacobian = circle_jacobian(np.array([*seen.z, seen.radius]), *rays)
+    return bound(jacobian if radius is None else jacobian[:, :2], sigmas, labelled.bias)
+
+
+def known_association(labelled: LabelledScan, kind: str) -> list[Observation]:
+    """Return the fits to all beams that truly hit each visible landmark: what the bound allows."""
+    shown = [seen for seen in labelled.seen if seen.visible and seen.kind == kind]
+    fit = _line if kind == "wall" else _circle
+    return [o for o in (fit(labelled.scan, seen) for seen in shown) if o is not None]
+
+
+def _line(scan: Scan, seen: Seen) -> Observation | None:
+    beams = seen.beams
+    fit = fit_line(scan.points[beams], scan.directions[beams], scan.sigmas[beams])
+    shared = scan.bias * fit.bias_jacobian
+    rho, alpha, R = fit.rho, fit.alpha, fit.covariance + np.outer(shared, shared)
+    if scan.laser[:2] @ [math.cos(alpha), math.sin(alpha)] > rho:
+        rho, alpha, R = -rho, wrap(alpha + math.pi), R * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    return Observation("wall", np.array([rho, alpha]), R, beams, seen.ends)
+
+
+def _circle(scan: Scan, seen: Seen) -> Observation | None:
+    beams = seen.beams
+    try:
+        fit = fit_circle(scan.points[beams], scan.directions[beams], scan.sigmas[beams])
+    except ShapeError:  # a few noisy points at one side of it
+        return None
+    shared = scan.bias * fit.bias_jacobian
+    R = (fit.covariance + np.outer(shared, shared))[:2, :2]
+    return Observation("cylinder", fit.centre, R, beams, None, {"radius": fit.radius})

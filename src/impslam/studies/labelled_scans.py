@@ -1,0 +1,227 @@
+"""Simulated scans in which it is known what every beam hit, and hence what is there to be found.
+
+A beam's label is the thing that an exact ray meets from the laser's pose at the beam's own time, in
+the same scene that made the ranges. A wall that doors or cylinders cut into pieces is one thing; the
+sides of a box, a leaf, a jamb, a wall of a room behind a door are one each, and so is a leg.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Hashable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from impslam.geometry.angles import wrap
+from impslam.geometry.se2 import between, inverse, log, transform
+from impslam.sensors.lidar2d import Lidar2D
+from impslam.simulation.drive import Trajectory, drive
+from impslam.simulation.lidar import LidarSimulator, laser_poses
+from impslam.simulation.raycast import trace
+from impslam.simulation.robot import Lidar
+from impslam.simulation.scene import Scene
+from impslam.simulation.world import Drive, World
+from impslam.studies.passers_by import passing
+from impslam.types import Array, Ints, LaserScan, Scan
+
+MIN_BEAMS = {"wall": 10, "cylinder": 5}
+"""Beams from which on a thing counts as visible: a tenth of an arena's wall; three make a circle, and
+two more show that it is one."""
+MIN_SPAN = 0.3
+"""m, from the first to the last of the places where beams hit a wall that counts as visible."""
+LANDMARKS = ("wall", "room", "cylinder")
+"""Things that stand for good and are to be found."""
+EDGE = 0.1  # of half its angular width, how much of a circle may be missing at an edge
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """How scans are taken: with which lidar, standing or driving, and with how many people in sight."""
+
+    name: str
+    lidar: Lidar
+    driving: bool
+    people: int
+
+
+STANDING = Condition(
+    "standing",
+    Lidar(bias_sigma=0.0, resolution=0.0, divergence=0.0, dropout=0.0),
+    driving=False,
+    people=0,
+)
+DRIVING = Condition("driving", Lidar(), driving=True, people=0)
+PEOPLE = Condition("people", Lidar(), driving=True, people=2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """A thing that beams of a scan hit, in base_link in the middle of the sweep.
+
+    Attributes
+    ----------
+    thing : "wall", "door", "cylinder", "person", ...: see `impslam.simulation.scene.Thing`
+    kind : "wall" for all that is straight, "cylinder" for all that is round
+    z : (2,) what an observation of this kind would be without error
+    radius : m; NaN of what is straight
+    ends : (2, 2) m, first and last place that beams hit
+    beams : that hit it and were read
+    whole : of what is round: it is seen from edge to edge
+    """
+
+    thing: str
+    kind: str
+    z: Array
+    radius: float
+    ends: Array
+    beams: Ints
+    whole: bool = False
+
+    @property
+    def visible(self) -> bool:
+        """It is a landmark of which enough is seen to be found."""
+        long = self.kind != "wall" or math.dist(*self.ends) >= MIN_SPAN
+        return self.thing in LANDMARKS and len(self.beams) >= MIN_BEAMS[self.kind] and long
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelledScan:
+    """A scan, what is seen in it, and how its beams truly were.
+
+    Attributes
+    ----------
+    origins, directions : (n, 2) m and (n,) rad, as in the scan, but by the exact motion
+    sigmas : (n,) m, true noise of the ranges
+    bias : m, true standard deviation of the error that all beams share
+    """
+
+    scan: Scan
+    seen: tuple[Seen, ...]
+    origins: Array
+    directions: Array
+    sigmas: Array
+    bias: float
+
+
+def labelled_scans(
+    world: World, condition: Condition, seed: int, count: int
+) -> Iterator[LabelledScan]:
+    """Yield scans at moments spread evenly over the drive, the same for every condition.
+
+    Each is of a lidar of its own, so that the errors that the beams of one lidar share are
+    independent between scans.
+    """
+    streams = np.random.SeedSequence([seed, zlib.crc32(world.name.encode())]).spawn(3)
+    places, noise, walkers = (np.random.default_rng(stream) for stream in streams)
+    standing = world.model_copy(update={"people": ()})
+    trajectory = _trajectory(world.robot)
+    sweep = condition.lidar.beam_time * condition.lidar.beams
+    scene = Scene(standing)
+    for number in range(count):
+        time = (number + float(places.random())) / count * (trajectory.duration - sweep)
+        path = trajectory if condition.driving else _stopped(trajectory, time)
+        if condition.people:
+            around = path.at(np.array([time]))[0]
+            people = passing(scene, around, time, condition.people, walkers)
+            crowded = standing.model_copy(update={"people": people})
+            yield take(Scene(crowded), path, time, condition.lidar, noise)
+        else:
+            yield take(scene, path, time, condition.lidar, noise)
+
+
+@lru_cache(maxsize=8)
+def _trajectory(plan: Drive) -> Trajectory:
+    return drive(plan)
+
+
+def _stopped(trajectory: Trajectory, time: float) -> Trajectory:
+    """Return the trajectory of a robot that stands where this one is at a time."""
+    (pose,) = trajectory.at(np.array([time]))
+    return Trajectory(
+        np.array([0.0, trajectory.duration]), np.stack((pose, pose)), np.zeros((1, 2))
+    )
+
+
+def take(
+    scene: Scene, path: Trajectory, time: float, lidar: Lidar, rng: np.random.Generator
+) -> LabelledScan:
+    """Return the sweep that begins at a time, de-skewed with the true motion, and its labels."""
+    simulator = LidarSimulator(lidar, scene, path, rng)
+    offsets = simulator.time_offsets
+    message = LaserScan(time, simulator.angles, simulator.ranges(time), offsets, *simulator.limits)
+    begin, middle, end = path.at(time + np.array([0.0, 0.5, 1.0]) * simulator.duration)
+    twist = log(between(begin, end)) / max(simulator.duration, 1e-9)
+    sensor = Lidar2D(
+        mount=lidar.mount,
+        sigma=max(lidar.sigma, 1e-9),
+        sigma_per_m=lidar.sigma_rate,
+        bias=lidar.bias_sigma,
+    )
+    scan = sensor.scan(message, twist)
+    lasers = laser_poses(path.at(time + offsets), lidar.mount)
+    standing, moving = (
+        (scene.segments, scene.circles),
+        scene.moving(time, time + simulator.duration),
+    )
+    fractions = offsets / max(simulator.duration, 1e-9)
+    exact, _, hits = trace(lasers, simulator.angles, fractions, standing, moving, lidar.range_max)
+    exact, hits = np.where(np.isfinite(exact), exact, 0.0), np.where(scan.valid, hits, -1)
+    rays = _seen_from(middle, lasers, simulator.angles)
+    places = rays[0] + exact[:, None] * np.column_stack((np.cos(rays[1]), np.sin(rays[1])))
+    rows = [*standing[0], *standing[1], *0.5 * moving[0].sum(0), *0.5 * moving[1].sum(0)]
+    seen = tuple(
+        (_straight if len(rows[k]) == 4 else _round)(
+            scene.things[k].kind, rows[k], beams, places[beams], inverse(middle), scan
+        )
+        for k, beams in _hit(scene, hits)
+    )
+    sigmas = lidar.sigma + lidar.sigma_rate * exact
+    return LabelledScan(scan, seen, *rays, sigmas, lidar.bias_sigma)
+
+
+def _seen_from(pose: Array, lasers: Array, angles: Array) -> tuple[Array, Array]:
+    """Return origins (n, 2) and directions (n,) of beams of lasers in map (n, 3) from a pose."""
+    return transform(inverse(pose), lasers[:, :2]), wrap(lasers[:, 2] + angles - pose[2])
+
+
+def _hit(scene: Scene, hits: Ints) -> list[tuple[int, Ints]]:
+    """Return the first piece of each thing that was hit, and the beams that hit any of them."""
+    pieces: dict[Hashable, list[int]] = {}
+    for which in np.unique(hits[hits >= 0]).tolist():
+        thing = scene.things[which]
+        pieces.setdefault(thing if thing.kind == "wall" else which, []).append(which)
+    return [(these[0], np.flatnonzero(np.isin(hits, these))) for these in pieces.values()]
+
+
+def _straight(
+    thing: str, row: Array, beams: Ints, places: Array, T_base_map: Array, scan: Scan
+) -> Seen:
+    start, end = transform(T_base_map, row.reshape(2, 2))
+    tangent = (end - start) / np.hypot(*(end - start))
+    normal = np.array([tangent[1], -tangent[0]])
+    rho = float(normal @ start)
+    if float(normal @ scan.laser[:2]) > rho:
+        rho, normal = -rho, -normal
+    along = places @ tangent
+    ends = rho * normal + np.array([[along.min()], [along.max()]]) * tangent
+    z = np.array([rho, wrap(math.atan2(normal[1], normal[0]))])
+    return Seen(thing, "wall", z, math.nan, ends, beams)
+
+
+def _round(
+    thing: str, row: Array, beams: Ints, places: Array, T_base_map: Array, scan: Scan
+) -> Seen:
+    centre, radius = transform(T_base_map, row[None, :2])[0], float(row[2])
+    whole = _edge_to_edge(centre - scan.laser[:2], radius, places - scan.laser[:2], scan)
+    return Seen(thing, "cylinder", centre, radius, places[[0, -1]], beams, whole)
+
+
+def _edge_to_edge(sight: Array, radius: float, places: Array, scan: Scan) -> bool:
+    """Tell whether the outermost beams on a circle are as near to its edges as beams can be."""
+    bearings = np.arctan2(places[:, 1], places[:, 0]) - math.atan2(sight[1], sight[0])
+    off, half = wrap(bearings), math.asin(min(1.0, radius / float(np.hypot(*sight))))
+    least = (1.0 - EDGE) * half - abs(float(scan.angles[1] - scan.angles[0]))
+    return bool(off.max() >= least and off.min() <= -least)

@@ -1,0 +1,483 @@
+import base64
+import logging
+import stat
+import unicodedata
+
+import pytest
+
+from impslam.platform.console import accounts as module
+from impslam.platform.console.accounts import Accounts, AccountsError, write_private
+from impslam.platform.console.gate import BASIC_LIFE, LINK_LIFE, Gate, Refused
+from impslam.platform.console.refusals import FIRST, MOST, WINDOW, Refusals, shown
+from impslam.platform.console.session import IDLE, LIFE, Session, Sessions
+from impslam.platform.console.session import MOST as MOST_SESSIONS
+from impslam.platform.console.throttle import FORGET, FREE, LONGEST, TOGETHER, Bucket, Throttle
+
+DRIVE, WATCH = "drive-password", "watch-password"
+
+
+class Hand:
+    """A clock that is set by hand."""
+
+    def __init__(self):
+        self.moment = 1000.0
+
+    def __call__(self):
+        return self.moment
+
+
+@pytest.fixture
+def clock():
+    return Hand()
+
+
+@pytest.fixture
+def accounts(tmp_path):
+    made = Accounts(tmp_path / "new" / "accounts.json")
+    made.set("drive", DRIVE)
+    made.set("watch", WATCH)
+    return made
+
+
+class TestAccounts:
+    def test_each_password_gives_its_right_and_nothing_else_gives_any(self, accounts):
+        assert accounts.rights() == {"drive", "watch"}
+        assert accounts.right(DRIVE) == "drive"
+        assert accounts.right(WATCH) == "watch"
+        for wrong in ("", DRIVE[:-1], DRIVE + " ", DRIVE.upper(), "\0", "\ud800", "x" * 100_000):
+            assert accounts.right(wrong) is None
+
+    def test_without_a_file_there_is_no_right(self, tmp_path):
+        nobody = Accounts(tmp_path / "none.json")
+        assert nobody.rights() == frozenset()
+        assert nobody.right("") is None
+
+    def test_the_file_is_private_and_holds_no_password(self, accounts):
+        assert stat.S_IMODE(accounts.path.stat().st_mode) == 0o600
+        assert stat.S_IMODE(accounts.path.parent.stat().st_mode) == 0o700
+        assert "password" not in accounts.path.read_text()
+
+    @pytest.mark.parametrize("mode", [0o640, 0o604, 0o660, 0o644, 0o610])
+    def test_a_file_that_others_reach_is_refused(self, accounts, mode):
+        accounts.path.chmod(mode)
+        with pytest.raises(AccountsError, match="chmod 600"):
+            accounts.right(DRIVE)
+        with pytest.raises(AccountsError, match="chmod 600"):
+            accounts.rights()
+
+    @pytest.mark.parametrize(
+        "text",
+        [
+            "",
+            "{",
+            "[]",
+            '{"salt": 3}',
+            '{"salt": "AAAA", "drive": "AAAA", "root": "AAAA"}',
+            '{"salt": "AAAA", "cost": {"blocks": 1000000000}}',
+        ],
+    )
+    def test_a_broken_file_is_told_in_one_line(self, accounts, text):
+        accounts.path.write_text(text)
+        with pytest.raises(AccountsError, match="remove it") as told:
+            accounts.right(DRIVE)
+        assert "\n" not in str(told.value)
+
+    @pytest.mark.parametrize("password", ["", "short77", "x" * 257])
+    def test_too_short_and_too_long_are_refused(self, accounts, password):
+        with pytest.raises(AccountsError, match="8 to 256"):
+            accounts.set("drive", password)
+        assert accounts.right(DRIVE) == "drive"
+
+    def test_what_follows_the_longest_password_is_not_ignored(self, accounts):
+        accounts.set("drive", "x" * 256)
+        assert accounts.right("x" * 256) == "drive"
+        assert accounts.right("x" * 257) is None
+
+    def test_one_password_cannot_mean_both(self, accounts):
+        with pytest.raises(AccountsError, match="other right"):
+            accounts.set("watch", DRIVE)
+        accounts.set("drive", DRIVE)  # its own anew is no matter
+        assert accounts.right(WATCH) == "watch"
+
+    def test_a_password_is_the_same_however_its_letters_are_composed(self, accounts):
+        accounts.set("drive", unicodedata.normalize("NFC", "Überfährt"))
+        assert accounts.right(unicodedata.normalize("NFD", "Überfährt")) == "drive"
+
+    def test_taking_one_away_leaves_the_other(self, accounts):
+        accounts.remove("drive")
+        assert accounts.rights() == {"watch"}
+        assert accounts.right(DRIVE) is None
+
+    def test_an_older_cost_is_still_understood(self, accounts, monkeypatch):
+        monkeypatch.setattr(module, "BLOCKS", 2**4)
+        assert accounts.right(DRIVE) == "drive"
+
+    def test_the_version_tells_changes(self, accounts, tmp_path):
+        before = accounts.version()
+        assert Accounts(accounts.path).version() == before
+        accounts.set("drive", "another password")
+        assert accounts.version() != before
+        assert Accounts(tmp_path / "none").version() == (0, 0, 0)
+
+    def test_the_default_place(self, monkeypatch, tmp_path):
+        monkeypatch.setenv("HOME", str(tmp_path))
+        monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
+        assert Accounts().path == tmp_path / ".config/impslam/accounts.json"
+        monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "x"))
+        assert Accounts().path == tmp_path / "x/impslam/accounts.json"
+        monkeypatch.setenv("XDG_CONFIG_HOME", "relative")  # to be ignored, says the specification
+        assert Accounts().path == tmp_path / ".config/impslam/accounts.json"
+
+    def test_a_write_that_fails_leaves_what_was_there(self, accounts, monkeypatch):
+        before = accounts.path.read_bytes()
+
+        def fails(*_):
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(module.os, "fsync", fails)
+        with pytest.raises(AccountsError, match="No space left"):
+            accounts.set("drive", "another password")
+        assert accounts.path.read_bytes() == before
+        assert [path.name for path in accounts.path.parent.iterdir()] == ["accounts.json"]
+
+    def test_private_files_are_never_wider_not_even_for_a_moment(self, tmp_path, monkeypatch):
+        seen = []
+        real = module.os.fsync
+        monkeypatch.setattr(
+            module.os,
+            "fsync",
+            lambda handle: seen.append(module.os.fstat(handle).st_mode) or real(handle),
+        )
+        write_private(tmp_path / "key", b"secret")
+        assert [stat.S_IMODE(mode) for mode in seen] == [0o600]
+
+
+class TestSessions:
+    def test_a_token_finds_its_session_and_no_other_token_does(self, clock):
+        sessions = Sessions(clock)
+        token, session = sessions.begin("drive")
+        other, watcher = sessions.begin("watch")
+        assert sessions.find(token) is session
+        assert sessions.find(other) is watcher
+        assert session.may_drive
+        assert not watcher.may_drive
+        assert session.id not in token
+        for wrong in ("", token[:-1], token + "A", session.id, "\ud800"):
+            assert sessions.find(wrong) is None
+
+    def test_tokens_have_256_bits_and_are_not_kept(self, clock):
+        sessions = Sessions(clock)
+        token, session = sessions.begin("drive")
+        assert len(token) == 43  # base64 of 32 bytes
+        assert token not in repr(vars(sessions)) + repr(vars(session))
+
+    def test_it_ends_when_nobody_uses_it(self, clock):
+        sessions = Sessions(clock)
+        token, session = sessions.begin("drive")
+        for _ in range(3):
+            clock.moment += IDLE - 1.0
+            session.use()
+        assert session.alive()
+        clock.moment += IDLE
+        assert not session.alive()
+        session.use()  # too late
+        assert not session.alive()
+        assert sessions.find(token) is None
+
+    def test_it_ends_however_much_it_is_used(self, clock):
+        session = Session("1", "driver", may_drive=True, clock=clock)
+        begun = clock.moment
+        while clock.moment < begun + LIFE:
+            assert session.alive()
+            session.use()
+            clock.moment += IDLE / 2.0
+        assert not session.alive()
+
+    def test_logout_ends_one_and_a_new_password_all(self, clock):
+        sessions = Sessions(clock)
+        (first, one), (second, two) = sessions.begin("drive"), sessions.begin("drive")
+        one.end()
+        assert sessions.find(first) is None
+        assert sessions.find(second) is two
+        sessions.end_all()
+        assert sessions.find(second) is None
+        assert not two.alive()
+
+    def test_there_are_never_too_many_and_the_idlest_goes(self, clock):
+        sessions = Sessions(clock)
+        held = []
+        for _ in range(MOST_SESSIONS):
+            held.append(sessions.begin("watch")[1])
+            clock.moment += 1.0
+        held[0].use()
+        assert all(session.alive() for session in held)
+        sessions.begin("drive")
+        assert [session.alive() for session in held[:3]] == [True, False, True]
+
+
+class TestThrottle:
+    def test_a_few_are_free_then_the_wait_doubles(self, clock):
+        throttle, waits = Throttle(clock), []
+        for _ in range(14):
+            wait = throttle.wait("10.0.0.1")
+            waits.append(wait)
+            if wait:
+                clock.moment += wait
+                assert throttle.wait("10.0.0.1") == 0.0
+        assert waits[:FREE] == [0.0] * FREE
+        assert waits[FREE : FREE + 8] == [2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0]
+        assert set(waits[FREE + 8 :]) == {LONGEST}
+
+    def test_asking_while_waiting_does_not_make_it_longer(self, clock):
+        throttle = Throttle(clock)
+        for _ in range(FREE):
+            throttle.wait("10.0.0.1")
+        for _ in range(1000):
+            assert throttle.wait("10.0.0.1") == pytest.approx(2.0)
+        clock.moment += 2.0
+        assert throttle.wait("10.0.0.1") == 0.0
+
+    def test_a_thousand_a_minute_admit_a_handful(self, clock):
+        throttle, admitted = Throttle(clock), 0
+        for _ in range(1000):
+            admitted += throttle.wait("10.0.0.1") == 0.0
+            clock.moment += 0.06
+        assert admitted == FREE + 4  # after 2, 6, 14 and 30 s
+
+    def test_another_address_is_not_held_up(self, clock):
+        throttle = Throttle(clock)
+        for _ in range(1000):
+            throttle.wait("10.0.0.1")
+        assert throttle.wait("10.0.0.2") == 0.0
+
+    def test_all_together_are_bounded(self, clock):
+        throttle = Throttle(clock)
+        admitted = sum(throttle.wait(f"10.0.{k // 250}.{k % 250}") == 0.0 for k in range(1000))
+        assert admitted == TOGETHER
+        clock.moment += 60.0
+        admitted = sum(throttle.wait(f"10.1.{k // 250}.{k % 250}") == 0.0 for k in range(1000))
+        assert admitted == TOGETHER
+
+    def test_a_right_one_starts_anew_and_so_does_time(self, clock):
+        throttle = Throttle(clock)
+        for _ in range(FREE):
+            throttle.wait("10.0.0.1")
+        throttle.forgive("10.0.0.1")
+        assert throttle.wait("10.0.0.1") == 0.0
+        for _ in range(20):
+            clock.moment += throttle.wait("10.0.0.1")
+        clock.moment += FORGET
+        assert [throttle.wait("10.0.0.1") for _ in range(FREE)] == [0.0] * FREE
+
+    def test_one_network_of_ipv6_is_one_guesser(self, clock):
+        throttle = Throttle(clock)
+        for k in range(FREE):
+            throttle.wait(f"2001:db8::{k:x}")
+        assert throttle.wait("2001:db8::ffff%eth0") > 0.0
+        assert throttle.wait("2001:db8:0:1::1") == 0.0
+
+    def test_an_address_is_itself_in_either_form(self, clock):
+        throttle = Throttle(clock)
+        for _ in range(FREE):
+            throttle.wait("::ffff:10.0.0.1")
+        assert throttle.wait("10.0.0.1") > 0.0
+
+    def test_addresses_are_forgotten_so_that_memory_is_bounded(self, clock, monkeypatch):
+        monkeypatch.setattr("impslam.platform.console.throttle.MOST", 10)
+        throttle = Throttle(clock)
+        for k in range(100):
+            clock.moment += 60.0
+            throttle.wait(f"10.0.0.{k}")
+        assert len(throttle._tries) == 10
+
+    def test_a_bucket_says_when(self, clock):
+        bucket = Bucket(2, 4.0, clock)
+        assert [bucket.wait(), bucket.wait(), bucket.wait()] == [0.0, 0.0, 0.25]
+        clock.moment += 0.25
+        assert bucket.wait() == 0.0
+
+
+class TestRefusals:
+    def told(self, caplog):
+        return [record.getMessage() for record in caplog.records]
+
+    def test_the_first_at_once_the_rest_as_a_count(self, clock, caplog):
+        refusals = Refusals(clock)
+        for k in range(1000):
+            refusals.tell("10.0.0.1", "login", f"try {k}")
+        assert len(caplog.records) == FIRST
+        assert self.told(caplog)[0] == "refused 10.0.0.1: login (try 0)"
+        clock.moment += WINDOW
+        refusals.flush()
+        assert self.told(caplog)[-1] == "refused 10.0.0.1: login: 995 more in 60 s"
+        refusals.tell("10.0.0.1", "login")
+        assert self.told(caplog)[-1] == "refused 10.0.0.1: login"
+
+    def test_kinds_and_addresses_are_counted_apart(self, clock, caplog):
+        refusals = Refusals(clock)
+        for _ in range(100):
+            refusals.tell("10.0.0.1", "login")
+        refusals.tell("10.0.0.1", "a foreign host")
+        refusals.tell("10.0.0.2", "login")
+        assert len(caplog.records) == FIRST + 2
+
+    def test_nothing_is_told_twice_and_nothing_is_lost_at_the_end(self, clock, caplog):
+        refusals = Refusals(clock)
+        for _ in range(FIRST + 1):
+            refusals.tell("10.0.0.1", "login")
+        refusals.flush()
+        assert len(caplog.records) == FIRST
+        refusals.flush(everything=True)
+        assert self.told(caplog)[-1].endswith("1 more in 0 s")
+        refusals.flush(everything=True)
+        assert len(caplog.records) == FIRST + 1
+
+    def test_many_addresses_do_not_fill_the_log(self, clock, caplog):
+        refusals = Refusals(clock)
+        for k in range(100_000):
+            refusals.tell(f"10.{k >> 16}.{k >> 8 & 255}.{k & 255}", "login")
+        assert len(caplog.records) == MOST + FIRST
+        refusals.flush(everything=True)
+        assert f"{100_000 - MOST - FIRST} more" in self.told(caplog)[-1]
+
+    @pytest.mark.parametrize(
+        "text", ["a\nrefused 10.0.0.9: login", "\x1b[31m", "\u202e", "é" * 999]
+    )
+    def test_what_comes_from_outside_cannot_write_lines_of_its_own(self, text):
+        assert shown(text).isascii()
+        assert shown(text).isprintable()
+        assert len(shown(text)) <= 120
+
+
+@pytest.mark.anyio
+class TestGate:
+    @pytest.fixture
+    def anyio_backend(self):
+        return "asyncio"
+
+    @pytest.fixture
+    def gate(self, accounts, clock, caplog):
+        caplog.set_level(logging.INFO)
+        return Gate(accounts, secure=True, clock=clock)
+
+    @pytest.fixture
+    def shown(self):
+        return []
+
+    @pytest.fixture
+    def linked(self, tmp_path, clock, shown):
+        return Gate(Accounts(tmp_path / "none"), secure=False, show=shown.append, clock=clock)
+
+    async def test_logins_are_told_and_passwords_never(self, gate, caplog):
+        _, session = await gate.enter("10.0.0.1", WATCH)
+        assert not session.may_drive
+        with pytest.raises(Refused, match="not a password"):
+            await gate.enter("10.0.0.1", "guessed-password")
+        assert "10.0.0.1 logs in as watcher 1" in caplog.text
+        assert "refused 10.0.0.1: login (a wrong password)" in caplog.text
+        assert WATCH not in caplog.text
+        assert "guessed" not in caplog.text
+
+    async def test_who_waits_costs_no_hash_and_is_refused_with_the_right_one_too(
+        self, gate, monkeypatch
+    ):
+        hashes = []
+        real = gate.accounts.right
+        monkeypatch.setattr(
+            gate.accounts, "right", lambda password: hashes.append(1) or real(password)
+        )
+        for _ in range(100):
+            with pytest.raises(Refused):
+                await gate.enter("10.0.0.1", "guessed-password")
+        with pytest.raises(Refused, match="Too many") as told:
+            await gate.enter("10.0.0.1", DRIVE)
+        assert told.value.wait > 0.0
+        assert len(hashes) == FREE
+        assert (await gate.enter("10.0.0.2", DRIVE))[1].may_drive
+
+    async def test_a_new_password_ends_every_session(self, gate, caplog):
+        token, session = await gate.enter("10.0.0.1", DRIVE)
+        gate.sweep()
+        assert session.alive()
+        gate.accounts.set("watch", "another password")
+        gate.sweep()
+        assert not session.alive()
+        assert gate.sessions.find(token) is None
+        assert "passwords have changed" in caplog.text
+
+    async def test_a_file_that_others_can_read_lets_nobody_in(self, gate, caplog):
+        gate.accounts.path.chmod(0o644)
+        with pytest.raises(Refused, match="its log says why"):
+            await gate.enter("10.0.0.1", DRIVE)
+        assert "chmod 600" in caplog.text
+        assert not gate.open_by_link()
+
+    def test_a_link_is_good_once(self, linked, shown):
+        linked.offer_link()
+        token = shown[0].partition("token=")[2]
+        with pytest.raises(Refused):
+            linked.redeem("127.0.0.1", token[:-1])
+        _, session = linked.redeem("127.0.0.1", token)
+        assert session.may_drive
+        with pytest.raises(Refused, match="used before"):
+            linked.redeem("127.0.0.1", token)
+
+    def test_a_link_is_good_for_ten_minutes_and_then_another_is_shown(self, linked, shown, clock):
+        linked.offer_link()
+        linked.offer_link()
+        assert len(shown) == 1
+        clock.moment += LINK_LIFE
+        with pytest.raises(Refused):
+            linked.redeem("127.0.0.1", shown[0].partition("token=")[2])
+        linked.offer_link()
+        assert len(shown) == 2
+        linked.redeem("127.0.0.1", shown[1].partition("token=")[2])
+        linked.offer_link()  # within the minute
+        assert len(shown) == 2
+
+    def test_a_link_ends_when_a_password_is_set(self, linked, shown):
+        linked.offer_link()
+        linked.accounts.set("drive", DRIVE)
+        with pytest.raises(Refused):
+            linked.redeem("127.0.0.1", shown[0].partition("token=")[2])
+
+    def basic(self, user, password):
+        return "Basic " + base64.b64encode(f"{user}:{password}".encode()).decode()
+
+    async def test_a_script_has_user_and_password_and_costs_one_hash(
+        self, gate, clock, monkeypatch
+    ):
+        hashes = []
+        real = gate.accounts.right
+        monkeypatch.setattr(
+            gate.accounts, "right", lambda password: hashes.append(1) or real(password)
+        )
+        for _ in range(10):
+            session = await gate.basic("10.0.0.1", self.basic("drive", DRIVE))
+            assert session is not None
+            assert not session.may_drive  # it fetches, nothing else
+        assert len(hashes) == 1
+        clock.moment += BASIC_LIFE
+        await gate.basic("10.0.0.1", self.basic("drive", DRIVE))
+        assert len(hashes) == 2
+        gate.accounts.set("drive", "another password")
+        gate.sweep()
+        assert await gate.basic("10.0.0.1", self.basic("drive", DRIVE)) is None
+
+    @pytest.mark.parametrize(
+        "header",
+        ["Basic", "Basic !", "Basic AAAA", "Bearer x", "Basic " + "/" * 4000, "Basic w4M6", ""],
+    )
+    async def test_odd_headers_let_nobody_in(self, gate, header):
+        assert await gate.basic("10.0.0.1", header) is None
+
+    async def test_the_user_is_the_right(self, gate):
+        assert await gate.basic("10.0.0.1", self.basic("watch", DRIVE)) is None
+        assert await gate.basic("10.0.0.1", self.basic("watch", WATCH)) is not None
+
+    async def test_scripts_are_throttled_as_logins_are(self, gate):
+        for k in range(FREE):
+            await gate.basic("10.0.0.1", self.basic("drive", f"guess-{k}"))
+        assert await gate.basic("10.0.0.1", self.basic("drive", DRIVE)) is None
+        with pytest.raises(Refused, match="Too many"):
+            await gate.enter("10.0.0.1", DRIVE)

@@ -1,0 +1,269 @@
+"""The page as a whole: offline, quiet, readable on a phone, and what its panels do."""
+
+import re
+from urllib.parse import urlsplit
+
+import pytest
+from playwright.sync_api import expect
+from tests.platform.console import browsing
+from tests.platform.console.browsing import until, visit
+
+from impslam.platform.console.fault_panel import FAULTS
+from impslam.platform.console.health_panel import device_row, event_row, page_row
+from impslam.platform.console.widgets import duration, size
+from impslam.platform.devices.base import Health
+from impslam.platform.virtual.faults import parse_fault
+from impslam.types import Event
+
+PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
+
+
+def test_sizes_and_times_are_told_as_people_read_them():
+    assert [size(n) for n in (0, 999, 48_213_554, 23.4e9)] == ["0 B", "999 B", "48.2 MB", "23.4 GB"]
+    assert [duration(s) for s in (0, 61.9, 7812, float("nan"))] == ["0:00", "1:01", "2:10:12", ""]
+
+
+def test_what_a_device_says_is_text_and_never_markup():
+    evil = "<img src=x onerror=alert(1)>"
+    health = Health("lost", evil, {evil: 1.0}, {"lost" + evil: 1}, 0.0)
+    for made in (device_row(evil, health), event_row(Event(0.0, evil, evil, evil))):
+        assert "<img" not in made
+        assert "&lt;img" in made
+
+
+def test_a_state_is_told_in_words_icon_and_colour_and_only_troubles_are_counted():
+    row = device_row("lidar", Health("silent", "URG", {"LaserScan": 9.96}, {"LaserScan": 812}, 0.0))
+    assert 'data-state="silent"' in row
+    assert "hourglass_empty" in row
+    assert 'class="state warning"' in row
+    assert "laser scan 10 Hz" in row
+    assert "812" not in row
+    counts = {"corrupt": 3, "lost": 0, "frames": 99}
+    troubled = device_row("autopilot", Health("ok", "", {}, counts, 0.0))
+    assert "3 corrupt" in troubled
+    assert "99" not in troubled
+    assert "0 lost" not in troubled
+
+
+def test_latency_is_told_with_median_and_p99():
+    row = page_row([0.01] * 99 + [1.0])
+    assert 'data-median="0.0100"' in row
+    assert 'data-count="100"' in row
+    assert "not known" in page_row([])
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("context", [{}, PHONE], ids=["desktop", "phone"])
+def test_the_page_is_offline_quiet_and_fits(browser, robot, context):
+    with visit(browser, robot, **context) as watched:
+        page = watched.page
+        for tab in ("drive", "record", "health", "camera"):
+            if page.get_by_test_id(f"tab-{tab}").is_visible():
+                page.get_by_test_id(f"tab-{tab}").click()
+            page.wait_for_timeout(500)
+            wide, high = page.evaluate(
+                "[document.documentElement.scrollWidth, document.documentElement.scrollHeight]"
+            )
+            assert wide <= page.viewport_size["width"]
+            assert high <= page.viewport_size["height"]
+            box = page.get_by_test_id("stop").bounding_box()
+            assert box["width"] >= 100
+            assert box["height"] >= 44
+            assert box["x"] + box["width"] <= page.viewport_size["width"]
+        expect(page).to_have_title("IMP")
+        assert not watched.complaints
+        here = urlsplit(robot.address).netloc
+        hosts = {urlsplit(url).netloc for url in watched.requests if not url.startswith("data:")}
+        assert hosts == {here}
+
+
+@pytest.mark.browser
+def test_everything_that_is_pressed_has_a_name(browser, robot):
+    with visit(browser, robot) as watched:
+        nameless = watched.page.evaluate(
+            """() => [...document.querySelectorAll('button, a, input, select, canvas')].filter((e) =>
+            !(e.ariaLabel || e.labels?.length || e.innerText?.trim() || e.textContent.trim()))
+            .map((e) => e.outerHTML)"""
+        )
+        assert nameless == []
+        assert watched.page.evaluate("document.documentElement.lang") == "en-US"
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_the_page_looks_as_the_system_does_until_it_is_told_otherwise(browser, robot, scheme):
+    with visit(browser, robot, color_scheme=scheme) as watched:
+        page = watched.page
+        dark = "document.body.classList.contains('body--dark')"
+        assert page.evaluate(dark) == (scheme == "dark")
+        for wanted in (True, False):
+            page.get_by_test_id("theme").click()
+            until(lambda wanted=wanted: page.evaluate(dark) == wanted)
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("who", ["driver", "watcher"])
+def test_who_logs_out_has_left_and_lets_go_of_the_helm(browser, robot, who):
+    with visit(browser, robot, who) as watched:
+        page = watched.page
+        if who == "driver":
+            page.get_by_test_id("take").click()
+            until(lambda: robot.state()["driver"] == "driver 1")
+        page.get_by_test_id("logout").click()
+        expect(page.get_by_text("logged out")).to_be_visible()
+        assert page.url == f"{robot.address}/logout"
+        until(lambda: robot.state()["driver"] == "")
+
+
+@pytest.mark.browser
+def test_recording(browser, robot):
+    with visit(browser, robot) as watched, visit(browser, robot, "watcher") as watcher:
+        page = watched.page
+        page.get_by_test_id("record-name").fill("hall")
+        page.get_by_test_id("record").click()
+        expect(page.get_by_test_id("recording")).to_have_text(re.compile(r"^0:\d\d · .* kB$"))
+        expect(page.get_by_test_id("chip-recording")).to_contain_text("REC")
+        expect(watcher.page.get_by_test_id("chip-recording")).to_be_visible()
+        expect(watcher.page.get_by_test_id("record-stop")).to_be_hidden()
+        page.get_by_test_id("record-stop").click()
+        expect(page.get_by_test_id("chip-recording")).to_be_hidden()
+        newest = page.get_by_test_id("log").first
+        expect(newest.locator(".name")).to_contain_text("-hall.mcap")
+        link = newest.get_by_test_id("download")
+        name = newest.get_attribute("data-name")
+        assert link.get_attribute("href") == f"/logs/{name}"
+        page.get_by_test_id("record-name").fill("full")
+        page.get_by_test_id("record").click()
+        expect(page.get_by_text("the disk is full")).to_be_visible()
+
+
+@pytest.mark.browser
+def test_a_log_is_deleted_restored_and_purged(browser, robot):
+    with visit(browser, robot) as watched:
+        page = watched.page
+        name = "20261119-093012.mcap"
+        row = page.locator(f"[data-testid=log][data-name='{name}']")
+        row.get_by_test_id("delete").click()
+        page.get_by_test_id("cancel").click()
+        expect(page.get_by_test_id("cancel")).to_be_hidden()
+        assert name in robot.state()["logs"]
+        row.get_by_test_id("delete").click()
+        page.get_by_test_id("confirm").click()
+        expect(row).to_have_count(0)
+        page.get_by_test_id("bin-summary").click()
+        binned = page.locator(f"[data-testid=binned][data-name='{name}']")
+        binned.get_by_test_id("restore").click()
+        expect(row).to_have_count(1)
+        row.get_by_test_id("delete").click()
+        page.get_by_test_id("confirm").click()
+        expect(binned).to_be_visible()
+        page.get_by_test_id("purge").click()
+        page.get_by_test_id("confirm").click()
+        expect(page.get_by_test_id("binned")).to_have_count(0)
+        expect(page.get_by_test_id("bin-summary")).to_have_text("Recycle bin is empty")
+        assert name not in robot.state()["logs"]
+        assert not watched.complaints
+
+
+@pytest.mark.browser
+def test_mapping_is_begun_anew_and_saved(browser, robot):
+    with visit(browser, robot) as watched:
+        page = watched.page
+        starts = robot.state()["starts"]
+        page.get_by_test_id("map-new").click()
+        page.get_by_test_id("confirm").click()
+        until(lambda: robot.state()["starts"] == starts + 1)
+        page.get_by_test_id("map-save").click()
+        expect(page.get_by_test_id("map-saved")).to_contain_text("maps/map-20261121-101500")
+        link = page.get_by_test_id("map-download")
+        expect(link).to_have_attribute("href", "/maps/map-20261121-101500.zip")
+
+
+def test_every_fault_on_the_page_is_one_that_a_virtual_robot_knows():
+    asked = [parse_fault(f.model_dump()) for faults in FAULTS.values() for f in faults.values()]
+    kinds = {"noise", "delay", "unplug", "reboot", "malfunction", "stall"}
+    assert {fault.fault for fault in asked} == kinds
+
+
+@pytest.mark.browser
+def test_faults_of_a_virtual_robot(browser, robot):
+    with visit(browser, robot) as watched, visit(browser, robot, "watcher") as other:
+        page = watched.page
+        page.get_by_test_id("tab-health").click()
+        page.get_by_test_id("faults").click()
+        page.get_by_test_id("fault-lidar-unplug").click()
+        page.get_by_test_id("fault-motors-stall").click()
+        until(lambda: len(robot.state()["faults"]) == 2)
+        assert robot.state()["faults"] == [
+            {"fault": "unplug", "seconds": 2.0, "device": "lidar"},
+            {"fault": "stall", "side": "both", "seconds": 2.0},
+        ]
+        page.get_by_test_id("fault-lidar-malfunction").click()
+        expect(page.get_by_text("only a URG tells statuses")).to_be_visible()
+        other.page.get_by_test_id("tab-health").click()
+        expect(other.page.get_by_test_id("health-lidar")).to_be_visible()
+        expect(other.page.get_by_test_id("panel-faults")).to_have_count(0)
+
+
+@pytest.mark.browser
+def test_health_alarms_and_events(browser, robot):
+    with visit(browser, robot) as watched:
+        page = watched.page
+        page.get_by_test_id("tab-health").click()
+        expect(page.get_by_test_id("tab-health")).to_have_attribute("aria-selected", "true")
+        row = page.get_by_test_id("health-autopilot")
+        expect(row).to_contain_text("wheel angles 100 Hz")
+        expect(row.locator("[data-state=ok]")).to_be_visible()
+        expect(page.get_by_test_id("events")).to_contain_text("the robot is ready")
+        robot.ask("lose?why=unplugged")
+        expect(page.get_by_test_id("alarm")).to_have_text("warningautopilot lost: unplugged")
+        expect(row.locator("[data-state=lost]")).to_be_visible()
+        robot.ask("lose?why=")
+        expect(page.get_by_test_id("alarm")).to_have_count(0)
+        latency = page.get_by_test_id("latency")
+        expect(latency).to_contain_text("scan to page")
+        assert 0 < float(latency.get_attribute("data-median")) < 2
+        assert len(robot.state()["latencies"]) > 10
+
+
+@pytest.mark.browser
+def test_the_picture_comes_only_while_it_is_in_sight(browser, robot):
+    with visit(browser, robot) as watched:
+        page = watched.page
+
+        def asked():
+            page.wait_for_timeout(100)  # what was asked is told while the browser is waited for
+            return sum("camera.jpg" in url for url in watched.requests)
+
+        page.wait_for_timeout(1000)
+        assert asked() == 0
+        page.get_by_test_id("tab-camera").click()
+        until(lambda: asked() > 3)
+        assert page.evaluate("document.querySelector('.camera img').naturalWidth") == 640
+        page.get_by_test_id("tab-record").click()
+        page.wait_for_timeout(300)
+        before = asked()
+        page.wait_for_timeout(1000)
+        assert asked() == before
+
+
+@pytest.mark.browser
+def test_a_replay_is_steered_and_shows_no_robot(browser):
+    with browsing.robot("--replay") as replay, visit(browser, replay) as watched:
+        page = watched.page
+        expect(page.get_by_test_id("stop")).to_have_count(0)
+        expect(page.get_by_test_id("record")).to_have_count(0)
+        expect(page.get_by_test_id("replay")).to_contain_text("30 %")
+        page.get_by_test_id("step").click()
+        until(lambda: replay.state()["player"] == ["paused", 1.0, 121])
+        page.get_by_test_id("replay-speed").select_option("5")
+        until(lambda: replay.state()["player"][1] == 5)
+        page.get_by_test_id("play").click()
+        expect(page.get_by_test_id("pause")).to_be_visible()
+        expect(page.get_by_test_id("replay")).to_contain_text("Playing at 5×")
+        page.get_by_test_id("pause").click()
+        until(lambda: replay.state()["player"][0] == "paused")
+        expect(page.get_by_test_id("step")).to_be_visible()
+        with visit(browser, replay, "watcher") as watcher:
+            expect(watcher.page.get_by_test_id("play")).to_be_hidden()
+        assert not watched.complaints

@@ -1,0 +1,150 @@
+"""A device's thread lives through whatever the hardware does, and counts it."""
+
+import threading
+import time
+from collections.abc import Callable
+from queue import Queue
+
+import pytest
+from pydantic import PrivateAttr
+
+from impslam.platform.devices.base import Device, DeviceError, Reading, now
+from impslam.types import Climate, Event
+
+
+class Toy(Device):
+    """Serves what the test's script says, one function a session."""
+
+    name = "toy"
+    _script: Queue[Callable[["Toy"], None]] = PrivateAttr(default_factory=Queue)
+    _sessions: int = PrivateAttr(default=0)
+
+    def _serve(self) -> None:
+        self._sessions += 1
+        act = self._script.get() if not self._script.empty() else Toy.idle
+        act(self)
+
+    def idle(self) -> None:
+        self._ready("toy 1.0")
+        self._stopping.wait()
+
+    def speak(self) -> None:
+        self._deliver(Climate(now(), 20.0, 0.5), now(), 1.5)
+
+    def fail(self) -> None:
+        raise DeviceError("/dev/toy: no such port; plug it in")
+
+    def break_down(self) -> None:
+        raise ZeroDivisionError("oops")
+
+
+def until(condition: Callable[[], bool], seconds: float = 5.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "did not happen in time"
+        time.sleep(0.005)
+
+
+@pytest.fixture
+def toy():
+    device = Toy(retry=0.01, patience=0.2)
+    yield device
+    device.stop()
+
+
+def test_the_time_base_counts_on_whatever_the_wall_clock_does(monkeypatch):
+    before = now()
+    monkeypatch.setattr(time, "time", lambda: 0.0)
+    assert 0.0 <= now() - before < 1.0
+
+
+def test_a_reading_reaches_the_receiver_with_both_clocks(toy):
+    got: list[Reading] = []
+    toy._script.put(lambda self: (self._ready("toy 1.0"), self.speak(), self._stopping.wait()))
+    toy.start(got.append)
+    until(lambda: len(got) == 2)
+    told, reading = got
+    assert isinstance(told.message, Event)
+    assert told.message.text == "toy 1.0"
+    assert isinstance(reading.message, Climate)
+    assert (reading.device, reading.device_stamp) == ("toy", 1.5)
+    health = toy.health()
+    assert (health.state, health.detail) == ("ok", "toy 1.0")
+    assert health.counts["Climate"] == 1
+    assert health.rates["Climate"] == 0.5  # one in two seconds
+
+
+def test_a_lost_device_is_opened_again_and_told_once_while_the_reason_stays(toy):
+    got: list[Reading] = []
+    for _ in range(3):
+        toy._script.put(Toy.fail)
+    toy.start(got.append)
+    until(lambda: toy.health().state == "ok")
+    texts = [reading.message.text for reading in got]
+    assert texts == ["/dev/toy: no such port; plug it in", "toy 1.0"]
+    assert toy.health().counts["lost connection"] == 3
+    assert toy._sessions == 4
+
+
+def test_what_is_wrong_can_be_read_while_it_is_tried_again(toy):
+    toy._script.put(Toy.fail)
+    resume = threading.Event()
+    toy._script.put(lambda self: (resume.wait(), self.idle()))
+    toy.start(lambda reading: None)
+    until(lambda: toy._sessions == 2)
+    health = toy.health()
+    assert (health.state, health.detail) == ("lost", "/dev/toy: no such port; plug it in")
+    resume.set()
+    until(lambda: toy.health().state == "ok")
+
+
+def test_a_fault_of_the_program_does_not_end_the_thread(toy, caplog):
+    toy._script.put(Toy.break_down)
+    toy.start(lambda reading: None)
+    until(lambda: toy.health().state == "ok")
+    assert "ZeroDivisionError" in caplog.text
+
+
+def test_an_open_device_that_says_nothing_is_silent(toy):
+    toy.start(lambda reading: None)
+    until(lambda: toy.health().state == "ok")
+    until(lambda: toy.health().state == "silent")
+
+
+def test_it_stops_and_can_be_started_again(toy):
+    toy.start(lambda reading: None)
+    until(lambda: toy.health().state == "ok")
+    toy.stop()
+    assert toy.health().state == "stopped"
+    assert not [thread for thread in threading.enumerate() if thread.name == "toy"]
+    toy.start(lambda reading: None)
+    until(lambda: toy.health().state == "ok")
+    with pytest.raises(RuntimeError, match="started already"):
+        toy.start(lambda reading: None)
+
+
+def test_a_receiver_that_fails_cuts_no_device_off(toy, caplog):
+    def fail(reading):
+        raise ZeroDivisionError("oops")
+
+    toy._script.put(
+        lambda self: [self._ready("toy 1.0"), *(self.speak() for _ in range(5)), self.idle()]
+    )
+    toy.start(fail)
+    until(
+        lambda: toy.health().counts["Climate"] == 5 if "Climate" in toy.health().counts else False
+    )
+    health = toy.health()
+    assert health.state == "ok"
+    assert "lost connection" not in health.counts
+    assert health.counts["not received: error"] >= 6
+    assert caplog.text.count("Traceback") == 1
+
+
+def test_a_lost_device_and_a_receiver_that_fails_leave_the_thread_alive(toy):
+    def fail(reading):
+        raise ZeroDivisionError("oops")
+
+    toy._script.put(Toy.fail)
+    toy.start(fail)
+    until(lambda: toy.health().state == "ok")

@@ -1,0 +1,229 @@
+"""Who drives, and what stops the robot when nobody does."""
+
+import math
+import threading
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from impslam.platform.devices.base import DriveDevice
+from impslam.platform.station import helm as module
+from impslam.platform.station.helm import DEAD_MAN, PERIOD, Helm, HelmError
+
+
+class Wheels(DriveDevice):
+    """Remembers what it was told, and when."""
+
+    name = "wheels"
+
+    def model_post_init(self, context):
+        self.__dict__["told"] = []
+        self.__dict__["latched"] = False
+
+    @property
+    def stopped(self):
+        return self.__dict__["latched"]
+
+    def _serve(self) -> None:
+        self._stopping.wait()
+
+    def drive(self, speed, turn_rate):
+        self.told.append((time.monotonic(), speed, turn_rate))
+
+    def emergency_stop(self):
+        self.__dict__["latched"] = True
+
+    def release(self):
+        self.__dict__["latched"] = False
+
+
+@pytest.fixture
+def wheels():
+    return Wheels()
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that stands until moved."""
+    moment = [1000.0]
+    monkeypatch.setattr(module, "now", lambda: moment[0])
+    return moment
+
+
+@pytest.fixture
+def helm(wheels):
+    return Helm(wheels, (0.5, 1.0))
+
+
+def test_a_command_reaches_the_wheels_at_once(helm, wheels, clock):
+    helm.take("a", "Ann")
+    helm.drive("a", 0.2, -0.3)
+    assert wheels.told[-1][1:] == (0.2, -0.3)
+    assert helm.state().speed == 0.2
+
+
+@pytest.mark.parametrize(("age", "moves"), [(DEAD_MAN - 1e-6, True), (DEAD_MAN + 1e-6, False)])
+def test_a_command_holds_for_the_dead_man_s_time_and_no_longer(helm, wheels, clock, age, moves):
+    helm.take("a", "Ann")
+    helm.drive("a", 0.2, 0.1)
+    clock[0] += age
+    helm._pass_on()
+    assert wheels.told[-1][1:] == ((0.2, 0.1) if moves else (0.0, 0.0))
+
+
+def test_the_thread_stops_the_robot_when_commands_cease(wheels):
+    helm = Helm(wheels, (0.5, 1.0))
+    helm.start()
+    helm.take("a", "Ann")
+    helm.drive("a", 0.2, 0.0)
+    given_at = time.monotonic()
+    time.sleep(DEAD_MAN + 6 * PERIOD)
+    helm.stop()
+    last = max(t for t, speed, _ in wheels.told if speed > 0.0)
+    assert last - given_at < DEAD_MAN + 0.05
+    assert wheels.told[-1][1:] == (0.0, 0.0)
+    assert not [thread for thread in threading.enumerate() if thread.name == "helm"]
+
+
+def test_only_one_drives_and_the_others_are_told_who(helm, clock):
+    helm.take("a", "Ann")
+    helm.take("a", "Ann")
+    with pytest.raises(HelmError, match="Ann is driving"):
+        helm.take("b", "Bob")
+    with pytest.raises(HelmError, match="take the helm"):
+        helm.drive("b", 0.1, 0.0)
+    helm.leave("b")
+    assert helm.state().name == "Ann"
+    helm.leave("a")
+    helm.take("b", "Bob")
+    assert helm.state().driver == "b"
+
+
+def test_who_leaves_leaves_a_robot_that_stands(helm, wheels, clock):
+    helm.take("a", "Ann")
+    helm.drive("a", 0.2, 0.0)
+    helm.leave("a")
+    helm._pass_on()
+    assert wheels.told[-1][1:] == (0.0, 0.0)
+
+
+def test_an_emergency_stop_comes_from_anyone_and_wins(helm, wheels, clock):
+    helm.take("a", "Ann")
+    helm.drive("a", 0.2, 0.0)
+    before = len(wheels.told)
+    helm.emergency_stop("Bob")
+    assert wheels.stopped
+    helm.drive("a", 0.2, 0.0)
+    helm._pass_on()
+    assert len(wheels.told) == before  # nothing is sent that could move it
+    assert helm.state().stopped == "emergency stop by Bob"
+    with pytest.raises(HelmError, match="take the helm"):
+        helm.release("b")
+    helm.release("a")
+    assert not wheels.stopped
+    helm._pass_on()
+    assert wheels.told[-1][1:] == (0.0, 0.0)  # what was commanded before is forgotten
+
+
+@given(speed=st.floats(), turn_rate=st.floats())
+def test_nothing_beyond_the_limits_reaches_the_wheels(speed, turn_rate):
+    wheels = Wheels()
+    helm = Helm(wheels, (0.5, 1.0))
+    helm.take("a", "Ann")
+    if math.isfinite(speed) and math.isfinite(turn_rate):
+        helm.drive("a", speed, turn_rate)
+    else:
+        with pytest.raises(HelmError, match="no motion"):
+            helm.drive("a", speed, turn_rate)
+    assert all(abs(v) <= 0.5 and abs(w) <= 1.0 for _, v, w in wheels.told)
+
+
+def test_a_robot_without_wheels_says_so():
+    helm = Helm(None, (0.5, 1.0))
+    with pytest.raises(HelmError, match="nothing to drive with"):
+        helm.take("a", "Ann")
+    helm.emergency_stop("Ann")
+
+
+def test_what_happens_at_the_helm_is_told_once(wheels, clock):
+    told = []
+    helm = Helm(wheels, (0.5, 1.0), lambda level, text: told.append((level, text)))
+    for _ in range(2):
+        helm.take("a", "Ann")
+        helm.emergency_stop("Bob")
+    helm.release("a")
+    helm.leave("a")
+    assert told == [
+        ("info", "Ann takes the helm"),
+        ("warning", "emergency stop by Bob"),
+        ("info", "emergency stop released by Ann"),
+        ("info", "Ann lets go of the helm"),
+    ]
+
+
+def test_every_motion_and_each_new_stand_is_recorded(wheels, clock):
+    sent = []
+    helm = Helm(wheels, (0.5, 1.0), sent=lambda *command: sent.append(command))
+    helm._pass_on()
+    helm.take("a", "Ann")
+    helm.drive("a", 0.2, 0.1)
+    helm._pass_on()
+    clock[0] += 1.0
+    helm._pass_on()
+    helm._pass_on()
+    assert sent == [(0.2, 0.1), (0.2, 0.1), (0.0, 0.0)]
+
+
+def test_a_stop_that_the_device_held_before_is_shown_and_can_be_released(helm, wheels):
+    wheels.emergency_stop()  # told by a program that ran before this one
+    assert helm.state().stopped == "emergency stop held by wheels"
+    helm.take("a", "Ann")
+    helm.release("a")
+    assert not wheels.stopped
+    assert helm.state().stopped == ""
+
+
+def test_helm_and_device_agree_after_a_stop_and_a_release_at_the_same_time(helm, wheels):
+    """The device is told in the order in which the helm took them."""
+    helm.take("a", "Ann")
+    entered, go_on = threading.Event(), threading.Event()
+
+    def slowly():
+        entered.set()
+        go_on.wait(1.0)
+        wheels.__dict__["latched"] = True
+
+    wheels.__dict__["emergency_stop"] = slowly
+    stopping = threading.Thread(target=helm.emergency_stop, args=("Bob",))
+    stopping.start()
+    assert entered.wait(5.0)
+    releasing = threading.Thread(target=helm.release, args=("a",))
+    releasing.start()
+    releasing.join(0.1)
+    go_on.set()
+    stopping.join(5.0)
+    releasing.join(5.0)
+    assert not wheels.stopped
+    assert helm.state().stopped == ""
+
+
+def test_a_fault_while_passing_on_ends_neither_the_thread_nor_the_stand(wheels, caplog):
+    helm = Helm(wheels, (0.5, 1.0))
+    faults = []
+
+    def faulty(speed, turn_rate):
+        if not faults:
+            faults.append(speed)
+            raise ZeroDivisionError("oops")
+        wheels.told.append((time.monotonic(), speed, turn_rate))
+
+    wheels.__dict__["drive"] = faulty
+    helm.start()
+    end = time.monotonic() + 5.0
+    while not wheels.told and time.monotonic() < end:
+        time.sleep(0.01)
+    helm.stop()
+    assert wheels.told
+    assert "oops" in caplog.text

@@ -1,0 +1,480 @@
+"""Live mapping: the same map as of a log, never behind, every scan accounted for."""
+
+import json
+import logging
+import math
+import re
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import PrivateAttr
+from tests.recorded import Played, perfect
+
+from impslam.component import parameter, register
+from impslam.config import load
+from impslam.errors import ImpError
+from impslam.extractors.base import Extractor
+from impslam.observers.live_view import LiveView
+from impslam.observers.recorder import Recorder
+from impslam.observers.report import Report
+from impslam.pipeline import run
+from impslam.platform.devices.base import now
+from impslam.platform.station import mapper as module
+from impslam.platform.station import warm_up as warm
+from impslam.platform.station.inbox import Inbox
+from impslam.platform.station.mapper import LiveMapper
+from impslam.simulation.world import load_world
+from impslam.types import Climate, DeviceTime, LaserScan, TruePose, WheelAngles
+
+
+@register("test_slow")
+class Slow(Extractor):
+    """Finds nothing, and takes its time; or fails at a scan."""
+
+    seconds: float = parameter(0.0, "s", "how long a scan takes")
+    fails_at: int = parameter(-1, "1", "the scan at which it fails")
+    _seen: int = PrivateAttr(default=0)
+
+    def extract(self, scan, rng):
+        self._seen += 1
+        if self._seen == self.fails_at:
+            raise ZeroDivisionError("two\nlines")
+        time.sleep(self.seconds)
+        return []
+
+
+EVERY_SCAN = ["keyframes.distance=0", "keyframes.angle=0", "keyframes.seconds=0"]
+
+
+def slow(seconds=0.0, fails_at=-1):
+    """Return a config whose only extractor is the slow one."""
+    none = [f"sensors.lidar.extractors.{n}.kind=none" for n in ("walls", "cylinders", "corners")]
+    own = "sensors.lidar.extractors.slow"
+    return load(
+        "imp",
+        [*EVERY_SCAN, *none, f"{own}.kind=test_slow", f"{own}.seconds={seconds}",
+         f"{own}.fails_at={fails_at}"],
+    )  # fmt: skip
+
+
+class Ready(LiveMapper):
+    """Has nothing to compile: what comes after its start is mapped."""
+
+    def start(self):
+        super().start()
+        wait_until(lambda: self.status().state != "compiling")
+
+
+def live(config, view=None):
+    return Ready(config, view or LiveView(), lambda _: None)
+
+
+@pytest.fixture(scope="module")
+def room():
+    return [m for m in perfect(load_world("room")) if isinstance(m, LaserScan | WheelAngles)]
+
+
+def wait_until(true, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.002)
+
+
+def hand(mapper, messages):
+    """Put messages no faster than they are taken."""
+    for message in messages:
+        mapper.put(message)
+        if isinstance(message, LaserScan):
+            wait_until(lambda: mapper.status().waiting == 0)
+
+
+def drain(mapper):
+    """Wait until the estimator has taken all that was put."""
+    mapping = mapper._mapping
+    wait_until(lambda: mapping._inbox.empty)
+    with mapping._door, mapping._between:
+        pass
+    time.sleep(0.01)  # it may have been between the two
+
+
+def scans(messages):
+    return [m for m in messages if isinstance(m, LaserScan)]
+
+
+# --------------------------------------------------------------------------- the inbox
+
+
+def test_the_inbox_keeps_all_motion_and_the_newest_scans():
+    inbox = Inbox(scans=2)
+    for i in range(10):
+        inbox.put(WheelAngles(i, 0.0, 0.0), i, False)
+        inbox.put(DeviceTime(i, "scan", 0.0), i, True)
+    assert (inbox.waiting, inbox.dropped) == (2, 8)
+    taken = []
+    while not inbox.empty:
+        taken.append(inbox.take(0.0))
+    assert [m.stamp for m, _ in taken if isinstance(m, WheelAngles)] == list(range(10))
+    assert [(m.stamp, at) for m, at in taken if isinstance(m, DeviceTime)] == [(8, 8), (9, 9)]
+    assert [at for _, at in taken] == sorted(at for _, at in taken)
+    assert inbox.waiting == 0
+
+
+def test_who_waits_at_the_inbox_is_woken():
+    inbox, got = Inbox(), []
+    thread = threading.Thread(target=lambda: got.append(inbox.take()))
+    thread.start()
+    inbox.wake()
+    thread.join(5.0)
+    assert got == [None]
+    assert inbox.take(0.01) is None
+
+
+# --------------------------------------------------------------------------- the map
+
+
+def test_a_live_map_is_that_of_the_log(room, tmp_path):
+    config = load("imp")
+    log, saved = tmp_path / "log", tmp_path / "live"
+    recorder = Recorder(log)
+    outcome = run(config, Played.of(room, tmp_path), [recorder, Report(log, recorder.grid)])
+    view = LiveView()
+    mapper = live(config, view)
+    mapper.start()
+    hand(mapper, room)
+    drain(mapper)
+    assert mapper.save(saved) == saved
+    assert mapper.status().state == "running"
+    mapper.stop()
+    same = {"trajectory.tum", "trajectory.csv", "odometry.tum", "landmarks.csv", "map.pgm"}
+    for name in same | {"map.yaml", "config.toml", "report.png"}:
+        assert (saved / name).read_bytes() == (log / name).read_bytes(), name
+    assert {p.name for p in saved.iterdir()} == {p.name for p in log.iterdir()}
+    facts, known = (json.loads((f / "summary.json").read_text()) for f in (saved, log))
+    for key in ("counts", "landmarks", "path_length_m", "state_size", "config_sha256", "dropped"):
+        assert facts[key] == known[key]
+    shown = view.snapshot()
+    assert shown.scans == outcome.counts["steps"]
+    known_ids = {mark.id for mark in outcome.landmarks}
+    assert len(known_ids & {mark.id for mark in shown.landmarks}) > 4  # it may be 0.2 s older
+
+
+def test_a_map_is_saved_while_scans_come(room, tmp_path):
+    """Every saved path is the beginning of the last one, and the map goes on meanwhile."""
+    mapper = live(load("imp"))
+    with pytest.raises(ImpError, match="no map to save"):
+        mapper.save(tmp_path / "early")
+    mapper.start()
+    hand(mapper, room[:200])
+    wait_until(lambda: mapper.status().steps > 3)
+    thread = threading.Thread(target=hand, args=(mapper, room[200:]))
+    thread.start()
+    saved = [mapper.save(tmp_path / str(i)) for i in range(2)]
+    thread.join(60.0)
+    wait_until(lambda: mapper.status().steps >= len(scans(room)) - 1)
+    mapper.stop()
+    saved.append(mapper.save(tmp_path / "stopped"))
+    paths = [(folder / "trajectory.tum").read_text() for folder in saved]
+    assert paths[2].startswith(paths[0])
+    assert paths[2].startswith(paths[1])
+    assert len(paths[0]) <= len(paths[1]) <= len(paths[2])
+    assert len(paths[2].splitlines()) == mapper.status().steps
+    for folder in saved:
+        rows = (folder / "trajectory.csv").read_text().splitlines()
+        assert len(rows) == 1 + json.loads((folder / "summary.json").read_text())["counts"]["steps"]
+
+
+def test_a_folder_that_cannot_be_made_ends_in_one_line(room, tmp_path):
+    mapper = live(load("imp"))
+    mapper.start()
+    hand(mapper, room[:300])
+    wait_until(lambda: mapper.status().steps > 0)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ImpError, match="cannot be made"):
+        mapper.save(tmp_path / "file" / "map")
+    mapper.stop()
+
+
+def silence(snapshot):
+    return int(re.search(r"(\d+) s", snapshot.lost)[1])
+
+
+def test_a_robot_whose_lidar_is_silent_is_shown_where_its_wheels_say(tmp_path):
+    everything = list(perfect(load_world("room")))
+    truth = {m.stamp: m.pose for m in everything if isinstance(m, TruePose)}
+    messages = [m for m in everything if isinstance(m, LaserScan | WheelAngles)]
+    third = len(messages) // 3
+    blind = [m for m in messages[third : 2 * third] if isinstance(m, WheelAngles)]
+    view = LiveView()
+    mapper = live(load("imp"), view)
+    mapper.start()
+    hand(mapper, messages[:third])
+    drain(mapper)
+    before = view.snapshot()
+    assert before.lost == ""
+    hand(mapper, blind)
+    wait_until(lambda: view.snapshot().stamp >= blind[-1].stamp)
+    shown = view.snapshot()
+    seconds = silence(shown)
+    assert shown.lost == f"no usable scan for {seconds} s; the pose is dead-reckoned"
+    assert np.linalg.norm(shown.pose[:2] - before.pose[:2]) > 0.5
+    assert np.abs(shown.pose - truth[shown.stamp])[:2].max() < 0.01
+    assert np.trace(shown.covariance) > np.trace(before.covariance)
+    assert (len(before.points) > 0, len(shown.points)) == (True, 0)
+    assert (shown.scans, math.isnan(shown.arrived)) == (before.scans, True)
+    wait_until(lambda: silence(view.snapshot()) > seconds)  # also where the wheels say nothing
+    hand(mapper, messages[2 * third :])
+    drain(mapper)
+    after = view.snapshot()
+    assert (after.lost, len(after.points) > 0) == ("", True)
+    mapper.save(tmp_path / "live")
+    mapper.stop()
+    recorder = Recorder(tmp_path / "log")
+    heard = [*messages[:third], *blind, *messages[2 * third :]]
+    run(load("imp"), Played.of(heard, tmp_path), [recorder])
+    paths = [(tmp_path / name / "trajectory.tum").read_text() for name in ("live", "log")]
+    assert paths[0] == paths[1], "looking changes nothing"
+
+
+def test_a_new_map_begins_at_the_origin(room):
+    view = LiveView()
+    mapper = live(load("imp"), view)
+    mapper.start()
+    hand(mapper, room)
+    wait_until(lambda: mapper.status().steps > 90)
+    first = view.snapshot()
+    mapper.start()
+    wait_until(lambda: mapper.status().state == "running")
+    assert mapper.status().steps == 0
+    assert (view.snapshot().run, view.snapshot().landmarks) == (first.run + 1, ())
+    hand(mapper, room[-150:])
+    wait_until(lambda: mapper.status().steps > 0)
+    assert np.abs(view.snapshot().pose).max() < 0.5 < np.abs(first.pose).max()
+    mapper.stop()
+    assert mapper.status().state == "off"
+    steps = mapper.status().steps
+    hand(mapper, room[:50])
+    assert mapper.status().steps == steps
+
+
+def test_what_the_estimator_does_not_understand_is_passed_over(room):
+    mapper = live(load("imp"))
+    mapper.put(room[0])  # off: nothing happens
+    mapper.start()
+    others = (Climate(0.0, 20.0, 0.5), DeviceTime(0.0, "x", 1.0), TruePose(0.0, np.zeros(3)))
+    for message in others * 1000:
+        mapper.put(message)
+    hand(mapper, room[:400])
+    wait_until(lambda: mapper.status().steps > 3)
+    assert set(mapper._mapping.run.pipeline.counts) == {"WheelAngles", "LaserScan"}
+    mapper.stop()
+
+
+# --------------------------------------------------------------------------- too slow
+
+
+def test_a_slow_computer_drops_whole_scans_and_stays_near(room, caplog):
+    """Each scan takes three sweeps: two of three are dropped, and the map is never old."""
+    seconds, period = 0.15, 0.05
+    view = LiveView()
+    mapper = live(slow(seconds), view)
+    mapper.start()
+    behind, latency = [], []
+    begin, most = time.monotonic(), 60
+    with caplog.at_level(logging.WARNING, "impslam"):
+        for i in range(most):
+            stamp = i * period
+            for k in range(5):
+                mapper.put(WheelAngles(stamp + k * 0.01, (i * 5 + k) * 0.01, (i * 5 + k) * 0.01))
+            mapper.put(LaserScan(stamp, np.zeros(4), np.ones(4), np.zeros(4)))
+            time.sleep(max(0.0, begin + (i + 1) * period - time.monotonic()))
+            status = mapper.status()
+            assert status.waiting <= 3
+            behind.append(status.behind)
+            latency.append(status.latency)
+        mapper.put(WheelAngles(most * period, most * 0.05, most * 0.05))
+        drain(mapper)
+        mapper.stop()
+        mapper._mapping.thread.join()
+    status = mapper.status()
+    left = mapper._mapping.run.pipeline.waiting
+    assert status.steps + status.dropped_scans + left == most
+    assert left <= 1
+    assert 8 <= status.steps <= 35
+    # It waits for three sweeps at most, and for the one at work and itself to be done.
+    bound = 3 * period + 2 * seconds + 0.6  # and what a busy machine takes; without drops 2 s
+    assert np.nanmax(latency) < bound
+    assert np.nanmax(behind) < bound + seconds + period
+    counts = mapper._mapping.run.pipeline.counts
+    assert counts["WheelAngles"] == 5 * most + 1
+    way = view.snapshot().odometry[0] - 0.0635 * view.snapshot().stamp
+    assert abs(way) < 1e-6  # the motion is complete, whatever was dropped
+    assert f"{status.dropped_scans} scans dropped" in status.detail
+    told = [r for r in caplog.records if "scans dropped" in r.message]
+    assert len(told) == 1  # of 40, within 10 s
+
+
+def test_the_map_begins_when_the_estimator_is_ready(room):
+    """What was felt before that does not make its origin uncertain."""
+    compiled, view = threading.Event(), LiveView()
+    mapper = LiveMapper(load("imp"), view, lambda _: compiled.wait(20.0))
+    mapper.start()
+    for i in range(400):  # a wheel's reading that trembles for four seconds
+        mapper.put(WheelAngles(-4.0 + 0.01 * i, 0.01 * (i % 2), 0.0))
+    mapper.put(scans(room)[0])
+    status = mapper.status()
+    assert (status.state, status.waiting, status.dropped_scans) == ("compiling", 0, 0)
+    assert math.isnan(status.behind)
+    compiled.set()
+    wait_until(lambda: mapper.status().state == "running")
+    for message in room[:30]:
+        mapper.put(message)
+    wait_until(lambda: mapper.status().steps > 0)
+    assert math.sqrt(view.snapshot().covariance[2, 2]) < 1e-3
+    mapper.stop()
+
+
+def test_scans_go_on_when_the_encoders_are_lost(room, monkeypatch):
+    """They are used with what is known, in time: none waits for 25 others."""
+    monkeypatch.setattr(module, "PATIENCE", 0.05)
+    mapper = live(load("imp"))
+    mapper.start()
+    middle = len(room) // 2
+    hand(mapper, room[:middle])
+    wait_until(lambda: mapper.status().steps > 20)
+    before = mapper.status().steps
+    sweep = scans(room[:middle])[-1]
+    for i in range(10):
+        mapper.put(replace(sweep, stamp=sweep.stamp + 0.1 * (i + 1)))
+        wait_until(lambda before=before: mapper.status().steps > before, 2.0)
+        before = mapper.status().steps
+        assert mapper.status().latency < 0.5
+    mapper.stop()
+
+
+@pytest.mark.parametrize("wheels", [True, False])
+def test_a_robot_without_encoders_is_told_that_it_has_none(room, monkeypatch, wheels):
+    monkeypatch.setattr(module, "PATIENCE", 0.02)
+    mapper = live(load("imp"))
+    mapper.start()
+    hand(mapper, room if wheels else scans(room)[:20])
+    wait_until(lambda: mapper.status().steps >= module.BLIND)
+    assert mapper.status().state == "running"
+    assert ("no WheelAngles has come" in mapper.status().detail) is not wheels
+    mapper.stop()
+
+
+# --------------------------------------------------------------------------- faults
+
+
+def test_a_failing_estimator_tells_in_one_line_and_can_begin_anew(room, caplog):
+    mapper = live(slow(fails_at=5))
+    mapper.start()
+    with caplog.at_level(logging.ERROR, "impslam"):
+        for message in room:
+            mapper.put(message)
+            if mapper.status().state == "failed":
+                break
+            time.sleep(0.001)
+        wait_until(lambda: mapper.status().state == "failed")
+    status = mapper.status()
+    assert status.detail.startswith("ZeroDivisionError: two lines;")
+    assert len([r for r in caplog.records if r.levelno >= logging.ERROR]) == 1
+    mapper.put(room[0])
+    mapper.stop()
+    assert mapper.status().state == "failed"
+    mapper.start()
+    wait_until(lambda: mapper.status().state == "running")
+    mapper.stop()
+
+
+def test_a_flood_that_is_not_taken_fails_instead_of_filling_the_memory(monkeypatch):
+    monkeypatch.setattr("impslam.platform.station.inbox.LIMIT", 50)
+    mapper = live(load("imp"))
+    mapper.start()
+    with mapper._mapping._between:  # the estimator hangs
+        for i in range(60):
+            mapper.put(WheelAngles(0.01 * i, 0.0, 0.0))
+        assert mapper.status().state == "failed"
+        assert "start a new map" in mapper.status().detail
+    mapper.stop()
+
+
+def test_bad_messages_do_not_end_the_map(room):
+    mapper = live(load("imp"))
+    mapper.start()
+    nothing = np.empty(0)
+    for i, message in enumerate(room[:500]):
+        if isinstance(message, LaserScan) and i % 2:
+            spoiled = replace(message, angles=nothing, ranges=nothing, time_offsets=nothing)
+        elif isinstance(message, WheelAngles) and i % 50 == 0:
+            spoiled = replace(message, left=math.nan)
+        else:
+            spoiled = message
+        hand(mapper, [spoiled])
+    drain(mapper)
+    status = mapper.status()
+    left = mapper._mapping.run.pipeline.waiting
+    assert status.state == "running"
+    assert status.refused > 0
+    assert status.steps + status.refused + left == len(scans(room[:500]))
+    mapper.stop()
+
+
+def test_arrivals_are_told_on_the_page(room):
+    view = LiveView()
+    mapper = live(load("imp"), view)
+    mapper.start()
+    given = now() - 5.0
+    for message in room[:200]:
+        mapper.put(message, given)
+        if isinstance(message, LaserScan):
+            wait_until(lambda: mapper.status().waiting == 0)
+    wait_until(lambda: mapper.status().steps > 0)
+    assert view.snapshot().arrived == given
+    assert 5.0 <= mapper.status().latency < 30.0
+    mapper.stop()
+
+
+def test_the_estimator_is_compiled_apart(monkeypatch, tmp_path):
+    calls = []
+    monkeypatch.setattr(warm, "_done", set())
+    monkeypatch.setattr(warm.subprocess, "run", lambda command, **_: calls.append(command))
+    config = load("imp")
+    warm.warm_up(config)
+    warm.warm_up(config)
+    assert len(calls) == 1
+    assert calls[0][1:3] == ["-m", "impslam.platform.station.warm_up"]
+    assert not Path(calls[0][3]).exists()
+    warm.warm_up(load("default"))  # other odometry: the true path plays its part
+    assert len(calls) == 2
+
+
+def test_compiling_may_be_done_ahead(caplog):
+    done = threading.Event()
+    LiveMapper(load("imp"), LiveView(), lambda _: done.set()).warm_up()
+    assert done.wait(10.0)
+
+    def fail(_):
+        raise OSError("no disk")
+
+    with caplog.at_level(logging.WARNING, "impslam"):
+        LiveMapper(load("imp"), LiveView(), fail).warm_up()
+        wait_until(lambda: "no disk" in caplog.text)
+
+
+def test_what_cannot_be_compiled_apart_is_compiled_in_place(monkeypatch, caplog):
+    def fail(*_, **__):
+        raise OSError("no process")
+
+    done = set()
+    monkeypatch.setattr(warm, "_done", done)
+    monkeypatch.setattr(warm.subprocess, "run", fail)
+    with caplog.at_level(logging.WARNING, "impslam"):
+        warm.warm_up(load("imp"))
+    assert len(done) == 1
+    assert "in place" in caplog.text

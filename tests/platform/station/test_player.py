@@ -1,0 +1,352 @@
+"""Replay: the pace of the stamps, halts and steps at once, and the same files as without."""
+
+import math
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.recorded import Played, perfect
+
+from impslam.config import load
+from impslam.errors import ImpError, SourceError
+from impslam.observers.base import Observer
+from impslam.observers.live_view import LiveView
+from impslam.observers.recorder import Recorder
+from impslam.observers.report import Report
+from impslam.pipeline import run
+from impslam.platform.station import player as module
+from impslam.platform.station.pace import Pace
+from impslam.platform.station.player import Player, play_live
+from impslam.simulation.world import load_world
+from impslam.types import LaserScan
+
+INF = math.inf
+
+
+@pytest.fixture(scope="module")
+def room():
+    return perfect(load_world("room"))
+
+
+class Moments(Observer):
+    """Remembers when each result came."""
+
+    def __init__(self):
+        self.stamps, self.moments, self.outcome = [], [], None
+
+    def step(self, result):
+        self.stamps.append(result.stamp)
+        self.moments.append(time.monotonic())
+
+    def finish(self, outcome):
+        self.outcome = outcome
+
+
+def player(messages, tmp_path, observers=(), view=None):
+    source = Played.of(messages, tmp_path)
+    return Player(load("imp"), source, observers, view or LiveView(), lambda _: None)
+
+
+def wait_until(true, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.002)
+
+
+def scans(messages):
+    return [m for m in messages if isinstance(m, LaserScan)]
+
+
+def shifted(messages, by, begin, end=math.inf):
+    """Return messages with the stamps of those from begin to end moved by some seconds."""
+    first = messages[0].stamp
+    return [
+        replace(m, stamp=m.stamp + by) if begin <= m.stamp - first < end else m for m in messages
+    ]
+
+
+# --------------------------------------------------------------------------- the same run
+
+
+def test_a_replay_writes_the_folder_of_a_run(room, tmp_path):
+    config = load("imp")
+    one, other = tmp_path / "one", tmp_path / "other"
+    recorder = Recorder(one)
+    outcome = run(config, Played.of(room, tmp_path), [recorder, Report(one, recorder.grid)])
+    view, recorder = LiveView(), Recorder(other)
+    playing = player(room, tmp_path, [recorder, Report(other, recorder.grid)], view)
+    assert playing.status().state == "ready"
+    playing.set_speed(INF)
+    playing.start()
+    assert playing.wait(60.0).counts == outcome.counts
+    different = {"summary.json", "report.html"}  # times
+    assert {p.name for p in one.iterdir()} == {p.name for p in other.iterdir()}
+    for path in one.iterdir():
+        if path.name not in different:
+            assert path.read_bytes() == (other / path.name).read_bytes(), path.name
+    status, shown = playing.status(), view.snapshot()
+    assert (status.state, status.detail) == ("ended", "")
+    assert status.steps == shown.scans == len(scans(room))
+    assert status.stamp == shown.stamp == scans(room)[-1].stamp
+    assert status.seconds == pytest.approx(status.stamp - scans(room)[0].stamp)
+    assert shown.finished
+    assert len(shown.landmarks) == len(outcome.landmarks)
+    assert shown.truth is not None
+
+
+def test_play_live_starts_at_once(room, tmp_path, monkeypatch):
+    monkeypatch.setattr(module.Player.__init__, "__defaults__", (lambda _: None,))
+    playing = play_live(load("imp"), Played.of(room, tmp_path), [], LiveView())
+    wait_until(lambda: playing.status().steps > 0)
+    playing.stop()
+    assert playing.status().state == "stopped"
+
+
+# --------------------------------------------------------------------------- pace
+
+
+@pytest.mark.parametrize("speed", [1.0, 8.0])
+def test_scans_come_at_the_pace_of_their_stamps(room, tmp_path, speed):
+    kept = Moments()
+    playing = player(room, tmp_path, [kept])
+    playing.set_speed(speed)
+    playing.start()
+    wait_until(lambda: playing.status().steps >= (12 if speed == 1.0 else 80))
+    playing.stop()
+    elapsed = np.array(kept.moments) - kept.moments[0]
+    due = (np.array(kept.stamps) - kept.stamps[0]) / speed
+    lag = elapsed - due
+    assert lag.min() > -0.3  # never early, but for when the first was late
+    assert np.median(lag) < 0.3
+    assert elapsed[-1] > 0.8 * due[-1]
+
+
+def test_a_changed_speed_counts_from_now(room, tmp_path):
+    playing = player(room, tmp_path)
+    playing.set_speed(0.1)
+    playing.start()
+    wait_until(lambda: playing.status().steps >= 1)
+    begin = time.monotonic()
+    playing.set_speed(100.0)  # the scan that was due in a second is due at once
+    wait_until(lambda: playing.status().steps >= 50, 5.0)
+    assert time.monotonic() - begin < 4.0
+    playing.set_speed(0.1)  # and nothing is owed
+    steps = playing.status().steps
+    time.sleep(0.3)
+    assert playing.status().steps <= steps + 2
+    playing.stop()
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, 0.05, 101.0, math.nan, -INF])
+def test_what_is_no_speed_is_refused(room, tmp_path, speed):
+    playing = player(room, tmp_path)
+    with pytest.raises(ImpError, match="is none"):
+        playing.set_speed(speed)
+    assert playing.status().speed == 1.0
+
+
+def test_a_computer_that_is_too_slow_does_not_catch_up_in_a_rush():
+    """At 100 times, each scan takes ten times too long; back at 1, the next one is not overdue."""
+    pace = Pace()
+    pace.set_speed(100.0)
+    for i in range(10):
+        assert pace.wait(0.1 * i) == "go"
+        time.sleep(0.01)
+    pace.set_speed(1.0)
+    begin = time.monotonic()
+    assert pace.wait(1.0) == "go"
+    assert 0.08 < time.monotonic() - begin < 1.0
+
+
+def test_a_late_scan_is_caught_up_with():
+    """What takes longer now and then does not delay all that comes after: 0.35 s, not 0.47."""
+
+    def play():
+        pace, begin = Pace(), None
+        for i in range(8):
+            pace.wait(0.05 * i)
+            begin = time.monotonic() if begin is None else begin
+            time.sleep(0.09 if i in {1, 3, 5} else 0.0)
+        return time.monotonic() - begin
+
+    taken = min(play() for _ in range(5))  # a busy machine may sleep longer
+    assert 0.34 < taken < 0.43
+
+
+# --------------------------------------------------------------------------- halt and step
+
+
+def test_a_halt_is_at_once_and_a_step_is_one_scan(room, tmp_path):
+    view = LiveView()
+    playing = player(room, tmp_path, view=view)
+    playing.set_speed(INF)
+    playing.pause()
+    playing.start()
+    wait_until(lambda: playing.status().state == "paused")
+    time.sleep(0.05)
+    assert playing.status().steps == 0
+    for wanted in range(1, 30):
+        playing.step()
+        wait_until(lambda wanted=wanted: playing.status().steps == wanted)
+    time.sleep(0.05)
+    assert playing.status().steps == view.snapshot().scans == 29
+    assert playing.status().state == "paused"
+    playing.resume()
+    wait_until(lambda: playing.status().steps > 40)
+    assert playing.wait(60.0) is not None
+
+
+def test_at_a_halt_the_newest_map_is_shown(room, tmp_path):
+    view = LiveView()
+    playing = player(room, tmp_path, view=view)
+    playing.set_speed(INF)
+    playing.start()
+    wait_until(lambda: playing.status().steps > 60)
+    playing.pause()
+    slam = playing._run.pipeline.slam
+
+    def seen(landmarks):
+        return {mark.id: mark.observations for mark in landmarks}
+
+    wait_until(lambda: seen(view.snapshot().landmarks) == seen(slam.landmarks()), 5.0)
+    assert max(seen(view.snapshot().landmarks).values()) > 5
+    playing.stop()
+
+
+@pytest.mark.parametrize("speed", [0.1, 1.0, INF])
+def test_pausing_takes_less_than_a_tenth_of_a_second(room, tmp_path, speed):
+    playing = player(room, tmp_path)
+    playing.set_speed(speed)
+    playing.start()
+    wait_until(lambda: playing.status().steps >= 1)
+    playing.pause()
+    time.sleep(0.1)
+    steps = playing.status().steps
+    time.sleep(0.15)
+    assert playing.status().steps == steps < len(scans(room))
+    begin = time.monotonic()
+    playing.stop()
+    assert time.monotonic() - begin < 1.0
+    assert playing.status().state == "stopped"
+
+
+def test_a_halted_replay_takes_no_time_of_the_computer(room, tmp_path):
+    playing = player(room, tmp_path)
+    playing.start()
+    wait_until(lambda: playing.status().steps >= 2)
+    playing.pause()
+    time.sleep(0.1)
+    begin = time.process_time()
+    time.sleep(0.5)
+    assert time.process_time() - begin < 0.1
+    playing.stop()
+
+
+def test_a_stopped_replay_leaves_observers_without_outcome(room, tmp_path):
+    kept = Moments()
+    playing = player(room, tmp_path, [kept])
+    playing.start()
+    wait_until(lambda: playing.status().steps >= 2)
+    playing.stop()
+    assert playing.wait(5.0) is None
+    assert kept.outcome is None
+
+
+# --------------------------------------------------------------------------- odd logs
+
+
+def test_a_gap_is_skipped_at_once_and_told(room, tmp_path):
+    playing = player(shifted(room, 3600.0, 1.0), tmp_path)
+    playing.set_speed(20.0)
+    playing.start()
+    assert playing.wait(30.0) is not None
+    status = playing.status()
+    assert status.skipped == pytest.approx(3600.0, abs=0.2)
+    assert "skipped 3600.1 s" in status.detail
+    assert status.seconds == pytest.approx(10.0, abs=0.3)
+
+
+def test_stamps_that_jump_back_do_not_hang_it(room, tmp_path):
+    playing = player(shifted(room, -500.0, 5.0), tmp_path)
+    playing.set_speed(20.0)
+    playing.start()
+    assert playing.wait(30.0) is not None
+    status = playing.status()
+    assert status.steps == len(scans(room))
+    assert "jump back" in status.detail
+    assert status.stamp == scans(room)[-1].stamp - 500.0
+    assert status.seconds == pytest.approx(10.0, abs=0.3)
+
+
+def test_stamps_that_jitter_do_not_stretch_time():
+    pace = Pace()
+    pace.set_speed(INF)
+    for i in range(100):
+        pace.wait(0.1 * i - 0.15 * (i % 7 == 3))
+    assert pace.place[1] == pytest.approx(9.9)
+
+
+def test_stamps_that_are_no_numbers_do_not_hang_it():
+    pace = Pace()
+    assert [pace.wait(stamp) for stamp in (1.0, math.nan, INF, 2.0)] == ["go"] * 4
+
+
+def test_a_log_that_is_broken_fails_in_one_line(room, tmp_path):
+    playing = player([m for m in room if not isinstance(m, LaserScan)], tmp_path)
+    playing.start()
+    with pytest.raises(SourceError, match="no usable scan"):
+        playing.wait(20.0)
+    status = playing.status()
+    assert status.state == "failed"
+    assert "no usable scan" in status.detail
+    assert "\n" not in status.detail
+
+
+def test_an_observer_that_fails_is_told(room, tmp_path):
+    class Broken(Observer):
+        def step(self, result):
+            raise ValueError("two\nlines")
+
+    playing = player(room, tmp_path, [Broken()])
+    playing.start()
+    with pytest.raises(ValueError, match="two"):
+        playing.wait(20.0)
+    assert playing.status().detail == "ValueError: two lines"
+
+
+def test_orders_from_many_threads_leave_it_sound(room, tmp_path):
+    playing = player(room, tmp_path)
+    playing.start()
+    rng = np.random.default_rng(1)
+    orders = [playing.pause, playing.resume, playing.step, lambda: playing.set_speed(INF)]
+    choices = rng.integers(0, len(orders), (4, 200))
+    threads = [
+        threading.Thread(target=lambda row=row: [orders[k]() for k in row]) for row in choices
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    playing.set_speed(INF)
+    playing.resume()
+    assert playing.wait(60.0).counts["steps"] == len(scans(room))
+
+
+def test_stopping_waits_for_a_run_folder_that_is_being_written(room, tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "STOP", 0.05)
+    begun = threading.Event()
+
+    class Slow(Observer):
+        def finish(self, outcome):
+            begun.set()
+            time.sleep(0.5)
+
+    replay = player(room, tmp_path, [Slow()])
+    replay.set_speed(INF)
+    replay.start()
+    assert begun.wait(60.0)
+    replay.stop()
+    assert replay.wait(0.0) is not None

@@ -1,0 +1,61 @@
+"""A robot file says what a robot is made of, and a wrong one says what is wrong."""
+
+import pytest
+
+from impslam.errors import ConfigError
+from impslam.platform.station.robot_file import load_robot
+
+GOOD = """
+name = "imp-7"
+max_speed = 0.3
+[devices.autopilot]
+kind = "autopilot"
+port = "/dev/imp-autopilot"
+[devices.lidar]
+kind = "urg"
+port = "socket://10.0.0.2:10940"
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    def _write(text):
+        path = tmp_path / "robot.toml"
+        path.write_text(text)
+        return path
+
+    return _write
+
+
+def test_devices_are_named_by_their_tables(write):
+    robot = load_robot(write(GOOD))
+    devices = robot.make_devices()
+    assert {name: device.name for name, device in devices.items()} == {
+        "autopilot": "autopilot",
+        "lidar": "urg",
+    }
+    assert devices["lidar"].title == "lidar"
+    assert (robot.name, robot.max_speed, robot.preset) == ("imp-7", 0.3, "imp")
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("name = ", "not valid TOML"),
+        ("", "names no device"),
+        (GOOD.replace("max_speed", "max_sped"), "did you mean 'max_speed'"),
+        (GOOD.replace("0.3", "-1.0"), "greater than 0"),
+        (GOOD.replace('"urg"', '"ugr"'), "did you mean 'urg'"),
+        (GOOD.replace("port =", "prot ="), "did you mean 'port'"),
+    ],
+)
+def test_what_is_wrong_is_told_in_one_line(write, text, complaint):
+    with pytest.raises(ConfigError) as caught:
+        load_robot(write(text))
+    assert complaint in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_told(tmp_path):
+    with pytest.raises(ConfigError, match=r"robot\.toml: cannot be read"):
+        load_robot(tmp_path / "robot.toml")

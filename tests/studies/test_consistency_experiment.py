@@ -1,0 +1,146 @@
+"""`imp reproduce consistency`: its tables say what was measured, and the arena's judge is right."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from impslam.evaluation.consistency_setting import HUANG, LONG_LOOP
+from impslam.evaluation.consistency_study import BATCH
+from impslam.simulation.robot import SimulatedRobot
+from impslam.simulation.world import load_world
+from impslam.studies import consistency as experiment
+from impslam.studies.base import Job
+from impslam.studies.consistency import FILTERS, HEADER, consistency
+from impslam.studies.consistency_arena import (
+    CASES,
+    KINDS,
+    Case,
+    judge,
+    landmark_nees,
+    nis_by_kind,
+    reported_error,
+    whole_system,
+)
+from impslam.types import Landmark, Match, Observation, StepResult
+
+
+@pytest.fixture(scope="module")
+def small():
+    """The whole experiment with short settings and one case of the arena."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(experiment, "HUANG", replace(HUANG, steps=60))
+        patch.setattr(experiment, "LONG_LOOP", replace(LONG_LOOP, steps=60))
+        patch.setattr(
+            experiment, "whole_system", lambda job, runs: whole_system(job, runs, CASES[:1])
+        )
+        told = []
+        job = Job(seeds=2, tick=lambda what, done, total: told.append((what, done, total)))
+        return consistency(job), told
+
+
+def test_tables_are_rectangular_and_name_every_filter(small):
+    part, _ = small
+    for table in part.tables:
+        assert {len(row) for row in table.rows} == {len(table.header)}
+    for table in part.tables[:2]:
+        assert [row[0] for row in table.rows][:6] == ["ideal", *FILTERS, BATCH]
+    assert [row[0] for row in part.tables[0].rows][6:] == [
+        "EKF, published",
+        "invariant EKF, published",
+    ]
+
+
+def test_cells_are_the_figures(small):
+    part, _ = small
+    figures, cells = part.figures["circle"]["rows"][0], part.tables[0].rows[1]
+    shown = dict(zip(HEADER, cells, strict=True))
+    assert float(shown["pose NEES"]) == pytest.approx(figures["nees"], abs=0.005)
+    assert float(shown["in band [%]"]) == pytest.approx(100 * figures["in_band"], abs=0.5)
+    assert float(shown["heading [deg]"]) == pytest.approx(
+        math.degrees(figures["heading"]), abs=0.005
+    )
+    assert float(shown["position / optimum"]) == pytest.approx(
+        figures["position_ratio"], abs=0.0005
+    )
+
+
+def test_figures_are_json_and_pictures_png(small):
+    part, _ = small
+    text = json.dumps(part.figures, allow_nan=False)
+    assert json.loads(text)["arena"][0]["runs"] == 2
+    assert [picture.name for picture in part.pictures] == [
+        "consistency-circle",
+        "consistency-loop",
+        "consistency-arena",
+    ]
+    assert all(picture.png.startswith(b"\x89PNG") for picture in part.pictures)
+
+
+def test_progress_is_told_for_each_study(small):
+    _, told = small
+    last = {what: (done, total) for what, done, total in told}
+    assert last == {"circle": (2, 2), "long loop": (2, 2), "arena": (2, 2)}
+
+
+def test_the_whole_system_is_not_too_sure_of_the_pose(small):
+    """Two seeds of the arena: modest in pose and innovations, nothing unseen."""
+    part, _ = small
+    for outcome in part.figures["arena"]:
+        assert outcome["nees"] < 4.0
+        assert all(0.05 < outcome["nis"][kind] < 1.0 for kind in KINDS)
+        assert all(outcome["landmark_nees"][kind] > 0.0 for kind in KINDS)
+
+
+def test_processes_do_not_change_the_result():
+    job = [Job(processes=n) for n in (1, 2)]
+    setting = replace(HUANG, steps=45)
+    alone, shared = (experiment.study(j, setting, 2, "circle") for j in job)
+    assert repr(alone.rows) == repr(shared.rows)
+
+
+def test_a_robot_without_faults_is_mapped_to_the_millimetre():
+    """So that what the cases show is due to their faults."""
+    perfect = SimulatedRobot.perfect().model_copy(update={"imu": None})
+    found = judge((Case("perfect", perfect, (), ("riekf",)), 0))["riekf"]
+    assert found.nees.mean() < 0.1
+    assert max(found.landmarks.values()) < 0.5
+
+
+def landmark(kind, position, parameters, covariance, ends=None):
+    return Landmark(7, kind, np.array(position), parameters, covariance, ends, 9, 0.0, 1.0)
+
+
+def test_landmark_nees_by_hand():
+    world = load_world("arena").landmarks()
+    wall = next(true for true in world if true.name == "wall 2")
+    seen = {"r": wall.parameters["r"] + 0.02, "alpha": wall.parameters["alpha"] - 0.01}
+    P = np.diag([0.01, 0.01]) ** 2
+    mark = landmark("wall", wall.position + np.array([0.02, 0.0]), seen, P, wall.end_points)
+    np.testing.assert_allclose(reported_error(mark, wall), [0.02, -0.01])
+    cylinder = next(true for true in world if true.kind == "cylinder")
+    point = landmark("cylinder", cylinder.position + np.array([0.03, 0.0]), {}, P)
+    point = replace(point, id=8)
+    assert landmark_nees([mark, point], world) == pytest.approx({"wall": 5.0, "cylinder": 9.0})
+
+
+def test_wall_directions_are_compared_the_short_way():
+    wall = next(true for true in load_world("arena").landmarks() if true.name == "wall 4")
+    assert abs(wall.parameters["alpha"]) == pytest.approx(np.pi)
+    seen = {"r": wall.parameters["r"], "alpha": -np.sign(wall.parameters["alpha"]) * (np.pi - 0.01)}
+    mark = landmark("wall", wall.position, seen, np.eye(2), wall.end_points)
+    assert abs(reported_error(mark, wall)[1]) == pytest.approx(0.01)
+
+
+def test_nis_is_over_its_dimension_and_by_kind():
+    seen = (Observation("wall", np.zeros(2), np.eye(2)), Observation("x", np.zeros(1), np.eye(1)))
+    matches = (
+        Match(0, 1, np.zeros(2), np.eye(2), 3.0),
+        Match(0, 2, np.zeros(2), np.eye(2), 1.0),
+        Match(1, 3, np.zeros(1), np.eye(1), 0.5),
+    )
+    pose, P = np.zeros(3), np.eye(3)
+    step = StepResult(0.0, pose, P, pose, pose, None, seen, matches, (), ())
+    assert nis_by_kind([step]) == {"wall": 1.0, "x": 0.5}

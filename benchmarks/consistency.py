@@ -17,9 +17,9 @@ import os
 import numpy as np
 
 from impslam.evaluation.consistency import share_within
-from impslam.evaluation.consistency_setting import HUANG
-from impslam.evaluation.consistency_study import Row, consistency_study
 from impslam.studies.base import Job
+from impslam.studies.circle_simulation import HUANG
+from impslam.studies.filter_consistency import Row, consistency_study
 from impslam.types import Array
 
 FIRST = 1

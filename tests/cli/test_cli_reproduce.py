@@ -3,6 +3,8 @@
 import base64
 import json
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -103,3 +105,13 @@ def test_work_is_shared_out_in_order_whatever_the_processes():
     job = Job(processes=2, tick=lambda *step: told.append(step))
     assert job.map(double, range(5), "work") == [0, 2, 4, 6, 8]
     assert told == [("work", done, 5) for done in range(6)]
+
+
+def test_other_commands_need_neither_the_studies_nor_the_platform():
+    code = (
+        "import sys; sys.modules['impslam.studies'] = sys.modules['impslam.platform'] = None\n"
+        "import impslam.cli.reproduce; from impslam.cli import main\n"
+        "sys.exit(main(['list', 'filter']) or main(['config', 'imp']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from impslam.evaluation.consistency_setting import HUANG, LONG_LOOP
-from impslam.evaluation.consistency_study import BATCH
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.world import load_world
 from impslam.studies import consistency as experiment
 from impslam.studies.base import Job
+from impslam.studies.circle_simulation import HUANG, LONG_LOOP
 from impslam.studies.consistency import FILTERS, HEADER, consistency
 from impslam.studies.consistency_arena import (
     CASES,
@@ -24,6 +23,7 @@ from impslam.studies.consistency_arena import (
     reported_error,
     whole_system,
 )
+from impslam.studies.filter_consistency import BATCH
 from impslam.types import Landmark, Match, Observation, StepResult
 
 

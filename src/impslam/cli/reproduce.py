@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -17,8 +17,9 @@ from impslam.cli.console import Common
 from impslam.cli.progress import display
 from impslam.component import near_miss
 from impslam.errors import ConfigError
-from impslam.studies.base import Experiment, Job, Part
-from impslam.studies.write import FIGURES, PAGE, write
+
+if TYPE_CHECKING:
+    from impslam.studies.base import Experiment, Part
 
 EXPERIMENTS = {
     "points": ("arena:points", 100),
@@ -62,6 +63,10 @@ def reproduce(
     output
         The folder to write to. Default: runs/reproduce-DATE-TIME.
     """
+    # A run of anything else neither imports nor needs the studies.
+    from impslam.studies.base import Job  # noqa: PLC0415
+    from impslam.studies.write import PAGE, write  # noqa: PLC0415
+
     names = _chosen(experiments)
     if full and seeds is not None:
         raise ConfigError("--full and --seeds: give one of them")
@@ -117,6 +122,8 @@ def _experiment(name: str) -> Experiment:
 
 def _folder(wanted: Path | None) -> Path:
     """Return the folder to write to: an earlier one of this command may be used again."""
+    from impslam.studies.write import FIGURES  # noqa: PLC0415
+
     if wanted is None:
         return Path("runs") / f"reproduce-{time.strftime('%Y%m%d-%H%M%S')}"
     if wanted.exists() and not wanted.is_dir():

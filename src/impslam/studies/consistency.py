@@ -12,10 +12,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from impslam.evaluation.consistency import chi2_bounds
-from impslam.evaluation.consistency_setting import HUANG, LONG_LOOP, Setting
-from impslam.evaluation.consistency_study import Row, Run, Study, consistency_study
 from impslam.studies.base import Job, Part, Picture, Table
+from impslam.studies.circle_simulation import HUANG, LONG_LOOP, Setting
 from impslam.studies.consistency_arena import KINDS, Outcome, whole_system
+from impslam.studies.filter_consistency import Row, Run, Study, consistency_study
 
 FILTERS = ("ekf", "fej", "oc", "riekf")
 RUNS = 100
@@ -206,8 +206,8 @@ def arena_table(outcomes: Sequence[Outcome]) -> Table:
 
 def pictures(circle: Study, loop: Study, arena: Sequence[Outcome]) -> tuple[Picture, ...]:
     """Return the curves of the three studies."""
-    from impslam.evaluation import consistency_plot as plot  # noqa: PLC0415  imports matplotlib
     from impslam.evaluation.plots import as_png  # noqa: PLC0415
+    from impslam.studies import consistency_plot as plot  # noqa: PLC0415  imports matplotlib
 
     cases = {o.case: o for o in arena}
     panels = [

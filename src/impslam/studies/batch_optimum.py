@@ -20,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from impslam.evaluation.consistency_setting import START_SIGMA, Drive, Setting
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose, transform
+from impslam.studies.circle_simulation import START_SIGMA, Drive, Setting
 from impslam.types import Array, Ints
 
 LATERAL_SIGMA = 1e-5

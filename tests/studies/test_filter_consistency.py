@@ -6,12 +6,12 @@ from scipy.optimize import least_squares
 from tests.numeric import wrapped
 
 from impslam.errors import ConfigError
-from impslam.evaluation.consistency_batch import LATERAL_SIGMA, optima
-from impslam.evaluation.consistency_plot import NeesPanel, draw_nees, draw_study
-from impslam.evaluation.consistency_setting import LONG_LOOP, START_SIGMA, Setting, simulate
-from impslam.evaluation.consistency_study import BATCH, consistency_study, follow
 from impslam.evaluation.plots import as_png
 from impslam.geometry.se2 import between, inverse, transform
+from impslam.studies.batch_optimum import LATERAL_SIGMA, optima
+from impslam.studies.circle_simulation import LONG_LOOP, START_SIGMA, Setting, simulate
+from impslam.studies.consistency_plot import NeesPanel, draw_nees, draw_study
+from impslam.studies.filter_consistency import BATCH, consistency_study, follow
 
 SMALL = Setting(steps=12, landmarks=6)
 NOISELESS = Setting(steps=90, wheel_sigma=1e-6, sigma=1e-6)

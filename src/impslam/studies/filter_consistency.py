@@ -1,6 +1,6 @@
 """Are the filters' uncertainties true, and what do they waste? A Monte Carlo study.
 
-Every filter runs over the same data (see `consistency_setting`). What is reported of it:
+Every filter runs over the same data (see `circle_simulation`). What is reported of it:
 
 - the normalised error squared (NEES) of the pose, ideally 3, over all runs and steps, and the share of
   steps at which its mean over the runs lies within the 95 % interval of a consistent filter's. Steps
@@ -25,9 +25,9 @@ import numpy as np
 
 from impslam.component import build
 from impslam.evaluation.consistency import nees, pose_errors, resampled_means, share_within
-from impslam.evaluation.consistency_batch import optima
-from impslam.evaluation.consistency_setting import START_SIGMA, Drive, Setting, simulate
 from impslam.filters.base import Filter
+from impslam.studies.batch_optimum import optima
+from impslam.studies.circle_simulation import START_SIGMA, Drive, Setting, simulate
 from impslam.types import Array, Increment, Match, Observation
 
 Run: TypeAlias = tuple[Array, float]

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from impslam.evaluation.consistency import chi2_bounds
-from impslam.evaluation.consistency_study import BATCH, Curves, Study
+from impslam.studies.filter_consistency import BATCH, Curves, Study
 from impslam.types import Array
 
 COLOURS = ("#d81b60", "#e08a00", "#2563eb", "#15803d", "#7c3aed", "#0891b2")

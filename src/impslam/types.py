@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -34,65 +34,69 @@ def check_shape(name: str, array: npt.NDArray[np.generic], *shape: int | None) -
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WheelAngles:
+class Stamped:
+    """A message: what was measured or happened at `stamp`, in s on the host's clock."""
+
+    layout_fields: ClassVar[tuple[str, ...]] = ()
+    """Fields that a device sets once and that hold for all its messages."""
+
+    stamp: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WheelAngles(Stamped):
     """Readings of the left and the right wheel encoder at `stamp`.
 
     In the encoder's own unit: accumulated ticks, an accumulated angle in rad, or the voltage of an
     absolute encoder that wraps once a turn. The odometry's parameters say which.
     """
 
-    stamp: float
     left: float
     right: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OdometryPose:
+class OdometryPose(Stamped):
     """`T_odom_base` (3,) as the robot's own odometry gives it."""
 
-    stamp: float
     pose: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Velocity:
+class Velocity(Stamped):
     """Speed forward in m/s and turn rate in rad/s, which hold from `stamp` until the next one."""
 
-    stamp: float
     speed: float
     turn_rate: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Steering:
+class Steering(Stamped):
     """A car's wheel speed in m/s and steering angle in rad (left positive), until the next one."""
 
-    stamp: float
     speed: float
     angle: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Imu:
+class Imu(Stamped):
     """Angular velocity (3,) rad/s, linear acceleration (3,) m/s^2, orientation quaternion xyzw."""
 
-    stamp: float
     angular_velocity: Array
     linear_acceleration: Array
     orientation: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Image:
+class Image(Stamped):
     """One compressed camera picture; `format` is "jpeg" or "png"."""
 
-    stamp: float
     format: str
     data: bytes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LaserScan:
+class LaserScan(Stamped):
     """One sweep as a 2D lidar sent it: n beams of any number, direction and start angle.
 
     `angles` (n,) are in the laser frame, counter-clockwise about its +z, 0 along its +x;
@@ -103,7 +107,8 @@ class LaserScan:
     does not say.
     """
 
-    stamp: float
+    layout_fields: ClassVar[tuple[str, ...]] = ("angles", "time_offsets", "range_min", "range_max")
+
     angles: Array
     ranges: Array
     time_offsets: Array
@@ -121,7 +126,7 @@ class LaserScan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Detections:
+class Detections(Stamped):
     """Landmarks that a sensor detected itself at `stamp`, as range and bearing in its own frame.
 
     `ranges` (n,) m; `bearings` (n,) rad, counter-clockwise about +z, 0 along +x; `labels` (n,) int64
@@ -129,7 +134,6 @@ class Detections:
     it measured none.
     """
 
-    stamp: float
     ranges: Array
     bearings: Array
     labels: Ints
@@ -144,89 +148,66 @@ class Detections:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TruePose:
+class TruePose(Stamped):
     """`T_map_base` (3,) from a simulator or a tracking system; for scoring, never for the filter.
 
     The heading is NaN where only the position was tracked.
     """
 
-    stamp: float
     pose: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EncoderVoltages:
+class EncoderVoltages(Stamped):
     """What the left and the right absolute encoder give, in V: 0 to 5 V over a turn, wrapping."""
 
-    stamp: float
     left: float
     right: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Acceleration:
+class Acceleration(Stamped):
     """Linear acceleration (3,) m/s^2 of a second accelerometer, in the IMU's frame."""
 
-    stamp: float
     linear_acceleration: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MagneticField:
+class MagneticField(Stamped):
     """Magnetic field (3,) T, in the IMU's frame."""
 
-    stamp: float
     field: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Climate:
+class Climate(Stamped):
     """Temperature in degrees Celsius and relative humidity in [0, 1]."""
 
-    stamp: float
     temperature: float
     humidity: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DeviceTime:
+class DeviceTime(Stamped):
     """A device's own clock, in s since it started (unwrapped), at `stamp` on the host's."""
 
-    stamp: float
     device: str
     device_stamp: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Event:
+class Event(Stamped):
     """Something that happened and is no measurement: a device lost, a fault, an emergency stop.
 
     `level` is "info", "warning" or "error"; `source` is the device or part that tells.
     """
 
-    stamp: float
     level: str
     source: str
     text: str
 
 
-Message: TypeAlias = (
-    WheelAngles
-    | EncoderVoltages
-    | Acceleration
-    | MagneticField
-    | Climate
-    | DeviceTime
-    | Event
-    | OdometryPose
-    | Velocity
-    | Steering
-    | Imu
-    | Image
-    | LaserScan
-    | Detections
-    | TruePose
-)
+Message: TypeAlias = Stamped
 
 
 # --------------------------------------------------------------------------- estimation

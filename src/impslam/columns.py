@@ -1,0 +1,234 @@
+"""Sensor data as columns: many rows of one stream, stacked field by field.
+
+A log gives a thousand rows at a time, a live robot one. How a log is cut into batches changes no
+result: all order is in `Columns.order`, the place of each row in the log, counted over all streams.
+Stamps are never sorted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from impslam.types import Array, Increment, Ints, Mask, Message, Scan
+
+Values: TypeAlias = npt.NDArray[Any]
+
+ROWS = 512
+"""Rows of a batch: their arrays stay in a few MB for any 2D lidar, and Python's share of a row is
+well below a microsecond."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """m rows of one stream, in the order of the log.
+
+    Attributes
+    ----------
+    stream : the stream's name in the log, e.g. a topic
+    kind : the type of message that one row is
+    order : (m,) strictly increasing; place of the row in the log, over all streams
+    values : (m, ...) by field name; what differs from row to row, "stamp" (s) among it
+    layout : by field name; what is the same for all rows, e.g. the angles of a lidar's beams
+    """
+
+    stream: str
+    kind: type[Message]
+    order: Ints
+    values: Mapping[str, Values]
+    layout: Mapping[str, Any]
+
+    def __len__(self) -> int:
+        return len(self.order)
+
+    def __getitem__(self, field: str) -> Any:
+        """Return a field: (m, ...) of all rows, or the one value that they share."""
+        return self.values[field] if field in self.values else self.layout[field]
+
+    @property
+    def stamps(self) -> Array:
+        """(m,) s, as the log has them."""
+        return self.values["stamp"]
+
+    def take(self, rows: slice | Ints | Mask) -> Columns:
+        """Return some of the rows."""
+        values = {name: column[rows] for name, column in self.values.items()}
+        return replace(self, order=self.order[rows], values=values)
+
+    def row(self, k: int) -> Message:
+        """Return one row as a message."""
+        found = {name: _scalar(column[k]) for name, column in self.values.items()}
+        return self.kind(**found, **self.layout)
+
+
+Batch: TypeAlias = Mapping[str, Columns]
+"""A piece of a log: columns by the name of their stream."""
+
+
+def batches(messages: Iterable[tuple[str, Message]], rows: int = ROWS) -> Iterator[Batch]:
+    """Gather messages with the names of their streams into batches of at most `rows` messages.
+
+    A batch ends early where a stream's layout changes.
+    """
+    gathered: dict[str, list[tuple[int, Message]]] = {}
+    count = 0
+    for order, (stream, message) in enumerate(messages):
+        known = gathered.get(stream)
+        if count >= rows or (known and not _stacks(known[-1][1], message)):
+            yield _stacked(gathered)
+            gathered, count = {}, 0
+        gathered.setdefault(stream, []).append((order, message))
+        count += 1
+    if gathered:
+        yield _stacked(gathered)
+
+
+def batch(stream: str, message: Message, order: int) -> Batch:
+    """Return a batch of one row, as a live robot has it."""
+    return _stacked({stream: [(order, message)]})
+
+
+def rows(columns: Iterable[Columns]) -> Iterator[tuple[str, Message]]:
+    """Yield the rows of all columns with their streams' names, in the order of the log."""
+    many = list(columns)
+    places = sorted((int(o), i, k) for i, c in enumerate(many) for k, o in enumerate(c.order))
+    for _, i, k in places:
+        yield many[i].stream, many[i].row(k)
+
+
+def _stacked(gathered: Mapping[str, list[tuple[int, Message]]]) -> Batch:
+    return {stream: _stack(stream, numbered) for stream, numbered in gathered.items()}
+
+
+def _stack(stream: str, numbered: list[tuple[int, Message]]) -> Columns:
+    order = np.array([order for order, _ in numbered], np.int64)
+    first = numbered[0][1]
+    values: dict[str, Values] = {}
+    layout: dict[str, Any] = {}
+    for field in fields(first):
+        value = getattr(first, field.name)
+        if _is_layout(first, field.name):
+            layout[field.name] = value
+        else:
+            column = [getattr(message, field.name) for _, message in numbered]
+            values[field.name] = np.array(column, None if _numeric(value) else np.object_)
+    return Columns(stream, type(first), order, values, layout)
+
+
+def _is_layout(message: Message, name: str) -> bool:
+    return name in message.layout_fields or getattr(message, name) is None
+
+
+def _numeric(value: object) -> bool:
+    return isinstance(value, float | int | np.generic | np.ndarray)
+
+
+def _scalar(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _stacks(first: Message, other: Message) -> bool:
+    """Tell whether two messages may be rows of the same columns."""
+    if type(first) is not type(other):
+        return False
+    for field in fields(first):
+        a, b = getattr(first, field.name), getattr(other, field.name)
+        if (a is None) != (b is None) or np.shape(a) != np.shape(b):
+            return False
+        if field.name in first.layout_fields and a is not b and not _equal(a, b):
+            return False
+    return True
+
+
+def _equal(a: Any, b: Any) -> bool:
+    return bool(np.array_equal(a, b, equal_nan=isinstance(a, float | np.ndarray)))
+
+
+class Motions(NamedTuple):
+    """m motions of base_link, each from where the one before ended; the columns of `Increment`.
+
+    Attributes
+    ----------
+    stamps : (m,) s, at the end of each
+    d_pose : (m, 3) `T_before_after`
+    covariance : (m, 3, 3) of an additive error on it
+    duration : (m,) s, >= 0
+    """
+
+    stamps: Array
+    d_pose: Array
+    covariance: Array
+    duration: Array
+
+    def row(self, k: int) -> Increment:
+        """Return one motion."""
+        return Increment(
+            float(self.stamps[k]), self.d_pose[k], self.covariance[k], float(self.duration[k])
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sweeps:
+    """m rows of one exteroceptive sensor, brought onto the robot's motion.
+
+    Attributes
+    ----------
+    sensor : the sensor's name in the config
+    columns : the rows as they were received
+    middles : (m,) s on the odometry's clock, when the middle of each sweep was measured; what is
+        estimated is base_link then
+    twists : (m, 3) m/s, m/s, rad/s, mean body velocity over each sweep
+    T_middle_stamp : (m, 3) dead-reckoned motion from the middle of a sweep to the row's own stamp
+    stamp_covariance : (m, 3, 3) of that motion
+    scans : the rows ready for extraction, None for a sensor that has none
+    """
+
+    sensor: str
+    columns: Columns
+    middles: Array
+    twists: Array
+    T_middle_stamp: Array
+    stamp_covariance: Array
+    scans: Scans | None
+
+    def __len__(self) -> int:
+        return len(self.columns)
+
+    def scan(self, k: int) -> Scan | None:
+        """Return one row ready for extraction."""
+        return None if self.scans is None else self.scans.row(k)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scans:
+    """The columns of `Scan`: m sweeps of n beams each, in base_link at the middle of each sweep.
+
+    `ranges`, `valid`, `directions`, `sigmas` are (m, n), `points` and `origins` (m, n, 2); `angles`
+    (n,), `bias`, `range_max` and `laser` (3,) hold for all; see `Scan`.
+    """
+
+    stamps: Array
+    angles: Array
+    ranges: Array
+    valid: Mask
+    points: Array
+    directions: Array
+    origins: Array
+    sigmas: Array
+    bias: float
+    range_max: float
+    laser: Array
+    intensities: Array | None = None
+
+    def row(self, k: int) -> Scan:
+        """Return one sweep, as views."""
+        bright = None if self.intensities is None else self.intensities[k]
+        return Scan(
+            float(self.stamps[k]), self.angles, self.ranges[k], self.valid[k], self.points[k],
+            self.directions[k], self.origins[k], self.sigmas[k], self.bias, self.range_max,
+            self.laser, bright,
+        )  # fmt: skip

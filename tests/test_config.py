@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from tests.registry import own_registry
 
 from impslam.component import components
-from impslam.config import load, load_plugins, merge, parse_setting, presets, read_table
+from impslam.config import carried, load, load_plugins, merge, parse_setting, presets, read_table
 from impslam.errors import ConfigError
 from impslam.filters.riekf import RightInvariantEkf
 
@@ -244,16 +244,95 @@ def test_a_file_that_is_its_own_base(tmp_path: Path):
         read_table(file)
 
 
-def test_a_config_may_come_as_text_as_logs_carry_it():
-    carried = tomli_w.dumps(load("imp", ["odometry.track=0.41"]).resolved())
-    assert load(carried).resolved() == load("imp", ["odometry.track=0.41"]).resolved()
-    with pytest.raises(ConfigError, match="the log's own config: not valid TOML"):
-        load("a\n=")
+# --------------------------------------------------------------------------- from logs
 
 
-def test_a_log_s_own_config_must_not_choose_which_code_runs(tmp_path):
-    spy = tmp_path / "spy.py"
-    spy.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')")
-    with pytest.raises(ConfigError, match="because a log says so"):
-        load(f'plugins = ["{spy}"]\nbase = "imp"\n')
-    assert not (tmp_path / "ran").exists()
+def asks(preset: str) -> str:
+    """The line with which a log is refused that asks for this preset."""
+    with pytest.raises(ConfigError) as error:
+        carried(preset, Path("a.mcap"))
+    said = str(error.value)
+    assert said.startswith("a.mcap: ")
+    assert said.endswith("name a preset or a config with -c")
+    assert "\n" not in said
+    assert len(said) < 300
+    return said
+
+
+def test_a_log_may_carry_a_preset_or_a_config():
+    assert load(carried("imp", Path("a.mcap"))) == load("imp")
+    table = load("imp", ["odometry.track=0.41"]).resolved()
+    assert load(carried(tomli_w.dumps(table), Path("a.mcap"))).resolved() == table
+
+
+def test_a_log_may_not_name_a_file(tmp_path: Path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("evil.py").write_text("import pathlib\npathlib.Path('ran').touch()")
+    Path("evil.toml").write_text('plugins = ["evil.py"]\nbase = "imp"\n')
+    Path("default.toml").write_text('plugins = ["evil.py"]\nbase = "imp"\n')
+    for name in ["evil.toml", str(tmp_path / "evil.toml"), "./evil.toml", "default.toml", "imq"]:
+        assert "which is not a shipped one" in asks(name)
+    assert not Path("ran").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('plugins = ["evil.py"]\n', "plugins = ['evil.py'], which a log may not choose"),
+        ('plugins = "antigravity"\n', "plugins = 'antigravity', which a log may not choose"),
+        ('base = "evil.toml"\n', "base = 'evil.toml', which a log may not choose"),
+        ('base = "imp"\n', "base = 'imp', which a log may not choose"),
+        ("a\n=", "its own config: not valid TOML"),
+        ("seed = 1\n", "odometry is missing"),
+        ("a = " + "[" * 1500 + "\n", "nested too deeply"),
+        ("seed = " + "9" * 5000 + "\n", "too many digits"),
+        ("imp" * 10_000, "asks for the preset 'impimp"),
+    ],
+)
+def test_a_log_may_not_choose_what_is_run_or_read(text, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("evil.py").write_text("import pathlib\npathlib.Path('ran').touch()")
+    Path("evil.toml").write_text('plugins = ["evil.py"]\nbase = "imp"\n')
+    assert said in asks(text)
+    assert not Path("ran").exists()
+
+
+def test_a_text_is_no_config_but_from_a_log(tmp_path):
+    assert "neither a file nor a preset" in refuse(base=tomli_w.dumps(load("imp").resolved()))
+
+
+# --------------------------------------------------------------------------- beyond reading
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["a = " + "[" * 1500, "a = " + "{a=" * 1500, "seed = " + "9" * 5000, "[" + "a." * 1500 + "a]"],
+)
+def test_toml_beyond_reading_is_told_in_one_line(text, tmp_path):
+    file = tmp_path / "deep.toml"
+    file.write_text(text)
+    assert "deep.toml" in refuse(base=file)
+    key, equals, value = text.partition(" = ")
+    if equals:
+        assert f"--set {key}" in refuse(f"{key}={value}")
+
+
+@pytest.mark.parametrize("value", ["0x" + "f" * 5000, "1" + "0" * 400, "-1" + "0" * 400])
+@pytest.mark.parametrize("key", ["odometry.track", "sensors.lidar.sigma", "keyframes.distance"])
+def test_a_number_beyond_floats_is_told_in_one_line(key, value):
+    assert len(refuse(f"{key}={value}")) < 300
+
+
+@pytest.mark.parametrize("place", ["a\\u0000.py", "a\\u0000", "a\\u0000/b.py"])
+def test_plug_ins_with_a_nul_in_their_name(place, tmp_path):
+    assert "plugins" in refuse(f'plugins=["{place}"]')
+    file = tmp_path / "nul.toml"
+    file.write_text(f'plugins = ["{place}"]')
+    assert "plugins" in refuse(base=file)
+
+
+@pytest.mark.parametrize("base", ["a\\u0000.toml", "a\\u0000/b.toml"])
+def test_a_base_with_a_nul_in_its_name(base, tmp_path):
+    file = tmp_path / "nul.toml"
+    file.write_text(f'base = "{base}"')
+    assert "neither a file nor a preset" in refuse(base=file)

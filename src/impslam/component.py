@@ -29,6 +29,7 @@ from typing import Any, ClassVar, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from impslam.errors import ConfigError
+from impslam.paths import is_file
 
 _ROLES: dict[str, dict[str, type[Component]]] = {}
 _PACKAGES = {
@@ -139,7 +140,7 @@ def load_plugin(place: str) -> None:
         _guarded(f"plugins: {place}", lambda: importlib.import_module(place))
         return
     path = Path(place).resolve()
-    if not path.is_file():
+    if not is_file(path):
         raise ConfigError(f"plugins: {place}: no such file; check the path")
     # Two files of one name in different folders are two modules.
     name = f"impslam_plugin_{path.stem}_{zlib.crc32(str(path).encode()):08x}"
@@ -232,11 +233,19 @@ def explain(error: ValidationError, where: str, known: Any) -> str:
         return f"{path} is not a parameter; {near_miss(str(first['loc'][-1]), inner)}"
     if first["type"] == "missing":
         return f"{path} is missing; add it"
-    value = repr(first.get("input"))
-    value = value if len(value) <= 60 else f"{value[:57]}..."
+    value = shorten(first.get("input"))
     if first["type"] == "dict_type":
         return f"{path} = {value}: expected a table, e.g. {path}.kind = NAME"
     return f"{path} = {value}: {first['msg'].removeprefix('Value error, ')}"
+
+
+def shorten(value: object) -> str:
+    """Return a value as a message shows it, in at most 60 characters."""
+    try:
+        said = repr(value)
+    except ValueError:  # Python limits the digits of an integer, of one within a list, too
+        said = "a number of thousands of digits"
+    return said if len(said) <= 60 else f"{said[:57]}..."
 
 
 def _fields_within(path: tuple[int | str, ...], known: Any) -> Any:

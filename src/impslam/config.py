@@ -8,7 +8,6 @@ or modules whose components are to be known, too.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
 
+from impslam import toml
 from impslam.association.base import Association
 from impslam.component import (
     build,
@@ -25,12 +25,14 @@ from impslam.component import (
     load_plugin,
     near_miss,
     parameter,
+    shorten,
 )
 from impslam.errors import ConfigError
 from impslam.filters.base import Filter
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
 from impslam.matching.base import Matcher
+from impslam.paths import is_file
 from impslam.robot import Robot
 from impslam.slam import Slam
 
@@ -169,42 +171,56 @@ def presets() -> list[str]:
 def read_table(name: str | Path, above: tuple[str, ...] = ()) -> Table:
     """Return the raw table of a preset (by name) or of a TOML file, its `base` merged in.
 
-    A name of several lines is TOML itself: a log carries the config of the robot that wrote it.
     `above` are those whose base it is.
     """
-    if "\n" in str(name):
-        return _carried(str(name))
     if str(name) in above:
         raise ConfigError(f"{name}: is its own base ({' -> '.join(above)}); name another base")
     path = Path(name)
     if str(name) in presets():
         text = files("impslam").joinpath("presets", f"{name}.toml").read_text("utf-8")
-    elif path.is_file():
+    elif is_file(path):
         text = _read(path)
     else:
-        raise ConfigError(f"{name}: neither a file nor a preset; {near_miss(str(name), presets())}")
-    table = _parse(text, str(name))
+        hint = near_miss(str(name), presets())
+        raise ConfigError(f"{shorten(str(name))}: neither a file nor a preset; {hint}")
+    table = toml.parse(text, str(name))
     base = table.pop("base", None)
     table = _anchored(table, path.parent)
     return table if base is None else merge(read_table(str(base), (*above, str(name))), table)
 
 
-def _carried(text: str) -> Table:
-    """Return the config that a log carries; a log must not choose which code runs."""
-    table = _parse(text, "the log's own config")
-    if table.get("plugins"):
+def carried(preset: str, log: Path) -> Table:
+    """Return the table of what a log asks to be mapped with: a shipped preset, or a whole config.
+
+    A log is data: it chooses neither which code runs nor which files are read.
+
+    Raises
+    ------
+    ConfigError
+        If it names anything but a shipped preset, or its config cannot be used.
+    """
+    if preset in presets():
+        return read_table(preset)
+    if "\n" not in preset:
         raise ConfigError(
-            f"the log was mapped with plug-ins ({table['plugins']}), which are not loaded because a "
-            "log says so; name a config with -c"
+            f"{log}: asks for the preset {shorten(preset)}, which is not a shipped one; name a "
+            "preset or a config with -c"
         )
+    try:
+        table = _own(toml.parse(preset, "its own config"))
+        load(table)
+    except ConfigError as error:
+        raise ConfigError(f"{log}: {error}; name a preset or a config with -c") from None
     return table
 
 
-def _parse(text: str, name: str) -> Table:
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{name}: not valid TOML: {error}") from None
+def _own(table: Table) -> Table:
+    """Return a log's config unless it asks for code or for files."""
+    for key in ("plugins", "base"):
+        if table.get(key):
+            value = shorten(table[key])
+            raise ConfigError(f"its own config has {key} = {value}, which a log may not choose")
+    return table
 
 
 def _anchored(table: Table, folder: Path) -> Table:
@@ -212,13 +228,15 @@ def _anchored(table: Table, folder: Path) -> Table:
     places = table.get("plugins")
     if not isinstance(places, list):
         return table
-    anchored = [
-        str((folder / place).resolve())
-        if isinstance(place, str) and place.endswith(".py")
-        else place
-        for place in places
-    ]
-    return {**table, "plugins": anchored}
+    return {**table, "plugins": [_anchored_place(place, folder) for place in places]}
+
+
+def _anchored_place(place: Any, folder: Path) -> Any:
+    if not isinstance(place, str) or not place.endswith(".py"):
+        return place
+    if "\0" in place:
+        raise ConfigError(f"plugins: {place!r}: no such file; check the path")
+    return str((folder / place).resolve())
 
 
 def _read(path: Path) -> str:
@@ -248,16 +266,19 @@ def parse_setting(setting: str) -> Table:
     if not equals or not key.strip():
         raise ConfigError(f"--set {setting}: expected key=value, e.g. --set filter.kind=ekf")
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        value = toml.parse(f"value = {text}", f"--set {key}")["value"]
+    except toml.SyntaxFault:
         value = text.strip()
-    for part in reversed(key.strip().split(".")):
+    parts = key.strip().split(".")
+    if len(parts) > toml.DEEPEST:
+        raise ConfigError(f"--set {shorten(key)}: no such key; `imp config` shows them all")
+    for part in reversed(parts):
         value = {part: value}
     return dict(value)
 
 
-def load(base: str | Path = "default", settings: Sequence[str] = ()) -> Config:
-    """Return the config of a preset or file with settings applied, every component checked.
+def load(base: str | Path | Table = "default", settings: Sequence[str] = ()) -> Config:
+    """Return the config of a preset, file or table with settings applied, every component checked.
 
     Raises
     ------
@@ -288,8 +309,8 @@ def _load_plugins(table: Table) -> None:
         load_plugin(place)
 
 
-def _merged(base: str | Path, settings: Sequence[str]) -> Table:
-    table = read_table(base)
+def _merged(base: str | Path | Table, settings: Sequence[str]) -> Table:
+    table = base if isinstance(base, dict) else read_table(base)
     for setting in settings:
         table = merge(table, _anchored(parse_setting(setting), Path()))
     return table

@@ -12,3 +12,11 @@ def unused(folder: Path, stem: str, suffix: str = "") -> Path:
         number += 1
         path = folder / f"{stem}-{number}{suffix}"
     return path
+
+
+def is_file(path: Path) -> bool:
+    """Tell whether there is a file of this name, whatever the name: too long, or with NUL in it."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False

@@ -53,6 +53,22 @@ def test_truncated_log(imp, room, tmp_path) -> None:
     fails(imp("run", log, "-o", tmp_path / "run"), "cut.mcap")
 
 
+@pytest.mark.parametrize("command", ["run", "inspect"])
+@pytest.mark.parametrize("plain", [False, True])
+def test_a_log_does_not_choose_which_code_runs(imp, tmp_path, monkeypatch, command, plain) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("evil.py").write_text("import pathlib\npathlib.Path('ran').touch()")
+    config = 'plugins = ["evil.py"]\nbase = "imp"\n'
+    Path("evil.toml").write_text(config)
+    with McapWriter(Path("log.mcap"), config if plain else "evil.toml") as writer:
+        writer.write(WheelAngles(1.0, 0.0, 0.0))
+    said = "plugins = ['evil.py'], which a log may not choose" if plain else "not a shipped one"
+    fails(imp(command, "log.mcap"), "log.mcap", said, "with -c")
+    assert not Path("ran").exists()
+    imp(command, "log.mcap", "-c", "evil.toml")  # which is the user's own word
+    assert Path("ran").exists()
+
+
 def test_unknown_preset(imp, room) -> None:
     fails(imp("run", room, "-c", "imq"), "imq", "did you mean 'imp'?")
     fails(imp("config", "defalt"), "defalt", "did you mean 'default'?")

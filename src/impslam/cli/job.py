@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from impslam.cli import progress
 from impslam.component import explain
-from impslam.config import Config, load, load_plugins
+from impslam.config import Config, carried, load, load_plugins
 from impslam.errors import ConfigError, ImpError
 from impslam.evaluation.landmark_files import landmarks_path, read_true_landmarks
 from impslam.observers.base import Observer, Outcome
@@ -35,8 +35,9 @@ def plan(log: Path, base: str | None, settings: Sequence[str]) -> tuple[Config, 
     kind = recognise(log)
     if base is None:
         with kind(path=log) as source:
-            base = source.preset
-    config = load(base, settings)
+            config = load(carried(source.preset, log), settings)
+    else:
+        config = load(base, settings)
     if "path" in config.source:
         raise ConfigError("source.path is not a parameter; the log is named on the command line")
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import numpy as np
 import numpy.typing as npt
@@ -92,7 +92,8 @@ def read_map(path: Path) -> MapImage:
         lines = (line.split(":", 1) for line in path.read_text().splitlines() if ":" in line)
         facts = {key.strip(): value.strip() for key, value in lines}
         x, y, _ = (float(v) for v in facts["origin"].strip("[]").split(","))
-        pixels = _read_pgm((path.parent / facts["image"]).read_bytes())
+        image = PurePath(facts["image"]).name  # it lies beside its yaml, and nowhere else
+        pixels = _read_pgm((path.parent / image).read_bytes())
         return MapImage(pixels, float(facts["resolution"]), np.array([x, y]))
     except (OSError, KeyError, ValueError) as error:
         raise ImpError(f"{path}: not a map ({error}); write it again with `imp run`") from None

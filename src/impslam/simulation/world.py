@@ -7,7 +7,6 @@ with the free space on their left, so that "behind the wall" is to the right of 
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Iterator, Sequence
 from importlib.resources import files
 from itertools import pairwise
@@ -17,6 +16,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from impslam import toml
 from impslam.component import near_miss, parameter
 from impslam.errors import ConfigError
 from impslam.types import Array, TrueLandmark
@@ -234,10 +234,7 @@ def load_world(name_or_path: str | Path) -> World:
 
 def parse_world(text: str, where: str) -> World:
     """Make a world from TOML text; `where` names it in errors."""
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{where}: not valid TOML: {error}") from None
+    table = toml.parse(text, where)
     table.setdefault("name", Path(where).stem)
     try:
         return World.model_validate(table)

@@ -10,12 +10,12 @@ port = "/dev/imp-autopilot"
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from impslam import toml
 from impslam.component import build, explain, parameter
 from impslam.errors import ConfigError
 from impslam.platform.devices.base import Device
@@ -59,12 +59,10 @@ def load_robot(path: Path) -> RobotFile:
         One line that names the key and what to do.
     """
     try:
-        table = tomllib.loads(path.read_text("utf-8"))
+        table = toml.parse(path.read_text("utf-8"), str(path))
         robot = RobotFile(**table)
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read ({error}); give -c a robot file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from None
     except ValidationError as error:
         raise ConfigError(explain(error, str(path), RobotFile.model_fields)) from None
     if not robot.devices:

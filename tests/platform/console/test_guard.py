@@ -9,6 +9,7 @@ from impslam.platform.console.accounts import Accounts
 from impslam.platform.console.asked import plain
 from impslam.platform.console.gate import Gate
 from impslam.platform.console.guard import Guard
+from impslam.platform.console.routes import SOCKET
 
 pytestmark = pytest.mark.anyio
 HOST = (b"host", b"robot:8080")
@@ -31,7 +32,8 @@ def cookie(gate):
     return (b"cookie", f"{gate.cookie}={token}".encode()), session
 
 
-def scope(*headers, kind="http", method="GET", path="/"):
+def scope(*headers, kind="http", method="GET", path=None):
+    path = path or (SOCKET if kind == "websocket" else "/logout" if method == "POST" else "/")
     return {
         "type": kind,
         "method": method,

@@ -294,7 +294,7 @@ class TestForeignPages:
             poll = f"{SOCKET}?EIO=4&transport=polling"
             answer = client.get(poll, headers={"origin": "http://127.0.0.1:1"})
             assert answer.status_code == 403
-            assert client.get(poll).status_code == 400  # sockets are the only transport
+            assert client.get(poll).status_code == 404  # sockets are the only transport
             assert not [name for name in answer.headers if name.startswith("access-control")]
 
     @pytest.mark.parametrize(
@@ -459,6 +459,64 @@ class TestPaths:
                 "Connection: close\r\n\r\n".encode(),
             )
         assert answer.startswith(b"HTTP/1.1 400")
+
+
+class TestRoutes:
+    @pytest.mark.parametrize("method", ["POST", "GET"])
+    def test_a_stranger_cannot_have_a_page_built(self, served, method):
+        before = len(Client.instances)
+        with served.client(headers={"origin": served.origin}) as client:
+            for _ in range(5):
+                answer = client.request(method, "/login.css")
+                assert answer.status_code == (405 if method == "POST" else 200)
+                assert len(answer.content) < 3000
+        assert len(Client.instances) == before
+
+    @pytest.mark.parametrize(
+        ("method", "path", "expected"),
+        [
+            ("GET", "/nothing", 404),
+            ("GET", "/docs", 404),
+            ("GET", "/openapi.json", 404),
+            ("GET", "/logs/", 404),
+            ("GET", "/maps/map", 404),
+            ("GET", "/_nicegui/", 404),
+            ("GET", f"/_nicegui/{__version__}/static/nothing", 404),
+            ("GET", f"/_nicegui/{__version__}/nothing/more", 404),
+            ("GET", "/_nicegui_ws/nothing", 404),
+            ("GET", "/logout", 405),
+            ("POST", "/", 405),
+            ("HEAD", "/", 405),
+            ("POST", "/login.css", 405),
+            ("POST", "/camera.jpg", 405),
+            ("POST", "/logs", 405),
+            ("POST", f"/_nicegui/{__version__}/static/nicegui.css", 405),
+        ],
+    )
+    def test_what_is_not_served_costs_no_page(self, served, method, path, expected, caplog):
+        with served.logged_in(WATCH) as client:
+            before = len(Client.instances)
+            answer = client.request(method, path, headers={"origin": served.origin})
+            assert answer.status_code == expected
+            assert len(answer.content) < 100
+            assert len(Client.instances) == before
+        assert not [record for record in caplog.records if record.name == "nicegui"]
+
+    def test_a_path_that_no_route_takes_costs_no_page(self, served, monkeypatch):
+        """As /logs in a replay: the guard lets it through, and the app has no such route."""
+        monkeypatch.setattr(guard, "route", lambda asked: None)
+        with served.logged_in(WATCH) as client:
+            before = len(Client.instances)
+            assert client.get("/nothing").text == "not found\n"
+            assert len(Client.instances) == before
+
+    def test_a_socket_goes_to_the_path_of_sockets_alone(self, served):
+        address = f"ws://127.0.0.1:{served.port}/logs"
+        with served.logged_in() as client:
+            headers = {"Cookie": cookie(client)}
+            with pytest.raises(InvalidStatus) as refused:
+                connect(address, origin=served.origin, additional_headers=headers, proxy=None)
+        assert refused.value.response.status_code == 404
 
 
 class TestSizes:

@@ -20,6 +20,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from impslam.platform.console.asked import Asked, Refusal, host, origin, shape
 from impslam.platform.console.gate import Gate
 from impslam.platform.console.line import Ended, Line, read, replayed, while_alive
+from impslam.platform.console.routes import route
 from impslam.platform.console.sealed import Sealed
 from impslam.platform.console.session import Session
 
@@ -64,6 +65,7 @@ class Guard:
         session = None if refusal else await self._session(asked)
         if refusal is None and session is None and not asked.public:
             refusal = Refusal(401, "no session", f"{asked.method} {asked.path}")
+        refusal = refusal or route(asked)
         if refusal is not None:
             await self._refuse(asked, refusal, receive, send)
             return

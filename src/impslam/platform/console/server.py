@@ -16,6 +16,8 @@ from types import FrameType
 import uvicorn
 from fastapi import FastAPI
 from nicegui import core, ui
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
 
 from impslam.errors import ImpError
 from impslam.platform.console import downloads, hosts, login, sockets
@@ -228,8 +230,21 @@ def _app(model: Model, gate: Gate, build: Callable[[Model], None]) -> FastAPI:
     sockets.bind_to_sessions(gate.refusals)
     core.app.middleware_stack = None  # a server before this one, in a test, has used it up
     core.app.user_middleware.clear()
-    ui.run_with(app, title=model.title, dark=True, tailwind=False, show_welcome_message=False)
+    core.app.add_exception_handler(404, _not_found)
+    ui.run_with(
+        app,
+        title=model.title,
+        dark=True,
+        tailwind=False,
+        show_welcome_message=False,
+        gzip_middleware_factory=None,  # costs more than the rest of a page; files are cached anyway
+    )
     return app
+
+
+async def _not_found(_: Request, __: Exception) -> Response:
+    """Answer in place of nicegui, which would build a page to say so."""
+    return PlainTextResponse("not found\n", 404)
 
 
 def _config(guard: Guard, gate: Gate, papers: Papers | None) -> uvicorn.Config:

@@ -18,6 +18,7 @@ from impslam.config import Config, Keyframes
 from impslam.errors import MessageError, SourceError
 from impslam.geometry.se2 import compose, inverse
 from impslam.observers.base import Dropped, Observer, Outcome
+from impslam.odometry.clocks import Clocks
 from impslam.odometry.timeline import Timeline
 from impslam.sensors.base import Sensor
 from impslam.sources.base import Problems, Source
@@ -71,7 +72,7 @@ class Pipeline:
         self.robot, self.slam = config.make_robot(), config.make_slam()
         self._matcher = config.make_matcher()
         self._timeline = Timeline()
-        self._waiting: deque[tuple[Message, Sensor, tuple[float, float], int]] = deque()
+        self._waiting: deque[tuple[Message, Sensor, float, tuple[float, float], int]] = deque()
         self._rng = np.random.default_rng(config.seed)
         self._clock = Stopwatch()
         self._gate = Gate(config.keyframes)
@@ -79,6 +80,7 @@ class Pipeline:
         self._seen = 0
         self.counts: dict[str, int] = {}
         self.problems = Problems()
+        self.clocks, self._shift = Clocks(self.problems), 0.0  # s, of odometry
 
     def feed(self, message: Message) -> Iterator[StepResult]:
         """Take in one message; yield a result for each scan that it completes."""
@@ -89,7 +91,10 @@ class Pipeline:
             self._feel(message)
         sensor = self.robot.sensor_for(message)
         if sensor is not None:
-            self._waiting.append((message, sensor, sensor.span(message), self._seen))
+            shift = self.clocks.shift(name, message.stamp)
+            begin, end = sensor.span(message)
+            span = begin + shift, end + shift
+            self._waiting.append((message, sensor, message.stamp + shift, span, self._seen))
         yield from self._ready(flush=False)
 
     def play(self, messages: Iterable[Message]) -> Iterator[StepResult]:
@@ -103,38 +108,41 @@ class Pipeline:
         yield from self._ready(flush=True)
 
     def _feel(self, message: Message) -> None:
+        shift = self._shift = self.clocks.shift(type(message).__name__, message.stamp)
         try:
             increment = self.robot.odometry.update(message)
         except MessageError as error:
             self.problems.add("odometry", str(error))
             increment = None
         if increment is None:
-            self._timeline.start(message.stamp)
+            self._timeline.start(message.stamp + shift)
         else:
-            self._timeline.add(increment)
+            self._timeline.add(replace(increment, stamp=increment.stamp + shift))
 
     def _ready(self, flush: bool) -> Iterator[StepResult]:
         while self._waiting:
-            message, sensor, (begin, end), since = self._waiting[0]
-            together = begin == end and self._timeline.ends_at(message.stamp)
-            known = self._timeline.covers(max(end, message.stamp))
+            message, sensor, moment, (begin, end), since = self._waiting[0]
+            together = begin == end and self._timeline.ends_at(moment)
+            known = self._timeline.covers(max(end, moment))
             patient = self._seen - since < MAX_WAIT
             if not (flush or together or known or not patient):
                 return
             self._waiting.popleft()
-            result = self._use(message, sensor, begin, end)
+            result = self._use(message, sensor, moment, begin, end)
             if result is not None:
-                yield result
+                yield replace(result, stamp=message.stamp)
 
-    def _use(self, message: Message, sensor: Sensor, begin: float, end: float) -> StepResult | None:
+    def _use(
+        self, message: Message, sensor: Sensor, moment: float, begin: float, end: float
+    ) -> StepResult | None:
         with self._clock("odometry"):
             before = self._timeline.take(begin)
             twist = self._timeline.twist(begin, end - begin)
             middle = 0.5 * (begin + end)
-            before = before.then(self._timeline.take(min(max(begin, message.stamp), middle)))
+            before = before.then(self._timeline.take(min(max(begin, moment), middle)))
             since = self._timeline.take(middle)
             motion = before.then(since)
-            increment = replace(motion, stamp=message.stamp)
+            increment = replace(motion, stamp=moment)
         try:
             with self._clock("sensor"):
                 look = self._gate.passes(increment)
@@ -155,9 +163,9 @@ class Pipeline:
                 refined = self._matcher.refine(increment, reading.scan)
         with self._clock("slam"):
             result = self._newest = self.slam.step(refined, reading, increment)
-        if middle == message.stamp:
+        if middle == moment:
             return result
-        return _at_stamp(result, since, self._timeline.ahead(message.stamp))
+        return _at_stamp(result, since, self._timeline.ahead(moment))
 
     def dead_reckoned(self) -> StepResult | None:
         """Return the newest result, carried on by all motion since; None before the first one.
@@ -168,7 +176,7 @@ class Pipeline:
             return None
         ahead = self._timeline.all_ahead()
         carried = _at_stamp(self._newest, Increment.none(ahead.stamp), ahead)
-        return replace(carried, stamp=ahead.stamp)
+        return replace(carried, stamp=ahead.stamp - self._shift)
 
     @property
     def waiting(self) -> int:
@@ -211,15 +219,13 @@ class Run:
     def __init__(self, config: Config, observers: Iterable[Observer] = ()) -> None:
         self._config, self._observers, self.pipeline = config, list(observers), Pipeline(config)
         self.steps = 0
-        self._begin, self._first, self._last = time.perf_counter(), np.inf, -np.inf
+        self._begin = time.perf_counter()
 
     def feed(self, message: Message) -> None:
         """Take in one message; the observers see each scan that it completes."""
         if isinstance(message, TruePose):
             for observer in self._observers:
                 observer.truth(message)
-        self._first = min(self._first, message.stamp)
-        self._last = max(self._last, message.stamp)
         self._show(self.pipeline.feed(message))
 
     def flush(self) -> None:
@@ -257,7 +263,7 @@ class Run:
             counts={**pipeline.counts, "steps": self.steps, "landmarks": len(landmarks)},
             dropped=_join(*problems, pipeline.problems),
             stages={name: np.array(times) for name, times in pipeline.stages.items()},
-            log_seconds=float(self._last - self._first),
+            log_seconds=pipeline.clocks.elapsed,
             wall_seconds=time.perf_counter() - self._begin,
             landmarks=landmarks,
             state_size=pipeline.slam.filter.state_size,

@@ -30,7 +30,7 @@ class Outcome:
     counts : messages by type, scans, landmarks
     dropped : what was not used, by kind of problem
     stages : stage -> (n,) seconds it took for each scan ("odometry", "sensor", "associate", ...)
-    log_seconds : first to last stamp
+    log_seconds : first to last message in use, steps of the clock left out
     wall_seconds : how long the run took
     landmarks : the final map
     state_size : number of scalars in the belief at the end

@@ -1,0 +1,101 @@
+"""Streams in step stay in step, whatever is done to their clocks."""
+
+import numpy as np
+import pytest
+
+from impslam.odometry.clocks import JITTER, Clocks
+from impslam.sources.base import Problems
+
+STEPS = [-3600.0, -30.0, -2.0, 3.0, 30.0, 3600.0]
+WHO = [("wheels",), ("scans",), ("wheels", "scans")]
+
+
+def arrivals(seconds=20.0):
+    """Wheels at 50 Hz; scans at 10 Hz, stamped 0.07 s before they arrive. (arrival, name, stamp)."""
+    wheels = [(t, "wheels", t) for t in np.arange(0.0, seconds, 0.02).tolist()]
+    scans = [(t + 0.07, "scans", t) for t in np.arange(0.005, seconds - 0.1, 0.1).tolist()]
+    return sorted(wheels + scans)
+
+
+def stepped(by, who, at=10.0):
+    """Return (name, stamp, true time) with the clocks of some streams set at a moment."""
+    return [(n, t + by * (n in who and t >= at), t) for _, n, t in arrivals()]
+
+
+def placed(messages):
+    """Return names, times on the one time line, true times, and the problems."""
+    problems = Problems()
+    clocks = Clocks(problems)
+    times = [stamp + clocks.shift(name, stamp) for name, stamp, _ in messages]
+    return [m[0] for m in messages], np.array(times), np.array([m[2] for m in messages]), problems
+
+
+@pytest.mark.parametrize("by", STEPS)
+@pytest.mark.parametrize("who", WHO)
+def test_streams_stay_in_step(by, who):
+    """One clock's error at most a few messages long; from then on within a period of the truth."""
+    names, times, true, _ = placed(stepped(by, who))
+    later = true > 10.3
+    shift = {
+        n: times[later & (np.array(names) == n)] - true[later & (np.array(names) == n)]
+        for n in WHO[2]
+    }
+    for values in shift.values():
+        assert np.ptp(values) < 1e-6
+    assert abs(shift["wheels"][0] - shift["scans"][0]) < 0.01
+
+
+@pytest.mark.parametrize("by", STEPS[:3])
+@pytest.mark.parametrize("who", WHO)
+def test_a_step_back_leaves_the_time_line_as_it_was(by, who):
+    _, times, true, problems = placed(stepped(by, who))
+    np.testing.assert_allclose(times, true, atol=1e-6)
+    assert f"stepped back by {-by:g} s" in problems.examples["clock step"]
+    assert "motion is kept in file order" in problems.examples["clock step"]
+
+
+def test_clocks_that_were_equal_are_equal_to_the_last_digit():
+    """Records whose scan carries the odometry's own stamp are told by it."""
+    clocks = Clocks(Problems())
+    for stamp in (100.0, 100.1, 100.2, 7.3, 7.4, 7.5):
+        assert clocks.shift("odometry", stamp) == clocks.shift("scan", stamp)
+
+
+def test_a_pause_of_all_is_no_step():
+    _, times, _, problems = placed(stepped(300.0, WHO[2]))
+    np.testing.assert_array_equal(times, [stamp for _, stamp, _ in stepped(300.0, WHO[2])])
+    assert not problems.counts
+
+
+def test_the_silence_of_one_stream_is_no_step():
+    messages = [m for m in stepped(0.0, ()) if not (m[0] == "wheels" and 5.0 < m[2] < 15.0)]
+    _, times, true, problems = placed(messages)
+    np.testing.assert_array_equal(times, true)
+    assert not problems.counts
+
+
+def test_jitter_is_no_step():
+    rng = np.random.default_rng(1)
+    messages = [
+        (n, t - rng.uniform(0.0, 0.95 * JITTER) * (n == "scans"), t) for n, _, t in stepped(0.0, ())
+    ]
+    _, times, _, problems = placed(messages)
+    np.testing.assert_array_equal(times, [stamp for _, stamp, _ in messages])
+    assert not problems.counts
+
+
+def test_a_single_wrong_stamp_changes_nothing_after_it():
+    messages = stepped(0.0, ())
+    at = len(messages) // 2
+    for wrong in (-500.0, 500.0):
+        spoiled = [(n, s + wrong * (i == at), t) for i, (n, s, t) in enumerate(messages)]
+        _, times, true, _ = placed(spoiled)
+        offsets = (times - true)[at + 30 :]
+        assert np.ptp(offsets) < 0.01
+
+
+def test_a_clock_set_back_and_right_again():
+    messages = [(n, t - 100.0 * (5.0 <= t < 12.0), t) for n, _, t in stepped(0.0, ())]
+    _, times, true, problems = placed(messages)
+    np.testing.assert_allclose(times, true, atol=1e-6)
+    assert problems.counts["clock step"] == 2

@@ -25,9 +25,10 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.real_logs import Run, final_covariance, run_log  # noqa: E402  found from the root of the project
 
+from impslam.evaluation.colours import ODOMETRY, PATH, POINT, TRUTH  # noqa: E402
 from impslam.evaluation.consistency import chi2_bounds  # noqa: E402
 from impslam.evaluation.landmarks import LandmarkScore, score_landmarks  # noqa: E402
-from impslam.evaluation.plots import ODOMETRY, PATH, POINT, TRUTH, style  # noqa: E402
+from impslam.evaluation.plots import style  # noqa: E402
 from impslam.evaluation.trajectory import (  # noqa: E402
     Pairs,
     align,

@@ -99,7 +99,7 @@ def chart(
     shade = "" if band is None else _area(x, y(band), y(-band))
     drawn = "".join(f'<path class="line {s.look}" d="{_path(x, y(s.values))}"/>' for s in lines)
     ys = _labels("y", ticks, [(high - v) / (high - low) for v in ticks])
-    seconds = [v for v in _ticks(0.0, span, 5) if v <= span]
+    seconds = [v for v in round_numbers(0.0, span, 5) if v <= span]
     xs = _labels("x", seconds, [v / span for v in seconds])
     keys = "".join(f'<span class="key {s.look}">{escape(s.label)}</span>' for s in lines if s.label)
     return (
@@ -125,11 +125,11 @@ def _axis(values: list[Array], shades: list[Array], zero: bool) -> tuple[float, 
         low, high = min(low, -widest), max(high, widest)
     if high - low < 1e-9:
         high = low + 1.0
-    ticks = _ticks(float(low), float(high), 4)
+    ticks = round_numbers(float(low), float(high), 4)
     return ticks[0], ticks[-1], ticks
 
 
-def _ticks(low: float, high: float, about: int) -> list[float]:
+def round_numbers(low: float, high: float, about: float) -> list[float]:
     """Return round numbers that enclose an interval, about so many."""
     raw = (high - low) / about
     power = 10.0 ** math.floor(math.log10(raw))

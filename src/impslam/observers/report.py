@@ -14,6 +14,7 @@ from impslam.observers import accuracy
 from impslam.observers.base import Observer, Outcome
 from impslam.observers.grid_mapper import GridMapper
 from impslam.observers.history import History
+from impslam.observers.map_picture import Scene, map_png
 from impslam.observers.page import page, section
 from impslam.observers.sections import (
     details,
@@ -92,10 +93,8 @@ def draw(
     image: MapImage, history: History, truth: np.ndarray, landmarks: Sequence[Landmark]
 ) -> bytes:
     """Return the picture of the map as a PNG."""
-    from impslam.evaluation import plots  # noqa: PLC0415  matplotlib: only where something is drawn
-
     path, odometry = history.path[:, 1:3], history.odometry[:, 1:3]
-    return plots.map_png(plots.Scene(image, path, odometry, truth, landmarks))
+    return map_png(Scene(image, path, odometry, truth, landmarks))
 
 
 def _image(png: bytes) -> str:

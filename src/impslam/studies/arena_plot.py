@@ -14,18 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Ellipse
 
-from impslam.evaluation.plots import (
-    INK,
-    ODOMETRY,
-    PATH,
-    POINT,
-    SIGMAS,
-    TIGHT,
-    TRUTH,
-    WALL,
-    as_png,
-    style,
-)
+from impslam.evaluation.colours import INK, ODOMETRY, PATH, POINT, SIGMAS, TRUTH, WALL
+from impslam.evaluation.plots import TIGHT, as_png, style
 from impslam.studies.arena_runs import ArenaRun, true_landmarks
 from impslam.types import Landmark
 

@@ -14,7 +14,7 @@ from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from impslam.evaluation.plots import INK, PALE
+from impslam.evaluation.colours import INK, PALE
 from impslam.extractors.hough import Hough
 from impslam.extractors.readings import usable
 from impslam.studies.chapter4_plot import LEGEND, SPURIOUS, TRUE, WIDTH, new_figure

@@ -17,7 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Polygon, Wedge
 
-from impslam.evaluation.plots import INK, PALE, as_png
+from impslam.evaluation.colours import INK, PALE
+from impslam.evaluation.plots import as_png
 from impslam.extractors.readings import usable
 from impslam.geometry.se2 import compose, transform
 from impslam.studies.chapter4_scans import Jumps, Shot, Sighting

@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
-from impslam.evaluation.plots import INK, ODOMETRY, PATH, POINT, TIGHT, TRUTH, WALL, as_png, style
+from impslam.evaluation.colours import INK, ODOMETRY, PATH, POINT, TRUTH, WALL
+from impslam.evaluation.plots import TIGHT, as_png, style
 from impslam.studies.corridor_runs import CorridorRun, corridor_truth
 from impslam.types import Array, Landmark
 

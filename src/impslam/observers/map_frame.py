@@ -1,0 +1,128 @@
+"""What stands round the picture of a map: its axes and the key."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.evaluation.colours import INK, PALE
+from impslam.observers.canvas import Canvas, text_size
+from impslam.observers.page import round_numbers
+from impslam.types import Array
+
+LEFT, RIGHT, BELOW = 90, 40, 75
+"""Pixels beside the map, for the axes' figures."""
+ROW, STROKE, SPACE = 44, 46, 40
+"""Pixels of the key: a row's height, the length of a stroke, and what separates two entries."""
+LETTERS = 0.75
+"""OpenCV's font size."""
+CIRCLE = np.column_stack([f(np.linspace(0.0, 2.0 * np.pi, 48, False)) for f in (np.cos, np.sin)])
+SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+"""Outlines (n, 2) of markers of size 1."""
+
+
+class Key(NamedTuple):
+    """An entry of the key: a stroke `width` pixels wide, a marker (n, 2), or a marker's outline."""
+
+    words: str
+    code: str
+    width: float = 0.0
+    outline: Array | None = None
+
+
+class Frame:
+    """The axes of a canvas that shows the rectangle left, right, bottom, top, m."""
+
+    def __init__(self, canvas: Canvas, bounds: tuple[float, float, float, float]) -> None:
+        self._map, self._bounds = canvas, bounds
+        left, right, bottom, top = bounds
+        about = [max(2.0, 7.0 * side / max(canvas.pixels.shape)) for side in self._size]
+        self._x = [v for v in round_numbers(left, right, about[0]) if left <= v <= right]
+        self._y = [v for v in round_numbers(bottom, top, about[1]) if bottom <= v <= top]
+
+    @property
+    def _size(self) -> tuple[int, int]:
+        """Columns and rows of the map."""
+        rows, columns, _ = self._map.pixels.shape
+        return columns, rows
+
+    def rule(self) -> None:
+        """Draw pale lines at round coordinates."""
+        left, right, bottom, top = self._bounds
+        before = self._map.pixels.copy()
+        for x in self._x:
+            self._map.line(np.array([[x, bottom], [x, top]]), INK, 1)
+        for y in self._y:
+            self._map.line(np.array([[left, y], [right, y]]), INK, 1)
+        self._map.fade(before, 0.12)
+
+    def around(self, keys: Sequence[Key]) -> Canvas:
+        """Return the map with its axes and the key above; a pixel of this canvas is 1 m wide."""
+        columns, rows = self._size
+        width = max(LEFT + columns + RIGHT, 620)
+        lines = list(_wrapped(keys, width - 2 * RIGHT))
+        height = BELOW + rows + ROW * len(lines) + RIGHT
+        sheet = Canvas((0.0, width, 0.0, height), max(width, height), "#ffffff")
+        above = height - BELOW - rows
+        sheet.pixels[above : above + rows, LEFT : LEFT + columns] = self._map.pixels
+        corners = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]])
+        sheet.line(corners + np.array([LEFT, BELOW]), "#d4d9de", 2, closed=True)
+        self._figures(sheet)
+        for i, line in enumerate(lines):
+            _draw_keys(sheet, line, height - ROW * (i + 0.7))
+        return sheet
+
+    def _figures(self, sheet: Canvas) -> None:
+        """Write the coordinates below and to the left of the map."""
+        places = self._map.place(np.array([[x, 0.0] for x in self._x]))[:, 0] + LEFT
+        for x, place in zip(self._x, places, strict=True):
+            wide, high = text_size(f"{x:g}", LETTERS)
+            sheet.line(np.array([[place, BELOW], [place, BELOW - 7.0]]), PALE, 1)
+            at = np.array([place - 0.5 * wide, BELOW - 16.0 - high])
+            sheet.label(at, f"{x:g}", INK, LETTERS)
+        levels = (
+            BELOW + self._size[1] - self._map.place(np.array([[0.0, y] for y in self._y]))[:, 1]
+        )
+        for y, place in zip(self._y, levels, strict=True):
+            wide, high = text_size(f"{y:g}", LETTERS)
+            sheet.line(np.array([[LEFT, place], [LEFT - 7.0, place]]), PALE, 1)
+            at = np.array([LEFT - 16.0 - wide, place - 0.5 * high])
+            sheet.label(at, f"{y:g}", INK, LETTERS)
+        middle = LEFT + 0.5 * self._size[0]
+        sheet.label(np.array([middle - 40.0, 12.0]), "x, y in m", INK, LETTERS)
+
+
+def _length(key: Key) -> float:
+    return STROKE + 12.0 + text_size(key.words, LETTERS)[0]
+
+
+def _wrapped(keys: Sequence[Key], room: float) -> Iterator[list[Key]]:
+    """Yield the entries of each row of the key."""
+    line: list[Key] = []
+    for key in keys:
+        if line and sum(map(_length, (*line, key))) + SPACE * len(line) > room:
+            yield line
+            line = []
+        line.append(key)
+    yield line
+
+
+def _draw_keys(sheet: Canvas, keys: Sequence[Key], level: float) -> None:
+    """Draw a row of the key, centred, at a height in pixels."""
+    length = sum(map(_length, keys)) + SPACE * (len(keys) - 1)
+    x = 0.5 * (sheet.pixels.shape[1] - length)
+    for key in keys:
+        middle = np.array([x + 0.5 * STROKE, level])
+        if key.outline is None:
+            ends = np.array([[-0.5 * STROKE, 0.0], [0.5 * STROKE, 0.0]])
+            sheet.line(middle + ends, key.code, key.width)
+        elif key.width:
+            sheet.line(middle + key.outline, key.code, key.width, closed=True)
+        else:
+            sheet.fill(middle + key.outline, key.code)
+        high = text_size(key.words, LETTERS)[1]
+        at = np.array([x + STROKE + 12.0, level - 0.5 * high])
+        sheet.label(at, key.words, INK, LETTERS)
+        x += _length(key) + SPACE

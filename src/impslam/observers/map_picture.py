@@ -1,0 +1,139 @@
+"""The picture of a run: grid, paths and landmarks, with axes and a key."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from impslam.evaluation import colours
+from impslam.evaluation.colours import INK, ODOMETRY, PATH, POINT, SIGMAS, TRUTH, WALL
+from impslam.mapping.files import FREE, OCCUPIED, MapImage
+from impslam.observers.canvas import Canvas, Picture, colour, png
+from impslam.observers.map_frame import CIRCLE, SQUARE, Frame, Key
+from impslam.types import Array, Landmark
+
+SIZE = 1440
+"""Pixels along the map's longer side."""
+SMALL = 0.55
+"""OpenCV's font size of the landmarks' numbers."""
+MAX_POINTS = 4000
+"""Points of a drawn path: more than the picture has pixels along it."""
+MAX_LABELS = 40
+"""Landmarks that are labelled; more would hide the map."""
+DASH, GAP = 11.0, 7.0
+"""Pixels of the truth's dashes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What is drawn; paths are (n, 2) m in map, empty where there is none."""
+
+    image: MapImage
+    path: Array
+    odometry: Array
+    truth: Array
+    landmarks: Sequence[Landmark]
+
+
+def map_png(scene: Scene) -> bytes:
+    """Return the map with paths and landmarks as a PNG."""
+    left, right, bottom, top = bounds = _bounds(scene)
+    canvas = Canvas(bounds, SIZE, colours.UNSEEN)
+    _draw_grid(canvas, scene.image)
+    frame = Frame(canvas, bounds)
+    frame.rule()
+    thickness = float(np.clip(15.0 / max(right - left, top - bottom), 0.5, 1.0))
+    _draw_paths(canvas, scene, thickness)
+    _draw_landmarks(canvas, scene.landmarks, thickness)
+    _draw_ends(canvas, scene.path)
+    _draw_numbers(canvas, scene.landmarks)
+    return png(frame.around(_keys(scene)).pixels)
+
+
+def _bounds(scene: Scene) -> tuple[float, float, float, float]:
+    """Return left, right, bottom, top of what SLAM and the truth show; odometry may run off."""
+    left, right, bottom, top = scene.image.extent
+    ends = [mark.end_points for mark in scene.landmarks if mark.end_points is not None]
+    at = [mark.position[None] for mark in scene.landmarks if mark.end_points is None]
+    points = np.vstack([scene.path, scene.truth, *ends, *at, [[left, bottom], [right, top]]])
+    points = points[np.isfinite(points).all(axis=1)]
+    (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
+    margin = 0.03 * max(x1 - x0, y1 - y0, 1.0)
+    return x0 - margin, x1 + margin, y0 - margin, y1 + margin
+
+
+def _draw_grid(canvas: Canvas, image: MapImage) -> None:
+    greys: Picture = np.full((256, 3), colour(colours.UNSEEN), np.uint8)
+    greys[FREE], greys[OCCUPIED] = colour(colours.FREE), colour(colours.SEEN)
+    left, _, _, top = image.extent
+    canvas.paste(greys[image.pixels], left, top, image.resolution)
+
+
+def _draw_paths(canvas: Canvas, scene: Scene, thickness: float) -> None:
+    walls = [mark.end_points for mark in scene.landmarks if mark.end_points is not None]
+    canvas.line(_thin(scene.odometry), ODOMETRY, 2.7 * thickness)
+    before = canvas.pixels.copy()
+    for ends in walls:
+        canvas.line(ends, WALL, 8.0 * thickness)
+    canvas.fade(before, 0.75)
+    canvas.line(_thin(scene.path), PATH, 4.0 * thickness)
+    if len(truth := _thin(scene.truth)):
+        canvas.dashes(truth, TRUTH, 2.7, DASH, GAP)
+
+
+def _thin(path: Array) -> Array:
+    """Return every k-th finite point of a path, and its last."""
+    path = path[np.isfinite(path).all(axis=1)]
+    if len(path) <= MAX_POINTS:
+        return path
+    step = -(-len(path) // MAX_POINTS)
+    return np.vstack((path[:-1:step], path[-1]))
+
+
+def _draw_landmarks(canvas: Canvas, landmarks: Sequence[Landmark], thickness: float) -> None:
+    """Draw points: their outline, a cross, and the ellipse that holds them."""
+    points = [mark for mark in landmarks if mark.end_points is None]
+    before = canvas.pixels.copy()
+    for mark in points:
+        canvas.fill(mark.position + mark.parameters.get("radius", 0.05) * CIRCLE, POINT)
+    canvas.fade(before, 0.35)
+    arm = 6.0 / canvas.scale
+    for mark in points:
+        for cross in (np.array([[-arm, 0.0], [arm, 0.0]]), np.array([[0.0, -arm], [0.0, arm]])):
+            canvas.line(mark.position + cross, POINT, 2.0 * thickness)
+        values, vectors = np.linalg.eigh(mark.covariance)
+        reach = SIGMAS * np.sqrt(np.maximum(values, 0.0))
+        canvas.line(mark.position + CIRCLE * reach @ vectors.T, POINT, 2.0 * thickness, closed=True)
+
+
+def _draw_ends(canvas: Canvas, path: Array) -> None:
+    """Mark where the path begins and where it ends."""
+    if not len(path):
+        return
+    for place, outline, code in ((path[0], CIRCLE, TRUTH), (path[-1], SQUARE, INK)):
+        canvas.fill(place + 11.0 / canvas.scale * outline, "#ffffff")
+        canvas.fill(place + 8.5 / canvas.scale * outline, code)
+
+
+def _draw_numbers(canvas: Canvas, landmarks: Sequence[Landmark]) -> None:
+    """Write the landmarks' numbers beside them, where there are few."""
+    for mark in landmarks if len(landmarks) <= MAX_LABELS else ():
+        at = mark.position if mark.end_points is None else mark.end_points.mean(axis=0)
+        canvas.label(at + 9.0 / canvas.scale, str(mark.id), INK, SMALL, "#ffffff")
+
+
+def _keys(scene: Scene) -> list[Key]:
+    """Return the key's entries for what is there."""
+    kinds = {mark.end_points is None for mark in scene.landmarks}
+    entries = [
+        (True, Key("SLAM", PATH, 4.0)),
+        (True, Key("odometry alone", ODOMETRY, 3.0)),
+        (len(scene.truth) > 0, Key("truth", TRUTH, 3.0)),
+        (False in kinds, Key("wall", WALL, 8.0)),
+        (True in kinds, Key("point, 3 sigma", POINT, 2.0, 9.0 * CIRCLE)),
+        (True, Key("start", TRUTH, outline=9.0 * CIRCLE)),
+        (True, Key("end", INK, outline=8.0 * SQUARE)),
+    ]
+    return [key for there, key in entries if there]

@@ -21,5 +21,9 @@ class MessageError(ImpError):
     """One message that cannot be used; it is counted, dropped and explained, and the run goes on."""
 
 
+class NumericalError(MessageError):
+    """A scan whose numbers admit no solution: a covariance that is not positive definite."""
+
+
 class ShapeError(ImpError, ValueError):
     """An array that has the wrong shape at a border of the library."""

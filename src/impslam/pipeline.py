@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from impslam.config import Config, Keyframes
-from impslam.errors import MessageError, SourceError
+from impslam.errors import MessageError, NumericalError, SourceError
 from impslam.geometry.se2 import compose, inverse
 from impslam.observers.base import Dropped, Observer, Outcome
 from impslam.odometry.clocks import Clocks
 from impslam.odometry.timeline import Timeline
-from impslam.sensors.base import Sensor
+from impslam.sensors.base import Reading, Sensor
 from impslam.sources.base import Problems, Source
 from impslam.types import Increment, Message, StepResult, TruePose
 
@@ -147,6 +147,7 @@ class Pipeline:
             with self._clock("sensor"):
                 look = self._gate.passes(increment)
                 reading = sensor.observe(message, twist, self._rng, look)
+            result = self._estimate(increment, reading)
         except MessageError as error:
             self.problems.add("scan", str(error))
             self._timeline.put_back(motion)
@@ -157,15 +158,26 @@ class Pipeline:
                 f"the scan at {message.stamp:.3f} s has no valid range; the pose is dead-reckoned "
                 "there: check the lidar, or sensors.*.range_min and range_max",
             )
-        refined = increment
-        if self._matcher is not None and reading.scan is not None:
-            with self._clock("matching"):
-                refined = self._matcher.refine(increment, reading.scan)
-        with self._clock("slam"):
-            result = self._newest = self.slam.step(refined, reading, increment)
         if middle == moment:
             return result
         return _at_stamp(result, since, self._timeline.ahead(moment))
+
+    def _estimate(self, increment: Increment, reading: Reading) -> StepResult:
+        """Take a reading into matcher and filter: into both, or with `NumericalError` into neither."""
+        refined, matcher = increment, self._matcher
+        try:
+            if matcher is not None and reading.scan is not None:
+                matcher = matcher.model_copy()
+                with self._clock("matching"):
+                    refined = matcher.refine(increment, reading.scan)
+            with self._clock("slam"):
+                result = self.slam.step(refined, reading, increment)
+        except NumericalError as error:
+            raise NumericalError(
+                f"the scan at {increment.stamp:.3f} s is dropped: {error}"
+            ) from error
+        self._matcher, self._newest = matcher, result
+        return result
 
     def dead_reckoned(self) -> StepResult | None:
         """Return the newest result, carried on by all motion since; None before the first one.

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from impslam.association.base import Association
+from impslam.errors import NumericalError
 from impslam.filters.base import Filter
 from impslam.geometry.se2 import compose
 from impslam.landmarks.base import LandmarkModel
@@ -34,7 +35,7 @@ class Slam:
         self._models = models
         self._odometry = np.zeros(3) if start is None else np.array(start, dtype=np.float64)
         self.filter.start(self._odometry, START_SIGMA**2 * np.eye(3), models)
-        self.lifecycle.start(models, association, type(belief)())
+        self.lifecycle.start(models, association, belief.fresh())
 
     def step(
         self, increment: Increment, reading: Reading, felt: Increment | None = None
@@ -42,25 +43,34 @@ class Slam:
         """Take in the motion since the last reading, and the reading itself.
 
         `felt` is the motion by odometry alone, where the increment was refined by more than that.
+
+        Raises
+        ------
+        NumericalError
+            If the reading cannot be taken in; nothing has changed then, and the motion is still owed.
         """
+        _check_finite(reading.observations)
         observations, stamp = self._blur(reading.observations, increment), increment.stamp
 
         self.filter.predict(increment)
+        try:
+            choice = self.filter.associate(observations, self.association)
+            self.filter.correct(observations, choice.matches)
+        except NumericalError:
+            self.filter.take_back()
+            raise
         self.lifecycle.move(increment)
         self._odometry = compose(self._odometry, (felt or increment).d_pose)
-
-        choice = self.filter.associate(observations, self.association)
-
-        self.filter.correct(observations, choice.matches)
         self.filter.note(observations, choice.matches, stamp)
 
         unmatched = [observations[i] for i in choice.new]
         lost = self.filter.state_size == len(self.filter.pose)
-        new = self.filter.extend(self.lifecycle.promote(unmatched, stamp, lost), stamp)
+        born = tuple(choice.new[i] for i in self.lifecycle.promote(unmatched, stamp, lost))
+        new = self.filter.extend([observations[i] for i in born], stamp)
 
         removed: list[int] = []
-        if reading.scan is not None and observations:
-            ids, outlines = self.filter.outlines()
+        ids, outlines = self.filter.outlines()
+        if reading.scan is not None and reading.searched and len(ids):
             removed = self.lifecycle.review(
                 reading.scan, self.filter.pose, ids, outlines, choice.matches
             )
@@ -77,6 +87,7 @@ class Slam:
             choice.matches,
             new,
             tuple(removed),
+            born,
         )
 
     def _blur(
@@ -95,3 +106,9 @@ class Slam:
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the map in the form users read."""
         return self.filter.landmarks()
+
+
+def _check_finite(observations: tuple[Observation, ...]) -> None:
+    numbers = [part.ravel() for o in observations for part in (o.z, o.R)]
+    if numbers and not np.isfinite(np.concatenate(numbers)).all():
+        raise NumericalError("an extractor's observation is not finite")

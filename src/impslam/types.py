@@ -7,9 +7,9 @@ base_link and laser (REP 105).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, TypeAlias
+from typing import Any, ClassVar, TypeAlias, TypeVar, TypeVarTuple, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,8 @@ from impslam.geometry.se2 import compose_jacobians, compose_uncertain, exp, log
 Array: TypeAlias = npt.NDArray[np.float64]
 Ints: TypeAlias = npt.NDArray[np.int64]
 Mask: TypeAlias = npt.NDArray[np.bool_]
+T = TypeVar("T")
+Ts = TypeVarTuple("Ts")
 
 
 def check_shape(name: str, array: npt.NDArray[np.generic], *shape: int | None) -> None:
@@ -282,6 +284,7 @@ class Scan:
     range_max : m, beyond it the sensor sees nothing
     laser : (3,) `T_base_laser`
     intensities : (n,) how bright the echoes were, in the device's unit, or None
+    derived : what `derive` has computed of this scan; a scan made by `replace` begins without
     """
 
     stamp: float
@@ -296,6 +299,19 @@ class Scan:
     range_max: float
     laser: Array
     intensities: Array | None = None
+    derived: dict[Any, Any] = field(init=False, repr=False, default_factory=dict)
+
+    def derive(self, compute: Callable[[Scan, Unpack[Ts]], T], *parameters: *Ts) -> T:
+        """Return `compute(self, *parameters)`; several extractors share one result.
+
+        `compute` must be pure and nobody may write to what it returns, so that sharing saves time and
+        changes nothing. The results live as long as the scan.
+        """
+        key = compute, parameters
+        if key not in self.derived:
+            self.derived[key] = compute(self, *parameters)
+        result: T = self.derived[key]
+        return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -382,7 +398,8 @@ class StepResult:
 
     `pose` (3,) is `T_map_base` at `stamp` and `covariance` (3, 3) its own; `odometry` (3,) is dead
     reckoning from the same start. `scan_pose` (3,) is where the scan was taken: it differs from
-    `pose` for a sensor that stamps late. `new` and `removed` are landmark ids.
+    `pose` for a sensor that stamps late. `new` and `removed` are landmark ids; `born` are the indices
+    of the observations that the new ones began with.
     """
 
     stamp: float
@@ -395,3 +412,4 @@ class StepResult:
     matches: tuple[Match, ...]
     new: tuple[int, ...]
     removed: tuple[int, ...]
+    born: tuple[int, ...] = ()

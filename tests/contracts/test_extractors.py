@@ -1,5 +1,7 @@
 """What every extractor keeps, whatever scan it is shown."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -140,3 +142,13 @@ def test_any_steps(name, pieces):
     """Arcs about the laser with jumps between them: edges, gaps and thin things."""
     ranges = np.concatenate([[], *(np.full(n, r) for r, n in pieces)])
     extract(name, ready(np.linspace(-2.0, 2.0, len(ranges)), ranges))
+
+
+def test_extractors_together_find_what_each_finds_alone(room):
+    """What they share of a scan depends on the scan alone, not on who came before."""
+    for order in (EXTRACTORS, EXTRACTORS[::-1]):
+        shared = replace(room)
+        assert shared.derived == {}
+        for name in order:
+            same(extract(name, shared), extract(name, replace(room)))
+        assert shared.derived

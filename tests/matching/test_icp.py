@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.extractors.scans import cast, room, with_ranges
 
+from impslam.errors import NumericalError
 from impslam.geometry.se2 import between, compose
 from impslam.matching.icp import Icp, _solve
 from impslam.noise import MotionNoise
@@ -263,3 +264,25 @@ def test_a_room_left_longer_ago_than_the_memory_is_forgotten():
         given = step([0.05, 0.0, 0.0])
         increments[memory] = icp.refine(given, scan) is given
     assert increments == {3.0: True, 30.0: False}
+
+
+@pytest.mark.parametrize("value", [-1e-8, np.nan])
+def test_motion_without_a_solution_is_a_named_error_and_changes_nothing(value):
+    scan = cast(ROOM, POSTS).scan
+    icp = started(scan)
+    before, pose = icp.model_copy(), icp._pose.copy()
+    with pytest.raises(NumericalError):
+        icp.refine(step((0.05, 0.0, 0.01), value * LOOSE), scan)
+    assert np.array_equal(icp._pose, pose)
+    for one in (icp, before):
+        refined = one.refine(step((0.05, 0.0, 0.01)), scan)
+        assert np.abs(refined.d_pose).max() < 1e-3
+
+
+def test_a_copy_made_before_a_scan_does_not_know_it():
+    scan, moved = cast(ROOM, POSTS).scan, cast(ROOM, POSTS, pose=np.array([0.3, 0.1, 0.2])).scan
+    icp = started(scan)
+    before, points = icp.model_copy(), len(icp._map.surfaces.points)
+    icp.refine(step((0.3, 0.1, 0.2)), moved)
+    assert len(icp._map.surfaces.points) != points
+    assert len(before._map.surfaces.points) == points

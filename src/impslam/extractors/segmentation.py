@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -95,12 +94,15 @@ def beam_spacing(scan: Scan) -> float:
     return abs(float(scan.angles[-1] - scan.angles[0])) / (n - 1) if n > 1 else 0.0
 
 
-@lru_cache(maxsize=4)
 def segment(scan: Scan, grazing: float = WALLS) -> Cloud:
     """Return the valid points of a scan, cut where no surface met at `grazing` explains the gap.
 
-    Computed once for all extractors.
+    Computed once for all extractors of the scan.
     """
+    return scan.derive(_segment, grazing)
+
+
+def _segment(scan: Scan, grazing: float) -> Cloud:
     index = np.flatnonzero(scan.valid)
     points, ranges, variances = _take(index, scan.points, scan.ranges, scan.sigmas)
     starts = np.array([0, len(index)])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import numpy as np
 
@@ -15,9 +14,12 @@ from impslam.geometry.angles import wrap
 from impslam.types import Array, Observation, Scan
 
 
-@lru_cache(maxsize=4)
 def segments_of(scan: Scan, flatness: float, gap: float) -> Segments:
-    """Return the straight pieces of a scan, whatever their length; computed once."""
+    """Return the straight pieces of a scan, whatever their length; computed once for a scan."""
+    return scan.derive(_segments, flatness, gap)
+
+
+def _segments(scan: Scan, flatness: float, gap: float) -> Segments:
     return find_segments(segment(scan), flatness, gap)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from typing import ClassVar, Self
 
 from impslam.association.base import Assignment, Association, Hypotheses
 from impslam.component import Component
@@ -17,6 +17,10 @@ class Filter(Component):
 
     role: ClassVar[str] = "filter"
 
+    def fresh(self) -> Self:
+        """Return a filter with these parameters that has not begun yet."""
+        return type(self)(**dict(self))
+
     @abstractmethod
     def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
         """Begin with a pose (3,), its covariance (3, 3), and the models by kind; forget the rest."""
@@ -24,6 +28,10 @@ class Filter(Component):
     @abstractmethod
     def predict(self, increment: Increment) -> None:
         """Move the robot (thesis Eq. 2.23-2.26)."""
+
+    @abstractmethod
+    def take_back(self) -> None:
+        """Undo the last `predict`, to the bit; nothing else may have changed the belief since."""
 
     @abstractmethod
     def hypothesise(self, observations: Sequence[Observation]) -> list[Hypotheses]:
@@ -47,7 +55,13 @@ class Filter(Component):
 
     @abstractmethod
     def correct(self, observations: Sequence[Observation], matches: Sequence[Match]) -> None:
-        """Take all matches of a scan in, in one batch (thesis Eq. 2.27-2.29)."""
+        """Take all matches of a scan in, in one batch (thesis Eq. 2.27-2.29).
+
+        Raises
+        ------
+        NumericalError
+            If the innovations' covariance is not positive definite; the belief stays as it was.
+        """
 
     @abstractmethod
     def extend(self, observations: Sequence[Observation], stamp: float) -> tuple[int, ...]:

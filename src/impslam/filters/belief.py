@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.linalg.blas import dsyrk, dtrsm, dtrsv
+from scipy.linalg.lapack import dpotrf
 
+from impslam.errors import NumericalError
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
 
@@ -242,6 +244,14 @@ class GaussianBelief:
         _rotate_pose(self.P, self.n, fx, fy)
         self.P[:POSE, :POSE] += noise
 
+    def pose_entries(self) -> tuple[Array, Array]:
+        """Return copies of all that `move` changes: the pose (3,) and P's first columns (n, 3)."""
+        return self.mean[:POSE].copy(), self.P[: self.n, :POSE].copy()
+
+    def restore(self, entries: tuple[Array, Array]) -> None:
+        """Put back what `pose_entries` returned."""
+        self.mean[:POSE], self.P[: self.n, :POSE] = entries
+
     def innovation_blocks(self, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
         """Return H P H^T (k, dz, dz) of k landmarks, each measured alone."""
         return _innovation_blocks(self.P, offsets, z_D_pose, z_D_m)
@@ -251,10 +261,21 @@ class GaussianBelief:
         return _sandwich(self.P, rows.offsets, rows.dims, rows.h_pose, rows.h_m)
 
     def gain(self, rows: Rows, R: Array) -> Gain:
-        """Return the gain of a batch of measurements with noise R (rows, rows)."""
+        """Return the gain of a batch of measurements with noise R (rows, rows).
+
+        Raises
+        ------
+        NumericalError
+            If the innovations' covariance is not positive definite.
+        """
         shape = rows.offsets, rows.dims, rows.h_pose, rows.h_m
         cross = _cross(self.P, self.n, *shape)
-        L: Array = np.linalg.cholesky(_measure(cross, *shape) + R).astype(np.float64, copy=False)
+        L, info = dpotrf(_measure(cross, *shape) + R, lower=1, clean=1)
+        if info or not np.isfinite(L).all():
+            raise NumericalError(
+                "the innovations' covariance is not positive definite: check the noise of the "
+                "sensors and of the odometry (sigma, bias, ...)"
+            )
         return Gain(L, dtrsm(1.0, L, cross.T, side=1, lower=1, trans_a=1, overwrite_b=1), self.n)
 
     def shrink(self, gain: Gain) -> None:

@@ -28,6 +28,7 @@ from pydantic import PrivateAttr
 
 from impslam.association.base import Hypotheses
 from impslam.component import parameter, register
+from impslam.errors import NumericalError
 from impslam.filters.atlas import Atlas, Table
 from impslam.filters.base import Filter
 from impslam.filters.belief import POSE, GaussianBelief, Rows, put_blocks
@@ -59,6 +60,8 @@ class Ekf(Filter):
     )
     _belief: GaussianBelief = PrivateAttr()
     _atlas: Atlas = PrivateAttr()
+    _before: tuple[Array, Array] = PrivateAttr()
+    """What the last prediction changed, as it was."""
 
     def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
         """Begin anew; see `Filter.start`."""
@@ -68,10 +71,15 @@ class Ekf(Filter):
     def predict(self, increment: Increment) -> None:
         """Move the robot: x' = x (+) u, P' = F P F^T + V Q V^T (thesis Eq. 2.23-2.26)."""
         belief, pose, d = self._belief, self.pose, increment.d_pose
+        self._before = belief.pose_entries()
         c, s = math.cos(pose[2]), math.sin(pose[2])
         V = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         belief.move(-s * d[0] - c * d[1], c * d[0] - s * d[1], V @ increment.covariance @ V.T)
         belief.mean[:POSE] = compose(pose, d)
+
+    def take_back(self) -> None:
+        """Undo the last prediction; see `Filter.take_back`."""
+        self._belief.restore(self._before)
 
     def hypothesise(self, observations: Sequence[Observation]) -> list[Hypotheses]:
         """Score every observation against every landmark of its kind."""
@@ -94,14 +102,18 @@ class Ekf(Filter):
         belief = self._belief
         observations = self._doubted(observations, matches)
         prior, delta = belief.mean.copy(), np.zeros(belief.n)
-        for _ in range(self.iterations):
-            rows, innovation, R = self._stack(observations, matches)
-            gain = belief.gain(rows, R)
-            moved = delta[2]
-            delta = gain.step(innovation + rows.apply(delta) if delta.any() else innovation)
-            self._retract(prior, delta)
-            if abs(delta[2] - moved) < self.tolerance:
-                break
+        try:
+            for _ in range(self.iterations):
+                rows, innovation, R = self._stack(observations, matches)
+                gain = belief.gain(rows, R)
+                moved = delta[2]
+                delta = gain.step(innovation + rows.apply(delta) if delta.any() else innovation)
+                self._retract(prior, delta)
+                if abs(delta[2] - moved) < self.tolerance:
+                    break
+        except NumericalError:
+            belief.mean = prior
+            raise
         belief.shrink(gain)
 
     def extend(self, observations: Sequence[Observation], stamp: float) -> tuple[int, ...]:

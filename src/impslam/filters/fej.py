@@ -38,6 +38,8 @@ class FirstEstimatesEkf(Ekf):
 
     _first: Array = PrivateAttr()
     """(n,), the predicted pose and the landmarks' first states."""
+    _first_before: Array = PrivateAttr()
+    """The predicted pose (3,) before the last one."""
 
     def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
         """Begin anew; see `Filter.start`."""
@@ -47,12 +49,18 @@ class FirstEstimatesEkf(Ekf):
     def predict(self, increment: Increment) -> None:
         """Move the robot, with F = d(pose')/d(pose) between the predicted poses."""
         belief, before, predicted = self._belief, self.pose, self._first[:POSE]
+        self._before, self._first_before = belief.pose_entries(), predicted.copy()
         after = compose(before, increment.d_pose)
         V = np.eye(POSE)
         V[:2, :2] = rotation(before[2])
         noise = V @ increment.covariance @ V.T
         belief.move(predicted[1] - after[1], after[0] - predicted[0], noise)
         belief.mean[:POSE] = self._first[:POSE] = after
+
+    def take_back(self) -> None:
+        """Undo the last prediction; see `Filter.take_back`."""
+        super().take_back()
+        self._first[:POSE] = self._first_before
 
     def extend(self, observations: Sequence[Observation], stamp: float) -> tuple[int, ...]:
         """Add landmarks, and remember where they were first thought to be."""

@@ -94,11 +94,13 @@ class RightInvariantEkf(Ekf):
         if not matches:
             return
         self._prior = state_D_motion(self._belief, self._atlas), pose_D_motion(-self.pose)
-        super().correct(observations, matches)
-        A, xi_D_pose = self._since_prior()
+        try:
+            super().correct(observations, matches)
+            A, xi_D_pose = self._since_prior()
+        finally:
+            self._prior = None
         changed = A.any(axis=0)  # points alone leave only the heading's column
         shear(self._belief, A[:, changed], xi_D_pose[changed])
-        self._prior = None
 
     @property
     def covariance(self) -> Array:

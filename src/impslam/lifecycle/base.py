@@ -29,10 +29,8 @@ class Lifecycle(Component):
         """Follow the robot's motion."""
 
     @abstractmethod
-    def promote(
-        self, observations: Sequence[Observation], stamp: float, lost: bool
-    ) -> list[Observation]:
-        """Return which of the unmatched observations are to become landmarks now.
+    def promote(self, observations: Sequence[Observation], stamp: float, lost: bool) -> list[int]:
+        """Return which of the unmatched observations (indices) are to become landmarks now.
 
         `lost` says that the map is empty: there is nothing yet that ties the robot to its start.
         """

@@ -24,12 +24,10 @@ class Immediate(Lifecycle):
     def move(self, increment: Increment) -> None:
         """Keep nothing that moves."""
 
-    def promote(
-        self, observations: Sequence[Observation], stamp: float, lost: bool
-    ) -> list[Observation]:
+    def promote(self, observations: Sequence[Observation], stamp: float, lost: bool) -> list[int]:
         """Return them all."""
         del stamp, lost
-        return list(observations)
+        return list(range(len(observations)))
 
     def review(
         self, scan: Scan, pose: Array, ids: Ints, outlines: Array, matches: Sequence[Match]

@@ -141,13 +141,11 @@ class Tentative(Lifecycle):
             self._forget()
         self._candidates.predict(increment)
 
-    def promote(
-        self, observations: Sequence[Observation], stamp: float, lost: bool
-    ) -> list[Observation]:
-        """Return the observations whose landmark has now been seen often enough."""
+    def promote(self, observations: Sequence[Observation], stamp: float, lost: bool) -> list[int]:
+        """Return the observations (indices) whose landmark has now been seen often enough."""
         self._now, self._untried = stamp, lost
         if lost:
-            return list(observations)
+            return list(range(len(observations)))
         if not observations and not self._seen:
             return []
         choice = self._candidates.associate(tuple(observations), self._association)
@@ -156,11 +154,14 @@ class Tentative(Lifecycle):
             count, first, _ = self._seen[match.landmark]
             self._seen[match.landmark] = (count + 1, first, stamp)
             if count + 1 >= self.sightings and stamp - first >= self.persistence:
-                promoted.append(observations[match.observation])
+                promoted.append(match.observation)
                 leaving.append(match.landmark)
         leaving += [i for i, (_, _, last) in self._seen.items() if stamp - last > self.patience]
         self._drop(leaving)
-        promoted += self._enter([observations[i] for i in choice.new], stamp)
+        if self.sightings == 1 and self.persistence == 0.0:
+            return [*promoted, *choice.new]
+        for number in self._candidates.extend([observations[i] for i in choice.new], stamp):
+            self._seen[number] = (1, stamp, stamp)
         return promoted
 
     def review(
@@ -223,13 +224,6 @@ class Tentative(Lifecycle):
 
     def _score(self, number: int) -> float:
         return self._scores.get(number, float(self.sightings))
-
-    def _enter(self, observations: list[Observation], stamp: float) -> list[Observation]:
-        if self.sightings == 1 and self.persistence == 0.0:
-            return observations
-        for number in self._candidates.extend(observations, stamp):
-            self._seen[number] = (1, stamp, stamp)
-        return []
 
     def _drop(self, ids: list[int]) -> None:
         self._candidates.remove(ids)

@@ -18,5 +18,12 @@ class Matcher(Component):
     def refine(self, increment: Increment, scan: Scan) -> Increment:
         """Return the motion from the previous scan to this one, with its covariance.
 
-        Where the scan tells nothing, the increment comes back as it was.
+        Where the scan tells nothing, the increment comes back as it was. What a matcher remembers
+        are values that it replaces and never changes: a `model_copy` made before a scan that is
+        dropped takes the scan back.
+
+        Raises
+        ------
+        NumericalError
+            If the scan and the increment admit no solution.
         """

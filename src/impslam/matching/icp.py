@@ -13,11 +13,13 @@ increments compose, and closing loops stays the filter's work.
 from __future__ import annotations
 
 import math
+from copy import copy
 
 import numpy as np
 from pydantic import PrivateAttr
 
 from impslam.component import parameter, register
+from impslam.errors import NumericalError
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import between, compose, rotation, transform
 from impslam.matching.base import Matcher
@@ -140,6 +142,16 @@ def _descend(
     return pose, normal[:, :3].copy(), paired
 
 
+def _inverse(A: Array) -> Array:
+    try:
+        inverse = np.asarray(np.linalg.inv(A), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        inverse = np.full((3, 3), np.nan)
+    if not np.isfinite(inverse).all():
+        raise NumericalError("scan matching: the motion's covariance has no inverse")
+    return inverse
+
+
 def _gap(scan: Scan) -> float:
     """Return how far apart neighbours of one surface may be: three beams' spacing, and 5 cm."""
     if len(scan.angles) < 2 or not scan.valid.any():
@@ -187,6 +199,9 @@ class Icp(Matcher):
         self._pose = compose(self._pose, refined.d_pose)
         self._way += math.hypot(refined.d_pose[0], refined.d_pose[1]) + abs(refined.d_pose[2])
         turned = directions @ rotation(self._pose[2]).T
+        self._map = copy(
+            self._map
+        )  # `add` replaces arrays: a copy of the matcher keeps the old ones
         self._map.add(transform(self._pose, points), turned, flat, self._way)
         return refined
 
@@ -200,15 +215,19 @@ class Icp(Matcher):
         V = np.eye(3)
         V[:2, :2] = rotation(self._pose[2])
         spread = V @ increment.covariance @ V.T + _TINY**2 * np.eye(3)
-        prior = np.asarray(np.linalg.inv(spread), dtype=np.float64)
+        prior = _inverse(spread)
         guess = compose(self._pose, increment.d_pose)
         pose, H, paired = _descend(
             guess, prior, points, self._map.surfaces, self.reach, self.sigma, self.iterations
         )
+        if not np.isfinite(pose).all():
+            raise NumericalError(
+                "scan matching finds no pose: its normal equations have no solution"
+            )
         if paired < self.min_share * len(points):
             return increment
         d_pose = between(self._pose, pose)
-        covariance = V.T @ np.linalg.inv(prior + H) @ V
+        covariance = V.T @ _inverse(prior + H) @ V
         covariance = 0.5 * (covariance + covariance.T)
         covariance += self.drift.covariance(math.hypot(d_pose[0], d_pose[1]), float(d_pose[2]))
         return Increment(increment.stamp, d_pose, covariance, increment.duration)

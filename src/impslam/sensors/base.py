@@ -14,10 +14,14 @@ from impslam.types import Array, Message, Observation, Scan
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """What a message shows: the scan (None for sensors that have none) and the observations."""
+    """What a message shows: the scan (None for sensors that have none) and the observations.
+
+    `searched` is false where nobody looked for landmarks, so that their absence says nothing.
+    """
 
     scan: Scan | None
     observations: tuple[Observation, ...]
+    searched: bool = True
 
 
 class Sensor(Component):

@@ -139,7 +139,7 @@ class Lidar2D(Sensor):
             if look
             for o in extractor.extract(scan, rng)
         ]
-        return Reading(scan, tuple(found))
+        return Reading(scan, tuple(found), look)
 
     def scan(self, message: LaserScan, twist: Array) -> Scan:
         """Return the message as a `Scan`: validated, mounted, de-skewed."""

@@ -8,17 +8,12 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import PrivateAttr
 
-from impslam.association.base import Association
 from impslam.component import build
 from impslam.config import load
 from impslam.evaluation.landmarks import score_landmarks
 from impslam.extractors.base import Extractor
-from impslam.filters.base import Filter
 from impslam.geometry.se2 import between, log
-from impslam.landmarks.base import LandmarkModel
-from impslam.lifecycle.base import Lifecycle
 from impslam.pipeline import Pipeline
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.simulation.robot import SimulatedRobot
@@ -28,14 +23,9 @@ from impslam.studies.arena_runs import Way
 from impslam.studies.corridor_truth import Truth, Verdict, false_landmarks, judge
 from impslam.types import (
     Array,
-    Increment,
-    Ints,
     Landmark,
     LaserScan,
-    Match,
     Message,
-    Observation,
-    Scan,
     TruePose,
 )
 
@@ -193,41 +183,6 @@ class Drive:
     extractors: Mapping[str, Tally]
 
 
-class Register(Lifecycle):
-    """Keeps the book of births for another lifecycle, and changes nothing."""
-
-    inner: Lifecycle
-    _born: list[Observation] = PrivateAttr(default_factory=list)
-
-    @property
-    def born(self) -> list[Observation]:
-        """The observations that were promoted last."""
-        return self._born
-
-    def start(
-        self, models: Mapping[str, LandmarkModel], association: Association, tracker: Filter
-    ) -> None:
-        """Begin; see `Lifecycle`."""
-        self.inner.start(models, association, tracker)
-
-    def move(self, increment: Increment) -> None:
-        """Follow the motion."""
-        self.inner.move(increment)
-
-    def promote(
-        self, observations: Sequence[Observation], stamp: float, lost: bool
-    ) -> list[Observation]:
-        """Return the new landmarks, and remember them."""
-        self._born = self.inner.promote(observations, stamp, lost)
-        return self._born
-
-    def review(
-        self, scan: Scan, pose: Array, ids: Ints, outlines: Array, matches: Sequence[Match]
-    ) -> list[int]:
-        """Return the landmarks to remove."""
-        return self.inner.review(scan, pose, ids, outlines, matches)
-
-
 @functools.cache
 def corridor_world() -> World:
     """Return the world."""
@@ -257,7 +212,6 @@ def read_otherwise(seed: int) -> dict[str, CorridorRun]:
 def map_corridor(messages: Sequence[Message], way: Way, seed: int) -> CorridorRun:
     """Map what the robot recorded."""
     pipeline = Pipeline(load(way.preset, [f"seed={seed}", *way.settings]))
-    pipeline.slam.lifecycle = register = Register(inner=pipeline.slam.lifecycle)
     begin = messages[0].stamp
     births: list[Birth] = []
     truth = {m.stamp: m.pose for m in messages if isinstance(m, TruePose)}
@@ -266,9 +220,10 @@ def map_corridor(messages: Sequence[Message], way: Way, seed: int) -> CorridorRu
         rows.append((step.pose, step.odometry, truth[step.stamp]))
         if step.new:
             moment = corridor_truth().moment(step.stamp - begin)
+            began = [step.observations[i] for i in step.born]
             births += [
                 Birth(number, seen.kind, step.stamp, judge(moment, seen))
-                for number, seen in zip(step.new, register.born, strict=True)
+                for number, seen in zip(step.new, began, strict=True)
             ]
     path, odometry, true = (np.array(column) for column in zip(*rows, strict=True))
     landmarks = pipeline.slam.landmarks()

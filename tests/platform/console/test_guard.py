@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from impslam.platform.console import guard
+from impslam.platform.console import guard, line
 from impslam.platform.console.accounts import Accounts
 from impslam.platform.console.asked import plain
 from impslam.platform.console.gate import Gate
@@ -39,7 +39,7 @@ def scope(*headers, kind="http", method="GET", path=None):
         "method": method,
         "path": path,
         "raw_path": path.encode(),
-        "query_string": b"",
+        "query_string": b"EIO=4&transport=websocket" if kind == "websocket" else b"",
         "scheme": "ws" if kind == "websocket" else "http",
         "server": ("10.0.0.5", 8080),
         "client": ("10.0.0.9", 1234),
@@ -165,6 +165,24 @@ async def test_a_socket_that_takes_nothing_does_not_hold_the_guard(gate, cookie,
     asked = scope(HOST, ORIGIN, cookie[0], kind="websocket")
     guarded = Guard(app, gate, ["robot"])
     await asyncio.wait_for(guarded(asked, receive, send), 5.0)
+
+
+async def test_a_socket_that_is_not_read_is_cut(gate, cookie, monkeypatch, caplog):
+    """Else what waits for it would fill the memory."""
+    monkeypatch.setattr(guard, "LOOK", 0.01)
+    monkeypatch.setattr(guard, "GRACE", 0.05)
+    monkeypatch.setattr(line, "STUCK", 0.05)
+    never = asyncio.get_running_loop().create_future
+
+    async def app(scope, receive, send):
+        await send({"type": "websocket.send", "text": "a frame"})
+
+    async def send(message):
+        await never()
+
+    asked = scope(HOST, ORIGIN, cookie[0], kind="websocket")
+    await asyncio.wait_for(Guard(app, gate, ["robot"])(asked, never, send), 5.0)
+    assert "a socket that takes nothing" in caplog.text
 
 
 async def test_no_message_passes_after_the_end(gate, cookie, monkeypatch):

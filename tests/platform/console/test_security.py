@@ -1,6 +1,7 @@
 """What an attacker on the network would try, against a real server: refused, and told in the log."""
 
 import contextlib
+import gc
 import json
 import re
 import socket
@@ -14,7 +15,7 @@ from tests.platform.console.serving import DRIVE, PICTURE, WATCH, raw, serving
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from impslam.platform.console import guard, protocol
+from impslam.platform.console import guard, protocol, refusals
 from impslam.platform.console.session import IDLE, LIFE
 from impslam.platform.console.throttle import FORGET, FREE
 
@@ -594,6 +595,109 @@ class TestSizes:
         assert "a request that is none, or too large" in caplog.text
 
 
+class TestMessages:
+    """What a watcher's socket sends reaches neither the toolkit's log nor its tracebacks."""
+
+    FORGED = "\x1b[31mall is well\nimp: warning: all is well"
+
+    @pytest.fixture
+    def page(self, served):
+        with served.logged_in(WATCH) as client:
+            page, press = page_of(client)
+            with opened(served, client, page=page) as line:
+                yield served, line, page, json.loads(press[2:])[1]
+
+    def sent(self, page, *messages):
+        """Send messages and press the button: what was sent before has then been looked at."""
+        served, line, _, press = page
+        before = len(served.pressed.by)
+        for message in messages:
+            line.send(message)
+        line.send("42" + json.dumps(["event", press]))
+        soon(lambda: len(served.pressed.by) == before + 1)
+
+    @pytest.mark.parametrize("level", ["debug", "info", "warning", "error"])
+    def test_nothing_is_written_into_the_log(self, page, level, caplog):
+        caplog.set_level("DEBUG", "nicegui")
+        told = {"client_id": page[2], "level": level, "message": self.FORGED}
+        self.sent(page, "42" + json.dumps(["log", told]))
+        assert "all is well" not in caplog.text
+        assert "a message of another kind than the page sends" in caplog.text
+
+    @pytest.mark.parametrize(
+        ("kind", "fields"),
+        [
+            ("log", {"level": "none", "message": "x"}),
+            ("event", {"listener_id": "none"}),
+            ("event", {"listener_id": ["x"]}),
+            ("event", {"id": "4"}),
+            ("event", {"id": {}}),
+            ("event", {"id": None}),
+            ("event", {"args": None}),
+            ("event", {"args": 5}),
+            ("event", {"args": ["{"]}),
+            ("event", {"args": ["[" * 2000]}),
+            ("event", {"args": ["NaN"]}),
+            ("event", {"args": [5]}),
+            ("ack", {}),
+            ("ack", {"next_message_id": "x"}),
+            ("ack", {"next_message_id": None}),
+            ("ack", {"next_message_id": []}),
+            ("handshake", {}),
+            ("handshake", {"tab_id": "t" * 5000, "document_id": "d"}),
+            ("handshake", {"tab_id": [], "document_id": {}}),
+            ("handshake", {"tab_id": "t", "document_id": "d", "next_message_id": "x"}),
+            ("javascript_response", {}),
+            ("javascript_response", {"request_id": []}),
+            (["event"], {}),
+            (None, {}),
+        ],
+    )
+    def test_malformed_messages_raise_nothing(self, page, kind, fields, caplog):
+        _, _, name, press = page
+        message = {"client_id": name, **(press if kind == "event" else {}), **fields}
+        self.sent(page, "42" + json.dumps([kind, message]), "420" + json.dumps([kind, message]))
+        gc.collect()  # a task that failed is told when it is collected
+        assert {record.name for record in caplog.records} == {refusals.__name__}
+
+    @pytest.mark.parametrize(
+        "frame",
+        ["42" + "[" * 5000, "40", "40{}", "40/x,", "43[]", "44{}", "45-", "2probe", "5", "6", "42[1]",
+         '42/x,["event",{}]', '421-["event",{}]', "42" + "9" * 80 + "[]", "é" * 9000, "", b"4", b""],
+    )  # fmt: skip
+    def test_frames_that_a_page_never_sends_are_dropped(self, page, frame, caplog):
+        self.sent(page, frame)
+        assert "a malformed message" in caplog.text
+        assert {record.name for record in caplog.records} == {refusals.__name__}
+
+    @pytest.mark.parametrize(
+        "query",
+        [
+            "transport=websocket",
+            "EIO=3&transport=websocket",
+            "EIO=4&transport=polling",
+            "EIO=4&transport=websocket&sid=x",
+            "EIO=4&transport=websocket&j=1",
+            "EIO=4&EIO=4&transport=websocket",
+            "EIO=4&transport=websocket&client_id=x&implicit_handshake=true",
+            "EIO=4&transport=websocket&client_id=x&implicit_handshake=true&tab_id=t&document_id=d"
+            "&next_message_id=x",
+        ],
+    )
+    def test_malformed_addresses_of_sockets_are_refused(self, served, query, caplog):
+        with served.logged_in(WATCH) as client:
+            headers = {"Cookie": cookie(client)}
+            with pytest.raises(InvalidStatus) as refused:
+                connect(
+                    f"ws://127.0.0.1:{served.port}{SOCKET}?{query}",
+                    origin=served.origin,
+                    additional_headers=headers,
+                    proxy=None,
+                )
+        assert refused.value.response.status_code == 400
+        assert "a malformed socket" in caplog.text
+
+
 class TestSlowness:
     def test_a_slow_body_is_given_up(self, served, monkeypatch, caplog):
         monkeypatch.setattr(guard, "BODY_TIME", 0.2)
@@ -728,9 +832,7 @@ class TestRights:
         with served.logged_in() as driver, served.logged_in(WATCH) as watcher:
             drivers, press = page_of(driver)
             before = len(served.pressed.by)
-            with opened(served, watcher, page=drivers) as foe:
-                foe.send(press)
-                assert foe.recv(timeout=5).startswith("44")  # connection refused
+            assert status(served, watcher, page=drivers) == 403
             with opened(served, watcher) as foe:
                 assert foe.recv(timeout=5).startswith("40")
                 hello = {"client_id": drivers, "tab_id": "t", "document_id": "d"}

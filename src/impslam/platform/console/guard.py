@@ -13,6 +13,7 @@ import contextlib
 import re
 import time
 from collections.abc import Callable, Iterable
+from functools import partial
 
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -20,6 +21,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from impslam.platform.console.asked import Asked, Refusal, host, origin, shape
 from impslam.platform.console.gate import Gate
 from impslam.platform.console.line import Ended, Line, read, replayed, while_alive
+from impslam.platform.console.messages import opening
 from impslam.platform.console.routes import route
 from impslam.platform.console.sealed import Sealed
 from impslam.platform.console.session import Session
@@ -66,6 +68,8 @@ class Guard:
         if refusal is None and session is None and not asked.public:
             refusal = Refusal(401, "no session", f"{asked.method} {asked.path}")
         refusal = refusal or route(asked)
+        if refusal is None and session is not None and asked.socket:
+            refusal = opening(asked, session)
         if refusal is not None:
             await self._refuse(asked, refusal, receive, send)
             return
@@ -116,7 +120,8 @@ class Guard:
         self, asked: Asked, session: Session, scope: Scope, receive: Receive, send: Send
     ) -> None:
         """Pass messages on for as long as the session holds, then close the socket."""
-        line = Line(session, receive, send, self._clock)
+        tell = partial(self._gate.refusals.tell, asked.address)
+        line = Line(session, receive, send, tell, self._clock)
         app = asyncio.ensure_future(self.app(scope, line.receive, line.send))
         try:
             while not app.done():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 from nicegui import html, ui
 
 from impslam.platform.console.model import Model
@@ -23,6 +25,7 @@ class Header:
     def __init__(self, model: Model, viewer: Viewer) -> None:
         self.stop: StopButton | None = None
         self._dark = ui.dark_mode(None)
+        self._looks = itertools.cycle([True, False, None])
         with html.header().classes("top"):
             symbol("smart_toy" if model.station is not None else "replay").classes("mark")
             html.h1(model.title)
@@ -52,8 +55,7 @@ class Header:
 
     def _on_theme(self) -> None:
         """From what the system prefers to dark, to light, and back."""
-        after = {None: True, True: False, False: None}
-        self._dark.value = after[self._dark.value]
+        self._dark.value = next(self._looks)  # not from what it is: the browser may tell anything
 
     @staticmethod
     def _on_stop(station: Station | None, viewer: Viewer) -> None:

@@ -8,48 +8,78 @@ from collections.abc import Callable
 from starlette.types import Message, Receive, Send
 
 from impslam.platform.console.asked import Asked, Refusal
+from impslam.platform.console.messages import Inbox
 from impslam.platform.console.session import Session
 from impslam.platform.console.throttle import Bucket
 
-MESSAGES, RATE = 400, 200.0  # of a socket, at once and a second; a page sends some 30 a second
+MESSAGES = 400  # of a socket at once; beyond, a second:
+RATE, WATCHER_RATE = 200.0, 60.0  # a page sends some 20 a second, and 10 more while it drives
+STUCK = 10.0  # s that a browser may take nothing; what waits for it fills the memory
 UNREADABLE = frozenset({1002, 1003, 1007, 1009})  # codes of closing, RFC 6455 sec. 7.4.1
 
 
 class Line:
-    """One open socket: counts its messages, and can be cut from outside."""
+    """One open socket: checks and counts its messages, and can be cut from outside.
+
+    Parameters
+    ----------
+    session : whose socket it is
+    receive, send : the socket
+    tell : called with why a message is dropped
+    clock : s, never stepping back
+    """
 
     def __init__(
-        self, session: Session, receive: Receive, send: Send, clock: Callable[[], float]
+        self,
+        session: Session,
+        receive: Receive,
+        send: Send,
+        tell: Callable[[str], None],
+        clock: Callable[[], float],
     ) -> None:
         self._session, self._receive, self._send = session, receive, send
-        self._bucket = Bucket(MESSAGES, RATE, clock)
+        self._tell, self._clock = tell, clock
+        self._inbox = Inbox(session)
+        self._bucket = Bucket(MESSAGES, RATE if session.may_drive else WATCHER_RATE, clock)
         self._cut = asyncio.Event()
         self._flooded = False
+        self._sending: float | None = None
         self.broken = False  # whether the server closed it for what was sent
 
     def wrong(self) -> str:
         """Return why it has to be cut, empty where all is well."""
         if not self._session.alive():
             return "an open socket whose session has ended"
+        if self._sending is not None and self._clock() - self._sending > STUCK:
+            return "a socket that takes nothing"
         return "too many messages on a socket" if self._flooded else ""
 
     async def receive(self) -> Message:
-        """Return the next message; once cut or wrong, that the socket is closed."""
-        message = await self._next()
-        self.broken = message.get("code") in UNREADABLE
-        if message["type"] != "websocket.receive":
-            return message
-        self._flooded = self._flooded or self._bucket.wait() > 0.0
-        if self.wrong():
-            await self._cut.wait()
-            return {"type": "websocket.disconnect", "code": 1008}
-        self._session.use()
-        return message
+        """Return the next message in order; once cut or wrong, that the socket is closed."""
+        while True:
+            message = await self._next()
+            self.broken = message.get("code") in UNREADABLE
+            if message["type"] != "websocket.receive":
+                return message
+            self._flooded = self._flooded or self._bucket.wait() > 0.0
+            if self.wrong():
+                await self._cut.wait()
+                return {"type": "websocket.disconnect", "code": 1008}
+            self._session.use()
+            if why := self._inbox.refused(message.get("text")):
+                self._tell(why)
+            else:
+                return message
 
     async def send(self, message: Message) -> None:
         """Pass a message on, unless it comes too late."""
-        if not self._cut.is_set():
+        if self._cut.is_set():
+            return
+        self._sending = self._clock()
+        try:
             await self._send(message)
+        finally:
+            self._sending = None
 
     async def cut(self) -> None:
         """Close the socket, and tell the app that it is closed."""

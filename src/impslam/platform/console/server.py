@@ -20,7 +20,7 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 
 from impslam.errors import ImpError
-from impslam.platform.console import downloads, hosts, login, sockets
+from impslam.platform.console import downloads, hosts, login
 from impslam.platform.console.accounts import Accounts
 from impslam.platform.console.asked import HEADERS
 from impslam.platform.console.gate import Gate
@@ -227,7 +227,6 @@ def _app(model: Model, gate: Gate, build: Callable[[Model], None]) -> FastAPI:
     app.router.routes += login.routes(gate, model.title)
     app.router.routes += downloads.routes(gate, model.station)
     build(model)
-    sockets.bind_to_sessions(gate.refusals)
     core.app.middleware_stack = None  # a server before this one, in a test, has used it up
     core.app.user_middleware.clear()
     core.app.add_exception_handler(404, _not_found)

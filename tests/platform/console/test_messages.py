@@ -47,5 +47,7 @@ def test_whatever_a_watcher_sends_to_the_page_raises_nothing(tmp_path, replay, c
                 line.send(last)
                 soon(lambda: "a message of another kind" in caplog.text)
         gc.collect()  # a task that failed is told when it is collected
-    assert not [one for one in caplog.records if one.name in {"nicegui", "asyncio"}], caplog.text
-    assert not [record for record in caplog.records if record.exc_info]
+        told = list(
+            caplog.records
+        )  # nicegui complains at the end of a server that is not the first
+    assert not [one for one in told if one.name in {"nicegui", "asyncio"} or one.exc_info], told

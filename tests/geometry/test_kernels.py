@@ -15,8 +15,8 @@ from impslam.geometry import kernels
 from impslam.geometry.kernels import kernel
 
 COMPOSE = (
-    "import numpy as np; from impslam.geometry.se2 import compose_uncertain as f; "
-    "z = np.zeros(3), np.eye(3); print(f(*z, np.ones(3), z[1])[0].sum(), f.stats.cache_hits.total())"
+    "import numpy as np; from impslam.geometry.se2 import _compose as f; "
+    "print(f(np.zeros((1, 3)), np.ones((1, 3))).sum(), f.stats.cache_hits.total())"
 )
 
 

@@ -1,20 +1,26 @@
-"""SE(2): group laws, closed forms against series, Jacobians against differences."""
+"""SE(2): group axioms on batches, closed forms against series, Jacobians against differences."""
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from tests.numeric import jacobian, wrapped
 
-from impslam.geometry.angles import wrap
+import impslam
+from impslam.geometry.angles import wrap, wrap_in_kernel
 from impslam.geometry.se2 import (
     between,
     compose,
     compose_jacobians,
+    compose_uncertain,
     exp,
     inverse,
+    inverse_jacobian,
     log,
     rotation,
     transform,
@@ -23,10 +29,23 @@ from impslam.geometry.se2 import (
 coordinate = st.floats(-100, 100)
 angle = st.floats(-math.pi, math.pi)
 poses = st.builds(lambda x, y, t: np.array([x, y, t]), coordinate, coordinate, angle)
+LEAD = st.sampled_from([(), (1,), (4,), (0,), (2, 3)])
+
+
+@st.composite
+def batches(draw, count):
+    """Draw some batches of poses of one leading shape, or with an axis that broadcasts."""
+    lead = draw(LEAD)
+    out = []
+    for _ in range(count):
+        own = draw(st.sampled_from([lead, lead[1:]]))
+        xy = draw(arrays(float, (*own, 2), elements=coordinate))
+        out.append(np.concatenate([xy, draw(arrays(float, (*own, 1), elements=angle))], axis=-1))
+    return out
 
 
 def close(a, b, tolerance=1e-9):
-    return np.abs(wrapped(np.asarray(a) - np.asarray(b), 2)).max() < tolerance
+    return np.abs(wrapped(np.asarray(a) - np.asarray(b), 2)).max(initial=0.0) < tolerance
 
 
 @given(st.floats(-1e3, 1e3))
@@ -35,6 +54,7 @@ def test_wrap_keeps_direction_and_range(theta):
     assert -math.pi < w <= math.pi
     assert math.isclose(math.cos(w), math.cos(theta), abs_tol=1e-9)
     assert math.isclose(math.sin(w), math.sin(theta), abs_tol=1e-9)
+    assert w == wrap_in_kernel(theta) == wrap(np.array([theta]))[0]
 
 
 def test_wrap_ends():
@@ -43,22 +63,80 @@ def test_wrap_ends():
     np.testing.assert_allclose(wrap(np.array([3 * math.pi, -0.5])), [math.pi, -0.5])
 
 
-@given(poses, poses, poses)
-def test_group_laws(a, b, c):
-    assert close(compose(compose(a, b), c), compose(a, compose(b, c)))
-    assert close(compose(a, inverse(a)), np.zeros(3))
-    assert close(compose(a, between(a, b)), b)
+def test_angles_are_wrapped_in_one_place():
+    """No other module takes an angle modulo a turn and moves it by half of one."""
+    source = Path(impslam.__file__).parent
+    half_turn = re.compile(r"pi\b[^\n]*(%|\bmod\(|remainder\(|fmod\()[^\n]*pi\b")
+    found = [
+        path.relative_to(source).as_posix()
+        for path in source.rglob("*.py")
+        if half_turn.search(path.read_text("utf-8"))
+    ]
+    assert found == ["geometry/angles.py"]
 
 
-@given(poses, poses)
-def test_transform_is_the_action_of_compose(a, b):
-    np.testing.assert_allclose(transform(a, b[None, :2])[0], compose(a, b)[:2], atol=1e-9)
+@given(batches(3))
+def test_group_axioms(abc):
+    a, b, c = abc
+    identity = np.zeros(3)
+    assert close(compose(compose(a, b), c), compose(a, compose(b, c)), 1e-8)
+    assert close(compose(a, identity), a)
+    assert close(compose(identity, a), a)
+    assert close(compose(a, inverse(a)), np.zeros_like(a))
+    assert close(compose(inverse(a), a), np.zeros_like(a))
+    assert close(compose(a, between(a, b)), compose(b, identity) + np.zeros_like(compose(a, b)))
 
 
-@given(st.floats(-3.1, 3.1), coordinate, coordinate)
-def test_log_inverts_exp(theta, x, y):
-    twist = np.array([x, y, theta])
+@given(batches(2))
+def test_a_batch_is_its_poses_one_by_one(ab):
+    """Every function, on broadcast leading axes, against itself on single poses."""
+    a, b = np.broadcast_arrays(*ab)
+    P, Q = np.diag([1.0, 2.0, 3.0]), np.diag([0.1, 0.3, 0.2])
+    points = np.arange(10.0).reshape(5, 2)
+    for index in np.ndindex(a.shape[:-1]):
+        one, two = a[index].copy(), b[index].copy()
+        assert np.array_equal(compose(*ab)[index], compose(one, two))
+        assert np.array_equal(between(*ab)[index], between(one, two))
+        for whole, part in zip(compose_jacobians(*ab), compose_jacobians(one, two), strict=True):
+            assert np.array_equal(whole[index], part)
+        both = zip(
+            compose_uncertain(ab[0], P, ab[1], Q), compose_uncertain(one, P, two, Q), strict=True
+        )
+        for whole, part in both:
+            assert np.array_equal(whole[index], part)
+        for function in (inverse, inverse_jacobian, exp, log):
+            assert np.array_equal(function(a)[index], function(one))
+        np.testing.assert_allclose(rotation(a[..., 2])[index], rotation(float(one[2])), atol=1e-15)
+        everywhere = np.broadcast_to(points, (*a.shape[:-1], 5, 2))
+        assert np.array_equal(transform(a, everywhere)[index], transform(one, points))
+        assert np.array_equal(transform(a, everywhere[..., 0, :])[index], transform(one, points[0]))
+
+
+@given(batches(2))
+def test_transform_is_the_action_of_compose(ab):
+    a, b = np.broadcast_arrays(*ab)
+    np.testing.assert_allclose(transform(a, b[..., :2]), compose(a, b)[..., :2], atol=1e-9)
+
+
+def test_one_pose_moves_points_of_any_shape(rng):
+    points = rng.uniform(-5, 5, (3, 4, 2))
+    pose = np.array([1.0, 2.0, 0.5])
+    moved = points @ rotation(0.5).T + [1.0, 2.0]
+    np.testing.assert_allclose(transform(pose, points), moved)
+    np.testing.assert_allclose(transform(pose, points[0, 0]), moved[0, 0])
+    assert transform(pose, points[:0]).shape == (0, 4, 2)
+
+
+@given(batches(1), st.floats(-3.1, 3.1))
+def test_log_inverts_exp(a, theta):
+    (twist,) = a
+    twist[..., 2] = theta
     np.testing.assert_allclose(log(exp(twist)), twist, atol=1e-8)
+
+
+@given(poses, st.floats(-1, 1), st.floats(-1, 1))
+def test_exp_of_one_twist_is_a_subgroup(twist, s, t):
+    assert close(compose(exp(s * twist), exp(t * twist)), exp((s + t) * twist), 1e-8)
 
 
 @pytest.mark.parametrize("theta", [1e-3, 1e-4 * (1 + 1e-9), 1e-4 * (1 - 1e-9), 1e-6, 0.0])
@@ -72,18 +150,25 @@ def test_exp_is_smooth_through_zero(theta):
 
 
 @given(poses, poses)
-def test_compose_jacobians(a, b):
-    def difference(value):
-        return wrapped(value - compose(a, b), 2)
-
+def test_jacobians(a, b):
     first, second = compose_jacobians(a, b)
-    scale = 1.0 + np.abs(b).max()
-    np.testing.assert_allclose(
-        first, jacobian(lambda v: difference(compose(v, b)), a), atol=1e-7 * scale
-    )
-    np.testing.assert_allclose(
-        second, jacobian(lambda v: difference(compose(a, v)), b), atol=1e-7 * scale
-    )
+    scale = 1e-7 * (1.0 + np.abs(a).max() + np.abs(b).max())
+    ab, back = compose(a, b), inverse(a)
+    by_first = jacobian(lambda v: wrapped(compose(v, b) - ab, 2), a)
+    by_second = jacobian(lambda v: wrapped(compose(a, v) - ab, 2), b)
+    of_inverse = jacobian(lambda v: wrapped(inverse(v) - back, 2), a)
+    np.testing.assert_allclose(first, by_first, atol=scale)
+    np.testing.assert_allclose(second, by_second, atol=scale)
+    np.testing.assert_allclose(inverse_jacobian(a), of_inverse, atol=scale)
+
+
+def test_uncertain_composition_carries_covariances_by_the_jacobians(rng):
+    a, b = rng.normal(size=3), rng.normal(size=3)
+    P, Q = (A @ A.T for A in rng.normal(size=(2, 3, 3)))
+    pose, covariance = compose_uncertain(a, P, b, Q)
+    first, second = compose_jacobians(a, b)
+    np.testing.assert_allclose(pose, compose(a, b))
+    np.testing.assert_allclose(covariance, first @ P @ first.T + second @ Q @ second.T)
 
 
 def test_rotation_is_counter_clockwise():

@@ -10,6 +10,7 @@ import numpy as np
 from impslam.component import parameter, register
 from impslam.extractors.base import Extractor
 from impslam.extractors.readings import in_beam_order, usable, wall_observation
+from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.geometry.lines import principal_direction
 from impslam.types import Array, Ints, Observation, Scan
@@ -44,7 +45,7 @@ def associate(
         if len(left) <= consensus:
             break
         seed = left[int(dice[trial, 0] * len(left))]
-        apart = np.abs(np.mod(angles[left] - angles[seed] + math.pi, 2.0 * math.pi) - math.pi)
+        apart = np.abs(wrap_in_kernel(angles[left] - angles[seed]))
         near = left[(apart <= within) & (left != seed)]
         if len(near) < samples:
             continue

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Scan
 
@@ -55,8 +56,7 @@ def gap_ratios(
     hole = max(_HOLE, 2.5 * spacing)
     for i in range(n):
         j = (i + 1) % n
-        turn = abs(angles[j] - angles[i]) % (2.0 * math.pi)
-        turn = min(turn, 2.0 * math.pi - turn)
+        turn = abs(wrap_in_kernel(angles[j] - angles[i]))
         if turn > hole:
             out[i] = math.inf
             continue

@@ -4,6 +4,9 @@ A pose is `[x, y, theta]` (m, m, rad): the position and heading of a frame seen 
 `T_a_b` being frame b in frame a. The manifold is R^2 x S^1 with the group law of SE(2). Closed forms
 for `exp` and `log` follow Solà et al. 2018, "A micro Lie theory", Eq. 152-158; near theta = 0 they
 switch to their Taylor series, where the closed forms lose their digits.
+
+All functions batch: poses are (..., 3), their leading axes broadcast as numpy's do. Each is one
+compiled loop over the poses, so that one pose costs little more than arithmetic on plain floats.
 """
 
 from __future__ import annotations
@@ -13,86 +16,192 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from impslam.geometry.angles import wrap
+from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 
 Array = npt.NDArray[np.float64]
 
+_ONE = (3,)  # the shape of a single pose, which most calls are for
 _SMALL = 1e-4  # rad: the series below is exact to 1e-17 there, the closed form only to 1e-12
 
 
-def rotation(theta: float) -> Array:
-    """Return the 2x2 rotation matrix of an angle."""
-    c, s = math.cos(theta), math.sin(theta)
-    return np.array([[c, -s], [s, c]])
+def rotation(theta: float | Array) -> Array:
+    """Return the rotation matrices (..., 2, 2) of angles (...)."""
+    if isinstance(theta, float):
+        x, y = math.cos(theta), math.sin(theta)
+        return np.array([[x, -y], [y, x]])
+    c, s = np.cos(theta), np.sin(theta)
+    return np.stack([c, -s, s, c], axis=-1).reshape(*np.shape(theta), 2, 2)
 
 
 def compose(T_a_b: Array, T_b_c: Array) -> Array:
-    """Return `T_a_c`, shape (3,)."""
-    x, y, theta = T_a_b.tolist()  # plain floats: arithmetic on numpy's takes four times as long
-    d_x, d_y, d_theta = T_b_c.tolist()
-    c, s = math.cos(theta), math.sin(theta)
-    return np.array([x + c * d_x - s * d_y, y + s * d_x + c * d_y, wrap(float(theta + d_theta))])
+    """Return `T_a_c` (..., 3)."""
+    first, second, shape = _paired(T_a_b, T_b_c)
+    return _compose(first, second).reshape(shape)
 
 
 def compose_jacobians(T_a_b: Array, T_b_c: Array) -> tuple[Array, Array]:
-    """Return the (3, 3) derivatives of `compose` by its first and its second argument."""
-    c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
-    d_x, d_y, _ = T_b_c.tolist()
-    first = np.array(
-        [[1.0, 0.0, -s * d_x - c * d_y], [0.0, 1.0, c * d_x - s * d_y], [0.0, 0.0, 1.0]]
-    )
-    second = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return first, second
+    """Return the (..., 3, 3) derivatives of `compose` by its first and its second argument."""
+    first, second, shape = _paired(T_a_b, T_b_c)
+    by_first, by_second = _compose_jacobians(first, second)
+    return by_first.reshape(*shape, 3), by_second.reshape(*shape, 3)
 
 
-@kernel
 def compose_uncertain(T_a_b: Array, P: Array, T_b_c: Array, Q: Array) -> tuple[Array, Array]:
-    """Return `T_a_c` and its covariance (3, 3) to first order, from those P and Q of its parts."""
-    c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
-    dx, dy = c * T_b_c[0] - s * T_b_c[1], s * T_b_c[0] + c * T_b_c[1]
-    theta = math.pi - (math.pi - (T_a_b[2] + T_b_c[2])) % (2.0 * math.pi)  # wrapped
-    first = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
-    second = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    out = np.zeros((3, 3))
-    for J, C in ((first, P), (second, Q)):
-        for i in range(3):
-            for j in range(3):
-                for k in range(3):
-                    for m in range(3):
-                        out[i, j] += J[i, k] * C[k, m] * J[j, m]
-    return np.array([T_a_b[0] + dx, T_a_b[1] + dy, theta]), out
+    """Return `T_a_c` and its covariance to first order, from those P and Q (..., 3, 3) of its parts."""
+    first, second, shape = _paired(T_a_b, T_b_c)
+    pose, covariance = _compose_uncertain(first, _matrices(P, shape), second, _matrices(Q, shape))
+    return pose.reshape(shape), covariance.reshape(*shape, 3)
 
 
 def inverse(T_a_b: Array) -> Array:
-    """Return `T_b_a`, shape (3,)."""
-    x, y, theta = T_a_b.tolist()
-    c, s = math.cos(theta), math.sin(theta)
-    return np.array([-c * x - s * y, s * x - c * y, wrap(-float(theta))])
+    """Return `T_b_a` (..., 3)."""
+    flat, shape = _flat(T_a_b)
+    return _inverse(flat).reshape(shape)
+
+
+def inverse_jacobian(T_a_b: Array) -> Array:
+    """Return the (..., 3, 3) derivative of `inverse`."""
+    flat, shape = _flat(T_a_b)
+    return _inverse_jacobian(flat).reshape(*shape, 3)
 
 
 def between(T_a_b: Array, T_a_c: Array) -> Array:
-    """Return `T_b_c`: frame c seen from frame b."""
+    """Return `T_b_c` (..., 3): frame c seen from frame b."""
     return compose(inverse(T_a_b), T_a_c)
 
 
 def transform(T_a_b: Array, points_in_b: Array) -> Array:
-    """Return points of shape (n, 2) given in frame b as points in frame a."""
-    flat = np.ascontiguousarray(points_in_b, dtype=np.float64).reshape(-1, 2)
-    return _transform(T_a_b, flat).reshape(np.shape(points_in_b))
+    """Return points given in frame b as points in frame a.
+
+    One pose (3,) moves points of any shape (..., 2). Poses (*b, 3) move points (*b, ..., 2), those at
+    the same place in their leading axes, to which the poses broadcast.
+    """
+    points = np.ascontiguousarray(points_in_b, dtype=np.float64)
+    lead = T_a_b.ndim - 1
+    if lead:
+        T_a_b = np.broadcast_to(T_a_b, (*points.shape[:lead], 3))
+    poses, _ = _flat(T_a_b)
+    rows = points.reshape(len(poses), math.prod(points.shape[lead:-1]), 2)
+    return _transform(poses, rows).reshape(points.shape)
+
+
+def exp(twist: Array) -> Array:
+    """Return the poses (..., 3) reached by moving with constant body twists [vx, vy, omega] for 1 s."""
+    flat, shape = _flat(twist)
+    return _exp(flat).reshape(shape)
+
+
+def log(pose: Array) -> Array:
+    """Return the constant body twists (..., 3) that reach the poses in 1 s; the inverse of `exp`."""
+    flat, shape = _flat(pose)
+    return _log(flat).reshape(shape)
+
+
+def _flat(poses: Array) -> tuple[Array, tuple[int, ...]]:
+    """Return poses (..., 3) as rows (n, 3), and their shape."""
+    if poses.shape == _ONE:
+        return poses.reshape(1, 3), _ONE
+    poses = np.ascontiguousarray(poses, dtype=np.float64)
+    return poses.reshape(-1, 3), poses.shape
+
+
+def _paired(one: Array, two: Array) -> tuple[Array, Array, tuple[int, ...]]:
+    """Return two batches of poses as rows (n, 3) side by side, and the shape of their broadcast."""
+    if one.shape == two.shape == _ONE:
+        return one.reshape(1, 3), two.reshape(1, 3), _ONE
+    if one.shape != two.shape:
+        one, two = np.broadcast_arrays(one, two)
+    first, shape = _flat(one)
+    return first, _flat(two)[0], shape
+
+
+def _matrices(P: Array, shape: tuple[int, ...]) -> Array:
+    """Return matrices (..., 3, 3) as rows (n, 3, 3) for poses of a shape."""
+    if shape == _ONE:
+        return P.reshape(1, 3, 3)
+    if P.shape != (*shape, 3):
+        P = np.broadcast_to(P, (*shape, 3))
+    return np.ascontiguousarray(P, dtype=np.float64).reshape(-1, 3, 3)
 
 
 @kernel
-def _transform(T_a_b: Array, points: Array) -> Array:
-    c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
-    out = np.empty((len(points), 2))
-    for i in range(len(points)):
-        x, y = points[i, 0], points[i, 1]
-        out[i, 0] = T_a_b[0] + c * x - s * y
-        out[i, 1] = T_a_b[1] + s * x + c * y
+def _compose(first: Array, second: Array) -> Array:
+    out = np.empty_like(first)
+    for i in range(len(first)):
+        c, s = math.cos(first[i, 2]), math.sin(first[i, 2])
+        x, y = second[i, 0], second[i, 1]
+        out[i, 0] = first[i, 0] + c * x - s * y
+        out[i, 1] = first[i, 1] + s * x + c * y
+        out[i, 2] = wrap_in_kernel(first[i, 2] + second[i, 2])
     return out
 
 
+@kernel
+def _compose_jacobians(first: Array, second: Array) -> tuple[Array, Array]:
+    n = len(first)
+    by_first, by_second = np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
+    for i in range(n):
+        c, s = math.cos(first[i, 2]), math.sin(first[i, 2])
+        x, y = second[i, 0], second[i, 1]
+        for k in range(3):
+            by_first[i, k, k] = 1.0
+        by_first[i, 0, 2], by_first[i, 1, 2] = -s * x - c * y, c * x - s * y
+        by_second[i, 0, 0], by_second[i, 0, 1] = c, -s
+        by_second[i, 1, 0], by_second[i, 1, 1] = s, c
+        by_second[i, 2, 2] = 1.0
+    return by_first, by_second
+
+
+@kernel
+def _compose_uncertain(first: Array, P: Array, second: Array, Q: Array) -> tuple[Array, Array]:
+    out = np.zeros((len(first), 3, 3))
+    by_first, by_second = _compose_jacobians(first, second)
+    for n in range(len(first)):
+        for J, C in ((by_first[n], P[n]), (by_second[n], Q[n])):
+            for i in range(3):
+                for j in range(3):
+                    for k in range(3):
+                        for m in range(3):
+                            out[n, i, j] += J[i, k] * C[k, m] * J[j, m]
+    return _compose(first, second), out
+
+
+@kernel
+def _inverse(poses: Array) -> Array:
+    out = np.empty_like(poses)
+    for i in range(len(poses)):
+        x, y, theta = poses[i, 0], poses[i, 1], poses[i, 2]
+        c, s = math.cos(theta), math.sin(theta)
+        out[i, 0], out[i, 1], out[i, 2] = -c * x - s * y, s * x - c * y, wrap_in_kernel(-theta)
+    return out
+
+
+@kernel
+def _inverse_jacobian(poses: Array) -> Array:
+    out = np.zeros((len(poses), 3, 3))
+    for i in range(len(poses)):
+        x, y, theta = poses[i, 0], poses[i, 1], poses[i, 2]
+        c, s = math.cos(theta), math.sin(theta)
+        out[i, 0, 0], out[i, 0, 1], out[i, 0, 2] = -c, -s, s * x - c * y
+        out[i, 1, 0], out[i, 1, 1], out[i, 1, 2] = s, -c, c * x + s * y
+        out[i, 2, 2] = -1.0
+    return out
+
+
+@kernel
+def _transform(poses: Array, points: Array) -> Array:
+    out = np.empty_like(points)
+    for i in range(len(poses)):
+        c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
+        for k in range(points.shape[1]):
+            x, y = points[i, k, 0], points[i, k, 1]
+            out[i, k, 0] = poses[i, 0] + c * x - s * y
+            out[i, k, 1] = poses[i, 1] + s * x + c * y
+    return out
+
+
+@kernel
 def _sinc_cosc(theta: float) -> tuple[float, float]:
     """Return sin(t)/t and (1 - cos(t))/t, smooth through t = 0."""
     if abs(theta) < _SMALL:
@@ -100,19 +209,24 @@ def _sinc_cosc(theta: float) -> tuple[float, float]:
     return math.sin(theta) / theta, (1.0 - math.cos(theta)) / theta
 
 
-def exp(twist: Array) -> Array:
-    """Return the pose reached by moving with a constant body twist `[vx, vy, omega]` for 1 s."""
-    a, b = _sinc_cosc(float(twist[2]))
-    return np.array(
-        [a * twist[0] - b * twist[1], b * twist[0] + a * twist[1], wrap(float(twist[2]))]
-    )
+@kernel
+def _exp(twists: Array) -> Array:
+    out = np.empty_like(twists)
+    for i in range(len(twists)):
+        a, b = _sinc_cosc(twists[i, 2])
+        x, y = twists[i, 0], twists[i, 1]
+        out[i, 0], out[i, 1] = a * x - b * y, b * x + a * y
+        out[i, 2] = wrap_in_kernel(twists[i, 2])
+    return out
 
 
-def log(pose: Array) -> Array:
-    """Return the constant body twist that reaches the pose in 1 s; the inverse of `exp`."""
-    theta = wrap(float(pose[2]))
-    a, b = _sinc_cosc(theta)
-    scale = 1.0 / (a * a + b * b)
-    return np.array(
-        [scale * (a * pose[0] + b * pose[1]), scale * (a * pose[1] - b * pose[0]), theta]
-    )
+@kernel
+def _log(poses: Array) -> Array:
+    out = np.empty_like(poses)
+    for i in range(len(poses)):
+        theta = wrap_in_kernel(poses[i, 2])
+        a, b = _sinc_cosc(theta)
+        scale, x, y = 1.0 / (a * a + b * b), poses[i, 0], poses[i, 1]
+        out[i, 0], out[i, 1] = scale * (a * x + b * y), scale * (a * y - b * x)
+        out[i, 2] = theta
+    return out

@@ -28,7 +28,7 @@ from typing import ClassVar
 import numpy as np
 
 from impslam.component import parameter, register
-from impslam.geometry.angles import wrap
+from impslam.geometry.angles import wrap, wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import transform
 from impslam.landmarks.base import Initial, LandmarkModel, Overlap, Prediction, Report
@@ -46,7 +46,7 @@ def _predict(pose: Array, m: Array) -> tuple[Array, Array, Array]:
         c, s = math.cos(m[k, 2]), math.sin(m[k, 2])
         dx, dy = m[k, 0] - pose[0], m[k, 1] - pose[1]
         z[k, 0] = c * dx + s * dy
-        z[k, 1] = math.pi - (math.pi - (m[k, 2] - pose[2])) % (2.0 * math.pi)  # wrapped
+        z[k, 1] = wrap_in_kernel(m[k, 2] - pose[2])
         z_D_pose[k, 0, 0], z_D_pose[k, 0, 1], z_D_pose[k, 1, 2] = -c, -s, -1.0
         z_D_m[k, 0, 0], z_D_m[k, 0, 2], z_D_m[k, 1, 2] = 1.0, c * dy - s * dx, 1.0
     return z, z_D_pose, z_D_m

@@ -27,6 +27,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from impslam.geometry.angles import wrap
 from impslam.types import Array, Mask
 
 Bytes: TypeAlias = npt.NDArray[np.uint8]
@@ -156,8 +157,7 @@ def angles_of(rows: Bytes) -> Array:
 
 def follow(angles: Array) -> Mask:
     """Tell which angles along the first axis follow from the ones before them."""
-    steps = (np.diff(angles, axis=0) + math.pi) % (2 * math.pi) - math.pi
-    return np.asarray(np.abs(steps) <= FOLLOWS)
+    return np.asarray(np.abs(wrap(np.diff(angles, axis=0))) <= FOLLOWS)
 
 
 def node_values(first: int, rows: Bytes) -> Nodes:

@@ -157,10 +157,14 @@ def recognise(path: Path) -> type[Source]:
     Raises
     ------
     SourceError
-        If the path is missing, empty or of no known format.
+        If the path is missing, empty, a pipe or a device, or of no known format.
     """
     if not path.exists():
         raise SourceError(f"{path}: no such file or folder; check the path")
+    if not (path.is_file() or path.is_dir()):
+        raise SourceError(
+            f"{path}: is neither a file nor a folder; copy what the pipe or device gives into a file"
+        )
     if path.is_file() and path.stat().st_size == 0:
         raise SourceError(f"{path}: the file is empty; record or copy it again")
     known = components("source")

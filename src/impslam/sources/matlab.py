@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
+import struct
 import warnings
+import zlib
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, ClassVar, Self
+from typing import Any, BinaryIO, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -15,23 +19,52 @@ from pydantic import PrivateAttr
 
 from impslam.errors import SourceError
 from impslam.sources.base import Located, Source, watched
+from impslam.sources.unpack import UNIT_LIMIT, LimitError
 from impslam.types import Array, Message
 
 _MAGIC = b"MATLAB 5.0 MAT-file"
+_COMPRESSED = 15  # type of a variable that zlib has packed
 Variables = Mapping[str, npt.NDArray[Any]]
 
 
 def variables(path: Path) -> frozenset[str]:
-    """Return the names of the variables in a MATLAB file; none if it is none, or damaged."""
-    if not _is_matlab(path):
+    """Return the names of the variables in a MATLAB file; none if it is none, damaged or too large."""
+    if not _is_matlab(path) or _unpacked_size(path) > UNIT_LIMIT:
         return frozenset()
     from scipy.io import whosmat  # noqa: PLC0415  0.1 s, only for this
 
     try:
         with warnings.catch_warnings(action="ignore"):
-            return frozenset(name for name, _, _ in whosmat(path))
+            found = whosmat(path)
+            return frozenset(name for name, shape, _ in found if 8 * math.prod(shape) <= UNIT_LIMIT)
     except Exception:  # what a damaged file raises is anyone's guess
         return frozenset()
+
+
+def _unpacked_size(path: Path) -> int:
+    """Return the bytes of a MATLAB file with its variables unpacked; stops soon after the limit."""
+    total = 0
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(126)
+        order = ">" if file.read(2) == b"MI" else "<"
+        while total <= UNIT_LIMIT and len(tag := file.read(8)) == 8:
+            kind, length = struct.unpack(f"{order}II", tag)
+            end = min(file.tell() + length, size)
+            total += _inflated_size(file, end) if kind == _COMPRESSED else end - file.tell()
+            file.seek(end)
+    return total
+
+
+def _inflated_size(file: BinaryIO, end: int) -> int:
+    """Return the bytes that a variable unpacks to; stops at damage, and soon after the limit."""
+    total, inflate = 0, zlib.decompressobj()
+    with suppress(zlib.error):
+        while total <= UNIT_LIMIT and (packed := file.read(min(1 << 16, end - file.tell()))):
+            while packed and total <= UNIT_LIMIT:
+                total += len(inflate.decompress(packed, 1 << 20))
+                packed = inflate.unconsumed_tail
+    return total
 
 
 def read_variables(path: Path, wanted: frozenset[str]) -> Variables:
@@ -88,7 +121,18 @@ class MatlabSource(Source):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Tell by the variables in the file, or in a file of the folder."""
+        """Tell by the variables in the file, or in a file of the folder.
+
+        Raises
+        ------
+        LimitError
+            If the path is a MATLAB file that is larger than any that is read.
+        """
+        if _is_matlab(path) and _unpacked_size(path) > UNIT_LIMIT:
+            raise LimitError(
+                f"{path}: unpacks to more than {UNIT_LIMIT // 1_000_000} MB, twenty times the "
+                "largest such log; check where it is from"
+            )
         return cls._find(path, cls.needs) is not None
 
     @classmethod

@@ -1,8 +1,7 @@
 """ROS 1 bags, ROS 2 bags (SQLite and MCAP) and single MCAP files, without ROS.
 
 Topics are found by type. Messages come in the order in which they were logged, at the stamps of
-their headers. Only the messages of topics in use are deserialised, with the definitions in the log
-or, where it has none, those of the standard types.
+their headers. Only the messages of topics in use are deserialised.
 """
 
 from __future__ import annotations
@@ -184,6 +183,8 @@ class RosBag(Source):
         try:
             for connection, _, data in bag.messages(found) if found else ():
                 return str(bag.decoder(connection)(data).data)
+        except SourceError:
+            raise
         except Exception as error:  # rosbags raises anything on damaged data
             self._problems.add("unreadable preset", f"{self.path}: {one_line(error)}; set one")
         return ""
@@ -228,6 +229,8 @@ class RosBag(Source):
         """Yield the data in use; a damaged log ends early, which is a problem."""
         try:
             yield from bag.messages(used) if used else ()
+        except SourceError:
+            raise
         except Exception as error:  # rosbags raises anything on damaged data
             self._problems.add(
                 "damaged file",

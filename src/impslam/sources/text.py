@@ -23,6 +23,8 @@ from impslam.sources.base import Located, Source, watched
 from impslam.types import Array, Message
 
 LINE_LIMIT = 1 << 20  # bytes; ten times the longest line of any lidar here, so memory stays flat
+BEAMS_LIMIT = 100_000  # of a scan; ten times those of any lidar that turns in a plane
+WORDS_LIMIT = 1000  # first words that are counted apart; formats have some ten
 _HEAD = 1 << 16  # bytes looked at to tell a format
 _DAMAGE = (OSError, EOFError, zlib.error)
 
@@ -70,7 +72,15 @@ def finite(what: str, *values: float) -> None:
 
 @lru_cache(maxsize=64)
 def beam_angles(n: int, start: float, step: float) -> Array:
-    """Return the n equally spaced angles from `start`, read-only and shared between scans."""
+    """Return the n equally spaced angles from `start`, read-only and shared between scans.
+
+    Raises
+    ------
+    MessageError
+        If there are more than `BEAMS_LIMIT`.
+    """
+    if n > BEAMS_LIMIT:
+        raise MessageError(f"a scan of {n} beams; no lidar has more than {BEAMS_LIMIT}")
     return _shared(start + step * np.arange(n, dtype=np.float64))
 
 
@@ -139,8 +149,9 @@ class TextSource(Source):
         try:
             with open_text(path) as (_, text):
                 for line in iter(partial(text.readline, LINE_LIMIT), b""):
-                    word = line[:32].split(None, 1)[:1]
-                    counts[word[0].decode("ascii", "replace") if word else ""] += 1
+                    first = line[:32].split(None, 1)[:1]
+                    word = first[0].decode("ascii", "replace") if first else ""
+                    counts[word if word in counts or len(counts) < WORDS_LIMIT else "..."] += 1
         except _DAMAGE:
             pass  # iteration enters this in `problems`
         return counts

@@ -130,18 +130,20 @@ class Carmen(TextSource):
 
     def streams(self) -> list[Stream]:
         """Return the kinds of line, by name."""
-        used = {"ODOM", self._choice()}
+        choice = self._choice()
+        used = {"ODOM", choice}
         return [
-            Stream(name, _TYPES.get(name, "text"), count, name in used, self._note(name))
+            Stream(name, _TYPES.get(name, "text"), count, name in used, _note(name, choice))
             for name, count in sorted(self._first_words(self.path).items())
             if name
         ]
 
-    def _note(self, name: str) -> str:
-        choice = self._choice()
-        if name in LASERS and name != choice:
-            return f"{choice} is used; set laser = {name!r} to use this one"
-        return "gives odometry poses too" if name == choice else ""
+
+def _note(name: str, choice: str) -> str:
+    """Return what `imp inspect` says of a kind of line, where one laser is chosen."""
+    if name in LASERS and name != choice:
+        return f"{choice} is used; set laser = {name!r} to use this one"
+    return "gives odometry poses too" if name == choice else ""
 
 
 def _odometry(tokens: list[bytes]) -> tuple[Message, ...]:

@@ -24,7 +24,7 @@ from impslam.types import Array, Message
 
 LINE_LIMIT = 1 << 20  # bytes; ten times the longest line of any lidar here, so memory stays flat
 BEAMS_LIMIT = 100_000  # of a scan; ten times those of any lidar that turns in a plane
-WORDS_LIMIT = 1000  # first words that are counted apart; formats have some ten
+WORDS_LIMIT = 100  # first words that are counted apart; formats have some ten
 _HEAD = 1 << 16  # bytes looked at to tell a format
 _DAMAGE = (OSError, EOFError, zlib.error)
 

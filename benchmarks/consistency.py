@@ -17,9 +17,9 @@ import os
 import numpy as np
 
 from impslam.evaluation.consistency import share_within
-from impslam.studies.base import Job
 from impslam.studies.circle_simulation import HUANG
-from impslam.studies.filter_consistency import Row, consistency_study
+from impslam.studies.filter_consistency import FilterResult, consistency_study
+from impslam.studies.job import Job
 from impslam.types import Array
 
 FIRST = 1
@@ -68,12 +68,9 @@ def perfect(runs: int, studies: int = 2000) -> Array:
     return np.array([share_within(nees, runs, 3) for nees in stays[:, None] + fresh])
 
 
-def study(name: str, runs: int, seed: int, processes: int) -> tuple[Row, float]:
+def study(name: str, runs: int, seed: int, processes: int) -> tuple[FilterResult, float]:
     """Return a filter's row of a study with a base seed, and the mean square of its first turns."""
-    job = Job(processes=processes)
-    done = consistency_study(
-        [name], runs, seed, HUANG, lambda work, items: job.map(work, items, "")
-    )
+    done = consistency_study([name], runs, seed, HUANG, Job(processes=processes))
     return done.rows[0], done.first_turn
 
 

@@ -10,7 +10,8 @@ import pytest
 
 from impslam.cli import main
 from impslam.cli import reproduce as command
-from impslam.studies.base import Job, Part, Picture, Table
+from impslam.studies.job import Job
+from impslam.studies.report import Picture, ResultTable, Section
 
 PNG = b"\x89PNG\r\n\x1a\n and so on"
 
@@ -26,22 +27,23 @@ def toys(monkeypatch):
     def toy(name):
         def experiment(job):
             found = job.map(double, range(job.seeds or 3), "doubling")
-            shown = Table(
+            shown = ResultTable(
                 "Distances", ("what <b>", "m"), [("wall", f"{sum(found)}")], note="a note"
             )
-            return Part(
+            return Section(
                 name,
                 f"The {name}",
                 "First.\n\nSecond.",
                 [shown],
                 [Picture(name, PNG, "A & B")],
                 {"sum": sum(found)},
+                [{"seed": x, "end": y, "missing": ("a", "b")} for x, y in enumerate(found)],
             )
 
         return experiment
 
     monkeypatch.setattr(command, "EXPERIMENTS", {"points": ("", 5), "lines": ("", 6)})
-    monkeypatch.setattr(command, "_experiment", toy)
+    monkeypatch.setattr(command, "_study", toy)
 
 
 def test_all_is_written_to_one_page_with_pictures_and_numbers(tmp_path, capsys):
@@ -49,6 +51,9 @@ def test_all_is_written_to_one_page_with_pictures_and_numbers(tmp_path, capsys):
     out = tmp_path / "out"
     assert (out / "points.png").read_bytes() == PNG
     assert json.loads((out / "figures.json").read_text())["lines"] == {"sum": 12}
+    runs = (out / "points.csv").read_text().splitlines()
+    assert runs[:2] == ["seed,end,missing", "0,0,a;b"]
+    assert len(runs) == 5
     text = (out / "report.html").read_text()
     assert re.findall(r"<h2>The (\w+)</h2>", text) == ["points", "lines"]
     assert base64.b64encode(PNG).decode() in text
@@ -101,10 +106,10 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path, capsys):
 
 
 def test_work_is_shared_out_in_order_whatever_the_processes():
-    told = []
-    job = Job(processes=2, tick=lambda *step: told.append(step))
+    steps = []
+    job = Job(processes=2, progress=lambda *step: steps.append(step))
     assert job.map(double, range(5), "work") == [0, 2, 4, 6, 8]
-    assert told == [("work", done, 5) for done in range(6)]
+    assert steps == [("work", done, 5) for done in range(6)]
 
 
 def test_other_commands_need_neither_the_studies_nor_the_platform():

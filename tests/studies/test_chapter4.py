@@ -14,7 +14,6 @@ from impslam.extractors.readings import usable
 from impslam.geometry.se2 import between, compose, inverse, transform
 from impslam.simulation.scene import Scene
 from impslam.simulation.world import load_world
-from impslam.studies.base import Job, Part
 from impslam.studies.chapter4 import WORLDS, figures
 from impslam.studies.chapter4_hough import accumulator, hough_figure, peak, pixels
 from impslam.studies.chapter4_plot import (
@@ -44,6 +43,8 @@ from impslam.studies.chapter4_scans import (
     what_is_there,
     world_of,
 )
+from impslam.studies.job import Job
+from impslam.studies.report import Section
 from impslam.types import Array, Observation
 
 POSE = np.array([-0.4, 2.0, 1.3])
@@ -62,7 +63,7 @@ def arena() -> list[Shot]:
 
 
 @pytest.fixture(scope="module")
-def part() -> Part:
+def part() -> Section:
     return figures(Job())
 
 
@@ -335,7 +336,7 @@ def test_findings_are_drawn_in_the_colour_of_what_they_are(thesis: Thesis) -> No
     assert len(cells.lines) == 2
 
 
-def test_every_figure_is_a_picture_with_a_caption(part: Part) -> None:
+def test_every_figure_is_a_picture_with_a_caption(part: Section) -> None:
     names = [picture.name for picture in part.pictures]
     assert names == [
         "fig11-jumps",
@@ -354,11 +355,11 @@ def test_every_figure_is_a_picture_with_a_caption(part: Part) -> None:
         assert 500 < width < 1700
         assert 500 < height < 1700
         assert len(picture.caption) > 80
-    assert set(part.figures["scans"]) == set(names)
+    assert set(part.numbers["scans"]) == set(names)
 
 
-def test_the_chosen_scans_show_what_the_captions_say(part: Part) -> None:
-    seen = part.figures["scans"]
+def test_the_chosen_scans_show_what_the_captions_say(part: Section) -> None:
+    seen = part.numbers["scans"]
     assert all(counts["occurs"] for counts in seen.values())
     assert seen["fig11-jumps"]["true"] >= 2
     assert seen["fig11-jumps"]["spurious"] == 0
@@ -373,26 +374,26 @@ def test_the_chosen_scans_show_what_the_captions_say(part: Part) -> None:
     assert seen["fig19-hough-people"]["on_legs"] > 20
 
 
-def test_the_filter_keeps_spurious_cylinders_out(part: Part) -> None:
-    corridor = part.figures["runs"]["corridor"]
+def test_the_filter_keeps_spurious_cylinders_out(part: Section) -> None:
+    corridor = part.numbers["runs"]["corridor"]
     assert corridor["low"]["spurious_per_scan"] > 0.1
     assert corridor["filtered"]["spurious_per_scan"] < 0.1 * corridor["low"]["spurious_per_scan"]
 
 
 @pytest.mark.parametrize("world", WORLDS)
-def test_hough_gives_fewer_spurious_walls_and_fewer_true_ones(part: Part, world: str) -> None:
-    run = part.figures["runs"][world]
+def test_hough_gives_fewer_spurious_walls_and_fewer_true_ones(part: Section, world: str) -> None:
+    run = part.numbers["runs"][world]
     for what in ("spurious_per_scan", "long_spurious_per_scan", "true_per_scan"):
         assert run["hough"][what] < run["ransac"][what]
 
 
-def test_the_same_again_whatever_the_job(part: Part) -> None:
+def test_the_same_again_whatever_the_job(part: Section) -> None:
     told: list[tuple[int, int]] = []
     again = figures(
-        Job(seeds=3, processes=2, tick=lambda _, done, total: told.append((done, total)))
+        Job(seeds=3, processes=2, progress=lambda _, done, total: told.append((done, total)))
     )
     assert [p.png for p in again.pictures] == [p.png for p in part.pictures]
     assert again.text == part.text
     assert [p.caption for p in again.pictures] == [p.caption for p in part.pictures]
-    assert again.figures == part.figures
+    assert again.numbers == part.numbers
     assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]

@@ -11,38 +11,29 @@ from impslam.simulation.robot import Lidar
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import parse_world
 from impslam.studies import corridor
-from impslam.studies.base import Job
-from impslam.studies.corridor_plot import corridor_png
-from impslam.studies.corridor_runs import (
+from impslam.studies.corridor import map_table, numbers, path_table
+from impslam.studies.corridor_metrics import (
+    COUNTS,
     DEFAULT,
     EXTRACTORS,
     HOUGH,
-    LIKELY,
+    LIKELIHOOD,
     RANSAC,
     READINGS,
-    ROBOT,
-    WAYS,
-    Birth,
-    CorridorRun,
-    Drive,
-    Tally,
-    corridor_world,
-    count,
-    drive_corridor,
-    judge_extractors,
-    map_corridor,
-)
-from impslam.studies.corridor_tables import (
+    VARIANTS,
     WITHIN,
-    collect,
-    extractor_tallies,
-    figures,
-    map_table,
-    path_table,
-    total,
+    corridor_metrics,
+    corridor_world,
+    count_walls,
+    distance_held,
+    tally,
+    total_counts,
 )
-from impslam.studies.corridor_truth import Truth, Verdict, false_landmarks, judge
-from impslam.types import Landmark, Observation
+from impslam.studies.corridor_truth import CorridorTruth, Verdict, false_landmarks, judge
+from impslam.studies.job import Job
+from impslam.studies.map_plot import CORRIDOR, draw_maps
+from impslam.studies.sweep import ROBOT, Run, map_run, path_metrics, sweep
+from impslam.types import Landmark, Observation, StepResult
 
 ROOM = """
 [robot]
@@ -73,12 +64,10 @@ waypoints = [[2.5, -0.5], [2.5, 0.5]]
 start = 100.0
 """
 
-RANSAC_ALONE = "RANSAC"
-
 
 @pytest.fixture(scope="module")
 def truth():
-    return Truth(parse_world(ROOM, "room"), Lidar())
+    return CorridorTruth(parse_world(ROOM, "room"), Lidar())
 
 
 @pytest.fixture(scope="module")
@@ -200,128 +189,164 @@ def test_false_landmarks_of_a_map(truth):
     assert false_landmarks(truth, landmarks) == (1, 2, 3, 5, 7)
 
 
-def test_tallies():
+def test_walls_are_counted():
     good, bad = Verdict(False, False, False), Verdict(False, False, True)
     leg = Verdict(True, True, True)
-    assert count([]) == Tally(1, 0, 0, 0, 0)
-    assert count([good, bad, leg]) == Tally(1, 3, 2, 1, 1)
-    assert total([count([good]), count([bad])]) == Tally(2, 2, 1, 0, 1)
+    assert tuple(tally([]).values()) == (1, 0, 0, 0, 0)
+    assert tuple(tally([good, bad, leg]).values()) == (1, 3, 2, 1, 1)
+    rows = [
+        {f"{name}: {what}": 2 * k for name in EXTRACTORS for k, what in enumerate(COUNTS)},
+        {"only": "a path"},
+        {f"{name}: {what}": 1 for name in EXTRACTORS for what in COUNTS},
+    ]
+    assert tuple(total_counts(rows)["RANSAC"].values()) == (1, 3, 5, 7, 9)
 
 
-def run_that_ends(off, births=()):
+def run_that_ends(off):
+    """Return a straight run of 100 m whose path is off by so much all the way."""
     truth = np.column_stack((np.linspace(0, 100, 11), np.zeros(11), np.zeros(11)))
-    path = truth + np.array([0.0, off, 0.0])
-    return CorridorRun(path, truth + 5.0, truth, (), tuple(births), (), ())
+    steps = [
+        StepResult(
+            0.0, pose + np.array((0.0, off, 0.0)), np.eye(3), pose + 5.0, pose, None, (), (), (), ()
+        )
+        for pose in truth
+    ]
+    return Run(corridor_world(), VARIANTS[0], 0, [], truth, steps, (), [])
 
 
 def test_a_path_holds_until_it_is_off_for_the_first_time():
     run = run_that_ends(0.5)
-    assert run.holds(0.6) == pytest.approx(100.0)
-    assert run.holds(0.4) == 0.0
+    assert distance_held(run, 0.6) == pytest.approx(100.0)
+    assert distance_held(run, 0.4) == 0.0
     run.path[:4, 1] = 0.0
-    assert run.holds(0.4) == pytest.approx(40.0)
+    del run.__dict__["errors"]
+    assert distance_held(run, 0.4) == pytest.approx(40.0)
 
 
-def test_what_the_tables_say():
-    leg = Birth(1, "cylinder", 0.0, Verdict(True, True, True))
-    drives = [
-        Drive(
-            seed, {DEFAULT: run_that_ends(off, births)}, {"split and merge": Tally(2, 4, 1, 0, 1)}
-        )
-        for seed, (off, births) in enumerate([(0.1, ()), (0.5, (leg,)), (0.51, ())])
-    ]
-    made = collect(drives)
-    path, mapped = path_table(made), map_table(made, extractor_tallies(drives))
+def row(seed, off, variant=DEFAULT, people=0):
+    """Return the row of such a run, whose only landmark was a leg, or that had none."""
+    run = run_that_ends(off)
+    counts = dict(zip(COUNTS, (2, 4, 1, 0, 1), strict=True))
+    return {
+        "seed": seed,
+        "variant": variant,
+        "error": "",
+        **path_metrics(run),
+        "holds": distance_held(run, WITHIN * 100.0),
+        **dict.fromkeys(("landmarks_ever", "people_ever", "touched_by_people"), people),
+        "false_at_birth": people,
+        "false_at_the_end": (),
+        "missing": (),
+        **{f"{name}: {what}": n for name in EXTRACTORS for what, n in counts.items()},
+    }
+
+
+def test_the_tables_show_the_rows():
+    runs = {DEFAULT: [row(0, 0.1), row(1, 0.5, people=1), row(2, 0.51)]}
+    path, mapped = path_table(runs), map_table(runs)
     first, wheels = path.rows
     assert list(first) == [
         *(DEFAULT, "0.500 [0.100, 0.510]", "2 of 3", "0.500 [0.100, 0.510]", "100"),
     ]
     assert list(wheels) == ["wheels alone", "7.071 [7.071, 7.071]", "0 of 3", wheels[3], ""]
     assert wheels[3] == "7.071 [7.071, 7.071]"
-    assert [list(row) for row in mapped.rows] == [
+    assert [list(cells) for cells in mapped.rows] == [
         [DEFAULT, "0.5000", "0.33", "0.33", "0.33", "0.00", "0.00"]
     ]
-    assert all(len(row) == len(table.header) for table in (path, mapped) for row in table.rows)
-    assert figures(drives)[DEFAULT]["people_ever"] == [0, 1, 0]
-    json.dumps(figures(drives), allow_nan=False)
+    for table in (path, mapped):
+        assert all(len(cells) == len(table.header) for cells in table.rows)
+    found = numbers(runs, {})
+    assert found[DEFAULT]["people_ever"] == [0, 1, 0]
+    json.dumps(found, allow_nan=False)
 
 
 # ------------------------------------------------------------------------------- runs
 
 
 @pytest.fixture(scope="module")
-def messages():
+def short():
     """The first 17 s of the corridor: someone comes towards the robot, someone overtakes it."""
     world = corridor_world()
-    short = world.model_copy(update={"robot": world.robot.model_copy(update={"limit": 17.0})})
-    return list(simulate(short, ROBOT, 3))
+    return world.model_copy(update={"robot": world.robot.model_copy(update={"limit": 17.0})})
 
 
-def test_the_default_maps_the_beginning(messages):
-    run = map_corridor(messages, WAYS[DEFAULT], 3)
-    assert 5.0 < run.way < 10.0
-    assert run.end < 0.05
-    assert (run.people, run.false_births, run.false) == (0, 0, ())
-    kinds = {birth.kind for birth in run.births}
-    assert kinds >= {"wall", "corner"}
-    assert len(run.births) >= len(run.landmarks) > 5
+@pytest.fixture(scope="module")
+def runs(short):
+    """Two variants' runs of one seed."""
+    messages = list(simulate(short, ROBOT, 3))
+    chosen = [variant for variant in VARIANTS if variant.name in (DEFAULT, HOUGH)]
+    return {variant.name: map_run(messages, short, variant, 3) for variant in chosen}
 
 
-def test_births_are_those_of_the_map(messages):
-    run = map_corridor(messages, WAYS[HOUGH], 3)
-    assert {birth.kind for birth in run.births} == {"wall"}
-    assert {mark.id for mark in run.landmarks} <= {birth.id for birth in run.births}
-    stamps = [birth.stamp for birth in run.births]
+def test_the_default_maps_the_beginning(runs):
+    run = runs[DEFAULT]
+    metrics = corridor_metrics(run)
+    assert 5.0 < run.travelled[-1] < 10.0
+    assert run.errors[-1] < 0.05
+    assert (metrics["people_ever"], metrics["false_at_birth"]) == (0, 0)
+    assert metrics["false_at_the_end"] == ()
+    assert {promotion.observation.kind for promotion in run.promotions} >= {"wall", "corner"}
+    assert metrics["landmarks_ever"] >= len(run.landmarks) > 5
+
+
+def test_promotions_are_those_of_the_map(runs):
+    run = runs[HOUGH]
+    assert {promotion.observation.kind for promotion in run.promotions} == {"wall"}
+    assert {mark.id for mark in run.landmarks} <= {promotion.id for promotion in run.promotions}
+    stamps = [promotion.stamp for promotion in run.promotions]
     assert stamps == sorted(stamps)
 
 
-def test_ransac_sees_more_that_is_not_there_than_the_others(messages):
-    tallies = judge_extractors(messages, 3, every=2)
-    assert len({tally.scans for tally in tallies.values()}) == 1
-    rates = {name: tally.spurious / tally.scans for name, tally in tallies.items()}
-    worst = rates.pop(RANSAC_ALONE)
+def test_ransac_sees_more_that_is_not_there_than_the_others(runs):
+    counts = count_walls(runs[DEFAULT].messages, 3, every=2)
+    assert len({count["scans"] for count in counts.values()}) == 1
+    rates = {name: count["spurious"] / count["scans"] for name, count in counts.items()}
+    worst = rates.pop("RANSAC")
     assert worst > 0.05
     assert all(worst > 2.0 * rate for rate in rates.values())
 
 
-def test_the_picture_is_the_same_bytes_each_time(messages):
-    run = map_corridor(messages, WAYS[HOUGH], 3)
-    png = corridor_png({"one": run}, dpi=30)
+def test_the_picture_is_the_same_bytes_each_time(runs):
+    some = {"one": runs[HOUGH]}
+    png = draw_maps(some, CORRIDOR, {"one": {0}})
     assert png.startswith(b"\x89PNG")
-    assert png == corridor_png({"one": run}, dpi=30)
+    assert png == draw_maps(some, CORRIDOR, {"one": {0}})
+    assert png != draw_maps(some, CORRIDOR)
 
 
-def test_every_seed_is_driven_once_few_by_every_way_and_fewer_are_read_otherwise(monkeypatch):
-    made = {name: run_that_ends(0.1) for name in WAYS}
-    tallies = dict.fromkeys(EXTRACTORS, Tally(2, 4, 1, 0, 1))
+def test_every_seed_is_driven_once_few_by_every_variant_and_fewer_are_read_otherwise(monkeypatch):
+    asked = []
 
-    def drive(seed, ways=tuple(WAYS)):
-        return Drive(seed, {name: made[name] for name in ways}, tallies)
+    def fake(variants, seeds, worlds, measure, job, stage):
+        asked.append((len(variants), list(seeds)))
+        return [row(seed, 0.1, variant.name) for seed in seeds for variant in variants]
 
-    monkeypatch.setattr(corridor, "drive_corridor", drive)
-    monkeypatch.setattr(
-        corridor, "read_otherwise", lambda seed: dict.fromkeys(READINGS, made[HOUGH])
-    )
-    told = []
-    seeds, every = corridor.EVERY_WAY + 4, corridor.EVERY_WAY
-    part = corridor.corridor(Job(seeds, tick=lambda what, done, total: told.append((done, total))))
-    steps = (every, 4, corridor.READ)
-    assert told == [(i, total) for total in steps for i in range(total + 1)]
-    assert part.figures["seeds"] == list(range(seeds))
-    assert len(part.figures[DEFAULT]["end"]) == seeds
-    assert len(part.figures[HOUGH]["end"]) == every
+    monkeypatch.setattr(corridor, "sweep", fake)
+    monkeypatch.setattr(corridor, "_pictures", lambda seed: [])
+    seeds, every = corridor.EVERY_VARIANT + 4, corridor.EVERY_VARIANT
+    part = corridor.corridor(Job(seeds))
+    assert asked == [
+        (len(VARIANTS), list(range(every))),
+        (1, list(range(every, seeds))),
+        (len(READINGS), list(range(corridor.READING_SEEDS))),
+    ]
+    assert part.numbers["seeds"] == list(range(seeds))
+    assert len(part.numbers[DEFAULT]["end"]) == seeds
+    assert len(part.numbers[HOUGH]["end"]) == every
     assert [len(table.rows) for table in part.tables] == [5, 4, 4, len(READINGS)]
-    assert {picture.name for picture in part.pictures} == {"corridor", "corridor-ransac"}
-    json.dumps(part.figures, allow_nan=False)
+    json.dumps(part.numbers, allow_nan=False)
 
 
 @pytest.mark.slow
 def test_the_default_comes_back_and_the_thesis_does_not():
-    drive = drive_corridor(0)
-    default, hough, likely, ransac = (drive.runs[way] for way in (DEFAULT, HOUGH, LIKELY, RANSAC))
-    assert default.wheels > 3.0
-    assert max(default.end, likely.end) < WITHIN * default.way
-    assert (default.people, default.false_births, default.missing) == (0, 0, ())
-    assert 20.0 < hough.holds(WITHIN * hough.way) < 60.0
-    assert ransac.holds(WITHIN * ransac.way) < 20.0
-    assert ransac.false_births > 10
+    rows = sweep(VARIANTS, [0], [corridor_world()], corridor_metrics)
+    default, hough, likelihood, ransac = (
+        next(row for row in rows if row["variant"] == name)
+        for name in (DEFAULT, HOUGH, LIKELIHOOD, RANSAC)
+    )
+    assert default["odometry_end"] > 3.0
+    assert max(default["end"], likelihood["end"]) < WITHIN * default["travelled"]
+    assert (default["people_ever"], default["false_at_birth"], default["missing"]) == (0, 0, ())
+    assert 20.0 < hough["holds"] < 60.0
+    assert ransac["holds"] < 20.0
+    assert ransac["false_at_birth"] > 10

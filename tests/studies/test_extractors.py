@@ -12,8 +12,8 @@ from impslam.component import register
 from impslam.extractors.base import Extractor
 from impslam.simulation.world import load_world
 from impslam.studies import extractors as experiment
-from impslam.studies.base import Job
 from impslam.studies.extractor_stats import Tally
+from impslam.studies.job import Job
 from impslam.studies.labelled_scans import STANDING, labelled_scans
 from impslam.types import Observation
 
@@ -29,17 +29,17 @@ def small(monkeypatch):
 
 def test_the_part_is_whole(small):
     ticks = []
-    part = experiment.extractors(Job(1, tick=lambda *tick: ticks.append(tick)))
+    part = experiment.extractors(Job(1, progress=lambda *tick: ticks.append(tick)))
     assert part.name == "extractors"
     assert len(part.tables) == 4
     for table in part.tables:
         assert {len(row) for row in table.rows} == {len(table.header)}
     (picture,) = part.pictures
     assert picture.png[:4] == b"\x89PNG"
-    assert set(part.figures) == {"wall", "cylinder"}
-    assert part.figures["wall"]["split_merge"]["driving"]["scans_per_second"] > 0.0
-    assert part.figures["wall"][experiment.KNOWN]["standing"]["scans_per_second"] is None
-    json.dumps(part.figures, allow_nan=False)
+    assert set(part.numbers) == {"wall", "cylinder"}
+    assert part.numbers["wall"]["split_merge"]["driving"]["scans_per_second"] > 0.0
+    assert part.numbers["wall"][experiment.KNOWN]["standing"]["scans_per_second"] is None
+    json.dumps(part.numbers, allow_nan=False)
     assert ("labelled scans", 1, 1) in ticks
 
 

@@ -19,7 +19,7 @@ from impslam.component import near_miss
 from impslam.errors import ConfigError
 
 if TYPE_CHECKING:
-    from impslam.studies.base import Experiment, Part
+    from impslam.studies.report import Section, Study
 
 EXPERIMENTS = {
     "points": ("arena:points", 100),
@@ -54,7 +54,8 @@ def reproduce(
 ) -> None:
     """Run experiments of the thesis and write their tables and figures into a folder.
 
-    The folder holds report.html, report.md, a PNG for each figure, and figures.json with the numbers.
+    The folder holds report.html, report.md, a PNG for each figure, figures.json with the numbers, and
+    a CSV file for each experiment that maps simulated drives, with a row for each run.
 
     Parameters
     ----------
@@ -64,8 +65,8 @@ def reproduce(
         The folder to write to. Default: runs/reproduce-DATE-TIME.
     """
     # A run of anything else neither imports nor needs the studies.
-    from impslam.studies.base import Job  # noqa: PLC0415
-    from impslam.studies.write import PAGE, write  # noqa: PLC0415
+    from impslam.studies.job import Job  # noqa: PLC0415
+    from impslam.studies.report import PAGE, write  # noqa: PLC0415
 
     names = _chosen(experiments)
     if full and seeds is not None:
@@ -80,7 +81,7 @@ def reproduce(
         for name in names:
             runs = seeds or (EXPERIMENTS[name][1] if full else None)
             job = Job(runs, jobs or os.cpu_count() or 1, Progress(shown, name))
-            parts.append(_experiment(name)(job))
+            parts.append(_study(name)(job))
     said = ["imp", "reproduce", *experiments, *(["--seeds", str(seeds)] if seeds else [])]
     said += ["--full"] if full else []
     write(folder, parts, shlex.join(said))
@@ -90,19 +91,19 @@ def reproduce(
 
 
 class Progress:
-    """Shows what an experiment does, in a bar for each of its stages."""
+    """Shows the progress of a study, with a bar for each of its stages."""
 
-    def __init__(self, shown: Any, name: str) -> None:
-        self._shown, self._name = shown, name
+    def __init__(self, bars: Any, name: str) -> None:
+        self._bars, self._name = bars, name
         self._tasks: dict[str, Any] = {}
 
-    def __call__(self, what: str, done: int, total: int) -> None:
-        """Move on; see `experiments.base.Tick`."""
-        if self._shown is None:
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Move the bar of a stage; see `impslam.studies.job.ProgressCallback`."""
+        if self._bars is None:
             return
-        if what not in self._tasks:
-            self._tasks[what] = self._shown.add_task(f"{self._name}: {what}", total=total)
-        self._shown.update(self._tasks[what], completed=done, total=total)
+        if stage not in self._tasks:
+            self._tasks[stage] = self._bars.add_task(f"{self._name}: {stage}", total=total)
+        self._bars.update(self._tasks[stage], completed=done, total=total)
 
 
 def _chosen(words: Iterable[str]) -> list[str]:
@@ -114,26 +115,26 @@ def _chosen(words: Iterable[str]) -> list[str]:
     return [name for name in EXPERIMENTS if ALL in asked or name in asked]
 
 
-def _experiment(name: str) -> Experiment:
+def _study(name: str) -> Study:
     module, function = EXPERIMENTS[name][0].split(":")
-    experiment: Experiment = getattr(import_module(f"impslam.studies.{module}"), function)
-    return experiment
+    study: Study = getattr(import_module(f"impslam.studies.{module}"), function)
+    return study
 
 
 def _folder(wanted: Path | None) -> Path:
     """Return the folder to write to: an earlier one of this command may be used again."""
-    from impslam.studies.write import FIGURES  # noqa: PLC0415
+    from impslam.studies.report import NUMBERS  # noqa: PLC0415
 
     if wanted is None:
         return Path("runs") / f"reproduce-{time.strftime('%Y%m%d-%H%M%S')}"
     if wanted.exists() and not wanted.is_dir():
         raise ConfigError(f"{wanted}: is a file; give -o a folder")
-    if wanted.exists() and any(wanted.iterdir()) and not (wanted / FIGURES).exists():
+    if wanted.exists() and any(wanted.iterdir()) and not (wanted / NUMBERS).exists():
         raise ConfigError(f"{wanted}: holds something else; give -o a new or an empty folder")
     return wanted
 
 
-def _show(parts: Iterable[Part]) -> None:
+def _show(parts: Iterable[Section]) -> None:
     for part in parts:
         console.say(f"\n{part.title}\n")
         for shown in part.tables:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 from typing import Any
 
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from impslam.evaluation.colours import INK, PALE
@@ -17,18 +18,32 @@ TIGHT: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.12}
 """How a picture is cut to what is drawn."""
 
 
-def as_png(figure: Figure, **look: Any) -> bytes:
-    """Return a figure as a PNG, the same bytes for the same picture; `look` is `savefig`'s."""
+def new_figure(width: float, height: float, **options: Any) -> Figure:
+    """Return an empty figure of so many inches on its own canvas; `options` are `Figure`'s."""
+    figure = Figure(figsize=(width, height), **{"layout": "constrained", **options})
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def as_png(figure: Figure, **options: Any) -> bytes:
+    """Return a figure as a PNG, the same bytes for the same picture; `options` are `savefig`'s."""
     stream = io.BytesIO()
     plain = {"Software": None}  # no version in the file
-    figure.savefig(stream, format="png", metadata=plain, **look)
+    figure.savefig(stream, format="png", metadata=plain, **options)
     return stream.getvalue()
 
 
 def style(axes: Any) -> None:
     """Give axes of a map their labels and quiet colours."""
-    axes.set_xlabel("x in m", color=INK)
-    axes.set_ylabel("y in m", color=INK)
+    axes.set_xlabel("x in m")
+    axes.set_ylabel("y in m")
+    quiet(axes)
+
+
+def quiet(axes: Any) -> None:
+    """Give axes quiet colours and a faint grid."""
+    for label in (axes.xaxis.label, axes.yaxis.label):
+        label.set_color(INK)
     axes.tick_params(colors=PALE, labelcolor=INK, labelsize=9)
     axes.grid(color="#000000", alpha=0.06, lw=0.6)
     axes.set_axisbelow(True)

@@ -1,173 +1,185 @@
-"""The tables of the controlled experiments: like the thesis's Tables 1 to 3, and beyond."""
+"""The tables of the controlled experiments: like the thesis's Tables 1 to 3, and beyond.
+
+The column "Error (m)" of the thesis's tables is the squared distance between the two positions of its
+row, to the last digit; here distances are computed from the positions.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from impslam.studies.arena_print import DETECTED, END, off_middle, too_far, turned
-from impslam.studies.arena_runs import ArenaRun, true_landmarks
-from impslam.studies.arena_scores import Errors, Spread
-from impslam.studies.arena_setups import Setup
-from impslam.studies.base import Table
-from impslam.types import Array
+from impslam.evaluation.landmarks import score_landmarks
+from impslam.geometry.angles import wrap
+from impslam.studies.arena_experiment import END, TEXT, Experiment, true_landmarks
+from impslam.studies.report import ResultTable, make_table
+from impslam.studies.statistics import (
+    MEDIAN_95,
+    Quantiles,
+    Rows,
+    mean_of,
+    quantiles_of,
+    runs_with,
+)
+from impslam.studies.sweep import Run
+from impslam.types import Array, TrueLandmark
 
-TRUTH = {mark.name: mark for mark in true_landmarks()}
 END_POSITION = np.array([-0.4459, 2.3715])
-SPREAD = "median [95 %]"
+NOTES = TEXT["notes"]
+TRUE = {mark.name: mark for mark in true_landmarks()}
+Groups = Mapping[str, Rows]
 
 
-def _actual(name: str) -> Array:
-    return END_POSITION if name == END else TRUTH[name].position
+def tables(
+    experiment: Experiment, runs: Groups, readings: Groups, shown: Mapping[str, Run]
+) -> list[ResultTable]:
+    """Return the tables of an experiment: runs and other readings by variant, and the runs drawn."""
+    walls = wall_table(experiment, runs)
+    return [
+        distance_table(experiment, runs),
+        *([walls] if walls.rows else []),
+        map_table(experiment, runs),
+        position_table(experiment, shown),
+        print_table(experiment),
+        interpretation_table(experiment, readings),
+    ]
+
+
+def actual(name: str) -> Array:
+    """Return the true place (2,) of a landmark or of the end of the drive, m, in map."""
+    return END_POSITION if name == END else TRUE[name].position
+
+
+def turned(printed: Sequence[float], actual: Array) -> float:
+    """Return by which angle (rad) the print is turned about the start, counter-clockwise."""
+    return float(wrap(math.atan2(printed[1], printed[0]) - math.atan2(actual[1], actual[0])))
+
+
+def too_far(printed: Sequence[float], actual: Array) -> float:
+    """Return how much too far from the start the print is, m."""
+    return math.hypot(*printed) - math.hypot(*actual)
+
+
+def off_middle(printed: Sequence[float], wall: TrueLandmark) -> float:
+    """Return how far the printed wall is from the middle of the true one, m."""
+    assert wall.end_points is not None
+    r = math.hypot(*printed)
+    return float(abs(np.dot(printed, wall.end_points.mean(axis=0)) / r - r))
 
 
 def _place(at: Sequence[float] | Array) -> str:
     return f"({at[0]:z.3f}, {at[1]:z.3f})"
 
 
-def _nees(value: float) -> str:
+def _errors(metric: str, runs: Groups) -> dict[str, Callable[[str], str]]:
+    """Return a column for each variant: the quantiles of `metric NAME` by a landmark's name."""
+
+    def column(rows: Rows) -> Callable[[str], str]:
+        return lambda name: quantiles_of(f"{metric} {name}")(rows)
+
+    return {f"{variant}, {MEDIAN_95}": column(rows) for variant, rows in runs.items()}
+
+
+def distance_table(experiment: Experiment, runs: Groups) -> ResultTable:
+    """Return the table of the thesis: distances as it scores them, walls by their feet."""
+    printed = experiment.printed
+    columns: dict[str, Callable[[str], str]] = {
+        "print": lambda name: f"{math.dist(printed[name], actual(name)):.3f}",
+        **_errors("foot", runs),
+    }
+    labels = {(name, _place(actual(name))): name for name in (*experiment.names, END)}
+    title = f"Distance from the truth in m, as thesis {experiment.text['table']} has it"
+    return make_table(title, labels, columns, NOTES["distance"], ("", "actual x, y in m"))
+
+
+def wall_table(experiment: Experiment, runs: Groups) -> ResultTable:
+    """Return how far walls are from the true ones where these are: across, at their middles."""
+    printed = experiment.printed
+    columns: dict[str, Callable[[str], str]] = {
+        "print": lambda name: f"{off_middle(printed[name], TRUE[name]):.3f}",
+        **_errors("distance", runs),
+    }
+    walls = {name: name for name in experiment.names if TRUE[name].kind == "wall"}
+    title = "Walls: perpendicular distance at the middle of the true wall, in m"
+    return make_table(title, walls, columns, NOTES["walls"])
+
+
+def _missing(names: Sequence[str]) -> Callable[[Rows], str]:
+    return lambda rows: str(sum(bool(set(row["missing"]) & set(names)) for row in rows))
+
+
+def _nees(rows: Rows) -> str:
+    value = float(np.mean([row["nees"] for row in rows]))
     return f"{value:.2f}" if value < 100.0 else f"{value:.0e}"
 
 
-def distance_table(setup: Setup, came: Mapping[str, Errors]) -> Table:
-    """Return the table of the thesis: distances as it scores them, walls by their feet."""
-    printed = DETECTED[setup.name]
-    rows = [
-        [
-            name,
-            _place(_actual(name)),
-            f"{math.dist(printed[name], _actual(name)):.3f}",
-            *(str(result.foot[name]) for result in came.values()),
-        ]
-        for name in (*setup.names, END)
-    ]
-    header = ["", "actual x, y in m", "print", *(f"{name}, {SPREAD}" for name in came)]
-    return Table(
-        f"Distance from the truth in m, as thesis {setup.table} has it",
-        header,
-        rows,
-        text=2,
-        note="The print is computed from its positions (its own column holds squares). Walls are "
-        "scored by the distance between the feet of their normals from the start, as in the thesis: "
-        "a turned wall is off by more, the further its foot is from what is seen of it.",
-    )
-
-
-def wall_table(setup: Setup, came: Mapping[str, Errors]) -> Table:
-    """Return how far walls are from the true ones where these are: across, at their middles."""
-    walls = [name for name in setup.names if TRUTH[name].kind == "wall"]
-    rows = [
-        [
-            name,
-            f"{off_middle(DETECTED[setup.name][name], TRUTH[name]):.3f}",
-            *(str(result.distance[name]) for result in came.values()),
-        ]
-        for name in walls
-    ]
-    return Table(
-        "Walls: perpendicular distance at the middle of the true wall, in m",
-        ["", "print", *(f"{name}, {SPREAD}" for name in came)],
-        rows,
-        note="Where the wall is, not where its line passes the start.",
-    )
-
-
-def health_table(came: Mapping[str, Errors], made: Sequence[ArenaRun]) -> Table:
+def map_table(experiment: Experiment, runs: Groups) -> ResultTable:
     """Return what is missing and false, and whether the estimate knows how good it is."""
-    rows = [
-        [
-            name,
-            str(result.foot[END]),
-            f"{len(result.missing)}",
-            f"{len(result.false)}",
-            f"{len(result.double)}",
-            _nees(result.nees),
-            f"{100 * result.within:.0f} %",
-        ]
-        for name, result in came.items()
-    ]
-    wheels = Spread.of([run.wheels for run in made])
-    rows.append(["wheels alone", str(wheels), "", "", "", "", ""])
-    header = ["", f"end in m, {SPREAD}", "missing", "false", "double", "pose NEES", "within 95 %"]
-    return Table(
-        f"The map and its honesty, {len(made)} seeds",
-        header,
-        rows,
-        note="Seeds whose map misses a landmark, has one where there is nothing, or has one twice "
-        "(the default's corners count as false or double where they are). NEES is the mean over "
-        "seeds and scans, 3 for an estimate that knows how wrong it is, less if it is too modest; "
-        "the last column is the share of scans within the bound that 95 % are to keep. The default "
-        "is modest here, since it allows for what real robots and rooms have and this simulation "
-        "has less of: walls 5 mm from flat, 5 mm of bias of the ranges, wheels that slip sideways.",
-    )
+    first = next(iter(runs.values()))
+    columns: dict[str, Callable[[tuple[str, Rows]], str]] = {
+        f"end in m, {MEDIAN_95}": lambda group: quantiles_of("end")(group[1]),
+        "missing": lambda group: _missing(experiment.expected(group[0]))(group[1]),
+        "false": lambda group: runs_with("false")(group[1]),
+        "double": lambda group: runs_with("doubles")(group[1]),
+        "pose NEES": lambda group: _nees(group[1]),
+        "within 95 %": lambda group: mean_of("nees_within", ".0%")(group[1]).replace("%", " %"),
+    }
+    title = f"The map and its honesty, {len(first)} seeds"
+    made = make_table(title, {name: (name, rows) for name, rows in runs.items()}, columns)
+    wheels = ["wheels alone", quantiles_of("odometry_end")(first), "", "", "", "", ""]
+    return ResultTable(title, made.header, [*made.rows, wheels], note=NOTES["map"])
 
 
-def position_table(setup: Setup, one: Mapping[str, ArenaRun]) -> Table:
-    """Return actual and detected positions of the run that the picture shows."""
-    detected = {name: _detected(run) for name, run in one.items()}
-    seed = next(iter(one.values())).seed
-    rows = [
-        [
-            name,
-            _place(_actual(name)),
-            _place(DETECTED[setup.name][name]),
-            *(_place(at[name]) if name in at else "missing" for at in detected.values()),
-        ]
-        for name in (*setup.names, END)
-    ]
-    header = ["", "actual", "print", *one]
-    return Table(f"Positions x, y in m of seed {seed}", header, rows, text=1)
+def position_table(experiment: Experiment, shown: Mapping[str, Run]) -> ResultTable:
+    """Return actual and detected positions of the runs that the picture shows."""
+
+    def detected(run: Run) -> Callable[[str], str]:
+        marks = {mark.id: mark.position for mark in run.landmarks}
+        found = score_landmarks(run.landmarks, list(TRUE.values())).found
+        places = {error.name: marks[error.id] for error in found}
+        places[END] = run.path[-1, :2] - run.truth[-1, :2] + END_POSITION
+        return lambda name: _place(places[name]) if name in places else "missing"
+
+    columns: dict[str, Callable[[str], str]] = {
+        "actual": lambda name: _place(actual(name)),
+        "print": lambda name: _place(experiment.printed[name]),
+        **{variant: detected(run) for variant, run in shown.items()},
+    }
+    seed = next(iter(shown.values())).seed
+    names = {name: name for name in (*experiment.names, END)}
+    return make_table(f"Positions x, y in m of seed {seed}", names, columns)
 
 
-def _detected(run: ArenaRun) -> dict[str, Array]:
-    marks = {mark.id: mark for mark in run.landmarks}
-    found = {error.name: marks[error.id].position for error in run.score().found}
-    return {**found, END: run.path[-1, :2] - run.truth[-1, :2] + END_POSITION}
-
-
-def print_table(setup: Setup) -> Table:
+def print_table(experiment: Experiment) -> ResultTable:
     """Return how the printed positions are turned about the start and too far from it."""
-    rows = [
-        [
-            name,
-            f"{math.degrees(turned(at, _actual(name))):+.1f}",
-            f"{too_far(at, _actual(name)):+.3f}",
-            f"{100 * too_far(at, _actual(name)) / math.hypot(*_actual(name)):+.1f}",
-        ]
-        for name, at in DETECTED[setup.name].items()
-    ]
-    return Table(
-        "What the printed positions have in common",
-        ["", "turned about the start, deg", "too far from it, m", "of its distance, %"],
-        rows,
-        note="Centres and feet, seen from the start.",
+    places = {name: (at, actual(name)) for name, at in experiment.printed.items()}
+    columns: dict[str, Callable[[tuple[Sequence[float], Array]], str]] = {
+        "turned about the start, deg": lambda both: f"{math.degrees(turned(*both)):+.1f}",
+        "too far from it, m": lambda both: f"{too_far(*both):+.3f}",
+        "of its distance, %": lambda both: f"{100 * too_far(*both) / math.hypot(*both[1]):+.1f}",
+    }
+    return make_table("What the printed positions have in common", places, columns, NOTES["print"])
+
+
+def interpretation_table(experiment: Experiment, readings: Groups) -> ResultTable:
+    """Return the errors of other readings of the thesis's text."""
+
+    def worst(rows: Rows) -> str:
+        names = experiment.names
+        median = max(Quantiles.of(row[f"distance {name}"] for row in rows).median for name in names)
+        return f"{median:.3f}" if math.isfinite(median) else "missing"
+
+    return make_table(
+        f"Other readings of the text, {len(next(iter(readings.values())))} seeds",
+        readings,
+        {
+            f"end in m, {MEDIAN_95}": quantiles_of("end"),
+            "worst in m": worst,
+            "missing": _missing(experiment.names),
+            "false": runs_with("false"),
+            "pose NEES": _nees,
+        },
+        NOTES["interpretations"],
     )
-
-
-def reading_table(readings: Mapping[str, Errors], number: int) -> Table:
-    """Return what becomes of other readings of the text."""
-    rows = [
-        [
-            said,
-            str(result.foot[END]),
-            _worst(result),
-            f"{len(result.missing)}",
-            f"{len(result.false)}",
-            _nees(result.nees),
-        ]
-        for said, result in readings.items()
-    ]
-    return Table(
-        f"Other readings of the text, {number} seeds",
-        ["", f"end in m, {SPREAD}", "worst in m", "missing", "false", "pose NEES"],
-        rows,
-        note="The worst landmark is the one whose median distance is largest; missing and false count "
-        "seeds, as above.",
-    )
-
-
-def _worst(result: Errors) -> str:
-    worst = max(spread.median for name, spread in result.distance.items() if name != END)
-    return f"{worst:.3f}" if math.isfinite(worst) else "missing"

@@ -1,8 +1,8 @@
 """The batch optimum: the most likely path and map given all data up to a step.
 
-The yardstick of a filter's efficiency: nothing that sees the same data does better, Gaussian noise
-given. All poses and landmarks are estimated at once by Gauss-Newton (Dellaert & Kaess 2006), from the
-residuals of the felt motion and of the sightings, each over its standard deviation. Poses [x, y, theta]
+A filter's efficiency is measured against it: no estimator does better with the same data and Gaussian
+noise. All poses and landmarks are estimated at once by Gauss-Newton (Dellaert & Kaess 2006), from the
+residuals of odometry and of the measurements, each over its standard deviation. Poses [x, y, theta]
 and landmarks [x, y] are perturbed by addition.
 
 The poses' part A of the normal equations is block tridiagonal, so that a banded Cholesky factorisation
@@ -22,7 +22,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose, transform
-from impslam.studies.circle_simulation import START_SIGMA, Drive, Setting
+from impslam.studies.circle_simulation import START_SIGMA, Setting, Trial
 from impslam.types import Array, Ints
 
 LATERAL_SIGMA = 1e-5
@@ -39,16 +39,16 @@ class Optimum(NamedTuple):
     covariance: Array
 
 
-def optima(setting: Setting, drive: Drive, steps: Sequence[int]) -> Iterator[Optimum]:
+def optima(setting: Setting, trial: Trial, steps: Sequence[int]) -> Iterator[Optimum]:
     """Yield the batch optimum of the data up to each of some ascending steps."""
-    poses = drive.truth[:1].copy()
+    poses = trial.truth[:1].copy()
     places = np.full((setting.landmarks, 2), np.nan)
     for step in steps:
         for k in range(len(poses), step + 1):
-            poses = np.vstack([poses, compose(poses[-1], drive.felt[k - 1])])
-            new = drive.in_range[k - 1] & np.isnan(places[:, 0])
-            places[new] = transform(poses[-1], drive.seen[k - 1, new])
-        covariance = _minimise(_Problem(setting, drive, step), poses, places)
+            poses = np.vstack([poses, compose(poses[-1], trial.odometry[k - 1])])
+            new = trial.in_range[k - 1] & np.isnan(places[:, 0])
+            places[new] = transform(poses[-1], trial.measurements[k - 1, new])
+        covariance = _minimise(_Problem(setting, trial, step), poses, places)
         yield Optimum(step, poses[-1].copy(), covariance)
 
 
@@ -67,20 +67,20 @@ def _minimise(problem: _Problem, poses: Array, places: Array) -> Array:
 class _Problem:
     """The residuals of the data up to a step."""
 
-    def __init__(self, setting: Setting, drive: Drive, step: int) -> None:
-        self.origin, self.felt = drive.truth[0], drive.felt[:step]
+    def __init__(self, setting: Setting, trial: Trial, step: int) -> None:
+        self.origin, self.odometry = trial.truth[0], trial.odometry[:step]
         self.motion_weights = np.maximum(setting.motion_sigmas, LATERAL_SIGMA) ** -2.0
         self.weight = setting.sigma**-2.0
-        at, which = np.nonzero(drive.in_range[:step])
+        at, which = np.nonzero(trial.in_range[:step])
         self.at: Ints = at + 1
-        self.seen = drive.seen[at, which]
+        self.measured = trial.measurements[at, which]
         self.known: Ints = np.unique(which)
         self.which: Ints = np.searchsorted(self.known, which)
 
     def solve(self, poses: Array, places: Array) -> tuple[Array, Array, Array]:
         """Return the Gauss-Newton step of poses and known places, and the last pose's covariance."""
         diagonal, below, a = self._motion(poses)
-        B, C, b = self._sightings(poses, places[self.known], diagonal, a)
+        B, C, b = self._measurements(poses, places[self.known], diagonal, a)
         factor = cholesky_banded(_banded(diagonal, below), lower=True)
         last = np.eye(len(a), 3, -(len(a) - 3))
         A_inv = cho_solve_banded((factor, True), np.column_stack([a, last, B]))
@@ -96,7 +96,7 @@ class _Problem:
         c, s = np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])
         d = poses[1:] - poses[:-1]
         moved = np.stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0], d[:, 2]], axis=1)
-        residual = self.felt - moved
+        residual = self.odometry - moved
         residual[:, 2] = wrap(residual[:, 2])
         by_second = np.zeros((n - 1, 3, 3))
         by_second[:, 0, 0], by_second[:, 0, 1] = c, s
@@ -113,15 +113,15 @@ class _Problem:
         a[0] += (self.origin - poses[0]) / START_SIGMA**2
         return diagonal, second_W @ by_first, a.ravel()
 
-    def _sightings(
+    def _measurements(
         self, poses: Array, places: Array, diagonal: Array, a: Array
     ) -> tuple[Array, Array, Array]:
-        """Add the sightings to the poses' blocks and right-hand side; return B, C and b."""
+        """Add the measurements to the poses' blocks and right-hand side; return B, C and b."""
         at, which, w = self.at, self.which, self.weight
         c, s = np.cos(poses[at, 2]), np.sin(poses[at, 2])
         d = places[which] - poses[at, :2]
         z = np.stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]], axis=1)
-        residual = self.seen - z
+        residual = self.measured - z
         by_place = np.stack([np.stack([c, s], 1), np.stack([-s, c], 1)], axis=1)
         by_pose = np.concatenate([-by_place, np.stack([z[:, 1], -z[:, 0]], 1)[:, :, None]], axis=2)
         pose_T, place_T = (w * J.transpose(0, 2, 1) for J in (by_pose, by_place))

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TypeAlias
 
 from impslam.studies import chapter4_plot as plot
-from impslam.studies.base import Job, Part, Picture
 from impslam.studies.chapter4_hough import POOL, hough_figure
 from impslam.studies.chapter4_scans import (
     ARENA,
@@ -28,12 +27,14 @@ from impslam.studies.chapter4_scans import (
     shots,
     world_of,
 )
+from impslam.studies.job import Job
+from impslam.studies.report import Picture, Section
 
 SEED = 0
 WORLDS = (ARENA, CORRIDOR, PEOPLE)
 
 
-def figures(job: Job) -> Part:
+def figures(job: Job) -> Section:
     """Draw the figures of Chapter IV; `job.seeds` does not matter: it is one run of seed 0."""
     thesis = Thesis.presets()
 
@@ -55,12 +56,12 @@ def figures(job: Job) -> Part:
         world: {name: rates(seen) for name, seen in found.items()}
         for world, found in zip(WORLDS, (arena, corridor, people), strict=True)
     }
-    return Part(
+    return Section(
         "figures",
         "The figures of Chapter IV",
         _text(dict(zip(WORLDS, (arena, corridor, people), strict=True))),
         pictures=[picture for picture, _ in drawn],
-        figures={"scans": {p.name: counts for p, counts in drawn}, "runs": numbers},
+        numbers={"scans": {p.name: counts for p, counts in drawn}, "runs": numbers},
     )
 
 

@@ -1,16 +1,16 @@
 """The setting in which filters are judged by Monte Carlo: a circle among landmarks, and its noise.
 
-It is that of Huang, Mourikis & Roumeliotis 2010 ("Observability-based rules for designing consistent
+It repeats that of Huang, Mourikis & Roumeliotis 2010 ("Observability-based rules for designing consistent
 EKF SLAM estimators", simulations) in the size that public comparisons of invariant filters took over:
-a robot drives a circle of radius v/omega several times round, feels its speed and turn rate with
-noise, and measures where landmarks in range stand in its own frame. Which landmark is which is known.
+a robot drives a circle of radius v/omega several times round, measures its speed and turn rate with
+noise, and the places of landmarks in range in its own frame. Which landmark is which is known.
 
-Before it sees anything for the first time it has moved one step. That step's error of heading turns
-the whole map, nothing later can mend it, and a filter that grows surer of it is too sure. It makes
-most of the error of position, too: what a filter can win or lose in the mean is little.
+It moves one step before its first measurement. The heading error of that step turns the whole map, no
+later measurement corrects it, and a filter that grows more certain of it is overconfident. It causes
+most of the position error, too, so that filters differ little in their mean position error.
 
-`LONG_LOOP` is the same robot on a long way: it sees landmarks only near it, and those of the start
-only when it comes back, with an error of metres that nothing corrected in between.
+`LONG_LOOP` is the same robot on a longer circle: it measures landmarks near it only, and those of the
+start again only when it returns, with an error of metres that nothing has corrected in between.
 """
 
 from __future__ import annotations
@@ -77,26 +77,35 @@ LONG_LOOP = Setting(speed=0.5, turn_rate=0.025, steps=520, landmarks=60)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drive:
-    """One run's data: felt motion (steps - 1, 3), landmarks as seen (steps - 1, n, 2), and which."""
+class Trial:
+    """The data of one run.
+
+    Attributes
+    ----------
+    truth : (steps, 3) true poses
+    odometry : (steps - 1, 3) measured motion of each step, in the robot's frame
+    measurements : (steps - 1, n, 2) m, places of the n landmarks in the robot's frame after each step
+    in_range : (steps - 1, n), which of them are measured
+    """
 
     truth: Array
-    felt: Array
-    seen: Array
+    odometry: Array
+    measurements: Array
     in_range: Mask
 
     def first_turn(self, setting: Setting) -> float:
         """Return the error of the first step's heading over its standard deviation."""
-        error = self.felt[0, 2] - setting.dt * setting.turn_rate
+        error = self.odometry[0, 2] - setting.dt * setting.turn_rate
         return float(error / setting.motion_sigmas[2])
 
 
-def simulate(setting: Setting, rng: np.random.Generator) -> Drive:
+def simulate(setting: Setting, rng: np.random.Generator) -> Trial:
     """Return a run: the true path is always the same, the noise is not."""
     truth, places = setting.path(), setting.ring()
-    felt = setting.dt * np.array([setting.speed, 0.0, setting.turn_rate])
-    felt = felt + setting.motion_sigmas * rng.standard_normal((setting.steps - 1, 3))
+    odometry = setting.dt * np.array([setting.speed, 0.0, setting.turn_rate])
+    odometry = odometry + setting.motion_sigmas * rng.standard_normal((setting.steps - 1, 3))
     exact = np.array([transform(inverse(pose), places) for pose in truth[1:]])
     distance = np.hypot(exact[..., 0], exact[..., 1])
     in_range = (distance > setting.min_range) & (distance < setting.max_range)
-    return Drive(truth, felt, exact + setting.sigma * rng.standard_normal(exact.shape), in_range)
+    measurements = exact + setting.sigma * rng.standard_normal(exact.shape)
+    return Trial(truth, odometry, measurements, in_range)

@@ -12,16 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from impslam.config import load
-from impslam.evaluation.consistency import nees, pose_errors, share_within
+from impslam.evaluation.consistency import nees, share_within
 from impslam.evaluation.landmarks import score_landmarks
 from impslam.geometry.angles import wrap
-from impslam.pipeline import Pipeline
 from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
-from impslam.simulation.simulate import simulate
-from impslam.studies.arena_runs import arena, true_landmarks
-from impslam.studies.base import Job
-from impslam.types import Array, Landmark, Message, StepResult, TrueLandmark, TruePose
+from impslam.studies.arena_experiment import true_landmarks
+from impslam.studies.job import Job
+from impslam.studies.sweep import ROBOT, Row, Run, Variant, by_variant, sweep
+from impslam.types import Array, Landmark, StepResult, TrueLandmark
 
 FILTERS = ("ekf", "riekf")
 KINDS = ("cylinder", "wall", "corner")
@@ -34,15 +32,16 @@ class Case:
     """What is simulated, what the preset is told of it, and which filters run over it."""
 
     name: str
-    robot: SimulatedRobot
+    robot: SimulatedRobot = ROBOT
     settings: tuple[str, ...] = ()
     filters: tuple[str, ...] = FILTERS
 
-
-def _robot(encoders: WheelEncoders | None = None, lidar: Lidar | None = None) -> SimulatedRobot:
-    """Return the robot without what the preset does not listen to, which saves a second a run."""
-    encoders, lidar = encoders or WheelEncoders(), lidar or Lidar()
-    return SimulatedRobot(encoders=encoders, lidar=lidar, imu=None, truth_rate=1.0)
+    def variants(self) -> list[Variant]:
+        """Return a variant for each filter, by the filter's name."""
+        return [
+            Variant(name, "imp", (*self.settings, f"filter.kind={name}"), self.robot)
+            for name in self.filters
+        ]
 
 
 _NO_SLIP = WheelEncoders(radius_sigma=0.0, track_sigma=0.0, slip_sigma=0.0, skid_rate=0.0)
@@ -55,12 +54,18 @@ _TOLD_EXACT = (
     "sensors.lidar.extractors.walls.flatness=0.0",
     "sensors.lidar.extractors.corners.flatness=0.0",
 )
+_EXACT = {"encoders": _NO_SLIP, "lidar": Lidar(bias_sigma=0.0, divergence=0.0)}
 CASES = (
-    Case("as it is", _robot()),
-    Case("no slip, and told so", _robot(_NO_SLIP), _TOLD_NO_SLIP, FILTERS[-1:]),
+    Case("as it is"),
+    Case(
+        "no slip, and told so",
+        ROBOT.model_copy(update={"encoders": _NO_SLIP}),
+        _TOLD_NO_SLIP,
+        FILTERS[-1:],
+    ),
     Case(
         "nor bias nor mixed pixels, walls told flat",
-        _robot(_NO_SLIP, Lidar(bias_sigma=0.0, divergence=0.0)),
+        ROBOT.model_copy(update=_EXACT),
         (*_TOLD_NO_SLIP, *_TOLD_EXACT),
         FILTERS[-1:],
     ),
@@ -68,22 +73,13 @@ CASES = (
 
 
 @dataclass(frozen=True)
-class Sample:
-    """What one filter made of one run.
+class ArenaConsistency:
+    """Means over the runs of a case and a filter.
 
-    `times` (n,) s and pose NEES (n,) by scan; by kind the mean NIS over its dimension of single
-    observations, and the mean NEES of the landmarks in their reported form at the end of the run.
+    `times` (n,) s and mean pose NEES (n,) by scan. By kind of landmark `nis`, the mean NIS over its
+    dimension of single observations, and `landmarks`, the mean NEES of landmarks at the end of a run in
+    the form that is reported of them; NaN for a kind never seen.
     """
-
-    times: Array
-    nees: Array
-    nis: Mapping[str, float]
-    landmarks: Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Means over the runs of a case and a filter, like `Sample`; NaN for a kind never seen."""
 
     case: str
     filter: str
@@ -104,50 +100,34 @@ class Outcome:
         return share_within(self.nees[self.times >= SETTLED], self.runs, 3)
 
 
-def whole_system(job: Job, runs: int, cases: Sequence[Case] = CASES) -> list[Outcome]:
-    """Simulate, map and judge the arena; cases after the first get half the runs."""
-    tasks = [
-        (case, seed)
-        for number, case in enumerate(cases)
-        for seed in range(runs if number == 0 else max(1, runs // 2))
-    ]
-    results = job.map(judge, tasks, "arena")
-    outcomes = []
-    for case in cases:
-        own = [result for (other, _), result in zip(tasks, results, strict=True) if other is case]
-        outcomes += [_outcome(case.name, name, [r[name] for r in own]) for name in case.filters]
-    return outcomes
+def arena_consistency(
+    job: Job, runs: int, cases: Sequence[Case] = CASES
+) -> tuple[list[ArenaConsistency], list[Row]]:
+    """Simulate, map and judge the arena; cases after the first get half the runs.
+
+    Returns the means by case and filter, and the rows of the runs.
+    """
+    results, rows = [], []
+    for number, case in enumerate(cases):
+        seeds = range(runs if number == 0 else max(1, runs // 2))
+        stage = f"arena, {case.name}"
+        made = sweep(case.variants(), seeds, measure=consistency_metrics, job=job, stage=stage)
+        groups = by_variant(made)
+        results += [_means(case.name, name, groups[name]) for name in groups]
+        rows += [{"case": case.name, **row} for row in made]
+    return results, rows
 
 
-def judge(task: tuple[Case, int]) -> dict[str, Sample]:
-    """Run a case's filters over the run of a seed."""
-    case, seed = task
-    messages = list(simulate(arena(), case.robot, seed))
-    start = list(map(float, arena().robot.start))
-    settings = [f"start={start}", f"seed={seed}", *case.settings]
+def consistency_metrics(run: Run) -> Row:
+    """Return the pose NEES (n,) by time (n,), and the means by kind of NIS and landmarks' NEES."""
+    stamps = np.array([step.stamp for step in run.steps])
+    nis, landmarks = nis_by_kind(run.steps), landmark_nees(run.landmarks, true_landmarks())
     return {
-        name: sample(messages, true_landmarks(), [*settings, f"filter.kind={name}"])
-        for name in case.filters
+        "times": stamps - stamps[0],
+        "nees_by_time": run.nees,
+        **{f"nis {kind}": nis.get(kind, np.nan) for kind in KINDS},
+        **{f"nees {kind}": landmarks.get(kind, np.nan) for kind in KINDS},
     }
-
-
-def sample(
-    messages: Sequence[Message], truth: Sequence[TrueLandmark], settings: Sequence[str]
-) -> Sample:
-    """Run the preset over the messages and compare it with the true poses among them."""
-    pipeline = Pipeline(load("imp", settings))
-    steps = list(pipeline.play(messages))
-    poses = {m.stamp: m.pose for m in messages if isinstance(m, TruePose)}
-    errors = pose_errors(
-        np.array([step.pose for step in steps]), np.array([poses[step.stamp] for step in steps])
-    )
-    stamps = np.array([step.stamp for step in steps])
-    return Sample(
-        stamps - stamps[0],
-        nees(errors, np.array([step.covariance for step in steps])),
-        nis_by_kind(steps),
-        landmark_nees(pipeline.slam.landmarks(), truth),
-    )
 
 
 def nis_by_kind(steps: Iterable[StepResult]) -> dict[str, float]:
@@ -181,19 +161,14 @@ def reported_error(mark: Landmark, true: TrueLandmark) -> Array:
     return np.array([r, wrap(alpha)])
 
 
-def _outcome(case: str, name: str, samples: Sequence[Sample]) -> Outcome:
-    last = min(len(s.nees) for s in samples)
-    return Outcome(
-        case,
-        name,
-        len(samples),
-        samples[0].times[:last],
-        np.mean([s.nees[:last] for s in samples], axis=0),
-        {kind: _mean([s.nis for s in samples], kind) for kind in KINDS},
-        {kind: _mean([s.landmarks for s in samples], kind) for kind in KINDS},
-    )
+def _means(case: str, name: str, rows: Sequence[Row]) -> ArenaConsistency:
+    last = min(len(row["times"]) for row in rows)
+    curve = np.mean([row["nees_by_time"][:last] for row in rows], axis=0)
+    nis, landmarks = ({kind: _mean(rows, f"{w} {kind}") for kind in KINDS} for w in ("nis", "nees"))
+    return ArenaConsistency(case, name, len(rows), rows[0]["times"][:last], curve, nis, landmarks)
 
 
-def _mean(by_kind: Sequence[Mapping[str, float]], kind: str) -> float:
-    known = [values[kind] for values in by_kind if kind in values]
+def _mean(rows: Sequence[Row], metric: str) -> float:
+    """Return the mean over the runs that know the metric; NaN if none does."""
+    known = [row[metric] for row in rows if np.isfinite(row[metric])]
     return float(np.mean(known)) if known else float("nan")

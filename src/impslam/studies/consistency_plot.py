@@ -5,25 +5,26 @@ Importing this module imports matplotlib (0.3 s); import it where a picture is d
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from impslam.evaluation.colours import INK
 from impslam.evaluation.consistency import chi2_bounds
-from impslam.studies.filter_consistency import BATCH, Curves, Study
+from impslam.evaluation.plots import new_figure
+from impslam.studies.consistency_arena import ArenaConsistency
+from impslam.studies.filter_consistency import BATCH, Curves, FilterStudy
 from impslam.types import Array
 
 COLOURS = ("#d81b60", "#e08a00", "#2563eb", "#15803d", "#7c3aed", "#0891b2")
-INK, PALE = "#37424d", "#dfe3e8"
+BAND = "#dfe3e8"
 IDEAL = 3.0  # the pose's degrees of freedom
 
 
-def draw_study(study: Study) -> Figure:
+def draw_study(study: FilterStudy) -> Figure:
     """Return a figure of NEES and RMSE over the steps; save it with `figure.savefig(path)`."""
     figure, (nees, position, heading) = _panels(7.6, (2.0, 1.2, 1.2))
     _band(nees, study.runs)
@@ -42,39 +43,31 @@ def draw_study(study: Study) -> Figure:
     return figure
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class NeesPanel:
-    """A panel of mean pose NEES (n,) by time (n,) in s, a curve for each name."""
-
-    title: str
-    runs: int
-    times: Array
-    curves: Mapping[str, Array]
-
-
-def draw_nees(shown: Sequence[NeesPanel]) -> Figure:
-    """Return a figure of panels one below the other, each with the band of its number of runs."""
-    figure, panels = _panels(1.0 + 2.0 * len(shown), (1.0,) * len(shown))
-    names = dict.fromkeys(name for panel in shown for name in panel.curves)
+def draw_arena(results: Sequence[ArenaConsistency]) -> Figure:
+    """Return a figure of NEES by time: a panel for each case, a curve for each filter."""
+    cases = list(dict.fromkeys(result.case for result in results))
+    figure, panels = _panels(1.0 + 2.0 * len(cases), (1.0,) * len(cases))
+    names = dict.fromkeys(result.filter for result in results)
     colours = dict(zip(names, COLOURS[::3] * len(names), strict=False))
-    for axes, panel in zip(panels, shown, strict=True):
-        _band(axes, panel.runs)
-        for name, values in panel.curves.items():
-            axes.plot(panel.times, values, "-", color=colours[name], label=name, lw=1.1)
-        axes.set_title(f"{panel.title} ({panel.runs} runs)", fontsize="medium", loc="left")
+    for axes, case in zip(panels, cases, strict=True):
+        shown = [result for result in results if result.case == case]
+        _band(axes, shown[0].runs)
+        for result in shown:
+            axes.plot(result.times, result.nees, "-", color=colours[result.filter], lw=1.1)
+            axes.lines[-1].set_label(result.filter)
+        axes.set_title(f"{case} ({shown[0].runs} runs)", fontsize="medium", loc="left")
         axes.set_ylabel("pose NEES")
         axes.set_ylim(0.0, 8.0)
         legend = axes.legend(loc="lower right", ncols=3, frameon=False, fontsize="small")
         legend.set_bbox_to_anchor((1.0, 0.95), axes.transAxes)
-    panels[-1].set_xlim(shown[0].times[0], shown[0].times[-1])
+    panels[-1].set_xlim(results[0].times[0], results[0].times[-1])
     panels[-1].set_xlabel("time [s]")
     return figure
 
 
 def _panels(height: float, ratios: tuple[float, ...]) -> tuple[Figure, list[Axes]]:
     """Return a figure and its panels, one below the other."""
-    figure = Figure(figsize=(8.0, height), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(8.0, height)
     grid = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios, squeeze=False)
     panels: list[Axes] = list(grid[:, 0])
     for axes in panels:
@@ -84,7 +77,7 @@ def _panels(height: float, ratios: tuple[float, ...]) -> tuple[Figure, list[Axes
 
 def _band(axes: Axes, runs: int) -> None:
     """Draw where a consistent filter's mean lies."""
-    axes.axhspan(*chi2_bounds(3, runs), color=PALE, lw=0, label="consistent, 95 %")
+    axes.axhspan(*chi2_bounds(3, runs), color=BAND, lw=0, label="consistent, 95 %")
     axes.axhline(IDEAL, color="white", lw=1.0)
 
 

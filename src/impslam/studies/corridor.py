@@ -2,133 +2,192 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
-from impslam.studies.base import Job, Part, Picture
-from impslam.studies.corridor_runs import (
+import numpy as np
+
+from impslam.studies.corridor_metrics import (
     DEFAULT,
     HOUGH,
-    LIKELY,
+    LIKELIHOOD,
     RANSAC,
-    CorridorRun,
-    Drive,
-    drive_corridor,
-    read_otherwise,
+    READINGS,
+    TEXT,
+    VARIANTS,
+    WITHIN,
+    corridor_metrics,
+    corridor_truth,
+    corridor_world,
+    total_counts,
 )
-from impslam.studies.corridor_tables import (
-    collect,
-    extractor_table,
-    extractor_tallies,
-    figures,
-    map_table,
-    path_table,
-    reading_table,
-    run_figures,
+from impslam.studies.corridor_truth import false_landmarks
+from impslam.studies.job import Job
+from impslam.studies.report import Picture, ResultTable, Section, make_table
+from impslam.studies.statistics import MEDIAN_95, Quantiles, Rows, mean_of, number, quantiles_of
+from impslam.studies.sweep import (
+    Row,
+    Run,
+    by_variant,
+    failures,
+    median_row,
+    simulate_and_map,
+    sweep,
 )
 
 SEEDS = 6
 """Enough for a first look, in a few minutes; the claims are for 100."""
-EVERY_WAY = 20
-"""Seeds for the thesis's ways: they are lost in every one, or in none. The others are the default's."""
-READ = 2
+EVERY_VARIANT = 20
+"""Seeds for the thesis's variants: they are lost in every one, or in none. The others are the default's."""
+READING_SEEDS = 2
 """Seeds for each other reading of the text: it fails, or it does not."""
-
-WORLD = (
-    "A passage of 47 m and a second one round the corner, 2 m wide, with 19 doors, some open, some "
-    "that open and shut while the robot is near, rooms behind them, pillars and boxes along the walls, "
-    "and six people who walk towards the robot, overtake it, cross its way and go through the doors. "
-    "The robot of the arena drives to the far end and back, 117 m at up to 0.6 m/s. Its lidar sees "
-    "5.6 m: most of the time neither end of the passage. Nothing is changed from the arena: not the "
-    "robot's faults, and no parameter of any way of mapping. The wheels' faults (0.1 % of a radius, "
-    "2 % of the track, 1 cm in 1 m of uneven ground, a few per cent of the rotation lost in turns) add "
-    "up to metres here, most of it by the heading: half a degree is 0.4 m after 45 m."
-)
-HELD = (
-    "The default keeps its place all the way. It has points along the passage, corners of rooms, of "
-    "doorways and of the passage's ends, and pillars, and takes a wall for one that it knows only if "
-    "that is likely given how uncertain both are. People do not become landmarks: a leg is too narrow "
-    "for a wall, and what moves on within 0.4 s never gets beyond a trial."
-)
-LOST = (
-    "The thesis's way, Hough's walls matched by feet and angle, is lost here some 30 m from the start, "
-    "and not for want of good walls: next to nothing that it sees is spurious, and people are "
-    "not taken for walls, as the thesis says (one who walks close along a wall may be seen as part of "
-    "it). It is the matching. Walls are compared by the feet of "
-    "their normals from the start, and an angle that is off by one degree moves the foot of a wall "
-    "40 m away by 0.7 m; the bins are 10 degrees wide. The two sides of the passage have their feet "
-    "2 m apart, and the angle does not tell them apart ('close to 0 or 180 degrees'), so that at "
-    "last one is taken for the other, or a box for the back of a room. The innovation "
-    "is then half a turn. There are no tentative landmarks, and nothing recovers from it. Other gates, "
-    "thresholds and bins only change where it happens. In the arena "
-    "no foot is more than 6.1 m from the start; in thesis Fig. 29 the way holds, so its passage must have "
-    "been kinder, or its association other than printed."
-)
-FOUND = (
-    "'Hough by likelihood' is the same but for one thing: Hough's walls, every one of them a landmark "
-    "at once, in every scan, but matched by likelihood as the default does. It comes back to within "
-    "0.1 % of the way. So the thesis is right about Hough's walls. Those along a passage do not tell how "
-    "far the robot has come, but here others stand across it every few metres, in the rooms behind "
-    "open doors, and the path is never more than 0.25 m off along it. It is further off across "
-    "(half a metre at the far end): the bins of 10 degrees turn the passage by half a degree."
-)
-FAILS = (
-    "RANSAC fails as the thesis saw it. One of its walls in twenty, in one scan of seven, is a "
-    "line askew through both sides of the passage or through a door. Each of them is a landmark at "
-    "once and pulls the pose when the next is taken for it: within metres the map is a bundle of lines."
-)
+NOTES = TEXT["notes"]
+Groups = Mapping[str, Sequence[Row]]
 
 
-def corridor(job: Job) -> Part:
+def corridor(job: Job) -> Section:
     """Map the corridor by the default, and by the thesis's lines with each of its extractors."""
-    seeds = range(job.seeds or SEEDS)
-    drives = job.map(drive_corridor, seeds[:EVERY_WAY], "map the corridor, every way")
-    alone = partial(drive_corridor, ways=(DEFAULT,))
-    drives += job.map(alone, seeds[EVERY_WAY:], "map the corridor, the default")
-    return report(drives, job.map(read_otherwise, seeds[:READ], "read the thesis otherwise"))
+    world, seeds = [corridor_world()], range(job.seeds or SEEDS)
+    rows = sweep(
+        VARIANTS, seeds[:EVERY_VARIANT], world, corridor_metrics, job, "map the corridor, every way"
+    )
+    default = [variant for variant in VARIANTS if variant.name == DEFAULT]
+    rest = seeds[EVERY_VARIANT:]
+    if rest:
+        rows += sweep(default, rest, world, corridor_metrics, job, "map the corridor, the default")
+    few = seeds[:READING_SEEDS]
+    others = sweep(READINGS, few, world, corridor_metrics, job, "read the thesis otherwise")
+    runs, readings = by_variant(rows), by_variant(others)
+    text = "\n\n".join(filter(None, (TEXT["text"], failures([*rows, *others]))))
+    tables = [path_table(runs), map_table(runs), extractor_table(runs), reading_table(readings)]
+    pictures = _pictures(int(median_row(runs[HOUGH])["seed"]))
+    return Section(
+        "corridor", TEXT["title"], text, tables, pictures, numbers(runs, readings), [*rows, *others]
+    )
 
 
-def report(drives: Sequence[Drive], readings: Sequence[Mapping[str, CorridorRun]]) -> Part:
-    """Return the section on some drives, and on other readings of the thesis in some of them."""
-    made, tallies = collect(drives), extractor_tallies(drives)
-    tables = [
-        path_table(made),
-        map_table(made, tallies),
-        extractor_table(tallies),
-        reading_table(readings),
-    ]
-    text = "\n\n".join((WORLD, HELD, LOST, FOUND, FAILS))
-    title = "The uncontrolled corridor (thesis 5.2.4)"
-    numbers = figures(drives)
-    numbers["readings"] = {
-        name: run_figures([runs[name] for runs in readings]) for name in readings[0]
-    }
-    return Part("corridor", title, text, tables, _pictures(drives), numbers)
+def _pictures(seed: int) -> list[Picture]:
+    from impslam.studies.map_plot import CORRIDOR, draw_maps  # noqa: PLC0415  matplotlib, 0.3 s
 
+    shown = simulate_and_map(corridor_world(), VARIANTS, seed)
 
-def shown(drives: Sequence[Drive]) -> Drive:
-    """Return the drive that is the median one by the end of the thesis's Hough way."""
-    ranked = sorted((d for d in drives if HOUGH in d.runs), key=lambda drive: drive.runs[HOUGH].end)
-    return ranked[(len(ranked) - 1) // 2]
+    def draw(*names: str) -> bytes:
+        runs = {_title(shown[name]): shown[name] for name in names}
+        false = {title: false_landmarks(corridor_truth(), r.landmarks) for title, r in runs.items()}
+        return draw_maps(runs, CORRIDOR, false)
 
-
-def _pictures(drives: Sequence[Drive]) -> list[Picture]:
-    from impslam.studies.corridor_plot import corridor_png  # noqa: PLC0415  matplotlib, 0.3 s
-
-    drive = shown(drives)
-    which = f"Seed {drive.seed}, the median one by the Hough way's end error."
-    good: Mapping[str, CorridorRun] = {name: drive.runs[name] for name in (DEFAULT, HOUGH, LIKELY)}
     return [
-        Picture(
-            "corridor",
-            corridor_png(good),
-            f"{which} Truth, odometry alone (cut off where it leaves the picture), the estimated path "
-            "and the map; doors as they are at the beginning. Landmarks with nothing of their kind "
-            "within 0.25 m are black. Beside thesis Fig. 29.",
-        ),
-        Picture(
-            "corridor-ransac",
-            corridor_png({RANSAC: drive.runs[RANSAC]}),
-            f"Seed {drive.seed} again: the thesis's lines by RANSAC.",
-        ),
+        Picture("corridor", draw(DEFAULT, HOUGH, LIKELIHOOD), TEXT["picture"].format(seed=seed)),
+        Picture("corridor-ransac", draw(RANSAC), TEXT["picture_ransac"].format(seed=seed)),
     ]
+
+
+def _title(run: Run) -> str:
+    way, end = run.travelled[-1], run.errors[-1]
+    return f"{run.variant.name}: ends {end:.2f} m off, {100.0 * end / way:.2f} % of {way:.0f} m"
+
+
+def _percent(metric: str) -> Callable[[Rows], str]:
+    """Return a cell: the quantiles of a length over the distance travelled, %."""
+    return lambda rows: str(Quantiles.of(100.0 * row[metric] / row["travelled"] for row in rows))
+
+
+def _within(metric: str) -> Callable[[Rows], str]:
+    """Return a cell: in how many runs a length is within `WITHIN` of the distance travelled."""
+    return lambda rows: f"{_count_within(rows, metric)} of {len(rows)}"
+
+
+def _count_within(rows: Rows, metric: str = "end") -> int:
+    return sum(row[metric] <= WITHIN * row["travelled"] for row in rows)
+
+
+PATH: dict[str, Callable[[Rows], str]] = {
+    f"end, % of way, {MEDIAN_95}": _percent("end"),
+    f"within {100.0 * WITHIN} %": _within("end"),
+    f"path RMS in m, {MEDIAN_95}": quantiles_of("ate"),
+    "holds for m, median": lambda rows: f"{np.median([row['holds'] for row in rows]):.0f}",
+}
+"""Columns on the errors of the path."""
+
+
+def _seeds(rows: Rows) -> str:
+    return f"{len(rows)} seed" if len(rows) == 1 else f"{len(rows)} seeds"
+
+
+def path_table(runs: Groups) -> ResultTable:
+    """Return how far off the path of every variant is."""
+    first = next(iter(runs.values()))
+    title = f"The path, {_seeds(first)} of {first[0]['travelled']:.0f} m"
+    made = make_table(title, runs, PATH)
+    cells = [cell(first) for cell in (_percent("odometry_end"), _within("odometry_end"))]
+    wheels = ["wheels alone", *cells, quantiles_of("odometry_ate")(first), ""]
+    return ResultTable(title, made.header, [*made.rows, wheels], note=NOTES["path"])
+
+
+def map_table(runs: Groups) -> ResultTable:
+    """Return what is in the map of every variant, and how much of it is not there."""
+    counts = total_counts(runs[DEFAULT])
+
+    def spurious(rows: Rows) -> str:
+        seen = counts[TEXT["variants"][rows[0]["variant"]]["extractor"]]
+        return f"{seen['spurious'] / seen['scans']:.4f}"
+
+    columns = {
+        "spurious walls a scan": spurious,
+        "landmarks ever": mean_of("landmarks_ever"),
+        "people": mean_of("people_ever"),
+        "false at first": mean_of("false_at_birth"),
+        "false at the end": mean_of("false_at_the_end"),
+        "missing": mean_of("missing"),
+    }
+    return make_table("The map, means over the seeds", runs, columns, NOTES["map"])
+
+
+def extractor_table(runs: Groups) -> ResultTable:
+    """Return spurious walls per scan of each extractor, all on the same scans."""
+    counts = total_counts(runs[DEFAULT])
+    scans = next(iter(counts.values()))["scans"]
+    columns: dict[str, Callable[[dict[str, int]], str]] = {
+        "walls a scan": lambda seen: f"{seen['walls'] / scans:.2f}",
+        "spurious a scan": lambda seen: f"{seen['spurious'] / scans:.4f}",
+        "% of walls": lambda seen: f"{100.0 * seen['spurious'] / max(seen['walls'], 1):.2f}",
+        "% of scans with one": lambda seen: f"{100.0 * seen['scans_with_spurious'] / scans:.1f}",
+        "of them people": lambda seen: f"{seen['of_people']}",
+    }
+    title = f"Spurious walls of each extractor, the same {scans} scans among doors and people"
+    return make_table(title, counts, columns, NOTES["extractors"])
+
+
+def reading_table(readings: Groups) -> ResultTable:
+    """Return the errors of other readings of the thesis."""
+    many = _seeds(next(iter(readings.values())))
+    columns = PATH | {"landmarks ever": mean_of("landmarks_ever", ".0f")}
+    title = f"Other readings of the thesis's lines by Hough, {many}"
+    return make_table(title, readings, columns, NOTES["readings"])
+
+
+def numbers(runs: Groups, readings: Groups) -> dict[str, Any]:
+    """Return the numbers behind the tables."""
+    first = next(iter(runs.values()))
+    return {
+        "seeds": [row["seed"] for row in first],
+        "way": first[0]["travelled"],
+        "dead_reckoning_end": [row["odometry_end"] for row in first],
+        **{name: _numbers(rows) for name, rows in runs.items()},
+        "extractors": total_counts(runs[DEFAULT]),
+        "readings": {name: _numbers(rows) for name, rows in readings.items()},
+    }
+
+
+def _numbers(rows: Rows) -> dict[str, Any]:
+    """Return the numbers of one variant, a list over the seeds each."""
+    counts = ("landmarks_ever", "people_ever", "touched_by_people", "false_at_birth")
+    return {
+        "end": [row["end"] for row in rows],
+        "seeds_within": _count_within(rows),
+        "holds": [row["holds"] for row in rows],
+        "path_rms": [row["ate"] for row in rows],
+        **{name: [row[name] for row in rows] for name in counts},
+        "false_at_the_end": [int(number(row["false_at_the_end"])) for row in rows],
+        "missing": [list(row["missing"]) for row in rows],
+    }

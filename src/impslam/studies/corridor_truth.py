@@ -67,7 +67,7 @@ class Verdict:
     person : it rests on someone: half its beams or more hit people, or it lies within `PERSON` of
         the middle of one and not within `POINT` of anything that stands
     touched : any of its beams hit people
-    false : nothing of its kind is there; of a wall, see `Truth.is_wall`
+    false : nothing of its kind is there; of a wall, see `is_wall`
     """
 
     person: bool
@@ -75,7 +75,7 @@ class Verdict:
     false: bool
 
 
-class Truth:
+class CorridorTruth:
     """The world at any time of the drive, as a lidar of the simulated robot meets it."""
 
     def __init__(self, world: World, lidar: Lidar) -> None:
@@ -189,7 +189,7 @@ def _coplanar(rows: Array, face: Array) -> Mask:
     return np.asarray(near & (np.abs(np.sin(off)) <= math.sin(PARALLEL)))
 
 
-def false_landmarks(truth: Truth, landmarks: tuple[Landmark, ...]) -> tuple[int, ...]:
+def false_landmarks(truth: CorridorTruth, landmarks: tuple[Landmark, ...]) -> tuple[int, ...]:
     """Return the ids of those landmarks of a map where nothing of their kind stands.
 
     Doors' leaves count as shut, as open, and as walls whenever they can be seen so.

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from impslam.studies.base import Table
 from impslam.studies.extractor_stats import Tally, mean, rms, typical_ratio
+from impslam.studies.report import ResultTable
 
 NAMES = {"wall": "Walls", "cylinder": "Cylinders"}
 OTHER = {"wall": "doors, boxes", "cylinder": "legs"}
@@ -20,7 +20,7 @@ Speeds = Mapping[str, Mapping[str, float]]
 """Scans per second by extractor and condition."""
 
 
-def detection_table(kind: str, tallies: Tallies, speeds: Speeds) -> Table:
+def detection_table(kind: str, tallies: Tallies, speeds: Speeds) -> ResultTable:
     """Return speed, what was found and what was not there, by extractor and condition."""
     fastest = {
         condition: max(one[condition] for one in speeds.values())
@@ -42,7 +42,9 @@ def detection_table(kind: str, tallies: Tallies, speeds: Speeds) -> Table:
     header += [f"{OTHER[kind]}/scan", "false/scan"]
     if whole:
         header.insert(5, "of whole ones %")
-    return Table(f"{NAMES[kind]}: what is found", header, rows, text=2, note=DETECTION_NOTE[kind])
+    return ResultTable(
+        f"{NAMES[kind]}: what is found", header, rows, text=2, note=DETECTION_NOTE[kind]
+    )
 
 
 def _rates(tally: Tally, whole: bool) -> list[str]:
@@ -51,7 +53,7 @@ def _rates(tally: Tally, whole: bool) -> list[str]:
     return [f"{100 * share:.1f}" for share, _ in shares] + [f"{rate:.2f}" for rate in rates]
 
 
-def accuracy_table(kind: str, tallies: Tallies) -> Table:
+def accuracy_table(kind: str, tallies: Tallies) -> ResultTable:
     """Return errors against the bound, a row for each extractor and condition."""
     columns = WALL_COLUMNS if kind == "wall" else CYLINDER_COLUMNS
     rows = [
@@ -60,7 +62,7 @@ def accuracy_table(kind: str, tallies: Tallies) -> Table:
         for condition, tally in conditions.items()
     ]
     header = ["Extractor", "Scans", *columns]
-    return Table(f"{NAMES[kind]}: how well", header, rows, text=2, note=ACCURACY_NOTE[kind])
+    return ResultTable(f"{NAMES[kind]}: how well", header, rows, text=2, note=ACCURACY_NOTE[kind])
 
 
 Column = Callable[[Tally], tuple[float, float]]

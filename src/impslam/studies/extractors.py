@@ -21,7 +21,6 @@ from impslam.component import build, components
 from impslam.config import load
 from impslam.extractors.base import Extractor
 from impslam.simulation.world import load_world
-from impslam.studies.base import Job, Part, Picture
 from impslam.studies.extractor_scores import judge, known_association
 from impslam.studies.extractor_stats import Tally
 from impslam.studies.extractor_tables import (
@@ -29,6 +28,7 @@ from impslam.studies.extractor_tables import (
     detection_table,
     figures,
 )
+from impslam.studies.job import Job
 from impslam.studies.labelled_scans import (
     DRIVING,
     PEOPLE,
@@ -36,6 +36,7 @@ from impslam.studies.labelled_scans import (
     LabelledScan,
     labelled_scans,
 )
+from impslam.studies.report import Picture, Section
 from impslam.types import Scan
 
 SEEDS = 3
@@ -59,15 +60,15 @@ Tallies: TypeAlias = dict[str, dict[str, Tally]]
 """By contender and condition."""
 
 
-def extractors(job: Job) -> Part:
+def extractors(job: Job) -> Section:
     """Compare all wall and all cylinder extractors; `Job.seeds` times three worlds."""
     items = [(seed, world) for seed in range(job.seeds or SEEDS) for world in WORLDS]
     parts = job.map(compare, items, "labelled scans")
     tallies = {kind: _merged([part[kind] for part in parts]) for kind in KINDS}
-    job.tick("speed", 0, 1)
+    job.progress("speed", 0, 1)
     speeds = {kind: _speeds(kind) for kind in KINDS}
-    job.tick("speed", 1, 1)
-    return Part(
+    job.progress("speed", 1, 1)
+    return Section(
         "extractors",
         "Extractors compared",
         TEXT,

@@ -1,4 +1,4 @@
-"""Are the filters' uncertainties true, and what do they waste? A Monte Carlo study.
+"""Monte Carlo study of the consistency and the efficiency of filters.
 
 Every filter runs over the same data (see `circle_simulation`). What is reported of it:
 
@@ -7,7 +7,7 @@ Every filter runs over the same data (see `circle_simulation`). What is reported
   of a run are far from independent, for the first step's heading error stays: its mean square over the
   runs, `first_turn`, ideally 1, scatters by sqrt(2 / runs) and lifts or lowers all steps alike. So the
   share is 95 % on average over studies, not in each;
-- how far the luck of the runs may have moved these figures: 95 % intervals by the bootstrap over runs;
+- 95 % intervals of these figures by the bootstrap over runs;
 - at check points, the NEES of landmarks (ideally 2) and the normalised innovation squared of a whole
   scan over its dimension (NIS, ideally 1);
 - the root mean square errors (RMSE) of position and heading, and their ratio to the batch optimum's of
@@ -16,7 +16,7 @@ Every filter runs over the same data (see `circle_simulation`). What is reported
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeAlias
@@ -27,14 +27,12 @@ from impslam.component import build
 from impslam.evaluation.consistency import nees, pose_errors, resampled_means, share_within
 from impslam.filters.base import Filter
 from impslam.studies.batch_optimum import optima
-from impslam.studies.circle_simulation import START_SIGMA, Drive, Setting, simulate
+from impslam.studies.circle_simulation import HUANG, START_SIGMA, Setting, Trial, simulate
+from impslam.studies.job import Job
 from impslam.types import Array, Increment, Match, Observation
 
 Run: TypeAlias = tuple[Array, float]
 """Figures (estimators, 6, steps) of one run, and its first turn."""
-Share: TypeAlias = Callable[[Callable[[int], Run], Iterable[int]], Iterable[Run]]
-"""Does work on items, like `map`: in turn, or shared out to processes; the results in order."""
-
 BATCH = "batch optimum"
 CHECK_EVERY = 40
 """Steps from one check point to the next: a batch optimum costs as much as 30 steps of a filter."""
@@ -60,7 +58,7 @@ Interval: TypeAlias = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class Intervals:
     """The 95 % intervals of some figures of a row, by the bootstrap over runs."""
 
     nees: Interval
@@ -70,7 +68,7 @@ class Spread:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class FilterResult:
     """One estimator's figures over all steps; the ratios are at check points."""
 
     name: str
@@ -83,11 +81,11 @@ class Row:
     position_ratio: float
     heading_ratio: float
     apart: float  # m
-    spread: Spread
+    spread: Intervals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Study:
+class FilterStudy:
     """What came out: a row and curves for each filter, the batch optimum last.
 
     `first_turn` is the mean square of the first heading error over its variance: luck, which every
@@ -98,7 +96,7 @@ class Study:
     runs: int
     seed: int
     first_turn: float
-    rows: tuple[Row, ...]
+    rows: tuple[FilterResult, ...]
     curves: Mapping[str, Curves]
 
 
@@ -106,27 +104,27 @@ def consistency_study(
     filters: Sequence[Mapping[str, Any] | str] = ("ekf", "fej", "oc", "riekf"),
     runs: int = 50,
     seed: int = 0,
-    setting: Setting | None = None,
-    share: Share = map,
-) -> Study:
+    setting: Setting = HUANG,
+    job: Job | None = None,
+    stage: str = "filters",
+) -> FilterStudy:
     """Run every filter over the same simulated runs and compare it with the truth.
 
     Parameters
     ----------
     filters : names of filters, or config tables with `kind` and parameters
     runs : number of simulated runs; run r's noise depends on (seed, r) alone
-    share : to share the runs out to processes; the result does not depend on it
+    job : processes and progress; its number of seeds does not matter here
 
     Raises
     ------
     ConfigError
         If a filter does not exist or refuses its parameters.
     """
-    setting = setting or Setting()
     tables = [{"kind": f} if isinstance(f, str) else dict(f) for f in filters]
     for table in tables:
         build("filter", table)
-    results = list(share(partial(_one_run, tables, setting, seed), range(runs)))
+    results = (job or Job()).map(partial(_one_run, tables, setting, seed), range(runs), stage)
     squares = np.array([figures for figures, _ in results])  # (runs, estimators, figures, steps)
     first_turn = float(np.mean([turn**2 for _, turn in results]))
     curves, rows = {}, []
@@ -135,7 +133,7 @@ def consistency_study(
     for i, (name, curve) in enumerate(curves.items()):
         spread = _spread(squares[:, i, :3], np.random.default_rng([seed, runs]))
         rows.append(_row(name, curve, curves[BATCH], runs, spread))
-    return Study(setting, runs, seed, first_turn, tuple(rows), curves)
+    return FilterStudy(setting, runs, seed, first_turn, tuple(rows), curves)
 
 
 def _curves(mean: Array) -> Curves:
@@ -148,13 +146,13 @@ def _label(table: Mapping[str, Any]) -> str:
     return f"{table['kind']} ({given})" if given else str(table["kind"])
 
 
-def _row(name: str, curve: Curves, batch: Curves, runs: int, spread: Spread) -> Row:
+def _row(name: str, curve: Curves, batch: Curves, runs: int, spread: Intervals) -> FilterResult:
     check, asked = np.isfinite(batch.nees), np.isfinite(curve.nees)
     position, heading = (
         (_rms(a[asked]), _rms(a[check]) / _rms(b[check]))
         for a, b in ((curve.position, batch.position), (curve.heading, batch.heading))
     )
-    return Row(
+    return FilterResult(
         name,
         float(curve.nees[asked].mean()),
         share_within(curve.nees[asked], runs, 3),
@@ -169,12 +167,12 @@ def _row(name: str, curve: Curves, batch: Curves, runs: int, spread: Spread) -> 
     )
 
 
-def _spread(squares: Array, rng: np.random.Generator) -> Spread:
+def _spread(squares: Array, rng: np.random.Generator) -> Intervals:
     """Return the intervals of what squares (runs, 3, steps) of NEES, position and heading give."""
     runs = len(squares)
     asked = np.isfinite(squares[0, 0])
     nees, position, heading = (resampled_means(squares[:, k, asked], rng) for k in range(3))
-    return Spread(
+    return Intervals(
         _interval(nees.mean(axis=1)),
         _interval(np.array([share_within(means, runs, 3) for means in nees])),
         _interval(np.sqrt(position.mean(axis=1))),
@@ -193,20 +191,20 @@ def _rms(values: Array) -> float:
 
 def _one_run(tables: Sequence[Mapping[str, Any]], setting: Setting, seed: int, run: int) -> Run:
     """Return (filters + 1, 6, steps), which average to `Curves`, batch last; and the first turn."""
-    drive = simulate(setting, np.random.default_rng([seed, run]))
+    trial = simulate(setting, np.random.default_rng([seed, run]))
     checks = range(CHECK_EVERY, setting.steps, CHECK_EVERY)
     out = np.full((len(tables) + 1, 6, setting.steps), np.nan)
     best = np.full((setting.steps, 2), np.nan)
-    for optimum in optima(setting, drive, checks):
+    for optimum in optima(setting, trial, checks):
         best[optimum.step] = optimum.pose[:2]
-        _judge_pose(out[-1], drive.truth, best, *optimum)
+        _score_pose(out[-1], trial.truth, best, *optimum)
     for figures, table in zip(out, tables, strict=False):
-        for k, (belief, which, nis) in enumerate(follow(setting, table, drive, checks), start=1):
-            _judge_pose(figures, drive.truth, best, k, belief.pose, belief.covariance)
+        for k, (belief, which, nis) in enumerate(follow(setting, table, trial, checks), start=1):
+            _score_pose(figures, trial.truth, best, k, belief.pose, belief.covariance)
             if k in checks:
                 figures[3, k] = _landmark_nees(belief, setting.ring(), which)
                 figures[4, k] = nis
-    return out, drive.first_turn(setting)
+    return out, trial.first_turn(setting)
 
 
 def _landmark_nees(belief: Filter, places: Array, which: Mapping[int, int]) -> float:
@@ -216,7 +214,7 @@ def _landmark_nees(belief: Filter, places: Array, which: Mapping[int, int]) -> f
     return float(nees(errors, np.array([landmark.covariance for landmark in found])).mean())
 
 
-def _judge_pose(
+def _score_pose(
     figures: Array, truth: Array, best: Array, k: int, pose: Array, covariance: Array
 ) -> None:
     error = pose_errors(pose[None], truth[k, None])
@@ -227,7 +225,7 @@ def _judge_pose(
 
 
 def follow(
-    setting: Setting, table: Mapping[str, Any], drive: Drive, checks: Sequence[int] = ()
+    setting: Setting, table: Mapping[str, Any], trial: Trial, checks: Sequence[int] = ()
 ) -> Iterator[tuple[Filter, Mapping[int, int], float]]:
     """Run a filter, built from its config table, over the data with known association.
 
@@ -239,12 +237,12 @@ def follow(
     """
     belief: Filter = build("filter", table)
     models = {"point": build("landmark", {"kind": "point"})}
-    belief.start(drive.truth[0], START_SIGMA**2 * np.eye(3), models)
+    belief.start(trial.truth[0], START_SIGMA**2 * np.eye(3), models)
     Q, R = np.diag(setting.motion_sigmas**2), setting.sigma**2 * np.eye(2)
     ids: dict[int, int] = {}  # by the landmark's number
-    for k, d_pose in enumerate(drive.felt, start=1):
-        visible = np.flatnonzero(drive.in_range[k - 1]).tolist()
-        seen = {i: Observation("point", drive.seen[k - 1, i], R) for i in visible}
+    for k, d_pose in enumerate(trial.odometry, start=1):
+        visible = np.flatnonzero(trial.in_range[k - 1]).tolist()
+        seen = {i: Observation("point", trial.measurements[k - 1, i], R) for i in visible}
         old, new = [i for i in seen if i in ids], [i for i in seen if i not in ids]
         observations = [seen[i] for i in old]
         matches = [Match(a, ids[i], R[0], R, 0.0) for a, i in enumerate(old)]

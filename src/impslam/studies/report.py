@@ -1,0 +1,184 @@
+"""What a study reports: sections of tables, pictures and numbers, and the files they are written to.
+
+The files are one HTML page that needs nothing else, the same as Markdown, a PNG for each picture, all
+numbers as JSON, and the runs of each sweep as CSV.
+"""
+
+from __future__ import annotations
+
+import base64
+import csv
+import json
+import math
+import tomllib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, TypeAlias, TypeVar
+
+from impslam import __version__
+from impslam.observers.page import escape, page, section, table
+from impslam.studies.job import Job
+from impslam.studies.sweep import Row
+
+PAGE, MARKDOWN, NUMBERS = "report.html", "report.md", "figures.json"
+
+TITLE = "The thesis reproduced"
+ABOUT = (
+    "“Simultaneous Localization and Mapping on an Integrated Mobile Platform” (2015): its experiments "
+    "in the simulated arena beside its print, and what the default does."
+)
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class ResultTable:
+    """A table as people read it: cells are text, with their units in the header.
+
+    The first `text` columns are words, the others numbers. `note` explains the table.
+    """
+
+    title: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    text: int = 1
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A picture: the stem of its file, the PNG, and its caption."""
+
+    name: str
+    png: bytes = field(repr=False)
+    caption: str
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One section of the page: what was done and what came out.
+
+    `numbers` are those behind the tables by name, in m, rad, s or 1, for other programs; `runs` are the
+    rows of the study's sweep.
+    """
+
+    name: str
+    title: str
+    text: str
+    tables: Sequence[ResultTable] = ()
+    pictures: Sequence[Picture] = ()
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+    runs: Sequence[Row] = ()
+
+
+Study: TypeAlias = Callable[[Job], Section]
+"""A study is a function; `impslam.cli.reproduce` knows them by name."""
+
+
+def make_table(
+    title: str,
+    groups: Mapping[Any, T],
+    columns: Mapping[str, Callable[[T], str]],
+    note: str = "",
+    labels: Sequence[str] = ("",),
+) -> ResultTable:
+    """Return a table with a row for each group: its label, then a cell for each column.
+
+    Parameters
+    ----------
+    groups : by label, or by a tuple of labels
+    columns : by header, the cell of a group
+    labels : the headers of the columns of labels
+    """
+    rows = [
+        [*((key,) if isinstance(key, str) else key), *(cell(group) for cell in columns.values())]
+        for key, group in groups.items()
+    ]
+    return ResultTable(title, [*labels, *columns], rows, len(labels), note)
+
+
+def load_text(name: str) -> dict[str, Any]:
+    """Return the texts and settings of a study, from its TOML file beside this module."""
+    text = (files("impslam.studies") / f"{name}.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)
+
+
+def plain(value: Any) -> Any:
+    """Return a number as JSON knows it: None for one that is infinite or not a number."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def write(folder: Path, sections: Sequence[Section], command: str) -> None:
+    """Write all files into a folder; `command` is the one that made them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for part in sections:
+        for picture in part.pictures:
+            (folder / f"{picture.name}.png").write_bytes(picture.png)
+        if part.runs:
+            _write_csv(folder / f"{part.name}.csv", part.runs)
+    numbers = {part.name: part.numbers for part in sections}
+    facts = json.dumps({"command": command, "version": __version__, **numbers}, indent=2)
+    made = f"Made by <code>{escape(command)}</code>, impslam {escape(__version__)}."
+    heading = f"<header><h1>{TITLE}</h1><p>{ABOUT} {made}</p></header>"
+    texts = {
+        NUMBERS: facts + "\n",
+        PAGE: page(f"{TITLE} · impslam", [heading, *map(_html, sections)]),
+        MARKDOWN: f"# {TITLE}\n\n{ABOUT} Made by\n\n```sh\n{command}\n```\n\n"
+        + "\n".join(map(_markdown, sections)),
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+def _write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """Write a table with a line for each run; arrays are left out."""
+    names = dict.fromkeys(
+        name for row in rows for name, v in row.items() if not hasattr(v, "shape")
+    )
+    with path.open("w", encoding="utf-8", newline="") as file:
+        lines = csv.writer(file, lineterminator="\n")
+        lines.writerow(names)
+        lines.writerows([_csv_cell(row.get(name, "")) for name in names] for row in rows)
+
+
+def _csv_cell(value: Any) -> Any:
+    return ";".join(map(str, value)) if isinstance(value, tuple | list) else value
+
+
+def _html(part: Section) -> str:
+    paragraphs = "".join(f"<p>{escape(text)}</p>" for text in part.text.split("\n\n"))
+    inner = [f'<div class="text">{paragraphs}</div>']
+    inner += map(_html_table, part.tables)
+    inner += map(_html_picture, part.pictures)
+    return section(part.title, *inner)
+
+
+def _html_table(shown: ResultTable) -> str:
+    note = f'<p class="note">{escape(shown.note)}</p>' if shown.note else ""
+    return f"<h2>{escape(shown.title)}</h2>{note}" + table(shown.header, shown.rows, shown.text)
+
+
+def _html_picture(shown: Picture) -> str:
+    data = base64.b64encode(shown.png).decode()
+    return (
+        f'<figure class="picture"><img class="map" alt="{escape(shown.caption)}" '
+        f'src="data:image/png;base64,{data}"><figcaption>{escape(shown.caption)}</figcaption></figure>'
+    )
+
+
+def _markdown(part: Section) -> str:
+    blocks = [f"## {part.title}", part.text]
+    for shown in part.tables:
+        blocks += [f"**{shown.title}**", _markdown_table(shown), shown.note]
+    blocks += [f"![{p.name}]({p.name}.png)\n\n{p.caption}" for p in part.pictures]
+    return "\n\n".join(filter(None, blocks)) + "\n"
+
+
+def _markdown_table(shown: ResultTable) -> str:
+    rule: Iterable[str] = ("---" if i < shown.text else "---:" for i in range(len(shown.header)))
+    return "\n".join(
+        "| " + " | ".join(str(cell).replace("|", "\\|") for cell in row) + " |"
+        for row in (shown.header, rule, *shown.rows)
+    )

@@ -1,0 +1,242 @@
+"""Run SLAM over presets x settings x worlds x seeds, and tabulate the errors: one row per run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import chain
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from impslam.config import Config, load
+from impslam.evaluation.consistency import chi2_bounds, nees, pose_errors
+from impslam.pipeline import Pipeline
+from impslam.simulation.robot import SimulatedRobot
+from impslam.simulation.simulate import simulate
+from impslam.simulation.world import World, load_world
+from impslam.studies.job import Job
+from impslam.types import Array, Landmark, Message, Observation, StepResult, TruePose
+
+Row: TypeAlias = dict[str, Any]
+"""A run in the table: world, variant, seed, error (why it failed, or ""), then its metrics."""
+
+ROBOT = SimulatedRobot(imu=None, truth_rate=1.0)
+"""The default robot without what no preset listens to, which saves a second a run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One way to map: a preset, settings on top of it, and the robot that is simulated for it."""
+
+    name: str
+    preset: str = "imp"
+    settings: tuple[str, ...] = ()
+    robot: SimulatedRobot = ROBOT
+
+    def config(self, world: World, seed: int) -> Config:
+        """Return the config, with the start of the world's drive."""
+        start = list(map(float, world.robot.start))
+        return load(self.preset, [f"start={start}", f"seed={seed}", *self.settings])
+
+
+class Promotion(NamedTuple):
+    """A landmark's entry into the map: the observation that made it."""
+
+    id: int
+    stamp: float
+    observation: Observation
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One drive through a world, mapped by one variant.
+
+    Attributes
+    ----------
+    messages : what the robot recorded
+    truth : (n, 3) true poses in map at the stamps of the n steps
+    steps : n results, without their scans
+    landmarks : the map at the end
+    promotions : of all landmarks that were ever in the map
+    """
+
+    world: World
+    variant: Variant
+    seed: int
+    messages: Sequence[Message]
+    truth: Array
+    steps: Sequence[StepResult]
+    landmarks: tuple[Landmark, ...]
+    promotions: Sequence[Promotion]
+
+    @cached_property
+    def path(self) -> Array:
+        """Estimated poses (n, 3) in map."""
+        return np.array([step.pose for step in self.steps])
+
+    @cached_property
+    def odometry(self) -> Array:
+        """Poses (n, 3) by dead reckoning, in map."""
+        return np.array([step.odometry for step in self.steps])
+
+    @cached_property
+    def errors(self) -> Array:
+        """Distances (n,) of the path from the truth, m; both begin at one pose, nothing is aligned."""
+        return np.asarray(np.hypot(*(self.path - self.truth)[:, :2].T))
+
+    @cached_property
+    def nees(self) -> Array:
+        """Normalised errors squared (n,) of the poses."""
+        covariances = np.array([step.covariance for step in self.steps])
+        return nees(pose_errors(self.path, self.truth), covariances)
+
+    @cached_property
+    def travelled(self) -> Array:
+        """How far the robot had driven at each step, (n,) m."""
+        return np.cumsum(
+            np.hypot(*np.diff(self.truth[:, :2], axis=0, prepend=self.truth[:1, :2]).T)
+        )
+
+
+def map_run(messages: Sequence[Message], world: World, variant: Variant, seed: int) -> Run:
+    """Map what the robot recorded."""
+    pipeline = Pipeline(variant.config(world, seed))
+    truth = {m.stamp: m.pose for m in messages if isinstance(m, TruePose)}
+    steps, promotions = [], []
+    for step in pipeline.play(messages):
+        steps.append(replace(step, scan=None))
+        for number, observation in zip(step.new, step.born, strict=True):
+            seen = step.observations[observation]
+            promotions.append(Promotion(number, step.stamp, seen))
+    true = np.array([truth[step.stamp] for step in steps])
+    landmarks = pipeline.slam.landmarks()
+    return Run(world, variant, seed, messages, true, steps, landmarks, promotions)
+
+
+def simulate_and_map(world: World, variants: Sequence[Variant], seed: int) -> dict[str, Run]:
+    """Simulate one seed and map it by several variants of the same robot; by the variant's name."""
+    messages = list(simulate(world, variants[0].robot, seed))
+    return {variant.name: map_run(messages, world, variant, seed) for variant in variants}
+
+
+def path_metrics(run: Run) -> Row:
+    """Return the errors of a run's path, in m, and its NEES.
+
+    `end` is the distance of the last pose from the truth, `ate` the root mean square of all;
+    `odometry_*` are those of dead reckoning. `nees` is the mean over the steps, 3 if consistent;
+    `nees_within` the share of steps below 7.81, where 95 % are to be.
+    """
+    odometry = np.hypot(*(run.odometry - run.truth)[:, :2].T)
+    return {
+        "travelled": float(run.travelled[-1]),
+        "end": float(run.errors[-1]),
+        "ate": float(np.sqrt(np.mean(run.errors**2))),
+        "odometry_end": float(odometry[-1]),
+        "odometry_ate": float(np.sqrt(np.mean(odometry**2))),
+        "nees": float(run.nees.mean()),
+        "nees_within": float(np.mean(run.nees <= chi2_bounds(3, confidence=0.9)[1])),
+    }
+
+
+def no_metrics(run: Run) -> Row:
+    """Return nothing beyond `path_metrics`."""
+    del run
+    return {}
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """The variants that map one simulated drive."""
+
+    world: World
+    seed: int
+    variants: tuple[Variant, ...]
+    measure: Callable[[Run], Row]
+
+
+def sweep(
+    variants: Sequence[Variant],
+    seeds: Iterable[int],
+    worlds: Iterable[str | World] = ("arena",),
+    measure: Callable[[Run], Row] = no_metrics,
+    job: Job | None = None,
+    stage: str = "simulate and map",
+) -> list[Row]:
+    """Simulate every world with every seed, map it by every variant, and return a row for each run.
+
+    Variants of the same robot map the same messages. The rows are ordered by world, seed and variant,
+    whatever the number of processes. A run that fails has a row too: its `error` says why, and it has
+    no metrics.
+
+    Parameters
+    ----------
+    measure : returns metrics beyond `path_metrics`; must be picklable
+    job : processes and progress; its number of seeds does not matter here
+
+    Raises
+    ------
+    ConfigError
+        If a variant's preset or settings cannot be used, before anything runs.
+    """
+    known = [load_world(world) if isinstance(world, str) else world for world in worlds]
+    for world in known:
+        for variant in variants:
+            variant.config(world, 0)
+    robots = list({id(v.robot): v.robot for v in variants}.values())
+    groups = [tuple(v for v in variants if v.robot is robot) for robot in robots]
+    tasks = [
+        _Task(world, seed, group, measure)
+        for world in known
+        for seed in list(seeds)
+        for group in groups
+    ]
+    return list(chain.from_iterable((job or Job()).map(_run_task, tasks, stage)))
+
+
+def _run_task(task: _Task) -> list[Row]:
+    messages = list(simulate(task.world, task.variants[0].robot, task.seed))
+    return [_row(task, messages, variant) for variant in task.variants]
+
+
+def _row(task: _Task, messages: Sequence[Message], variant: Variant) -> Row:
+    row = {"world": task.world.name, "variant": variant.name, "seed": task.seed, "error": ""}
+    try:
+        run = map_run(messages, task.world, variant, task.seed)
+        return row | path_metrics(run) | task.measure(run)
+    except Exception as error:  # hours of other runs are not lost for one
+        return row | {"error": f"{type(error).__name__}: {error}"}
+
+
+def by_variant(rows: Iterable[Row]) -> dict[str, list[Row]]:
+    """Return the rows of the runs that did not fail, by the name of the variant."""
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        if not row["error"]:
+            groups.setdefault(row["variant"], []).append(row)
+    return groups
+
+
+def failures(rows: Iterable[Row]) -> str:
+    """Return a sentence on the runs that failed; empty if none did."""
+    lost = [row for row in rows if row["error"]]
+    told = "; ".join(f"{r['world']}, {r['variant']}, seed {r['seed']}: {r['error']}" for r in lost)
+    return f"{len(lost)} runs failed and are left out ({told})." if lost else ""
+
+
+def grid(presets: Sequence[str], settings: Mapping[str, Sequence[str]]) -> list[Variant]:
+    """Return a variant for every preset and every named list of settings.
+
+    The preset is part of the name where there are several.
+    """
+    return [
+        Variant(name if len(presets) == 1 else f"{preset} {name}".strip(), preset, tuple(values))
+        for preset in presets
+        for name, values in settings.items()
+    ]
+
+
+def median_row(rows: Sequence[Row], metric: str = "end") -> Row:
+    """Return the row whose metric is the (lower) median one."""
+    return sorted(rows, key=lambda row: float(row[metric]))[(len(rows) - 1) // 2]

@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+from impslam.columns import messages
 from impslam.errors import ImpError
 from impslam.platform.devices.base import Reading, now
 from impslam.platform.station.recorder import LogRecorder
@@ -115,9 +116,9 @@ def kill_once(seed: int) -> float:
 def _end(log: Path, begun: float) -> float:
     """Return when the log ends; `AssertionError` if anything before that is missing or changed."""
     with recognise(log)(path=log) as source:
-        counts = {stream.topic: stream.count for stream in source.streams()}
-        messages = list(source)
-    wheels = [message for message in messages if isinstance(message, WheelAngles)]
+        counts = {stream.name: stream.count for stream in source.streams()}
+        read = list(messages(source.batches()))
+    wheels = [message for message in read if isinstance(message, WheelAngles)]
     n = len(wheels)
     assert [wheel.left for wheel in wheels] == [0.1 * (i + 1) for i in range(n)], "wheels missing"
     for topic in FAST if n else ():

@@ -25,6 +25,7 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.real_logs import Run, final_covariance, run_log  # noqa: E402  found from the root of the project
 
+from impslam.columns import messages  # noqa: E402  from the root
 from impslam.evaluation.colours import ODOMETRY, PATH, POINT, TRUTH  # noqa: E402
 from impslam.evaluation.consistency import chi2_bounds  # noqa: E402
 from impslam.evaluation.landmarks import LandmarkScore, score_landmarks  # noqa: E402
@@ -70,7 +71,8 @@ class Outdoor:
 def score(seen: Run, log: Path) -> Outdoor:
     """Score a run by the fixes and beacons in its log."""
     with recognise(log)(path=log) as source:
-        fixes = np.array([[m.stamp, *m.pose] for m in source if isinstance(m, TruePose)])
+        read = messages(source.batches())
+        fixes = np.array([[m.stamp, *m.pose] for m in read if isinstance(m, TruePose)])
         known = tuple(source.true_landmarks())
     path, errors, T_gps_map = _fit(np.array(seen.path), fixes)
     wheels, wheels_errors, _ = _fit(np.array(seen.wheels), fixes)

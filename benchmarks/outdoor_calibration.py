@@ -23,6 +23,7 @@ from scipy.optimize import least_squares, minimize
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+from impslam.columns import messages  # noqa: E402  from the root
 from impslam.evaluation.trajectory import interpolate, relative  # noqa: E402  from the root
 from impslam.extractors.reflector import Reflector  # noqa: E402
 from impslam.geometry.se2 import rotation  # noqa: E402
@@ -58,7 +59,7 @@ def read(log: Path) -> Log:
     sensors = {LaserScan: lidar, Detections: RangeBearing()}
     wheels, stamps, sights, fixes = [], [], [], []
     with recognise(log)(path=log) as source:
-        for m in source:
+        for m in messages(source.batches()):
             if isinstance(m, Steering):
                 wheels.append((m.stamp, m.speed, m.angle))
             elif isinstance(m, TruePose):

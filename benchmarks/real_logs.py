@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from impslam.cli.job import execute, plan
+from impslam.columns import messages
 from impslam.config import load
 from impslam.evaluation.landmarks import LandmarkScore, score_landmarks
 from impslam.evaluation.relations import RelationErrors, read_relations, relation_errors
@@ -77,7 +78,7 @@ def final_covariance(log: Path) -> Array:
     kind = recognise(log)
     with kind(path=log) as source:
         pipeline = Pipeline(load(source.preset))
-        for _ in pipeline.play(source):
+        for _ in pipeline.play(messages(source.batches())):
             pass
     covariance: Array = pipeline.slam.filter.belief.covariance  # type: ignore[attr-defined]  # EKF's
     return covariance
@@ -117,7 +118,8 @@ def turtlebot3(data: Path, folder: Path | None = None) -> tuple[Run, Score]:
     log = data / "turtlebot3" / "turtlebot3.bag"
     seen = run_log(log, "turtlebot3-waffle", folder=folder)
     with recognise(log)(path=log) as source:
-        truth = [[m.stamp, *m.pose] for m in source if isinstance(m, OdometryPose)]
+        read = messages(source.batches())
+        truth = [[m.stamp, *m.pose] for m in read if isinstance(m, OdometryPose)]
     grid = (-1.1, 0.0, 1.1)
     return seen, score(seen, np.array(truth), np.array([[x, y] for x in grid for y in grid]))
 

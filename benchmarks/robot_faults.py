@@ -123,8 +123,8 @@ def turn(station: Station, imp: VirtualRobot, times: int, seed: int, out: dict, 
 
 def read(log: Path) -> tuple[dict[str, int], dict[str, int]]:
     with RosBag(path=log) as source:
-        counts = {stream.topic: stream.count or 0 for stream in source.streams()}
-        for _ in source:
+        counts = {stream.name: stream.count or 0 for stream in source.streams()}
+        for _ in source.batches():
             pass
         return counts, dict(source.problems.counts)
 

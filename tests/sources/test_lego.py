@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from tests.sources.logs import read, write_lego
 
+from impslam.columns import messages
 from impslam.errors import SourceError
 from impslam.sources.lego import Lego
 from impslam.types import LaserScan, WheelAngles
@@ -26,14 +27,14 @@ def test_both_files_are_merged_by_time(tmp_path: Path, newline: str) -> None:
 
 def test_position_runs_to_the_total(tmp_path: Path) -> None:
     with Lego(path=write_lego(tmp_path / "robot")) as source:
-        steps = [source.position for _ in source]
+        steps = [source.position for _ in messages(source.batches(1))]
         assert source.position == source.total
     assert steps == sorted(steps)
 
 
 def test_streams_show_the_reference_as_unused(tmp_path: Path) -> None:
     with Lego(path=write_lego(tmp_path / "robot")) as source:
-        shown = {s.topic: (s.count, s.used) for s in source.streams()}
+        shown = {s.name: (s.count, s.used) for s in source.streams()}
     assert shown == {
         "run_motors.txt": (4, True),
         "run_scan.txt": (3, True),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.sources.logs import MRCLAM, read, write_mrclam
 
+from impslam.columns import messages
 from impslam.errors import SourceError
 from impslam.sources.mrclam import Mrclam
 from impslam.types import Detections, TruePose, Velocity
@@ -61,9 +62,9 @@ def test_the_robot_is_chosen_by_parameter_or_by_a_file_of_its(tmp_path):
     assert Mrclam(path=folder / "Robot4_Odometry.dat")._number == 4
     assert Mrclam.recognises(folder / "Robot4_Measurement.dat")
     with Mrclam(path=folder, robot=4) as source:
-        assert not of(list(source), TruePose)  # without a tracked path
+        assert not of(list(messages(source.batches())), TruePose)  # without a tracked path
         others = [s for s in source.streams() if s.note == "--set source.robot=2"]
-        assert [s.topic for s in others] == ["Robot2_*.dat"]
+        assert [s.name for s in others] == ["Robot2_*.dat"]
 
 
 def test_a_robot_that_is_not_there_is_refused_with_those_that_are(tmp_path):
@@ -78,7 +79,7 @@ def test_true_landmarks_and_position(tmp_path):
             ("6", "point", 1.0, 2.0),
             ("7", "point", -1.5, 0.5),
         ]
-        steps = [source.position for _ in source]
+        steps = [source.position for _ in messages(source.batches(1))]
         assert steps == sorted(steps)
         assert source.position == source.total
 

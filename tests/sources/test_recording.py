@@ -11,6 +11,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from tests.sources.logs import assert_same, messages, read, write_mcap
 
+from impslam import columns
 from impslam.errors import MessageError, SourceError
 from impslam.sources.base import recognise
 from impslam.sources.recording import McapWriter
@@ -97,7 +98,7 @@ def _peaks(path: Path, n: int, ranges: np.ndarray) -> list[int]:
     peaks.append(tracemalloc.get_traced_memory()[1])
     tracemalloc.reset_peak()
     with recognise(path)(path=path) as source:
-        assert sum(1 for _ in source) == n
+        assert sum(1 for _ in columns.messages(source.batches(64))) == n
     peaks.append(tracemalloc.get_traced_memory()[1])
     tracemalloc.stop()
     return peaks

@@ -7,6 +7,7 @@ import pytest
 from tests.sources.bags import ROS1, ROS2, bag, image, joints, odometry, scan
 from tests.sources.logs import messages, read, write_mcap
 
+from impslam import columns
 from impslam.errors import SourceError
 from impslam.sources.base import recognise
 from impslam.sources.recording import McapWriter
@@ -49,12 +50,10 @@ def test_the_fullest_topic_of_a_type_is_taken_and_it_says_so(tmp_path: Path) -> 
     assert [m.stamp for m in read(path, topics={"scan": "/b"})[0]] == [1.5]
     assert read(path, topics={"scan": ""})[0] == []
     with RosBag(path=path) as source:
-        shown = {s.topic: (s.used, s.note) for s in source.streams()}
+        shown = {s.name: (s.used, s.note) for s in source.streams()}
         assert source.total == 2
-    assert shown == {
-        "/a": (True, "scan"),
-        "/b": (False, "scan is /a; set topics.scan to use this one"),
-    }
+        said = "not read: scan is /a; set topics.scan to use this one instead, or name it"
+        assert shown == {"/a": (True, "scan"), "/b": (False, f"{said} in source.wanted")}
 
 
 def test_equal_counts_are_settled_by_name(tmp_path: Path) -> None:
@@ -146,19 +145,30 @@ def test_a_file_cut_by_loss_of_power_is_read_as_far_as_it_goes(tmp_path: Path) -
     assert source.preset == "imp"
 
 
+def test_a_second_lidar_is_a_stream_of_its_own_where_it_is_wanted(tmp_path: Path) -> None:
+    path = bag(tmp_path / "b", ("/b", scan(ROS2)), ("/a", scan(ROS2, 2.5)), ("/a", scan(ROS2, 3.5)))
+    with RosBag(path=path, wanted=("/b",)) as source:
+        shown = {s.name: (s.used, s.default, s.note) for s in source.streams()}
+        assert shown == {"/a": (True, True, "scan"), "/b": (True, False, "scan")}
+        assert source.defaults() == {LaserScan: "/a"}
+        assert source.total == 3
+        (batch,) = source.batches()
+    assert {name: c.stamps.tolist() for name, c in batch.items()} == {"/a": [2.5, 3.5], "/b": [1.5]}
+
+
 def test_what_cannot_be_opened_says_what_to_do(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap")
     path.write_bytes(path.read_bytes()[:12])
     with pytest.raises(SourceError, match=r"a\.mcap: cannot be opened .*repair it with"):
         RosBag(path=path).__enter__()
     with pytest.raises(SourceError, match="not open"):
-        list(RosBag(path=path))
+        next(RosBag(path=path).batches())
 
 
 def test_progress_runs_to_the_total(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap")
     with recognise(path)(path=path) as source:
-        steps = [source.position for _ in source]
+        steps = [source.position for _ in columns.messages(source.batches(1))]
         assert source.total == source.position == len(messages())
     assert steps == list(range(1, len(messages()) + 1))
 

@@ -47,7 +47,7 @@ def inspect(
 def _show_streams(streams: list[Stream]) -> None:
     rows = [
         (
-            s.topic,
+            s.name,
             s.type,
             "yes" if s.used else "no",
             s.note,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from impslam.columns import messages
 from impslam.errors import MessageError
 from impslam.robot import Robot
 from impslam.sensors.lidar2d import Lidar2D
@@ -103,15 +104,18 @@ class Survey:
 
     def read(self, source: Source) -> Iterator[float]:
         """Take in an open log; yields the stamps, for whoever shows progress."""
-        for message in source:
-            self.clocks.setdefault(type(message).__name__, Clock()).add(message.stamp)
-            if isinstance(message, LaserScan):
-                sensor = self._robot.sensor_for(message)
-                self.beams.add(message, sensor if isinstance(sensor, Lidar2D) else None)
-            if self._robot.feels(message):
-                self._feel(message)
+        for message in messages(source.batches()):
+            self._add(message)
             yield message.stamp
         self._judge()
+
+    def _add(self, message: Message) -> None:
+        self.clocks.setdefault(type(message).__name__, Clock()).add(message.stamp)
+        if isinstance(message, LaserScan):
+            sensor = self._robot.sensor_for(message)
+            self.beams.add(message, sensor if isinstance(sensor, Lidar2D) else None)
+        if self._robot.feels(message):
+            self._feel(message)
 
     def _feel(self, message: Message) -> None:
         try:

@@ -26,13 +26,16 @@ from pydantic import PrivateAttr
 
 from impslam.component import register
 from impslam.errors import MessageError, SourceError
-from impslam.sources.base import Located, Stream
+from impslam.sources.base import Stream
 from impslam.sources.matlab import MatlabSource, column, read_variables, same_length
+from impslam.sources.parts import Located
 from impslam.sources.text import beam_angles, beam_times, finite
 from impslam.types import Array, Detections, LaserScan, Message, Steering, TrueLandmark, TruePose
 
 STEP = math.radians(0.5)  # between beams, from right to left
 RIGHT = math.radians(-90.0)  # the first beam
+GPS = 1
+NAMES = {GPS: "GPS", 2: "wheels", 3: "laser"}  # of the carpark's sensors, by number
 RANGE_MAX = 81.0  # m; a SICK LMS says 81.91 for no echo, and other codes from 81.83 on
 
 
@@ -77,8 +80,7 @@ class Carpark(MatlabSource):
                 self._problems.add("malformed event", f"{self.path}:{number}: {error}; dropped")
             else:
                 # A GPS falls silent under trees and says so; its clock is no one's business.
-                stream = "" if isinstance(message, TruePose) else type(message).__name__
-                yield Located(message, number, stream)
+                yield Located(message, number, NAMES[sensor], checked=sensor != GPS)
 
     def _message(self, sensor: int, index: int) -> Message:
         if sensor not in self._makers or index < 0:
@@ -105,8 +107,10 @@ class Carpark(MatlabSource):
         counts = {s: sum(sensor == s for sensor, _ in self._events) for s in self._makers}
         found = [
             Stream("GPS", "TruePose", counts[1], used=False, note="positions, for scoring only"),
-            Stream("wheels", "Steering", counts[2], used=True, note="speed and steering"),
-            Stream("laser", "LaserScan", counts[3], used=True, note="SICK LMS, with brightness"),
+            Stream("wheels", "Steering", counts[2], True, "speed and steering", default=True),
+            Stream(
+                "laser", "LaserScan", counts[3], True, "SICK LMS, with brightness", default=True
+            ),
         ]
         beacons = self.true_landmarks()
         if beacons:
@@ -163,7 +167,7 @@ class Park(MatlabSource):
                 where = f"{self.path}:{number}: {stream}"
                 self._problems.add(f"malformed {stream}", f"{where}: {error}; dropped")
             else:
-                yield Located(message, number, "" if isinstance(message, TruePose) else stream)
+                yield Located(message, number, stream, checked=stream != NAMES[GPS])
 
     def _close(self) -> None:
         self._wheels = self._fixes = np.empty((0, 3))
@@ -173,12 +177,12 @@ class Park(MatlabSource):
         """Return wheels, trees, and the GPS where it is there."""
         n, fixes = len(self._wheels), len(self._fixes)
         found = [
-            Stream("u", "Steering", n, used=True, note="speed and steering"),
-            Stream("zt", "Detections", len(self._trees), used=True, note="trees"),
+            Stream("wheels", "Steering", n, True, "u: speed and steering", default=True),
+            Stream("trees", "Detections", len(self._trees), True, "zt", default=True),
         ]
         if fixes:
-            note = "positions, for scoring only"
-            found.append(Stream("timeGps, Lo_m, La_m", "TruePose", fixes, used=False, note=note))
+            note = "Lo_m, La_m: positions, for scoring only"
+            found.append(Stream("GPS", "TruePose", fixes, used=False, note=note))
         return found
 
 

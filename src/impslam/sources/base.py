@@ -1,52 +1,68 @@
-"""The role of a source: stamped messages in the order in which they happened."""
+"""The role of a source: the streams of a log as columns, in the order in which they were recorded."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import ClassVar, NamedTuple, Self
+from typing import ClassVar, Self
 
 from pydantic import PrivateAttr
 
-from impslam.component import Component, components
+from impslam.columns import ROWS, Batch
+from impslam.component import Component, components, near_miss, parameter
 from impslam.errors import SourceError
+from impslam.sources.parts import Located, Piece, cut, gather
+from impslam.sources.stamps import StampCheck
 from impslam.types import Message, TrueLandmark
-
-GAP = 10.0  # s; at walking pace a robot is then in another room, beyond what any gate bridges
 
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """One stream in a log, as `imp inspect` shows it. `count` is None where only reading tells."""
+    """One stream in a log, as `imp inspect` shows it.
 
-    topic: str
+    Attributes
+    ----------
+    name : the name of its columns, if it is read
+    type : what it is made of, in the log's own words
+    count : rows; None where only reading tells
+    used : whether it is of use for mapping, and read
+    note : what it is, and how to use it if it is not
+    default : whether it is the one to use of its kind where none is named
+    """
+
+    name: str
     type: str
     count: int | None
     used: bool
     note: str = ""
+    default: bool = False
 
 
 @dataclass(slots=True)
 class Problems:
-    """What was wrong with a log: a count and the first example of each kind of problem."""
+    """What was wrong: a count and the first example of each kind of problem."""
 
     counts: dict[str, int] = field(default_factory=dict)
     examples: dict[str, str] = field(default_factory=dict)
 
-    def add(self, kind: str, example: str) -> None:
-        """Count one problem; `example` says what, where and what to do."""
-        self.counts[kind] = self.counts.get(kind, 0) + 1
+    def add(self, kind: str, example: str, count: int = 1) -> None:
+        """Count problems of a kind; `example` says of the first what, where and what to do."""
+        self.counts[kind] = self.counts.get(kind, 0) + count
         self.examples.setdefault(kind, example)
 
 
 class Source(Component):
-    """A context manager and an iterator of messages, lazy: memory does not grow with the log.
+    """A context manager that gives a log's streams as columns, lazily: memory does not grow with it.
 
-    Messages come in file order; where a log's stamps run backwards they are not sorted. A message
-    that cannot be used is dropped and entered in `problems`.
+    Rows come in file order; where a log's stamps run backwards they are not sorted. A row that
+    cannot be used is dropped and entered in `problems`. Of each kind of stream one is given; others
+    of the kind, such as a second lidar, are given where their names are `wanted`.
+
+    A reader says what its rows are: either as messages (`_messages`), or, where they can be had
+    faster, as columns (`_parts`).
     """
 
     role: ClassVar[str] = "source"
@@ -54,6 +70,9 @@ class Source(Component):
     """The preset that fits logs of this format; a log that names its own overrides `preset`."""
 
     path: Path
+    wanted: tuple[str, ...] = parameter(
+        (), "1", "names of further streams to read, e.g. of a second lidar; imp inspect shows them"
+    )
     _problems: Problems = PrivateAttr(default_factory=Problems)
 
     @classmethod
@@ -74,9 +93,52 @@ class Source(Component):
     ) -> None:
         """Close the log."""
 
-    @abstractmethod
-    def __iter__(self) -> Iterator[Message]:  # type: ignore[override]
-        """Yield messages in file order."""
+    def batches(self, rows: int = ROWS) -> Iterator[Batch]:
+        """Yield the log as columns by the name of their stream, at most `rows` rows at a time.
+
+        Any number of rows gives the same rows in the same order. Rows from one record share its
+        stamp.
+
+        Raises
+        ------
+        SourceError
+            If the log has no stream of a name that is wanted, or it cannot be read.
+        """
+        self._check_wanted()
+        stamps = StampCheck(self.path)
+        for part in self._parts(rows):
+            for kind, example, count in stamps.check(part):
+                self._problems.add(kind, example, count)
+            yield from cut([piece.columns for piece in part], rows)
+
+    def _parts(self, rows: int) -> Iterator[list[Piece]]:
+        """Yield the rows of the log, part by part, in file order; `rows` is what a part may have."""
+        return gather(self._messages(), rows)
+
+    def _messages(self) -> Iterator[Located]:
+        """Yield the messages of the log, in file order."""
+        raise NotImplementedError
+
+    def _check_wanted(self) -> None:
+        if not self.wanted:
+            return
+        streams = {stream.name: stream for stream in self.streams()}
+        for name in self.wanted:
+            if name not in streams:
+                said = near_miss(name, list(streams))
+                raise SourceError(f"{self.path}: no stream {name!r} in source.wanted; {said}")
+            if not streams[name].used:
+                raise SourceError(
+                    f"{self.path}: stream {name!r} of type {streams[name].type} is of no use for "
+                    "mapping; take it out of source.wanted"
+                )
+
+    def defaults(self) -> Mapping[type[Message], str]:
+        """Return the stream to use where none is named, for kinds of which there may be several.
+
+        Ask while the source is open.
+        """
+        return {}
 
     def true_landmarks(self) -> list[TrueLandmark]:
         """Return the surveyed landmarks that come with the log, in its own frame; for scoring."""
@@ -108,47 +170,6 @@ class Source(Component):
     def position(self) -> int:
         """How far of `total` the iteration has come."""
         return 0
-
-
-class Located(NamedTuple):
-    """A message and where it stands in the log: its stream, and a line or message number.
-
-    Messages of one record share its stamp; all but one leave `stream` empty, so that the stamp is
-    checked once.
-    """
-
-    message: Message
-    place: int
-    stream: str = ""
-
-
-def watched(messages: Iterable[Located], problems: Problems, log: Path) -> Iterator[Message]:
-    """Pass messages on and count stamps that repeat, run backwards or leave a gap.
-
-    Each stream is a clock of its own: a scan is stamped at its first beam and arrives after wheel
-    angles that are younger. Nothing is dropped here; only the estimator knows what it can do with
-    such a message.
-    """
-    latest: dict[str, float] = {}
-    for message, place, stream in messages:
-        if stream:
-            before = latest.get(stream)
-            latest[stream] = message.stamp
-            if before is not None and not 0.0 < message.stamp - before <= GAP:
-                _enter_stamp(problems, f"{log}:{place}: {stream}", before, message.stamp)
-        yield message
-
-
-def _enter_stamp(problems: Problems, where: str, before: float, stamp: float) -> None:
-    if stamp > before:
-        problems.add("gap", f"{where} has been silent for {stamp - before:.1f} s; was it paused?")
-    elif stamp < before:
-        problems.add(
-            "backward stamp",
-            f"{where} is stamped {before - stamp:.6f} s before its predecessor; file order is kept",
-        )
-    else:
-        problems.add("repeated stamp", f"{where} has the stamp {stamp:.6f} of the one before it")
 
 
 def recognise(path: Path) -> type[Source]:

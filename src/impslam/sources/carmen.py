@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Literal
 
 from impslam.component import parameter, register
 from impslam.errors import MessageError
-from impslam.sources.base import Located, Stream
+from impslam.sources.base import Stream
+from impslam.sources.parts import Located
 from impslam.sources.text import TextSource, beam_angles, beam_times, finite, head, numbers
 from impslam.types import LaserScan, Message, OdometryPose
 
@@ -69,9 +70,11 @@ class Carmen(TextSource):
         return any(line.startswith(_OPENING) and _plausible(line) for line in head(path))
 
     def _messages(self) -> Iterator[Located]:
-        laser = self._choice()
+        choice = self._choice().encode()
         read: dict[bytes, Callable[[list[bytes]], tuple[Message, ...]]] = {b"ODOM": _odometry}
-        read[laser.encode()] = self._robot_laser if laser == "ROBOTLASER1" else self._line_laser
+        for laser in self._lasers():
+            is_robot = laser == "ROBOTLASER1"
+            read[laser.encode()] = self._robot_laser if is_robot else self._line_laser
         for number, line in self._lines(self.path):
             tokens = line.split()
             if not tokens:
@@ -80,15 +83,21 @@ class Carmen(TextSource):
             try:
                 if convert is not None:
                     *pose, last = convert(tokens)
-                    yield from (Located(message, number) for message in pose)
+                    if pose and tokens[0] == choice:  # any other laser's would say the same again
+                        yield Located(pose[0], number, "ODOM", checked=False)
                     yield Located(last, number, tokens[0].decode())
                 elif _NAME.match(line) is None:
                     self._reject("line", self.path, number, "no CARMEN message is called so")
             except (ValueError, IndexError, MessageError) as error:
                 self._reject(tokens[0].decode(), self.path, number, error)
 
+    def _lasers(self) -> list[str]:
+        """Return the names of the laser lines that are read."""
+        choice = self._choice()
+        return [choice, *(name for name in LASERS if name in self.wanted and name != choice)]
+
     def _choice(self) -> str:
-        """Return the name of the laser lines in use."""
+        """Return the name of the laser lines to use where none is named."""
         if self.laser != "auto":
             return self.laser
         found: set[bytes] = {line.split(None, 1)[0] for line in head(self.path) if line.strip()}
@@ -130,20 +139,35 @@ class Carmen(TextSource):
 
     def streams(self) -> list[Stream]:
         """Return the kinds of line, by name."""
-        choice = self._choice()
-        used = {"ODOM", choice}
+        counts, choice = self._first_words(self.path), self._choice()
+        used, default = {"ODOM", *self._lasers()}, {"ODOM", choice}
+        if counts[choice]:
+            counts["ODOM"] += counts[choice]
         return [
-            Stream(name, _TYPES.get(name, "text"), count, name in used, _note(name, choice))
-            for name, count in sorted(self._first_words(self.path).items())
+            Stream(
+                name,
+                _TYPES.get(name, "text"),
+                count,
+                name in used,
+                _note(name, choice, name in used),
+                name in default,
+            )
+            for name, count in sorted(counts.items())
             if name
         ]
 
+    def defaults(self) -> Mapping[type[Message], str]:
+        """Return the lines to use of odometry and of lasers."""
+        return {OdometryPose: "ODOM", LaserScan: self._choice()}
 
-def _note(name: str, choice: str) -> str:
+
+def _note(name: str, choice: str, is_read: bool) -> str:
     """Return what `imp inspect` says of a kind of line, where one laser is chosen."""
-    if name in LASERS and name != choice:
-        return f"{choice} is used; set laser = {name!r} to use this one"
-    return "gives odometry poses too" if name == choice else ""
+    if name == "ODOM":
+        return f"poses, those of {choice} lines among them"
+    if name not in LASERS or is_read:
+        return ""
+    return f"not read: {choice} is; set source.laser={name} to use it instead, or name it in source.wanted"
 
 
 def _odometry(tokens: list[bytes]) -> tuple[Message, ...]:

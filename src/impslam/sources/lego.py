@@ -19,7 +19,8 @@ from typing import ClassVar
 
 from impslam.component import register
 from impslam.errors import MessageError, SourceError
-from impslam.sources.base import Located, Stream
+from impslam.sources.base import Stream
+from impslam.sources.parts import Located
 from impslam.sources.text import TextSource, beam_angles, beam_times, finite, head, numbers
 from impslam.types import LaserScan, Message, WheelAngles
 
@@ -83,9 +84,14 @@ class Lego(TextSource):
         motors, scans = self._files()
         found = [
             Stream(
-                motors.name, "WheelAngles", self._first_words(motors)["M"], used=True, note="ticks"
+                motors.name,
+                "WheelAngles",
+                self._first_words(motors)["M"],
+                True,
+                "ticks",
+                default=True,
             ),
-            Stream(scans.name, "LaserScan", self._first_words(scans)["S"], used=True),
+            Stream(scans.name, "LaserScan", self._first_words(scans)["S"], True, default=True),
         ]
         for path in sorted(self.path.glob("*_reference.txt")):
             count = self._first_words(path)["P"]

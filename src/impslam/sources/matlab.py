@@ -7,7 +7,7 @@ import struct
 import warnings
 import zlib
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -18,9 +18,9 @@ import numpy.typing as npt
 from pydantic import PrivateAttr
 
 from impslam.errors import SourceError
-from impslam.sources.base import Located, Source, watched
+from impslam.sources.base import Source
 from impslam.sources.unpack import UNIT_LIMIT, LimitError
-from impslam.types import Array, Message
+from impslam.types import Array
 
 _MAGIC = b"MATLAB 5.0 MAT-file"
 _COMPRESSED = 15  # type of a variable that zlib has packed
@@ -156,10 +156,6 @@ class MatlabSource(Source):
     def _open(self, log: Path) -> int:
         """Read the log's file; return how many messages there are."""
 
-    @abstractmethod
-    def _messages(self) -> Iterator[Located]:
-        """Yield the messages in order."""
-
     def __enter__(self) -> Self:
         self._count = self._open(self._log)
         return self
@@ -175,9 +171,6 @@ class MatlabSource(Source):
     @abstractmethod
     def _close(self) -> None:
         """Let go of what was read."""
-
-    def __iter__(self) -> Iterator[Message]:  # type: ignore[override]  # not a model's fields
-        return watched(self._messages(), self._problems, self.path)
 
     @property
     def total(self) -> int | None:

@@ -26,7 +26,8 @@ import numpy as np
 
 from impslam.component import parameter, register
 from impslam.errors import MessageError, SourceError
-from impslam.sources.base import Located, Stream
+from impslam.sources.base import Stream
+from impslam.sources.parts import Located
 from impslam.sources.text import TextSource, head, numbers
 from impslam.types import Array, Detections, Message, TrueLandmark, TruePose, Velocity
 
@@ -101,13 +102,13 @@ class Mrclam(TextSource):
                 continue
             row[1] = label
             if seen and not 0.0 <= row[0] - seen[0][0] < PICTURE:
-                yield Located(_detections(np.array(seen)), first)
+                yield Located(_detections(np.array(seen)), first, path.name, checked=False)
                 seen = []
             if not seen:
                 first = number
             seen.append(row)
         if seen:
-            yield Located(_detections(np.array(seen)), first)
+            yield Located(_detections(np.array(seen)), first, path.name, checked=False)
 
     def _landmark(
         self, path: Path, number: int, row: Array, subjects: dict[int, int]
@@ -154,7 +155,7 @@ class Mrclam(TextSource):
                 counts = self._first_words(path)
                 count = sum(n for word, n in counts.items() if word and not word.startswith("#"))
                 used = what != "Groundtruth"
-                found.append(Stream(path.name, kind, count, used, notes[what]))
+                found.append(Stream(path.name, kind, count, used, notes[what], default=used))
         for other in _robots(folder):
             if other != here:
                 note = f"--set source.robot={other}"

@@ -22,7 +22,8 @@ import numpy as np
 from impslam.component import register
 from impslam.errors import MessageError
 from impslam.geometry.se2 import compose
-from impslam.sources.base import Located, Stream
+from impslam.sources.base import Stream
+from impslam.sources.parts import Located
 from impslam.sources.text import TextSource, finite, head, numbers
 from impslam.types import Array, Detections, OdometryPose, TrueLandmark, TruePose
 
@@ -58,7 +59,9 @@ class MrptText(TextSource):
                 elif tokens[:1] == [b"BR"]:
                     true = next(truth, None)
                     if true is not None:
-                        yield Located(TruePose(stamp, true), number)
+                        yield Located(
+                            TruePose(stamp, true), number, self._true_path.name, checked=False
+                        )
                     yield Located(_detections(stamp, tokens), number, "BR")
                 elif tokens and not _is_name(tokens[0]):
                     self._reject("line", self.path, number, "it opens with no name of a record")
@@ -72,8 +75,12 @@ class MrptText(TextSource):
 
     def _true_poses(self) -> Iterator[Array]:
         """Yield the true poses (3,), one for each BR."""
-        for row in self._rows(self._beside("ground_truth_robot_path"), 6):
+        for row in self._rows(self._true_path, 6):
             yield row[[0, 1, 3]]
+
+    @property
+    def _true_path(self) -> Path:
+        return self._beside("ground_truth_robot_path")
 
     def _beside(self, what: str) -> Path:
         name = self.path.name.removesuffix(".gz").removesuffix(".txt")
@@ -104,7 +111,14 @@ class MrptText(TextSource):
     def streams(self) -> list[Stream]:
         """Return the kinds of record, by name, and the truth that is there."""
         found = [
-            Stream(name, _TYPES.get(name, "text"), count, name in _TYPES, self._note(name))
+            Stream(
+                name,
+                _TYPES.get(name, "text"),
+                count,
+                name in _TYPES,
+                self._note(name),
+                name in _TYPES,
+            )
             for name, count in sorted(self._first_words(self.path).items())
             if _is_name(name.encode())
         ]

@@ -7,7 +7,7 @@ their headers. Only the messages of topics in use are deserialised.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -19,10 +19,11 @@ from rosbags.interfaces import Connection
 from impslam.component import near_miss, parameter, register
 from impslam.errors import MessageError, SourceError
 from impslam.sources import ros_messages as ros
-from impslam.sources.base import Located, Source, Stream, watched
+from impslam.sources.base import Source, Stream
+from impslam.sources.parts import Located
 from impslam.sources.ros_storage import Bag, RosMessage, one_line, storage_class
 from impslam.sources.text import finite
-from impslam.types import Message, WheelAngles
+from impslam.types import Image, Imu, LaserScan, Message, OdometryPose, TruePose, WheelAngles
 
 Use: TypeAlias = Literal["scan", "wheels", "odometry", "imu", "image", "truth"]
 
@@ -40,6 +41,14 @@ READERS: dict[Use, Callable[[RosMessage, float], Message]] = {
     "odometry": ros.read_odometry,
     "imu": ros.read_imu,
     "image": ros.read_image,
+}
+KINDS: dict[Use, type[Message]] = {
+    "truth": TruePose,
+    "scan": LaserScan,
+    "wheels": WheelAngles,
+    "odometry": OdometryPose,
+    "imu": Imu,
+    "image": Image,
 }
 TRUTH_TOPIC = "/ground_truth"  # and what is below it
 PRESET_TOPIC, PRESET_TYPE = "/impslam/preset", "std_msgs/msg/String"
@@ -71,6 +80,7 @@ class RosBag(Source):
 
     _bag: Bag | None = PrivateAttr(default=None)
     _uses: dict[str, Use] = PrivateAttr(default_factory=dict)
+    _defaults: dict[str, Use] = PrivateAttr(default_factory=dict)
     _preset: str = PrivateAttr(default="")
     _position: int = PrivateAttr(default=0)
 
@@ -82,7 +92,9 @@ class RosBag(Source):
     def __enter__(self) -> Self:
         self._bag = Bag(self.path)
         try:
-            self._uses = self._choose(_counts(self._bag.connections))
+            counts = _counts(self._bag.connections)
+            self._defaults = self._choose(counts)
+            self._uses = self._choose_wanted(counts) | self._defaults
             self._preset = self._recorded_preset(self._bag)
         except BaseException:
             self.__exit__(None, None, None)
@@ -98,9 +110,6 @@ class RosBag(Source):
         bag, self._bag = self._bag, None
         if bag is not None:
             bag.close()
-
-    def __iter__(self) -> Iterator[Message]:  # type: ignore[override]  # not a model's fields
-        return watched(self._messages(), self._problems, self.path)
 
     @property
     def preset(self) -> str:
@@ -121,9 +130,20 @@ class RosBag(Source):
         """Return the topics, by name, with what they are used for."""
         counts = _counts(self._open().connections)
         return [
-            Stream(topic, kind, count, self._is_used(topic), self._note(topic, kind))
+            Stream(
+                topic,
+                kind,
+                count,
+                self._is_used(topic),
+                self._note(topic, kind),
+                topic in self._defaults,
+            )
             for (topic, kind), count in sorted(counts.items())
         ]
+
+    def defaults(self) -> Mapping[type[Message], str]:
+        """Return the topic to use of each kind."""
+        return {KINDS[use]: topic for topic, use in self._defaults.items()}
 
     def _is_used(self, topic: str) -> bool:
         return topic in self._uses or (topic == PRESET_TOPIC and bool(self._preset))
@@ -136,11 +156,14 @@ class RosBag(Source):
         if self._preset and kind in KEPT:  # the log is one of ours
             return f"kept: {KEPT[kind]}"
         rivals = [use for use, name in TYPES.items() if name == kind]
-        taken = {use: name for name, use in self._uses.items() if use in rivals}
+        taken = {use: name for name, use in self._defaults.items() if use in rivals}
         if not taken:
             return ""
         said = ", ".join(f"{use} is {name}" for use, name in taken.items())
-        return f"{said}; set topics.{next(iter(taken))} to use this one"
+        return (
+            f"not read: {said}; set topics.{next(iter(taken))} to use this one instead, or name it "
+            "in source.wanted"
+        )
 
     def _open(self) -> Bag:
         if self._bag is None:
@@ -168,6 +191,16 @@ class RosBag(Source):
             fit = [(n, t) for n, t in free if _is_truth(t) == (use == "truth")]
             if fit:
                 uses[min(fit)[1]] = use
+        return uses
+
+    def _choose_wanted(self, counts: dict[tuple[str, str], int]) -> dict[str, Use]:
+        """Return what the topics that are asked for by name are used for."""
+        uses: dict[str, Use] = {}
+        for topic, kind in counts:
+            fit = [use for use, name in TYPES.items() if name == kind]
+            if topic in self.wanted and fit:
+                is_truth = kind == TYPES["truth"] and _is_truth(topic)
+                uses[topic] = "truth" if is_truth else fit[-1]
         return uses
 
     def _check_topic(self, use: Use, topic: str, counts: dict[tuple[str, str], int]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import math
 import zlib
-from abc import abstractmethod
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,8 +18,8 @@ import numpy as np
 from pydantic import PrivateAttr
 
 from impslam.errors import MessageError, SourceError
-from impslam.sources.base import Located, Source, watched
-from impslam.types import Array, Message
+from impslam.sources.base import Source
+from impslam.types import Array
 
 LINE_LIMIT = 1 << 20  # bytes; ten times the longest line of any lidar here, so memory stays flat
 BEAMS_LIMIT = 100_000  # of a scan; ten times those of any lidar that turns in a plane
@@ -104,10 +103,6 @@ class TextSource(Source):
         """Return the files that make up the log."""
         return [self.path]
 
-    @abstractmethod
-    def _messages(self) -> Iterator[Located]:
-        """Yield the messages of the log, in file order."""
-
     def __enter__(self) -> Self:
         for path in self._files():
             try:
@@ -124,9 +119,6 @@ class TextSource(Source):
         trace: TracebackType | None,
     ) -> None:
         self._open.clear()
-
-    def __iter__(self) -> Iterator[Message]:  # type: ignore[override]  # not a model's fields
-        return watched(self._messages(), self._problems, self.path)
 
     def _lines(self, path: Path) -> Iterator[tuple[int, bytes]]:
         """Yield (number, line) from 1; a damaged gzip file ends early, which is a problem."""

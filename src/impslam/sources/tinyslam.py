@@ -16,7 +16,8 @@ from typing import ClassVar
 
 from impslam.component import register
 from impslam.errors import MessageError
-from impslam.sources.base import Located, Stream
+from impslam.sources.base import Stream
+from impslam.sources.parts import Located
 from impslam.sources.text import TextSource, beam_angles, beam_times, finite, head, numbers
 from impslam.types import LaserScan, WheelAngles
 
@@ -60,15 +61,15 @@ class TinySlam(TextSource):
             except (ValueError, MessageError) as error:
                 self._reject("line", self.path, number, error)
                 continue
-            yield Located(wheels, number)
-            yield Located(scan, number, "scan")
+            yield Located(wheels, number, "encoders", checked=False)
+            yield Located(scan, number, "lidar")
 
     def streams(self) -> list[Stream]:
         """Return encoders and scans, one of each per line."""
         count = sum(self._first_words(self.path).values())
         return [
-            Stream("encoders", "WheelAngles", count, used=True, note="ticks"),
-            Stream("lidar", "LaserScan", count, used=True, note="URG-04LX"),
+            Stream("encoders", "WheelAngles", count, True, "ticks", default=True),
+            Stream("lidar", "LaserScan", count, True, "URG-04LX", default=True),
         ]
 
 

@@ -125,7 +125,7 @@ def test_all_that_the_robot_says_is_in_the_log(recorder: LogRecorder) -> None:
     assert [m.left for m in found if isinstance(m, WheelAngles)] == [
         0.1 * number for number in range(1, 201)
     ]
-    used = {stream.topic: stream.note for stream in source_streams(path) if stream.used}
+    used = {stream.name: stream.note for stream in source_streams(path) if stream.used}
     assert used == {
         "/scan": "scan",
         "/joint_states": "wheels",
@@ -246,9 +246,11 @@ def test_a_second_lidar_has_a_topic_of_its_own(recorder: LogRecorder) -> None:
     found = topics(path)
     assert (found["/scan"], found["/scan/rear_lidar"]) == (3, 1)
     assert (found["/clock/urg"], found["/clock/_9_dof"], found["/rosout"]) == (1, 1, 3)
-    streams = {stream.topic: stream for stream in source_streams(path)}
+    streams = {stream.name: stream for stream in source_streams(path)}
     assert {t for t, s in streams.items() if s.used} == {"/scan", "/impslam/preset"}
-    assert streams["/scan/rear_lidar"].note == "scan is /scan; set topics.scan to use this one"
+    assert streams["/scan/rear_lidar"].note == (
+        "not read: scan is /scan; set topics.scan to use this one instead, or name it in source.wanted"
+    )
     assert streams["/clock/urg"].note == "kept: a device's clock"
     _, source = read(path)
     assert source.problems.counts["error on the robot"] == 2  # of the three events

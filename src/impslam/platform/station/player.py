@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
+from impslam.columns import messages
 from impslam.config import Config
 from impslam.errors import ImpError
 from impslam.observers.base import Observer, Outcome
@@ -166,7 +167,7 @@ class Player:
 
     def _play(self) -> State:
         with self._source as source:
-            for message in source:
+            for message in messages(source.batches(1)):
                 if not self._admits(message):
                     return "stopped"
                 steps = self._run.steps

@@ -10,11 +10,11 @@ from impslam.studies.extractor_scores import (
     OFF,
     TURNED,
     Counts,
-    Found,
-    judge,
+    Detection,
     known_association,
+    score_scan,
 )
-from impslam.studies.extractor_stats import Tally, mean, rms, typical_ratio
+from impslam.studies.extractor_stats import ExtractorScore, mean, rms, typical_ratio
 from impslam.studies.labelled_scans import LabelledScan, Seen
 from impslam.types import Observation, Scan
 
@@ -55,7 +55,7 @@ def post(truth, shift, beams=range(60, 80), radius=0.2):
 
 def test_the_truth_is_found():
     truth = labelled()
-    counts, (found,) = judge(truth, "wall", [wall(2.01, 0.02, range(5, 50))])
+    counts, (found,) = score_scan(truth, "wall", [wall(2.01, 0.02, range(5, 50))])
     assert counts == Counts(visible=1, found=1, again=0, other=0, false=0)
     np.testing.assert_allclose(found.error, [0.01, 0.02])
     assert found.beams == 50
@@ -65,7 +65,7 @@ def test_the_truth_is_found():
 
 
 def test_nothing_seen_nothing_found():
-    counts, found = judge(labelled(), "wall", [])
+    counts, found = score_scan(labelled(), "wall", [])
     assert counts == Counts(1, 0, 0, 0, 0)
     assert found == []
 
@@ -81,12 +81,12 @@ def test_nothing_seen_nothing_found():
     ],
 )
 def test_what_is_not_there_is_false(observed):
-    assert judge(labelled(), "wall", [observed])[0] == Counts(1, 0, 0, 0, 1)
+    assert score_scan(labelled(), "wall", [observed])[0] == Counts(1, 0, 0, 0, 1)
 
 
 def test_a_wall_is_found_once_by_the_observation_of_most_beams():
     some = [wall(2.05, 0.0, range(10)), wall(2.02, 0.0, range(10, 50)), wall(1.9, 0.5, range(10))]
-    counts, (found,) = judge(labelled(), "wall", some)
+    counts, (found,) = score_scan(labelled(), "wall", some)
     assert counts == Counts(visible=1, found=1, again=1, other=0, false=1)
     assert found.error[0] == pytest.approx(0.02)
 
@@ -99,12 +99,14 @@ def test_doors_and_what_is_hardly_seen_are_other():
     stub = replace(door, thing="wall", beams=np.arange(80, 89))
     truth = labelled(door, stub)
     some = [wall(3.01, 0.0, range(50, 60)), wall(3.01, 0.0, range(80, 89))]
-    assert judge(truth, "wall", some)[0] == Counts(visible=1, found=0, again=0, other=2, false=0)
+    assert score_scan(truth, "wall", some)[0] == Counts(
+        visible=1, found=0, again=0, other=2, false=0
+    )
 
 
 def test_beams_may_be_left_out():
     """A plug-in need not tell them: then the place decides."""
-    counts, (found,) = judge(labelled(), "wall", [wall(2.01, 0.0, np.empty(0, np.int64))])
+    counts, (found,) = score_scan(labelled(), "wall", [wall(2.01, 0.0, np.empty(0, np.int64))])
     assert counts.found == 1
     assert found.used == 0.0
     assert math.isnan(found.own_excess)
@@ -115,28 +117,28 @@ def test_normals_are_compared_as_angles():
     truth = labelled()
     behind = replace(truth.seen[0], z=np.array([2.0, math.pi]), ends=-truth.seen[0].ends)
     turned = replace(truth, seen=(behind,), directions=truth.directions + math.pi)
-    _, (found,) = judge(turned, "wall", [wall(2.0, -math.pi + 0.01, range(50))])
+    _, (found,) = score_scan(turned, "wall", [wall(2.0, -math.pi + 0.01, range(50))])
     np.testing.assert_allclose(found.error, [0.0, 0.01], atol=1e-12)
 
 
 def test_cylinders_have_centre_and_radius():
     truth = labelled()
     sight = truth.seen[1].z / 1.5
-    counts, (found,) = judge(truth, "cylinder", [post(truth, 0.02 * sight, radius=0.23)])
+    counts, (found,) = score_scan(truth, "cylinder", [post(truth, 0.02 * sight, radius=0.23)])
     assert counts == Counts(1, 1, 0, 0, 0, whole=1, whole_found=1)
     assert found.radial == pytest.approx(0.02)
     assert found.radius_error == pytest.approx(0.03)
     assert 0.0 < found.radius_bound < 0.01
-    assert judge(truth, "cylinder", [post(truth, 0.11 * sight)])[0].false == 1
+    assert score_scan(truth, "cylinder", [post(truth, 0.11 * sight)])[0].false == 1
 
 
 def test_a_radius_that_is_known_is_not_measured():
     truth = labelled()
-    (free,) = judge(truth, "cylinder", [post(truth, np.zeros(2))])[1]
-    (found,) = judge(truth, "cylinder", [post(truth, np.zeros(2))], radius=0.2)[1]
+    (free,) = score_scan(truth, "cylinder", [post(truth, np.zeros(2))])[1]
+    (found,) = score_scan(truth, "cylinder", [post(truth, np.zeros(2))], radius=0.2)[1]
     assert math.isnan(found.radius_error)
     assert (np.diag(found.bound) < np.diag(free.bound)).all()
-    counts, left_out = judge(truth, "cylinder", [post(truth, np.zeros(2))], radius=0.15)
+    counts, left_out = score_scan(truth, "cylinder", [post(truth, np.zeros(2))], radius=0.15)
     assert counts.found == 1
     assert left_out == []
 
@@ -144,49 +146,49 @@ def test_a_radius_that_is_known_is_not_measured():
 def test_known_association_is_exact_without_noise():
     truth = labelled()
     for kind in ("wall", "cylinder"):
-        counts, (found,) = judge(truth, kind, known_association(truth, kind))
+        counts, (found,) = score_scan(truth, kind, known_association(truth, kind))
         assert counts[:5] == (1, 1, 0, 0, 0)
         np.testing.assert_allclose(found.error, 0.0, atol=1e-8)
         np.testing.assert_allclose(found.R, found.bound, rtol=0.05)
 
 
 def entry(error, bound=1.0, R=1.0):
-    return Found(
+    return Detection(
         np.asarray(error, float), R * np.eye(2), bound * np.eye(2), 0.0, 0.1, 0.04, 10, 1.0, 2.0
     )
 
 
-def test_tallies_add_up():
-    one = Tally.of([(Counts(2, 1, 1, 0, 3), [entry([1.0, 0.0])])])
-    two = Tally.of([(Counts(4, 4, 0, 2, 0), [entry([0.0, 2.0]), entry([0.0, 0.0])])])
+def test_scores_add_up():
+    one = ExtractorScore.of([(Counts(2, 1, 1, 0, 3), [entry([1.0, 0.0])])])
+    two = ExtractorScore.of([(Counts(4, 4, 0, 2, 0), [entry([0.0, 2.0]), entry([0.0, 0.0])])])
     both = one + two
     assert both.true_positives[0] == pytest.approx(5 / 6)
     assert both.rate("false")[0] == 1.5
     assert both.rate("false")[1] == pytest.approx(1.5 / math.sqrt(2))
-    assert both.ratio(0)[0] == pytest.approx(math.sqrt(1 / 3))
-    assert both.ratio(1)[0] == pytest.approx(math.sqrt(4 / 3))
-    assert both.radius_ratio[0] == pytest.approx(0.5)
+    assert both.metrics()["ratio_0"].value == pytest.approx(math.sqrt(1 / 3))
+    assert both.metrics()["ratio_1"].value == pytest.approx(math.sqrt(4 / 3))
+    assert both.metrics()["radius_ratio"].value == pytest.approx(0.5)
     np.testing.assert_allclose(both.nees, [1.0, 4.0, 0.0])
 
 
 def test_ratios_of_an_efficient_estimator_are_one():
     rng = np.random.default_rng(0)
     L = np.linalg.cholesky([[4.0, 1.0], [1.0, 0.5]])
-    tally = Tally.of(
+    score = ExtractorScore.of(
         [
             (Counts(1, 1, 0, 0, 0), [replace(entry(L @ z), bound=L @ L.T, R=4 * L @ L.T)])
             for z in rng.standard_normal((4000, 2))
         ]
     )
-    for ratio, error in (tally.ratio(0), tally.ratio(1), tally.joint_ratio):
+    for ratio, error in (score.metrics()[name] for name in ("ratio_0", "ratio_1", "ratio")):
         assert ratio == pytest.approx(1.0, abs=0.05)
         assert abs(ratio - 1.0) < 4.0 * error < 0.06
-    assert typical_ratio(tally.excess) == pytest.approx(1.0, abs=0.05)
-    assert mean(tally.nees)[0] == pytest.approx(0.5, abs=0.05)
+    assert typical_ratio(score.excess) == pytest.approx(1.0, abs=0.05)
+    assert mean(score.nees)[0] == pytest.approx(0.5, abs=0.05)
 
 
 def test_nothing_found_has_no_errors():
-    empty = Tally.of([(Counts(1, 0, 0, 0, 0), [])])
+    empty = ExtractorScore.of([(Counts(1, 0, 0, 0, 0), [])])
     assert math.isnan(rms(empty.errors[:, 0])[0])
     assert math.isnan(typical_ratio(empty.excess))
     assert empty.true_positives == (0.0, 0.0)

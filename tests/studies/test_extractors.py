@@ -12,7 +12,7 @@ from impslam.component import register
 from impslam.extractors.base import Extractor
 from impslam.simulation.world import load_world
 from impslam.studies import extractors as experiment
-from impslam.studies.extractor_stats import Tally
+from impslam.studies.extractor_stats import ExtractorScore
 from impslam.studies.job import Job
 from impslam.studies.labelled_scans import STANDING, labelled_scans
 from impslam.types import Observation
@@ -28,8 +28,8 @@ def small(monkeypatch):
 
 
 def test_the_part_is_whole(small):
-    ticks = []
-    part = experiment.extractors(Job(1, progress=lambda *tick: ticks.append(tick)))
+    steps = []
+    part = experiment.extractors(Job(1, progress=lambda *step: steps.append(step)))
     assert part.name == "extractors"
     assert len(part.tables) == 4
     for table in part.tables:
@@ -40,7 +40,7 @@ def test_the_part_is_whole(small):
     assert part.numbers["wall"]["split_merge"]["driving"]["scans_per_second"] > 0.0
     assert part.numbers["wall"][experiment.KNOWN]["standing"]["scans_per_second"] is None
     json.dumps(part.numbers, allow_nan=False)
-    assert ("labelled scans", 1, 1) in ticks
+    assert ("labelled scans", 1, 1) in steps
 
 
 def test_everything_that_is_registered_takes_part():
@@ -79,26 +79,26 @@ def test_a_plug_in_is_compared(small):
 
         assert "picky" not in experiment.contenders("wall")
         scans = list(labelled_scans(load_world("room"), STANDING, 0, 3))
-        tally = experiment.tally(experiment.contenders("wall")["prophet"], scans, 0)
-    assert tally.true_positives[0] == 0.0
-    assert tally.rate("false") == (1.0, 0.0)
+        score = experiment.score(experiment.contenders("wall")["prophet"], scans, 0)
+    assert score.true_positives[0] == 0.0
+    assert score.rate("false") == (1.0, 0.0)
 
 
 @pytest.fixture(scope="module")
-def exact_noise() -> dict[str, Tally]:
+def exact_noise() -> dict[str, ExtractorScore]:
     """What walls and cylinders of the room give, standing, with noise alone."""
     scans = list(labelled_scans(load_world("room"), STANDING, 100, 120))
     names = {**experiment.contenders("wall"), **experiment.contenders("cylinder")}
     wanted = ("split_merge", "split_merge, flat", "circle")
-    return {label: experiment.tally(names[label], scans, 0) for label in wanted}
+    return {label: experiment.score(names[label], scans, 0) for label in wanted}
 
 
 def test_split_and_merge_is_nearly_efficient(exact_noise):
     """Median over the bound (2026-11: 1.04): outliers, corners and weights cost some per cent."""
-    tally = exact_noise["split_merge, flat"]
-    assert 0.9 < np.sqrt(np.median(tally.excess) / chi2.ppf(0.5, 2)) < 1.2
-    assert tally.true_positives[0] > 0.95
-    assert tally.rate("false")[0] < 0.05
+    score = exact_noise["split_merge, flat"]
+    assert 0.9 < np.sqrt(np.median(score.excess) / chi2.ppf(0.5, 2)) < 1.2
+    assert score.true_positives[0] > 0.95
+    assert score.rate("false")[0] < 0.05
 
 
 @pytest.mark.parametrize("label", ["split_merge, flat", "circle"])

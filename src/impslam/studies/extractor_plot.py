@@ -11,33 +11,29 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from impslam.evaluation.plots import as_png
-from impslam.studies.extractor_stats import Tally, typical_ratio
-from impslam.studies.extractor_tables import OTHER
+from impslam.evaluation.colours import INK
+from impslam.evaluation.plots import as_png, new_figure
+from impslam.studies.extractor_stats import ExtractorScore, typical_ratio
+from impslam.studies.extractor_tables import OTHER, Scores
 
 COLOURS = ("#2563eb", "#d81b60", "#15803d", "#f2a03d", "#7c3aed", "#0891b2", "#8d6e63")
-INK, GRID = "#37424d", "#e5e7ea"
+GRID = "#e5e7ea"
 EDGES = {"wall": (10, 20, 40, 80, 160, 320, 683), "cylinder": (5, 8, 12, 20, 35, 60, 100)}
 LEAST = 8  # of a bin, to draw it
 DRAWS = 300  # bootstrap samples behind an error bar
 
-Tallies = Mapping[str, Mapping[str, Tally]]
 
-
-def draw(tallies: Mapping[str, Tallies], conditions: Sequence[str], known: str) -> bytes:
+def draw(scores: Mapping[str, Scores], conditions: Sequence[str], known: str) -> bytes:
     """Return the picture as a PNG.
 
     `conditions` are the names of those without faults, without people and with people; `known` is
     the row that is no extractor.
     """
-    figure = Figure(figsize=(9.0, 8.6), dpi=130, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(9.0, 8.6, dpi=130)
     rows = figure.subplots(3, 2, gridspec_kw={"height_ratios": (5, 2.6, 2.6)})
-    for (ratio, share, false), (kind, one) in zip(rows.T, tallies.items(), strict=True):
+    for (ratio, share, false), (kind, one) in zip(rows.T, scores.items(), strict=True):
         labels = sorted(one, key=lambda label: label == known)
         colours = dict(zip(labels, [*COLOURS[: len(labels) - 1], INK], strict=True))
         _ratios(ratio, kind, {label: one[label][conditions[0]] for label in labels}, colours)
@@ -50,14 +46,14 @@ def draw(tallies: Mapping[str, Tallies], conditions: Sequence[str], known: str) 
 
 
 def _ratios(
-    axes: Axes, kind: str, tallies: Mapping[str, Tally], colours: Mapping[str, str]
+    axes: Axes, kind: str, scores: Mapping[str, ExtractorScore], colours: Mapping[str, str]
 ) -> None:
     """Draw the ratio to the bound over the number of beams that hit the landmark."""
     edges = np.array(EDGES[kind])
     axes.axhline(1.0, color=INK, lw=0.8)
-    for number, (label, tally) in enumerate(tallies.items()):
-        shift = 1.0 + 0.025 * (number - 0.5 * len(tallies))
-        points = [_point(tally, low, high) for low, high in pairwise(edges.tolist())]
+    for number, (label, score) in enumerate(scores.items()):
+        shift = 1.0 + 0.025 * (number - 0.5 * len(scores))
+        points = [_point(score, low, high) for low, high in pairwise(edges.tolist())]
         drawn = np.array([(x * shift, y, a, b) for x, y, a, b in points if np.isfinite(y)]).reshape(
             -1, 4
         )
@@ -81,9 +77,9 @@ def _ratios(
     _style(axes)
 
 
-def _point(tally: Tally, low: float, high: float) -> tuple[float, float, float, float]:
+def _point(score: ExtractorScore, low: float, high: float) -> tuple[float, float, float, float]:
     """Return middle, ratio and its 95 % interval of the landmarks with so many beams."""
-    excess = tally.excess[(tally.beams >= low) & (tally.beams < high)]
+    excess = score.excess[(score.beams >= low) & (score.beams < high)]
     if len(excess) < LEAST:
         return np.nan, np.nan, np.nan, np.nan
     rng = np.random.default_rng(0)
@@ -94,23 +90,23 @@ def _point(tally: Tally, low: float, high: float) -> tuple[float, float, float, 
 
 
 def _shares(
-    axes: Axes, tallies: Tallies, conditions: Sequence[str], colours: Mapping[str, str]
+    axes: Axes, scores: Scores, conditions: Sequence[str], colours: Mapping[str, str]
 ) -> None:
     """Draw the shares found, without people and with."""
-    for place, shade, tally, colour in _places(axes, tallies, conditions, colours):
-        share, error = tally.true_positives
+    for place, shade, score, colour in _places(axes, scores, conditions, colours):
+        share, error = score.true_positives
         axes.barh(place, 100.0 * share, 0.38, color=colour, alpha=shade)
         axes.errorbar(100.0 * share, place, xerr=200.0 * error, fmt="none", ecolor=INK, lw=0.9)
     axes.set(xlim=(0.0, 100.0), xlabel="found, % of the visible; with people (light)")
 
 
 def _spurious(
-    axes: Axes, tallies: Tallies, conditions: Sequence[str], colours: Mapping[str, str]
+    axes: Axes, scores: Scores, conditions: Sequence[str], colours: Mapping[str, str]
 ) -> None:
     """Draw how many observations are false, or of other things, in a scan."""
-    for place, shade, tally, colour in _places(axes, tallies, conditions, colours):
-        false, error = tally.rate("false")
-        other, _ = tally.rate("other")
+    for place, shade, score, colour in _places(axes, scores, conditions, colours):
+        false, error = score.rate("false")
+        other, _ = score.rate("other")
         axes.barh(place, false, 0.38, color=colour, alpha=shade)
         axes.barh(place, other, 0.34, left=false, fill=False, ec=colour, alpha=shade, lw=1.2)
         axes.errorbar(false, place, xerr=2.0 * error, fmt="none", ecolor=INK, lw=0.9)
@@ -118,13 +114,13 @@ def _spurious(
 
 
 def _places(
-    axes: Axes, tallies: Tallies, conditions: Sequence[str], colours: Mapping[str, str]
-) -> Iterator[tuple[float, float, Tally, str]]:
-    """Yield height, shade, tally and colour of each bar."""
-    count = len(tallies)
-    axes.set_yticks(np.arange(count)[::-1], list(tallies), fontsize=8)
+    axes: Axes, scores: Scores, conditions: Sequence[str], colours: Mapping[str, str]
+) -> Iterator[tuple[float, float, ExtractorScore, str]]:
+    """Yield height, shade, score and colour of each bar."""
+    count = len(scores)
+    axes.set_yticks(np.arange(count)[::-1], list(scores), fontsize=8)
     _style(axes)
-    for number, (label, one) in enumerate(tallies.items()):
+    for number, (label, one) in enumerate(scores.items()):
         for shift, condition, shade in zip((0.2, -0.2), conditions, (1.0, 0.45), strict=True):
             yield count - 1 - number + shift, shade, one[condition], colours[label]
 

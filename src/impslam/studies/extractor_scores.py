@@ -1,4 +1,4 @@
-"""Observations of labelled scans judged: found, found again, of something else, false; how far off.
+"""Observations of labelled scans against the truth: found, found again, of something else, false; errors.
 
 An observation is of a thing if more than half of its beams hit it and it lies within the gates
 below, which are as wide as the coarsest extractor needs. Each landmark is found once, by the
@@ -53,7 +53,7 @@ class Counts(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class Detection:
     """A visible landmark's observation against the truth.
 
     Attributes
@@ -78,13 +78,13 @@ class Found:
     own_excess: float
 
 
-def judge(
+def score_scan(
     labelled: LabelledScan,
     kind: str,
     observations: Sequence[Observation],
     radius: float | None = None,
-) -> tuple[Counts, list[Found]]:
-    """Return what the observations of one kind are worth.
+) -> tuple[Counts, list[Detection]]:
+    """Return the counts of a scan, and the errors of what was found, of the observations of one kind.
 
     `radius` is what the extractor takes the radius of every cylinder for, None if it measures it.
     A cylinder of another radius counts as found, but is left out of the errors.
@@ -92,7 +92,7 @@ def judge(
     best: dict[int, tuple[int, Observation]] = {}
     again = other = false = 0
     for o in observations:
-        which = _thing(labelled, o)
+        which = _observed_thing(labelled, o)
         if which is None:
             false += 1
         elif not labelled.seen[which].visible:
@@ -105,14 +105,14 @@ def judge(
     visible = [s for s in labelled.seen if s.visible and s.kind == kind]
     whole = sum(s.whole for s in visible), sum(labelled.seen[which].whole for which in best)
     found = [
-        compare(labelled, labelled.seen[which], o, radius)
+        detection_error(labelled, labelled.seen[which], o, radius)
         for which, (_, o) in best.items()
         if radius is None or abs(labelled.seen[which].radius / radius - 1.0) <= SAME_RADIUS
     ]
     return Counts(len(visible), len(best), again, other, false, *whole), found
 
 
-def _thing(labelled: LabelledScan, o: Observation) -> int | None:
+def _observed_thing(labelled: LabelledScan, o: Observation) -> int | None:
     """Return what an observation is of: the thing nearest to it among those that it may be of."""
     fitting = [
         (_distance(o, seen), which)
@@ -137,7 +137,9 @@ def _distance(o: Observation, seen: Seen) -> float:
     return abs(float(normal @ seen.ends.mean(axis=0) - o.z[0]))
 
 
-def compare(labelled: LabelledScan, seen: Seen, o: Observation, radius: float | None) -> Found:
+def detection_error(
+    labelled: LabelledScan, seen: Seen, o: Observation, radius: float | None
+) -> Detection:
     """Return an observation's error beside the bound of all beams that hit the landmark."""
     error = o.z - seen.z
     if o.kind == "wall":
@@ -153,7 +155,7 @@ def compare(labelled: LabelledScan, seen: Seen, o: Observation, radius: float | 
     mine = np.isin(seen.beams, o.beams)
     own = _bound(labelled, seen, seen.beams[mine], radius)[:2, :2]
     excess = float(error @ np.linalg.solve(own, error)) if np.isfinite(own).all() else math.nan
-    return Found(
+    return Detection(
         error,
         o.R,
         best[:2, :2],

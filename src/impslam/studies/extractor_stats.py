@@ -1,4 +1,4 @@
-"""What judged scans say of an extractor: rates, and errors against their bounds, with their errors."""
+"""An extractor's score over many scans: rates, and errors against their bounds, with standard errors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2
 
-from impslam.studies.extractor_scores import Counts, Found
+from impslam.evaluation.consistency import nees
+from impslam.studies.extractor_scores import Counts, Detection
+from impslam.studies.statistics import NONE, Estimate, mean, rms
 from impslam.types import Array, Ints
 
 _MEDIAN = float(chi2.ppf(0.5, 2))
@@ -18,7 +20,7 @@ _MEDIAN = float(chi2.ppf(0.5, 2))
 
 
 @dataclass(frozen=True)
-class Tally:
+class ExtractorScore:
     """All scans of one extractor under one condition.
 
     Attributes
@@ -28,40 +30,40 @@ class Tally:
     """
 
     counts: Ints
-    found: Sequence[Found]
+    found: Sequence[Detection]
 
     @staticmethod
-    def of(judged: Sequence[tuple[Counts, list[Found]]]) -> Tally:
-        """Return the tally of some scans."""
-        counts = np.array([c for c, _ in judged], np.int64).reshape(-1, len(Counts._fields))
-        return Tally(counts, [f for _, found in judged for f in found])
+    def of(scored: Sequence[tuple[Counts, list[Detection]]]) -> ExtractorScore:
+        """Return the score of some scans."""
+        counts = np.array([c for c, _ in scored], np.int64).reshape(-1, len(Counts._fields))
+        return ExtractorScore(counts, [f for _, found in scored for f in found])
 
-    def __add__(self, other: Tally) -> Tally:
-        """Return the tally of the scans of both."""
-        return Tally(np.vstack((self.counts, other.counts)), [*self.found, *other.found])
+    def __add__(self, other: ExtractorScore) -> ExtractorScore:
+        """Return the score of the scans of both."""
+        return ExtractorScore(np.vstack((self.counts, other.counts)), [*self.found, *other.found])
 
-    def rate(self, what: str) -> tuple[float, float]:
+    def rate(self, what: str) -> Estimate:
         """Return how many of the `Counts` there are in a scan, and the standard error of it."""
-        column = self.counts[:, Counts._fields.index(what)]
-        return float(column.mean()), float(column.std() / math.sqrt(len(column)))
+        return mean(self.counts[:, Counts._fields.index(what)])
 
     @property
-    def true_positives(self) -> tuple[float, float]:
+    def true_positives(self) -> Estimate:
         """Share of the visible landmarks that was found, and the standard error over scans."""
         return self._share("visible", "found")
 
     @property
-    def whole_found(self) -> tuple[float, float]:
+    def whole_found(self) -> Estimate:
         """Share of the landmarks seen from edge to edge that was found; NaN where there are none."""
         return self._share("whole", "whole_found")
 
-    def _share(self, of: str, what: str) -> tuple[float, float]:
+    def _share(self, of: str, what: str) -> Estimate:
         there, found = (self.counts[:, Counts._fields.index(name)] for name in (of, what))
         total = int(there.sum())
         if not total:
-            return math.nan, math.nan
+            return NONE
         share = float(found.sum()) / total
-        return share, float(np.sqrt(np.sum((found - share * there) ** 2))) / total
+        error = float(np.sqrt(np.sum((found - share * there) ** 2))) / total
+        return Estimate(share, error)
 
     @cached_property
     def errors(self) -> Array:
@@ -76,12 +78,12 @@ class Tally:
     @cached_property
     def nees(self) -> Array:
         """Squared errors in the covariances that the extractor itself gives, (m,); ideal mean 2."""
-        return _normalised(self.errors, np.array([f.R for f in self.found]).reshape(-1, 2, 2))
+        return nees(self.errors, np.array([f.R for f in self.found]).reshape(-1, 2, 2))
 
     @cached_property
     def excess(self) -> Array:
         """Squared errors in the Cramér-Rao bounds, (m,); at least 2 on average."""
-        return _normalised(self.errors, self.bounds)
+        return nees(self.errors, self.bounds)
 
     @property
     def beams(self) -> Ints:
@@ -93,24 +95,30 @@ class Tally:
         values = np.array([getattr(f, name) for f in self.found], np.float64)
         return np.asarray(values[np.isfinite(values)])
 
-    def ratio(self, k: int) -> tuple[float, float]:
-        """Return RMS error over bound of the k-th of z, and its standard error."""
-        return rms(self.errors[:, k] / np.sqrt(self.bounds[:, k, k]))
+    def metrics(self) -> dict[str, Estimate]:
+        """Return the errors of what was found, in m and rad, by name; empty if nothing was.
 
-    @property
-    def joint_ratio(self) -> tuple[float, float]:
-        """RMS error over bound of z as a whole, and its standard error."""
-        return rms(np.sqrt(0.5 * self.excess))
-
-    @property
-    def own_ratio(self) -> tuple[float, float]:
-        """RMS error over the bound of the beams that the observation itself rests on."""
-        return rms(np.sqrt(0.5 * self.column("own_excess")))
-
-    @property
-    def radius_ratio(self) -> tuple[float, float]:
-        """RMS error over bound of the radius, and its standard error."""
-        return rms(self.column("radius_error") / np.sqrt(self.column("radius_bound")))
+        `bias_k` and `rms_k` are of the k-th of z, `ratio_k` its RMS over the bound, `ratio` that of z as
+        a whole, `own_ratio` the same over the bound of the beams that the observation itself rests on.
+        Of cylinders, `radial_bias` is along the line of sight and `rms` of the centre; `radius_*` are
+        there where the radius is measured.
+        """
+        if not self.found:
+            return {}
+        z, bounds = self.errors, self.bounds
+        found = {f"bias_{k}": mean(z[:, k]) for k in (0, 1)}
+        found |= {f"rms_{k}": rms(z[:, k]) for k in (0, 1)}
+        found |= {f"ratio_{k}": rms(z[:, k] / np.sqrt(bounds[:, k, k])) for k in (0, 1)}
+        found["ratio"] = rms(np.sqrt(0.5 * self.excess))
+        found["own_ratio"] = rms(np.sqrt(0.5 * self.column("own_excess")))
+        found["nees"] = mean(self.nees)
+        found["beams_used"] = mean(self.column("used"))
+        if len(radial := self.column("radial")):
+            found |= {"radial_bias": mean(radial), "rms": rms(np.hypot(*z.T))}
+        if len(radius := self.column("radius_error")):
+            ratio = rms(radius / np.sqrt(self.column("radius_bound")))
+            found |= {"radius_bias": mean(radius), "radius_rms": rms(radius), "radius_ratio": ratio}
+        return found
 
 
 def typical_ratio(excess: Array) -> float:
@@ -119,26 +127,3 @@ def typical_ratio(excess: Array) -> float:
     Unlike the RMS it does not show the few that went wrong.
     """
     return math.sqrt(float(np.median(excess)) / _MEDIAN) if len(excess) else math.nan
-
-
-def rms(values: Array) -> tuple[float, float]:
-    """Return the root mean square and its standard error, to first order; NaN of nothing."""
-    if not len(values):
-        return math.nan, math.nan
-    squares = np.square(values)
-    root = math.sqrt(float(squares.mean()))
-    return root, float(squares.std()) / math.sqrt(len(squares)) / max(2.0 * root, 1e-300)
-
-
-def mean(values: Array) -> tuple[float, float]:
-    """Return the mean and its standard error; NaN of nothing."""
-    if not len(values):
-        return math.nan, math.nan
-    return float(values.mean()), float(values.std()) / math.sqrt(len(values))
-
-
-def _normalised(errors: Array, covariances: Array) -> Array:
-    if not len(errors):
-        return np.empty(0)
-    scaled = np.linalg.solve(covariances, errors[:, :, None])[:, :, 0]
-    return np.asarray((errors * scaled).sum(axis=1))

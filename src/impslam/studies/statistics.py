@@ -10,7 +10,7 @@ import numpy as np
 
 from impslam.studies.report import plain
 from impslam.studies.sweep import Row
-from impslam.types import Array
+from impslam.types import Array, Ints
 
 MEDIAN_95 = "median [95 %]"
 """How columns of `Quantiles` are headed."""
@@ -56,7 +56,7 @@ class Estimate(NamedTuple):
 NONE = Estimate(math.nan, math.nan)
 
 
-def mean(values: Array) -> Estimate:
+def mean(values: Array | Ints) -> Estimate:
     """Return the mean; NaN of nothing."""
     if not len(values):
         return NONE

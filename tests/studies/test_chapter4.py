@@ -28,19 +28,19 @@ from impslam.studies.chapter4_scans import (
     PEOPLE,
     SAME,
     SAME_ANGLE,
-    Shot,
-    Sighting,
-    Thesis,
+    Detections,
+    Snapshot,
+    ThesisExtractors,
+    detect,
     doubles,
-    first,
+    first_or_nearest,
     jumps,
     long_ones,
     on_people,
     rates,
-    shots,
-    sight,
+    snapshots,
+    true_thing,
     walls_among,
-    what_is_there,
     world_of,
 )
 from impslam.studies.job import Job
@@ -53,13 +53,13 @@ CYLINDERS = np.array([[-1.2192, 1.5240], [-0.6096, 3.3528], [-1.2192, 5.1816]])
 
 
 @pytest.fixture(scope="module")
-def thesis() -> Thesis:
-    return Thesis.presets()
+def thesis() -> ThesisExtractors:
+    return ThesisExtractors.presets()
 
 
 @pytest.fixture(scope="module")
-def arena() -> list[Shot]:
-    return list(shots(load_world(ARENA)))
+def arena() -> list[Snapshot]:
+    return list(snapshots(load_world(ARENA)))
 
 
 @pytest.fixture(scope="module")
@@ -67,13 +67,13 @@ def part() -> Section:
     return figures(Job())
 
 
-def shot_of(pose: Array = POSE, legs: Array | None = None) -> Shot:
+def snapshot_of(pose: Array = POSE, legs: Array | None = None) -> Snapshot:
     """Return an exact scan of the arena with legs (k, 3) in it."""
     legs = np.empty((0, 3)) if legs is None else legs
     circles = np.vstack([np.column_stack([CYLINDERS, np.full(3, 0.1524)]), legs])
     seen = cast(room(LEFT, RIGHT, BOTTOM, TOP), circles, pose=pose)
     scene = Scene(load_world(ARENA))
-    return Shot(0, 0.0, seen.scan, pose, scene, scene.segments, np.empty((0, 4)), legs)
+    return Snapshot(0, 0.0, seen.scan, pose, scene, scene.segments, np.empty((0, 4)), legs)
 
 
 def wall(start: tuple[float, float], end: tuple[float, float], pose: Array = POSE) -> Observation:
@@ -93,42 +93,42 @@ def cylinder(x: float, y: float, pose: Array = POSE) -> Observation:
 # --------------------------------------------------------------------------- jumps
 
 
-def one_cylinder() -> tuple[Shot, int, int]:
-    """Return a scan of a cylinder in a room, and the first and last beam on it."""
+def one_cylinder() -> tuple[Snapshot, int, int]:
+    """Return a scan of a cylinder in a room, and the first_or_nearest and last beam on it."""
     seen = cast(room(-2.0, 3.0, -2.0, 2.0), np.array([[1.2, 0.5, 0.1524]]))
     on = seen.beams_on_circle(0)
-    shot = replace(shot_of(), scan=seen.scan, pose=np.zeros(3))
-    return shot, int(on[0]), int(on[-1])
+    snapshot = replace(snapshot_of(), scan=seen.scan, pose=np.zeros(3))
+    return snapshot, int(on[0]), int(on[-1])
 
 
-def test_jumps_are_where_the_range_jumps(thesis: Thesis) -> None:
-    shot, begin, end = one_cylinder()
-    seen = jumps(shot.scan, thesis.jump.threshold)
+def test_jumps_are_where_the_range_jumps(thesis: ThesisExtractors) -> None:
+    snapshot, begin, end = one_cylinder()
+    seen = jumps(snapshot.scan, thesis.jump.threshold)
     assert seen.objects.tolist() == [[begin, end]]
-    step = shot.scan.angles[1] - shot.scan.angles[0]
-    fall = (shot.scan.ranges[begin] - shot.scan.ranges[begin - 1]) / step
-    rise = (shot.scan.ranges[end + 1] - shot.scan.ranges[end]) / step
+    step = snapshot.scan.angles[1] - snapshot.scan.angles[0]
+    fall = (snapshot.scan.ranges[begin] - snapshot.scan.ranges[begin - 1]) / step
+    rise = (snapshot.scan.ranges[end + 1] - snapshot.scan.ranges[end]) / step
     assert seen.slopes[seen.falls] == pytest.approx([fall])
     assert seen.slopes[seen.rises] == pytest.approx([rise])
     assert fall < -thesis.jump.threshold
     assert rise > thesis.jump.threshold
 
 
-def test_jumps_are_drawn_between_the_beams_that_jump(thesis: Thesis) -> None:
-    shot, begin, end = one_cylinder()
-    seen = jumps(shot.scan, thesis.jump.threshold)
-    figure = jumps_figure(sight(shot, thesis.jump), seen, thesis.jump.threshold, 0.1524)
+def test_jumps_are_drawn_between_the_beams_that_jump(thesis: ThesisExtractors) -> None:
+    snapshot, begin, end = one_cylinder()
+    seen = jumps(snapshot.scan, thesis.jump.threshold)
+    figure = jumps_figure(detect(snapshot, thesis.jump), seen, thesis.jump.threshold, 0.1524)
     _, slopes = figure.subfigs[1].axes
     lines = {line.get_label(): line.get_xdata() for line in slopes.lines}
-    degrees = np.degrees(shot.scan.angles)
+    degrees = np.degrees(snapshot.scan.angles)
     assert lines["begins"] == pytest.approx([0.5 * (degrees[begin - 1] + degrees[begin])])
     assert lines["ends"] == pytest.approx([0.5 * (degrees[end] + degrees[end + 1])])
 
 
-def test_lost_beams_count_as_range_zero(thesis: Thesis) -> None:
-    shot, _, _ = one_cylinder()
-    shot.scan.valid[100] = False
-    seen = jumps(shot.scan, thesis.jump.threshold)
+def test_lost_beams_count_as_range_zero(thesis: ThesisExtractors) -> None:
+    snapshot, _, _ = one_cylinder()
+    snapshot.scan.valid[100] = False
+    seen = jumps(snapshot.scan, thesis.jump.threshold)
     assert seen.ranges[100] == 0.0
     assert [100, 100] in seen.objects.tolist()
 
@@ -153,39 +153,39 @@ def test_lost_beams_count_as_range_zero(thesis: Thesis) -> None:
     ],
 )
 def test_a_finding_is_judged_by_the_truth(finding: Observation, there: bool) -> None:
-    assert (what_is_there(shot_of(), finding) >= 0) == there
+    assert (true_thing(snapshot_of(), finding) >= 0) == there
 
 
 def test_a_line_across_an_open_door_is_of_the_wall_beside_it() -> None:
     wall_with_gap = np.array([[0.0, 0.0, 3.0, 0.0], [3.9, 0.0, 6.0, 0.0], [0.0, 2.0, 0.3, 2.0]])
-    shot = replace(shot_of(np.zeros(3)), surfaces=walls_among(wall_with_gap))
+    snapshot = replace(snapshot_of(np.zeros(3)), surfaces=walls_among(wall_with_gap))
     longer = np.array([[-0.45, 0.0, 3.45, 0.0], [3.45, 0.0, 6.45, 0.0]])
-    assert shot.surfaces == pytest.approx(longer)
+    assert snapshot.surfaces == pytest.approx(longer)
     across = wall((2.0, 0.1), (4.8, 0.1), np.zeros(3))
-    assert what_is_there(shot, across) >= 0
-    assert what_is_there(shot, wall((7.0, 0.0), (8.0, 0.0), np.zeros(3))) < 0
+    assert true_thing(snapshot, across) >= 0
+    assert true_thing(snapshot, wall((7.0, 0.0), (8.0, 0.0), np.zeros(3))) < 0
 
 
 def test_few_far_readings_do_not_make_a_wall_spurious() -> None:
-    shot = shot_of()
-    points = transform(POSE, shot.scan.points)
+    snapshot = snapshot_of()
+    points = transform(POSE, snapshot.scan.points)
     on = np.flatnonzero(np.abs(points[:, 0] - LEFT) < 0.01)
     askew = wall((LEFT - 0.01, 1.5), (LEFT + 0.4, 5.5))  # by 5.9 deg: its middle is 0.2 m off
     low = on[points[on, 1] < 2.5]
-    assert what_is_there(shot, replace(askew, beams=low)) >= 0
-    assert what_is_there(shot, askew) < 0
+    assert true_thing(snapshot, replace(askew, beams=low)) >= 0
+    assert true_thing(snapshot, askew) < 0
 
 
-def to_nearest_wall(shot: Shot, finding: Observation) -> float:
+def to_nearest_wall(snapshot: Snapshot, finding: Observation) -> float:
     """Return how far a finding's middle is from the arena's walls of about its direction, m.
 
     Written for the arena's axes, without the geometry under test.
     """
     rho, alpha = finding.z
     normal = np.array([math.cos(alpha), math.sin(alpha)])
-    middle = shot.scan.points[finding.beams].mean(axis=0)
-    x, y = transform(shot.pose, (middle + (rho - middle @ normal) * normal)[None])[0]
-    ends = transform(shot.pose, finding.end_points)
+    middle = snapshot.scan.points[finding.beams].mean(axis=0)
+    x, y = transform(snapshot.pose, (middle + (rho - middle @ normal) * normal)[None])[0]
+    ends = transform(snapshot.pose, finding.end_points)
     dx, dy = np.abs(ends[1] - ends[0])
     apart = [math.inf]
     if math.atan2(dx, dy) <= SAME_ANGLE:
@@ -199,25 +199,25 @@ def to_nearest_wall(shot: Shot, finding: Observation) -> float:
 
 @pytest.mark.parametrize("name", ["ransac", "hough"])
 def test_spurious_walls_are_away_from_every_wall(
-    arena: list[Shot], thesis: Thesis, name: str
+    arena: list[Snapshot], thesis: ThesisExtractors, name: str
 ) -> None:
     lax = {"ransac": thesis.ransac, "hough": thesis.hough.model_copy(update={"threshold": 20})}
-    seen = [sight(shot, lax[name]) for shot in arena]
-    spurious = [to_nearest_wall(s.shot, o) for s in seen for o in s.spurious]
-    true = [to_nearest_wall(s.shot, o) for s in seen for o in s.true]
+    seen = [detect(snapshot, lax[name]) for snapshot in arena]
+    spurious = [to_nearest_wall(s.snapshot, o) for s in seen for o in s.spurious]
+    true = [to_nearest_wall(s.snapshot, o) for s in seen for o in s.true]
     assert len(spurious) > 10
     assert len(true) > 100
     assert min(spurious) > SAME
     assert max(true) <= SAME
 
 
-def test_spurious_cylinders_are_away_from_every_axis(thesis: Thesis) -> None:
-    seen = [sight(shot, thesis.low) for shot in shots(world_of(PEOPLE))]
+def test_spurious_cylinders_are_away_from_every_axis(thesis: ThesisExtractors) -> None:
+    seen = [detect(snapshot, thesis.low) for snapshot in snapshots(world_of(PEOPLE))]
     parted = {"true": [], "spurious": []}
     for s in seen:
         for name, apart in parted.items():
             for finding in getattr(s, name):
-                centre = compose(s.shot.pose, np.array([*finding.z, 0.0]))[:2]
+                centre = compose(s.snapshot.pose, np.array([*finding.z, 0.0]))[:2]
                 apart.append(np.hypot(*(CYLINDERS - centre).T).min())
     assert len(parted["spurious"]) > 10
     assert min(parted["spurious"]) > SAME
@@ -229,15 +229,15 @@ def test_spurious_cylinders_are_away_from_every_axis(thesis: Thesis) -> None:
 def test_a_wall_that_is_found_twice_is_a_double() -> None:
     twice = (wall((LEFT, 1.0), (LEFT, 2.0)), wall((LEFT + 0.1, 2.0), (LEFT + 0.1, 3.0)))
     other = wall((RIGHT, 1.0), (RIGHT, 2.0))
-    assert doubles(Sighting(shot_of(), (*twice, other), ())) == 1
-    assert doubles(Sighting(shot_of(), (twice[0], other), ())) == 0
+    assert doubles(Detections(snapshot_of(), (*twice, other), ())) == 1
+    assert doubles(Detections(snapshot_of(), (twice[0], other), ())) == 0
 
 
 def test_long_spurious_walls_are_a_metre_or_more() -> None:
     found = wall((-1.0, 1.0), (-0.3, 1.0)), wall((-1.5, 2.0), (-0.4, 2.0)), cylinder(-1.0, 3.0)
-    sighting = Sighting(shot_of(), (), found)
-    assert long_ones(sighting) == [found[1]]
-    assert rates([sighting, Sighting(shot_of(), found[:1], ())]) == {
+    detections = Detections(snapshot_of(), (), found)
+    assert long_ones(detections) == [found[1]]
+    assert rates([detections, Detections(snapshot_of(), found[:1], ())]) == {
         "scans": 2,
         "true_per_scan": 0.5,
         "spurious_per_scan": 1.5,
@@ -247,27 +247,29 @@ def test_long_spurious_walls_are_a_metre_or_more() -> None:
 
 def test_readings_on_legs_are_those_that_met_them() -> None:
     legs = np.array([[-0.5, 2.9, 0.06], [-0.9, 2.8, 0.06]])
-    shot = shot_of(legs=legs)
+    snapshot = snapshot_of(legs=legs)
     circles = np.vstack([np.column_stack([CYLINDERS, np.full(3, 0.1524)]), legs])
     hit = cast(room(LEFT, RIGHT, BOTTOM, TOP), circles, pose=POSE).hit
-    assert shot.on_legs == np.count_nonzero(hit >= 4 + 3) > 10
-    assert not shot.is_clear
-    assert shot_of().on_legs == 0
-    assert shot_of().is_clear
+    assert snapshot.on_legs == np.count_nonzero(hit >= 4 + 3) > 10
+    assert not snapshot.is_clear
+    assert snapshot_of().on_legs == 0
+    assert snapshot_of().is_clear
 
 
 def test_where_no_scan_obeys_the_rule_the_nearest_is_given() -> None:
-    def most(sighting: Sighting) -> int:
-        return len(sighting.spurious)
+    def most(detections: Detections) -> int:
+        return len(detections.spurious)
 
-    a, b = Sighting(shot_of(), (), ()), Sighting(shot_of(), (), (cylinder(0.0, 0.0),))
-    assert first([a, b], lambda s: not s.spurious, most) == (a, True)
-    assert first([a, b], lambda s: len(s.spurious) > 3, most) == (b, False)
+    a, b = Detections(snapshot_of(), (), ()), Detections(snapshot_of(), (), (cylinder(0.0, 0.0),))
+    assert first_or_nearest([a, b], lambda s: not s.spurious, most) == (a, True)
+    assert first_or_nearest([a, b], lambda s: len(s.spurious) > 3, most) == (b, False)
 
 
-def test_dice_depend_on_seed_and_scan_alone(arena: list[Shot], thesis: Thesis) -> None:
+def test_random_draws_depend_on_seed_and_scan_alone(
+    arena: list[Snapshot], thesis: ThesisExtractors
+) -> None:
     def ends(seed: int) -> list[Array]:
-        seen = sight(arena[13], thesis.ransac, seed)
+        seen = detect(arena[13], thesis.ransac, seed)
         return [o.z for o in (*seen.true, *seen.spurious)]
 
     assert np.array_equal(ends(0), ends(0))
@@ -277,16 +279,16 @@ def test_dice_depend_on_seed_and_scan_alone(arena: list[Shot], thesis: Thesis) -
 # --------------------------------------------------------------------------- the Hough transform
 
 
-def test_each_pixel_votes_once_for_each_angle(thesis: Thesis) -> None:
-    shot = shot_of()
-    white = pixels(shot.scan.points[usable(shot.scan)], thesis.hough)
+def test_each_pixel_votes_once_for_each_angle(thesis: ThesisExtractors) -> None:
+    snapshot = snapshot_of()
+    white = pixels(snapshot.scan.points[usable(snapshot.scan)], thesis.hough)
     votes, thetas, distances = accumulator(white, thesis.hough)
     assert np.degrees(thetas) == pytest.approx(np.arange(0.0, 180.0, 10.0))
     assert votes.shape == (len(thetas), len(distances))
     assert (votes.sum(axis=1) == len(white)).all()
 
 
-def test_a_row_of_pixels_fills_one_cell(thesis: Thesis) -> None:
+def test_a_row_of_pixels_fills_one_cell(thesis: ThesisExtractors) -> None:
     white = np.column_stack([np.full(30, 400.0), np.arange(100.0, 130.0)])
     votes, thetas, distances = accumulator(white, thesis.hough)
     i, j = np.unravel_index(votes.argmax(), votes.shape)
@@ -294,7 +296,9 @@ def test_a_row_of_pixels_fills_one_cell(thesis: Thesis) -> None:
 
 
 @pytest.mark.parametrize("heading", np.linspace(-3.1, 3.1, 9))
-def test_a_peak_is_the_line_of_its_wall_in_the_image(heading: float, thesis: Thesis) -> None:
+def test_a_peak_is_the_line_of_its_wall_in_the_image(
+    heading: float, thesis: ThesisExtractors
+) -> None:
     pose = np.array([-0.6, 2.4, heading])
     finding = wall((LEFT, 0.7), (LEFT, 4.9), pose)
     theta, distance = peak(finding, thesis.hough)
@@ -305,10 +309,12 @@ def test_a_peak_is_the_line_of_its_wall_in_the_image(heading: float, thesis: The
     assert -1e-6 < theta < math.pi
 
 
-def test_walls_found_stand_on_cells_above_the_threshold(arena: list[Shot], thesis: Thesis) -> None:
-    for shot in arena[::10]:
-        seen = sight(shot, thesis.hough)
-        white = pixels(shot.scan.points[usable(shot.scan)], thesis.hough)
+def test_walls_found_stand_on_cells_above_the_threshold(
+    arena: list[Snapshot], thesis: ThesisExtractors
+) -> None:
+    for snapshot in arena[::10]:
+        seen = detect(snapshot, thesis.hough)
+        white = pixels(snapshot.scan.points[usable(snapshot.scan)], thesis.hough)
         votes, thetas, distances = accumulator(white, thesis.hough)
         for finding in (*seen.true, *seen.spurious):
             theta, distance = peak(finding, thesis.hough)
@@ -322,16 +328,16 @@ def test_walls_found_stand_on_cells_above_the_threshold(arena: list[Shot], thesi
 # --------------------------------------------------------------------------- what is drawn
 
 
-def test_findings_are_drawn_in_the_colour_of_what_they_are(thesis: Thesis) -> None:
+def test_findings_are_drawn_in_the_colour_of_what_they_are(thesis: ThesisExtractors) -> None:
     good, bad = wall((LEFT, 1.0), (LEFT, 3.0)), wall((-1.0, 1.0), (-0.5, 1.2))
-    sighting = Sighting(shot_of(), (good,), (bad,))
-    for axes in (scan_figure(sighting).axes[0], people_figure(sighting).axes[1]):
+    detections = Detections(snapshot_of(), (good,), (bad,))
+    for axes in (scan_figure(detections).axes[0], people_figure(detections).axes[1]):
         drawn = {line.get_color(): line.get_xydata() for line in axes.lines if line.get_gid()}
         assert drawn[TRUE] == pytest.approx(np.array([[LEFT, 1.0], [LEFT, 3.0]]))
         assert drawn[SPURIOUS] == pytest.approx(np.array([[-1.0, 1.0], [-0.5, 1.2]]))
-    words = [text.get_text() for text in scan_figure(sighting).legends[0].get_texts()]
+    words = [text.get_text() for text in scan_figure(detections).legends[0].get_texts()]
     assert words[-2:] == ["wall, true (1)", "wall, spurious (1)"]
-    image, cells, _ = hough_figure(sighting, thesis.hough).axes
+    image, cells, _ = hough_figure(detections, thesis.hough).axes
     assert [line.get_color() for line in image.lines[2:]] == [TRUE, SPURIOUS]
     assert len(cells.lines) == 2
 
@@ -388,12 +394,12 @@ def test_hough_gives_fewer_spurious_walls_and_fewer_true_ones(part: Section, wor
 
 
 def test_the_same_again_whatever_the_job(part: Section) -> None:
-    told: list[tuple[int, int]] = []
+    steps: list[tuple[int, int]] = []
     again = figures(
-        Job(seeds=3, processes=2, progress=lambda _, done, total: told.append((done, total)))
+        Job(seeds=3, processes=2, progress=lambda _, done, total: steps.append((done, total)))
     )
     assert [p.png for p in again.pictures] == [p.png for p in part.pictures]
     assert again.text == part.text
     assert [p.caption for p in again.pictures] == [p.caption for p in part.pictures]
     assert again.numbers == part.numbers
-    assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    assert steps == [(0, 3), (1, 3), (2, 3), (3, 3)]

@@ -15,10 +15,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from impslam.evaluation.colours import INK, PALE
+from impslam.evaluation.plots import new_figure
 from impslam.extractors.hough import Hough
 from impslam.extractors.readings import usable
-from impslam.studies.chapter4_plot import LEGEND, SPURIOUS, TRUE, WIDTH, new_figure
-from impslam.studies.chapter4_scans import Sighting
+from impslam.studies.chapter4_plot import LEGEND, SPURIOUS, TRUE, WIDTH
+from impslam.studies.chapter4_scans import Detections
 from impslam.types import Array, Observation
 
 BOW = "#f2a03d"
@@ -60,11 +61,11 @@ def peak(finding: Observation, hough: Hough) -> tuple[float, float]:
     return theta - 1e-9, distance if half_turns % 2 == 0 else -distance
 
 
-def hough_figure(sighting: Sighting, hough: Hough) -> Figure:
+def hough_figure(detections: Detections, hough: Hough) -> Figure:
     """Draw the binary image with the lines found, and the accumulator with their cells."""
     figure = new_figure(WIDTH + 1.2, 4.6)
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.02))
-    white = pixels(sighting.shot.scan.points[usable(sighting.shot.scan)], hough)
+    white = pixels(detections.snapshot.scan.points[usable(detections.snapshot.scan)], hough)
     left.set_facecolor("black")
     left.plot(*white.T, "s", ms=1.6, mew=0, color="white")
     middle = hough.size // 2  # it looks down: Eq. 4.13 turns x forward into rows
@@ -72,7 +73,7 @@ def hough_figure(sighting: Sighting, hough: Hough) -> Figure:
     left.set(xlim=(0, hough.size), ylim=(hough.size, 0), aspect="equal")
     left.set(xlabel="column in pixels", ylabel="row in pixels")
     _cells(figure, right, white, hough)
-    _mark(left, right, sighting, hough)
+    _mark(left, right, detections, hough)
     return figure
 
 
@@ -100,15 +101,15 @@ def _cells(figure: Figure, axes: Axes, white: Array, hough: Hough) -> None:
     bar.ax.tick_params(colors=PALE, labelcolor=INK, labelsize=9)
 
 
-def _mark(image: Axes, cells: Axes, sighting: Sighting, hough: Hough) -> None:
+def _mark(image: Axes, cells: Axes, detections: Detections, hough: Hough) -> None:
     """Draw each wall as a line across the image and a ring about its cell."""
     keys = [
         Line2D([], [], marker="s", ls="", ms=6, mfc="white", mec="black", label="reading"),
         Line2D([], [], marker=(3, 0, 180), ls="", ms=9, color=BOW, label="robot"),
     ]
     for found, colour, word in (
-        (sighting.true, TRUE, "true"),
-        (sighting.spurious, SPURIOUS, "spurious"),
+        (detections.true, TRUE, "true"),
+        (detections.spurious, SPURIOUS, "spurious"),
     ):
         ring: dict[str, Any] = {"marker": "o", "ms": 11, "mfc": "none", "mec": colour, "mew": 1.8}
         for finding in found:

@@ -11,50 +11,38 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Polygon, Wedge
 
 from impslam.evaluation.colours import INK, PALE
-from impslam.evaluation.plots import as_png
+from impslam.evaluation.plots import new_figure, quiet
 from impslam.extractors.readings import usable
 from impslam.geometry.se2 import compose, transform
-from impslam.studies.chapter4_scans import Jumps, Shot, Sighting
+from impslam.studies.chapter4_scans import Detections, Jumps, Snapshot
+from impslam.studies.map_plot import GROUND, draw_scene
 from impslam.types import Array, Observation
 
 TRUE, SPURIOUS = "#2563eb", "#d81b60"
-WORLD, ROUND, LEG, FIELD = "#c2c8cf", "#d5d9de", "#f2c38d", "#eef4fb"
+LEG, FIELD = "#f2c38d", "#eef4fb"
 READING = "#5b6671"
 LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 9, "columnspacing": 1.2}
 WIDTH = 8.6  # in
 MARGIN = 0.35  # m round what is shown
+PNG: dict[str, Any] = {"dpi": 150, "bbox_inches": "tight", "pad_inches": 0.1}
 ROBOT = 0.25  # m, radius of the robot's outline
-
-
-def png(figure: Figure, dpi: int = 150) -> bytes:
-    """Return a figure as a PNG, the same bytes each time."""
-    return as_png(figure, dpi=dpi, bbox_inches="tight", pad_inches=0.1)
-
-
-def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure of so many inches on its own canvas."""
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
 
 
 # --------------------------------------------------------------------------- range and derivative
 
 
-def jumps_figure(sighting: Sighting, seen: Jumps, threshold: float, radius: float) -> Figure:
+def jumps_figure(detections: Detections, seen: Jumps, threshold: float, radius: float) -> Figure:
     """Draw the scan from above, its ranges, and their derivative with the jumps (Fig. 11)."""
     figure = new_figure(WIDTH + 1.4, 6.4)
     panels: Any = figure.subfigures(1, 2, width_ratios=(1.0, 2.2))
     above, right = panels
-    _scan(above.subplots(), sighting, _bounds(sighting.shot), radius)
-    _legend(above, sighting, 2)
+    _scan(above.subplots(), detections, _bounds(detections.snapshot), radius)
+    _legend(above, detections, 2)
     ranges, slopes = right.subplots(2, 1, sharex=True)
     degrees = np.degrees(seen.angles)
     echo = seen.ranges > 0.0
@@ -62,19 +50,19 @@ def jumps_figure(sighting: Sighting, seen: Jumps, threshold: float, radius: floa
     if not echo.all():
         look: dict[str, Any] = {"ms": 5, "color": SPURIOUS, "label": "no echo: 0"}
         ranges.plot(degrees[~echo], seen.ranges[~echo], "x", **look)
-    _objects(ranges, slopes, sighting, seen)
+    _objects(ranges, slopes, detections, seen)
     _slopes(slopes, seen, threshold)
     ranges.set_ylabel("range in m")
     slopes.set(ylabel="d range / d angle in m/rad", xlabel="angle of the beam in degrees")
     for axes in (ranges, slopes):
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, **LEGEND)
-        _style(axes)
+        quiet(axes)
     return figure
 
 
-def _objects(ranges: Axes, slopes: Axes, sighting: Sighting, seen: Jumps) -> None:
+def _objects(ranges: Axes, slopes: Axes, detections: Detections, seen: Jumps) -> None:
     """Shade the objects: those that became cylinders, and the rest."""
-    begins = {int(o.beams[0]) for o in (*sighting.true, *sighting.spurious)}
+    begins = {int(o.beams[0]) for o in (*detections.true, *detections.spurious)}
     labels = {True: "taken for a cylinder", False: "dropped: no range in the middle"}
     for begin, end in seen.objects:
         taken = int(begin) in begins
@@ -104,31 +92,31 @@ def _slopes(axes: Axes, seen: Jumps, threshold: float) -> None:
 # --------------------------------------------------------------------------- from above
 
 
-def scan_figure(sighting: Sighting, radius: float = 0.0) -> Figure:
+def scan_figure(detections: Detections, radius: float = 0.0) -> Figure:
     """Draw a scan from above: the truth pale, the readings, true and spurious findings.
 
     `radius` (m) is that of the cylinders found.
     """
-    box = _bounds(sighting.shot)
+    box = _bounds(detections.snapshot)
     figure = new_figure(*_size(box, WIDTH, 7.4))
-    _scan(figure.subplots(), sighting, box, radius)
-    _legend(figure, sighting, 4 if _is_wide(box) else 2)
+    _scan(figure.subplots(), detections, box, radius)
+    _legend(figure, detections, 4 if _is_wide(box) else 2)
     return figure
 
 
-def people_figure(sighting: Sighting) -> Figure:
+def people_figure(detections: Detections) -> Figure:
     """Draw the truth with its people beside (or above) the walls that were found (Figs. 18, 19)."""
-    box = _bounds(sighting.shot)
+    box = _bounds(detections.snapshot)
     wide = _is_wide(box)
     width, height = _size(box, WIDTH if wide else WIDTH / 2, 6.4)
     figure = new_figure(width, 2 * height) if wide else new_figure(2 * width, height)
     panels = list(figure.subplots(2 if wide else 1, 1 if wide else 2, squeeze=False).flat)
-    bare = Sighting(sighting.shot, (), ())
+    bare = Detections(detections.snapshot, (), ())
     _scan(panels[0], bare, box, 0.0, readings=False)
-    _scan(panels[1], sighting, box, 0.0)
+    _scan(panels[1], detections, box, 0.0)
     for axes, title in zip(panels, ("(a) the scene", "(b) readings and walls found"), strict=True):
         axes.set_title(title, loc="left", color=INK, fontsize=10)
-    _legend(figure, sighting, 4)
+    _legend(figure, detections, 4)
     return figure
 
 
@@ -136,10 +124,10 @@ def _is_wide(box: Sequence[float]) -> bool:
     return box[1] - box[0] > 1.5 * (box[3] - box[2])
 
 
-def _bounds(shot: Shot) -> tuple[float, float, float, float]:
+def _bounds(snapshot: Snapshot) -> tuple[float, float, float, float]:
     """Return left, right, bottom, top in map of the readings and the robot."""
-    points = transform(shot.pose, shot.scan.points[usable(shot.scan)])
-    points = np.vstack([points, shot.pose[:2] - ROBOT, shot.pose[:2] + ROBOT])
+    points = transform(snapshot.pose, snapshot.scan.points[usable(snapshot.scan)])
+    points = np.vstack([points, snapshot.pose[:2] - ROBOT, snapshot.pose[:2] + ROBOT])
     (x0, y0), (x1, y1) = points.min(axis=0) - MARGIN, points.max(axis=0) + MARGIN
     return float(x0), float(x1), float(y0), float(y1)
 
@@ -152,42 +140,39 @@ def _size(box: Sequence[float], width: float, tallest: float) -> tuple[float, fl
 
 
 def _scan(
-    axes: Axes, sighting: Sighting, box: Sequence[float], radius: float, readings: bool = True
+    axes: Axes, detections: Detections, box: Sequence[float], radius: float, readings: bool = True
 ) -> None:
-    shot = sighting.shot
+    snapshot = detections.snapshot
     left, right, bottom, top = box
-    _field(axes, shot)
-    _world(axes, shot)
+    _field(axes, snapshot)
+    _world(axes, snapshot)
     if readings:
-        points = transform(shot.pose, shot.scan.points[usable(shot.scan)])
+        points = transform(snapshot.pose, snapshot.scan.points[usable(snapshot.scan)])
         axes.plot(*points.T, ".", ms=3.2, mew=0, color=READING, zorder=4, label="reading")
-    _findings(axes, shot, sighting.true, TRUE, radius)
-    _findings(axes, shot, sighting.spurious, SPURIOUS, radius)
-    _robot(axes, shot.pose)
+    _findings(axes, snapshot, detections.true, TRUE, radius)
+    _findings(axes, snapshot, detections.spurious, SPURIOUS, radius)
+    _robot(axes, snapshot.pose)
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     axes.set(xlabel="x in m", ylabel="y in m")
-    _style(axes)
+    quiet(axes)
 
 
-def _legend(figure: Any, sighting: Sighting, columns: int) -> None:
+def _legend(figure: Any, detections: Detections, columns: int) -> None:
     """Put the legend above a figure of scans from above."""
-    figure.legend(handles=_keys(sighting), loc="outside upper center", ncols=columns, **LEGEND)
+    figure.legend(handles=_keys(detections), loc="outside upper center", ncols=columns, **LEGEND)
 
 
-def _field(axes: Axes, shot: Shot) -> None:
+def _field(axes: Axes, snapshot: Snapshot) -> None:
     """Draw how far and wide the lidar sees."""
-    x, y, heading = compose(shot.pose, shot.scan.laser)
-    low, high = np.degrees(heading + shot.scan.angles[[0, -1]])
-    axes.add_patch(Wedge((x, y), shot.scan.range_max, low, high, fc=FIELD, ec="none", zorder=0))
+    x, y, heading = compose(snapshot.pose, snapshot.scan.laser)
+    low, high = np.degrees(heading + snapshot.scan.angles[[0, -1]])
+    axes.add_patch(Wedge((x, y), snapshot.scan.range_max, low, high, fc=FIELD, ec="none", zorder=0))
 
 
-def _world(axes: Axes, shot: Shot) -> None:
+def _world(axes: Axes, snapshot: Snapshot) -> None:
     """Draw the truth: what is straight, what is round, legs."""
-    lines = np.vstack([shot.scene.segments, shot.leaves]).reshape(-1, 2, 2)
-    axes.add_collection(LineCollection(list(lines), colors=WORLD, linewidths=4.0, zorder=1))
-    for x, y, radius in shot.scene.circles:
-        axes.add_patch(Circle((x, y), radius, fc=ROUND, ec=WORLD, lw=1.2, zorder=1))
-    for x, y, radius in shot.legs:
+    draw_scene(axes, snapshot.scene, snapshot.leaves, 4.0)
+    for x, y, radius in snapshot.legs:
         axes.add_patch(Circle((x, y), radius, fc=LEG, ec="#c97a1c", lw=1.0, zorder=2))
 
 
@@ -199,38 +184,38 @@ def _robot(axes: Axes, pose: Array) -> None:
 
 
 def _findings(
-    axes: Axes, shot: Shot, found: Sequence[Observation], colour: str, radius: float
+    axes: Axes, snapshot: Snapshot, found: Sequence[Observation], colour: str, radius: float
 ) -> None:
     spurious = colour == SPURIOUS
     style: Any = (0, (3, 1.2)) if spurious else "-"
     for finding in found:
         if finding.end_points is not None:
-            ends = transform(shot.pose, finding.end_points)
+            ends = transform(snapshot.pose, finding.end_points)
             axes.plot(*ends.T, color=colour, lw=2.4, ls=style, zorder=6, gid="wall")
             continue
-        x, y = transform(shot.pose, finding.z[None])[0]
+        x, y = transform(snapshot.pose, finding.z[None])[0]
         axes.add_patch(Circle((x, y), radius, fill=False, ec=colour, lw=2.0, ls=style, zorder=6))
         axes.plot(x, y, "x" if spurious else "+", ms=7, mew=1.6, color=colour, zorder=7)
 
 
-def _keys(sighting: Sighting) -> list[Any]:
+def _keys(detections: Detections) -> list[Any]:
     """Return the legend's entries for what is there."""
-    shot, found = sighting.shot, (*sighting.true, *sighting.spurious)
+    snapshot, found = detections.snapshot, (*detections.true, *detections.spurious)
     kind = found[0].kind if found else ""
     bad: dict[str, Any] = {"color": SPURIOUS, "lw": 2.2, "ls": (0, (3, 1.2))}
     entries = [
         (True, Line2D([], [], color=INK, marker=(3, 0, -90), ls="", ms=9, label="robot")),
-        (True, Patch(fc=FIELD, ec=WORLD, lw=0.5, label="field of view")),
-        (True, Line2D([], [], color=WORLD, lw=4, label="truth")),
-        (len(shot.legs) > 0, _dot("leg", LEG, "#c97a1c")),
+        (True, Patch(fc=FIELD, ec=GROUND, lw=0.5, label="field of view")),
+        (True, Line2D([], [], color=GROUND, lw=4, label="truth")),
+        (len(snapshot.legs) > 0, _dot("leg", LEG, "#c97a1c")),
         (True, Line2D([], [], color=READING, marker=".", ls="", label="reading")),
         (
-            bool(sighting.true),
-            Line2D([], [], color=TRUE, lw=2.4, label=f"{kind}, true ({len(sighting.true)})"),
+            bool(detections.true),
+            Line2D([], [], color=TRUE, lw=2.4, label=f"{kind}, true ({len(detections.true)})"),
         ),
         (
-            bool(sighting.spurious),
-            Line2D([], [], label=f"{kind}, spurious ({len(sighting.spurious)})", **bad),
+            bool(detections.spurious),
+            Line2D([], [], label=f"{kind}, spurious ({len(detections.spurious)})", **bad),
         ),
     ]
     return [handle for there, handle in entries if there]
@@ -238,11 +223,3 @@ def _keys(sighting: Sighting) -> list[Any]:
 
 def _dot(label: str, face: str, edge: str) -> Line2D:
     return Line2D([], [], marker="o", ls="", ms=7, mfc=face, mec=edge, label=label)
-
-
-def _style(axes: Axes) -> None:
-    axes.tick_params(colors=PALE, labelcolor=INK, labelsize=9)
-    axes.grid(color="#000000", alpha=0.06, lw=0.6)
-    axes.set_axisbelow(True)
-    for spine in axes.spines.values():
-        spine.set_color("#d4d9de")

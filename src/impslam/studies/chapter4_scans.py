@@ -53,7 +53,7 @@ WALKERS = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class Snapshot:
     """A scan and how things truly were in its middle.
 
     `pose` (3,) is `T_map_base`. In map: `surfaces` (s, 4) m are the flat things that count as walls
@@ -84,10 +84,10 @@ class Shot:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
-    """What an extractor finds in a scan, parted by what is there."""
+class Detections:
+    """What an extractor finds in a scan: what is there, and what is not."""
 
-    shot: Shot
+    snapshot: Snapshot
     true: tuple[Observation, ...]
     spurious: tuple[Observation, ...]
 
@@ -133,7 +133,7 @@ def world_of(name: str) -> World:
     return load_world(name)
 
 
-def shots(world: World, seed: int = 0) -> Iterator[Shot]:
+def snapshots(world: World, seed: int = 0) -> Iterator[Snapshot]:
     """Yield the scans of a run at `RATE`, through the thesis's sensor, de-skewed by true motion."""
     sensor = load("thesis-points").make_robot().sensors["lidar"]
     robot = SimulatedRobot(lidar=Lidar(rate=RATE))
@@ -151,7 +151,7 @@ def shots(world: World, seed: int = 0) -> Iterator[Shot]:
         pose = trajectory.at(np.array([middle]))[0]
         leaves, legs = scene.leaves(middle), scene.legs(middle)
         surfaces = np.vstack([standing, walls_among(leaves)])
-        yield Shot(number, time, scan, pose, scene, surfaces, leaves, legs)
+        yield Snapshot(number, time, scan, pose, scene, surfaces, leaves, legs)
 
 
 def walls_among(segments: Array) -> Array:
@@ -176,19 +176,21 @@ def extractor(preset: str, kind: str, *settings: str) -> Extractor:
     return made
 
 
-def sight(shot: Shot, extractor: Extractor, seed: int = 0) -> Sighting:
-    """Return what the extractor finds; its dice depend on the seed and the scan alone."""
-    found = extractor.extract(shot.scan, np.random.default_rng([seed, shot.number]))
-    true = [what_is_there(shot, finding) >= 0 for finding in found]
-    return Sighting(shot, tuple(compress(found, true)), tuple(compress(found, map(not_, true))))
+def detect(snapshot: Snapshot, extractor: Extractor, seed: int = 0) -> Detections:
+    """Return what the extractor finds; its random draws depend on the seed and the scan alone."""
+    found = extractor.extract(snapshot.scan, np.random.default_rng([seed, snapshot.number]))
+    true = [true_thing(snapshot, finding) >= 0 for finding in found]
+    return Detections(
+        snapshot, tuple(compress(found, true)), tuple(compress(found, map(not_, true)))
+    )
 
 
-Found: TypeAlias = Mapping[str, list[Sighting]]
-"""What each extractor finds, by its field in `Thesis`, in the scans of a run."""
+FoundByExtractor: TypeAlias = Mapping[str, list[Detections]]
+"""What each extractor finds, by its field in `ThesisExtractors`, in the scans of a run."""
 
 
 @dataclass(frozen=True, slots=True)
-class Thesis:
+class ThesisExtractors:
     """The thesis's extractors with its presets' parameters.
 
     `low` is the plain jump extractor with the low threshold of the filtered one.
@@ -201,7 +203,7 @@ class Thesis:
     hough: Hough
 
     @classmethod
-    def presets(cls) -> Thesis:
+    def presets(cls) -> ThesisExtractors:
         """Read them off `thesis-points` and `thesis-lines`."""
         jump = extractor("thesis-points", "cylinders", "kind=jump")
         filtered = extractor("thesis-points", "cylinders")
@@ -212,31 +214,39 @@ class Thesis:
         low = jump.model_copy(update={"threshold": filtered.threshold})
         return cls(jump, low, filtered, extractor("thesis-lines", "walls", "kind=ransac"), hough)
 
-    def look(self, seen: list[Shot]) -> Found:
+    def detect(self, scans: list[Snapshot]) -> FoundByExtractor:
         """Return what each of them finds in some scans."""
-        named = {name: getattr(self, name) for name in self.__slots__}
-        return {name: [sight(shot, e) for shot in seen] for name, e in named.items()}
+        return {
+            name: [detect(snapshot, extractor) for snapshot in scans]
+            for name, extractor in self.by_name().items()
+        }
+
+    def by_name(self) -> dict[str, Extractor]:
+        """Return the extractors by the names of their fields."""
+        return {name: getattr(self, name) for name in self.__slots__}
 
 
-def what_is_there(shot: Shot, finding: Observation) -> int:
+def true_thing(snapshot: Snapshot, finding: Observation) -> int:
     """Return which true thing a finding is of, -1 if of none.
 
     A cylinder is of the standing one (of `scene.circles`) whose axis lies within `SAME` of its
-    centre. A wall is of the flat surface (of `Shot.surfaces`) that comes within `SAME` of the middle
+    centre. A wall is of the flat surface (of `Snapshot.surfaces`) that comes within `SAME` of the middle
     of its readings, brought to its line, and within `SAME_ANGLE` of its direction. The nearest is
     taken.
     """
     if finding.end_points is None:
-        centre = transform(shot.pose, finding.z[None])[0]
-        return _nearest(np.hypot(*(shot.scene.circles[:, :2] - centre).T))
-    start, end = transform(shot.pose, finding.end_points)
+        centre = transform(snapshot.pose, finding.z[None])[0]
+        return _nearest(np.hypot(*(snapshot.scene.circles[:, :2] - centre).T))
+    start, end = transform(snapshot.pose, finding.end_points)
     heading = math.atan2(end[1] - start[1], end[0] - start[0])
-    readings = shot.scan.points[finding.beams] if len(finding.beams) else finding.end_points
+    readings = snapshot.scan.points[finding.beams] if len(finding.beams) else finding.end_points
     direction = np.array([math.cos(heading), math.sin(heading)])
-    middle = start + ((transform(shot.pose, readings).mean(axis=0) - start) @ direction) * direction
-    along = shot.surfaces[:, 2:] - shot.surfaces[:, :2]
+    middle = (
+        start + ((transform(snapshot.pose, readings).mean(axis=0) - start) @ direction) * direction
+    )
+    along = snapshot.surfaces[:, 2:] - snapshot.surfaces[:, :2]
     turn = np.arctan2(along[:, 1], along[:, 0]) - heading
-    apart = distance_to_segments(middle, shot.surfaces)
+    apart = distance_to_segments(middle, snapshot.surfaces)
     return _nearest(np.where(np.abs(np.sin(turn)) <= math.sin(SAME_ANGLE), apart, np.inf))
 
 
@@ -246,27 +256,27 @@ def _nearest(apart: Array) -> int:
     return int(apart.argmin())
 
 
-def doubles(sighting: Sighting) -> int:
+def doubles(detections: Detections) -> int:
     """Return how many of the true findings are of something that another one is of, too."""
-    things = [what_is_there(sighting.shot, finding) for finding in sighting.true]
+    things = [true_thing(detections.snapshot, finding) for finding in detections.true]
     return len(things) - len(set(things))
 
 
-def first(
-    sightings: Sequence[Sighting],
-    rule: Callable[[Sighting], bool],
-    nearest: Callable[[Sighting], float],
-) -> tuple[Sighting, bool]:
+def first_or_nearest(
+    found: Sequence[Detections],
+    rule: Callable[[Detections], bool],
+    nearest: Callable[[Detections], float],
+) -> tuple[Detections, bool]:
     """Return the first that obeys the rule and True, else the one with the most of `nearest`."""
-    for sighting in sightings:
-        if rule(sighting):
-            return sighting, True
-    return max(sightings, key=nearest), False
+    for detections in found:
+        if rule(detections):
+            return detections, True
+    return max(found, key=nearest), False
 
 
-def rates(sightings: Iterable[Sighting]) -> dict[str, float]:
+def rates(found: Iterable[Detections]) -> dict[str, float]:
     """Return how many scans, and true, spurious and long spurious findings per scan."""
-    seen = list(sightings)
+    seen = list(found)
     return {
         "scans": len(seen),
         "true_per_scan": sum(len(s.true) for s in seen) / len(seen),
@@ -275,18 +285,18 @@ def rates(sightings: Iterable[Sighting]) -> dict[str, float]:
     }
 
 
-def long_ones(sighting: Sighting) -> list[Observation]:
+def long_ones(detections: Detections) -> list[Observation]:
     """Return the spurious walls of `LONG` or more."""
-    walls = [(o, o.end_points) for o in sighting.spurious]
+    walls = [(o, o.end_points) for o in detections.spurious]
     return [o for o, ends in walls if ends is not None and math.dist(*ends) >= LONG]
 
 
-def on_people(sighting: Sighting) -> int:
+def on_people(detections: Detections) -> int:
     """Return how many spurious cylinders have a leg within `SAME` of their centre."""
-    legs = sighting.shot.legs[:, :2]
+    legs = detections.snapshot.legs[:, :2]
     centres = [
-        transform(sighting.shot.pose, o.z[None])[0]
-        for o in sighting.spurious
+        transform(detections.snapshot.pose, o.z[None])[0]
+        for o in detections.spurious
         if o.end_points is None
     ]
     return sum(bool((np.hypot(*(legs - centre).T) <= SAME).any()) for centre in centres)

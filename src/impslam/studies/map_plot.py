@@ -79,7 +79,10 @@ def draw_maps(
 def _draw(axes: Any, run: Run, layout: Layout, false: Collection[int]) -> None:
     left, right, bottom, top = layout.limits
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
-    _draw_world(axes, Scene(run.world), layout.ground)
+    scene = Scene(run.world)
+    draw_scene(axes, scene, scene.leaves(0.0), layout.ground)
+    for person in run.world.people:
+        axes.plot(*np.array(person.waypoints).T, color=WALKERS, lw=0.9, ls=(0, (1, 1.5)), zorder=1)
     axes.plot(*run.odometry[:, :2].T, color=ODOMETRY, lw=1.1, zorder=2)
     axes.plot(*run.path[:, :2].T, color=PATH, lw=1.5, zorder=5)
     axes.plot(*run.truth[:, :2].T, color=TRUTH, lw=1.1, ls=(0, (5, 3)), zorder=6)
@@ -101,16 +104,13 @@ def _leaves(points: Array, limits: tuple[float, float, float, float]) -> bool:
     return bool(((points < low) | (points > high)).any())
 
 
-def _draw_world(axes: Any, scene: Scene, width: float) -> None:
-    """Draw what stands, the doors as they are at the beginning, and where people walk."""
-    rows = np.vstack([scene.segments, scene.leaves(0.0)]).reshape(-1, 2, 2)
-    look: dict[str, Any] = {"capstyle": "round", "zorder": 0}
-    axes.add_collection(LineCollection(list(rows), colors=GROUND, linewidths=width, **look))
+def draw_scene(axes: Any, scene: Scene, leaves: Array, width: float) -> None:
+    """Draw walls and whatever else stands, and the leaves (k, 4) m of doors; `width` is in pt."""
+    rows = np.vstack([scene.segments, leaves]).reshape(-1, 2, 2)
+    options: dict[str, Any] = {"capstyle": "round", "zorder": 1}
+    axes.add_collection(LineCollection(list(rows), colors=GROUND, linewidths=width, **options))
     for x, y, radius in scene.circles.tolist():
-        axes.add_patch(Circle((x, y), radius, fc=GROUND, ec=GROUND, lw=1.5, zorder=0))
-    for person in scene.world.people:
-        way = np.array(person.waypoints)
-        axes.plot(*way.T, color=WALKERS, lw=0.9, ls=(0, (1, 1.5)), zorder=1)
+        axes.add_patch(Circle((x, y), radius, fc=GROUND, ec=GROUND, lw=1.5, zorder=1))
 
 
 def _draw_landmark(axes: Any, mark: Landmark, false: bool, detailed: bool) -> None:

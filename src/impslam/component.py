@@ -19,6 +19,7 @@ import functools
 import importlib
 import importlib.util
 import pkgutil
+import re
 import sys
 import zlib
 from collections.abc import Callable, Mapping
@@ -44,7 +45,8 @@ _PACKAGES = {
     "sensor": "impslam.sensors",
     "source": "impslam.sources",
 }
-"""Where the components of each role live. They are imported when the role is first asked for."""
+"""Where the components of each role live: each is imported when it is first asked for."""
+_REGISTRATION = re.compile(r'^@register\("([^"]+)"\)', re.MULTILINE)
 
 C = TypeVar("C", bound="Component")
 
@@ -96,7 +98,7 @@ def register(name: str) -> Callable[[type[C]], type[C]]:
 
     def add(cls: type[C]) -> type[C]:
         if cls.role in _PACKAGES and not cls.__module__.startswith(f"{_PACKAGES[cls.role]}."):
-            _import_role(cls.role)  # a plug-in that takes a known name is the one to be blamed
+            _import_named(cls.role, name)  # a plug-in that takes a known name is to be blamed
         known = _ROLES.setdefault(cls.role, {})
         if name in known and _place(known[name]) != _place(cls):
             raise ConfigError(
@@ -112,6 +114,29 @@ def register(name: str) -> Callable[[type[C]], type[C]]:
 
 def _place(cls: type) -> tuple[str, str]:
     return cls.__module__, cls.__qualname__
+
+
+@functools.cache
+def _index(role: str) -> dict[str, str]:
+    """Return the module of each component of a role by its name, from the text of the package.
+
+    It spares importing a whole role, and all that its parts are built on, for one of them. Where
+    there is no text (a package in a zip file) the index is empty, and the role is imported.
+    """
+    package = importlib.import_module(_PACKAGES[role])
+    return {
+        name: f"{package.__name__}.{file.stem}"
+        for folder in package.__path__
+        for file in Path(folder).glob("*.py")
+        for name in _REGISTRATION.findall(file.read_text("utf-8"))
+    }
+
+
+def _import_named(role: str, name: str) -> None:
+    """Import the module of one component, if the package of its role has it."""
+    module = _index(role).get(name) if role in _PACKAGES else None
+    if module is not None:
+        importlib.import_module(module)
 
 
 @functools.cache
@@ -181,6 +206,13 @@ def components(role: str) -> Mapping[str, type[Component]]:
     return dict(sorted(_ROLES.get(role, {}).items()))
 
 
+def names(role: str) -> list[str]:
+    """Return the names of the components of a role without importing those of this package."""
+    _load_entry_points_once()
+    known = _index(role) if role in _PACKAGES else None
+    return sorted({*known, *_ROLES.get(role, ())}) if known else list(components(role))
+
+
 def roles() -> list[str]:
     """Return the names of all roles that have a component."""
     _load_entry_points_once()
@@ -203,6 +235,9 @@ def find(role: str, name: str) -> type[Component]:
     ConfigError
         If there is none; the message names the near miss.
     """
+    _import_named(role, name)
+    if name in _ROLES.get(role, {}):
+        return _ROLES[role][name]
     known = components(role)
     if name not in known:
         raise ConfigError(f"no {role} is called {name!r}; {near_miss(name, known)}")

@@ -11,20 +11,21 @@ import pytest
 from numba.core import caching
 
 import impslam
-from impslam.geometry import kernels
+from impslam.geometry import machine_code
 from impslam.geometry.kernels import kernel
 
-COMPOSE = (
-    "import numpy as np; from impslam.geometry.se2 import _compose as f; "
-    "print(f(np.zeros((1, 3)), np.ones((1, 3))).sum(), f.stats.cache_hits.total())"
+FIT = (
+    "import numpy as np; from impslam.geometry.circles import taubin as f;"
+    "p = np.array([[0.0, 1.0], [1.0, 0.0], [-1.0, 0.0]]);"
+    "print(round(f(p)[2], 9), f.stats.cache_hits.total())"
 )
 
 
-def compose(package: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+def fit(package: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     """Call a kernel in a process of its own."""
     plain = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG", "COV"))}
     return subprocess.run(
-        [sys.executable, "-c", COMPOSE],
+        [sys.executable, "-c", FIT],
         capture_output=True,
         text=True,
         check=True,
@@ -47,14 +48,14 @@ def read_only(tmp_path: Path) -> Path:
 def test_a_read_only_package_keeps_its_code_with_the_user(read_only: Path, tmp_path: Path) -> None:
     for place in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
         home = tmp_path / place
-        first, second = (compose(read_only, **{place: str(home)}) for _ in range(2))
-        assert (first.stdout, second.stdout) == ("3.0 0\n", "3.0 1\n")
+        first, second = (fit(read_only, **{place: str(home)}) for _ in range(2))
+        assert (first.stdout, second.stdout) == ("1.0 0\n", "1.0 1\n")
         assert any(home.rglob("*.nbc"))
 
 
 def test_without_a_folder_kernels_run_and_say_so_once(read_only: Path) -> None:
-    said = compose(read_only, XDG_CACHE_HOME="/dev/null/none", HOME="/dev/null/none")
-    assert said.stdout == "3.0 0\n"
+    said = fit(read_only, XDG_CACHE_HOME="/dev/null/none", HOME="/dev/null/none")
+    assert said.stdout == "1.0 0\n"
     assert said.stderr.count("\n") == 1
     assert "NUMBA_CACHE_DIR" in said.stderr
 
@@ -65,7 +66,7 @@ def test_a_full_disk_ends_nothing(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    kernels._warn_once.cache_clear()
+    machine_code.warn_once.cache_clear()
     monkeypatch.setattr(caching.IndexDataCacheFile, "save", full)
 
     @kernel
@@ -76,3 +77,59 @@ def test_a_full_disk_ends_nothing(
     np.testing.assert_array_equal(double(np.ones((2, 2))), np.full((2, 2), 2.0))
     assert [r.levelname for r in caplog.records] == ["WARNING"]
     assert "No space left on device" in caplog.text
+
+
+CALLER = """
+from {package}.callee import {name}
+from impslam.geometry.kernels import kernel
+
+@kernel
+def caller(x):
+    return {name}(x)
+"""
+CALLEE = """
+from impslam.geometry.kernels import kernel
+
+@kernel
+def {name}(x):
+    return x + {by}
+"""
+
+
+def test_code_is_compiled_anew_where_a_kernel_that_it_calls_has_changed(tmp_path: Path) -> None:
+    package = tmp_path / "parts"
+    package.mkdir()
+    (package / "caller.py").write_text(CALLER.format(package="parts", name="add"))
+    for by, hits in ((1.0, 0), (1.0, 1), (2.0, 0)):
+        (package / "callee.py").write_text(CALLEE.format(name="add", by=by))
+        code = (
+            "from parts.caller import caller; print(caller(0.0), caller.stats.cache_hits.total())"
+        )
+        said = subprocess.run(
+            [sys.executable, "-B", "-c", code],
+            capture_output=True,
+            text=True,
+            check=True,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])},
+        )
+        assert said.stdout == f"{by} {hits}\n"
+
+
+def test_loaded_code_imports_no_compiler(tmp_path: Path) -> None:
+    """And what is compiled after it can be kept all the same."""
+    code = (
+        f"{FIT}; import sys;"
+        "print('numba.np.arraymath' in sys.modules, 'scipy.linalg' in sys.modules);"
+        "from impslam.geometry.circles import circle_start as g;"
+        "g(p, p, np.nan); print(g.stats.cache_hits.total())"
+    )
+    for first in (True, False):
+        said = subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            check=True,
+            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+        )
+        assert said.stdout == f"1.0 {int(not first)}\n{first} {first}\n{int(not first)}\n"
+        assert said.stderr == ""

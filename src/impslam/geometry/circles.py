@@ -163,6 +163,15 @@ def _inverse(info: Array, known: bool, out: Array) -> bool:
 
 
 @kernel
+def _times(matrix: Array, vector: Array) -> Array:
+    """Return matrix (3, 3) times vector (3,); BLAS costs more, and the import of scipy.linalg."""
+    out = np.empty(3)
+    for a in range(3):
+        out[a] = matrix[a, 0] * vector[0] + matrix[a, 1] * vector[1] + matrix[a, 2] * vector[2]
+    return out
+
+
+@kernel
 def fit_circle_core(
     points: Array, beams: Array, variances: Array, edges: Array, start: Array, known: bool
 ) -> tuple[bool, Array, Array, Array, float]:
@@ -185,14 +194,14 @@ def fit_circle_core(
         _normal_equations(circle, points, beams, variances, edges, info, sums)
         if not _inverse(info, known, covariance):
             return False, circle, covariance, bias, math.nan
-        step = covariance @ sums[0]
+        step = _times(covariance, sums[0])
         longest = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
         circle += step * min(1.0, circle[2] / max(longest, 1e-300))
         if longest < 1e-8:
             break
     chi2 = _normal_equations(circle, points, beams, variances, edges, info, sums)
     good = _inverse(info, known, covariance) and longest < 1e-4
-    bias = covariance @ sums[1]
+    bias = _times(covariance, sums[1])
     return good, circle, covariance, bias, chi2
 
 

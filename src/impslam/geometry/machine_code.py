@@ -1,0 +1,110 @@
+"""Where the machine code of kernels is kept between runs, and how it is loaded in little time.
+
+numba's own cache knows the file of a function, not the kernels of other files that are compiled into
+it; and it loads machine code as if it were to compile: 0.3 s of imports, much of scipy among them.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import logging
+import multiprocessing
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+from numba.core import environment
+from numba.core.caching import FunctionCache
+from numba.core.runtime.nrt import rtsys
+
+
+class MachineCode(FunctionCache):
+    """Compiled code in NUMBA_CACHE_DIR, beside the module, or in the user's cache folder.
+
+    The first of these that can be written is used. Code that cannot be kept still runs.
+    """
+
+    def load_overload(self, sig: object, target_context: object) -> object:
+        """Return a function compiled before from the same source, or None.
+
+        Machine code needs the runtime alone. Where there is none, numba imports the rest itself when
+        it compiles.
+        """
+        self._cache_file._source_stamp = source_stamp(self._py_func)
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors(), _bare_environments():
+            return self._load_overload(sig, target_context)
+
+    def save_overload(self, sig: object, data: object) -> None:
+        """Keep a compiled function for the next run."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            warn_once(f"compiled code cannot be kept: {error}")
+
+
+@functools.cache
+def warn_once(problem: str) -> None:
+    """Warn that this run's compiled code is lost."""
+    if multiprocessing.parent_process() is None:  # a worker's parent has said so
+        logging.getLogger(__name__).warning(
+            "%s, so every run compiles anew (20 s); set NUMBA_CACHE_DIR to a folder of yours",
+            problem,
+        )
+
+
+def source_stamp(function: FunctionType) -> str:
+    """Return a hash of all source that is compiled into a function.
+
+    That is its file, the files of the kernels that it calls, and the constants it takes from others.
+    """
+    digest, seen = hashlib.sha256(), {function}
+    waiting = [function]
+    for caller in waiting:
+        digest.update(_file_hash(caller.__code__.co_filename))
+        for name in caller.__code__.co_names:
+            value = caller.__globals__.get(name)
+            called = getattr(value, "py_func", None)
+            if called is None and isinstance(value, bool | int | float | str | tuple):
+                digest.update(f"{name} = {value!r}".encode())
+            elif called is not None and called not in seen:
+                seen.add(called)
+                waiting.append(called)
+    return digest.hexdigest()
+
+
+@functools.cache
+def _file_hash(path: str) -> bytes:
+    file = Path(path)
+    return hashlib.sha256(file.read_bytes()).digest() if file.is_file() else b""
+
+
+@contextmanager
+def _bare_environments() -> Iterator[None]:
+    """Load functions of numba that are part of machine code without importing their modules.
+
+    Their module's names are needed by code that was not compiled, which no kernel is. numba holds its
+    lock meanwhile, so that nobody else loads anything.
+    """
+    whole: Callable[..., Any] = environment._rebuild_env
+    environment._rebuild_env = _rebuild_bare
+    try:
+        yield
+    finally:
+        environment._rebuild_env = whole
+
+
+def _rebuild_bare(module: str, constants: list[object], name: str) -> object:
+    known = environment.lookup_environment(name)
+    if known is not None:
+        return known
+    names = vars(sys.modules[module]) if module in sys.modules else {"__name__": module}
+    bare = environment.Environment(names)
+    bare.consts[:] = constants
+    bare.env_name = name
+    environment.Environment._memo[name] = bare
+    return bare

@@ -8,10 +8,9 @@ pose comes first. Everything here touches P in place and in order; nothing forms
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg.blas import dsyrk, dtrsm, dtrsv
-from scipy.linalg.lapack import dpotrf
 
 from impslam.errors import NumericalError
+from impslam.filters.blas import dpotrf, dsyrk, dtrsm, dtrsv
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
 

@@ -42,10 +42,10 @@ from dataclasses import replace
 
 import numpy as np
 from pydantic import PrivateAttr
-from scipy.linalg.blas import dsyr2
 
 from impslam.component import parameter, register
 from impslam.filters.belief import POSE, GaussianBelief, Rows
+from impslam.filters.blas import dsyr2
 from impslam.filters.ekf import Ekf
 from impslam.filters.symmetry import pose_D_motion, state_D_motion
 from impslam.types import Array, Landmark, Match, Observation

@@ -4,13 +4,16 @@
 
 A server with a fake robot runs in one process, the driver's page in another one, and this one sends
 requests and messages to 127.0.0.1 alone. For each kind of load it prints the longest gap between two
-beats at the driver's page (they are sent every 0.2 s), the growth of the server's memory from before
-the load to `SETTLE` s after it, its CPU time, its log, and what the load was answered with.
+beats at the driver's page (they are sent every 0.2 s), the longest time of CPU that the server's
+thread took before its next turn (it does not depend on what else the computer does), the growth of
+the server's memory from before the load to `SETTLE` s after it, its CPU time, its log, and what the
+load was answered with.
 """
 
 from __future__ import annotations
 
 import argparse
+import asyncio
 import contextlib
 import http.client
 import itertools
@@ -62,7 +65,35 @@ def serve(folder: Path) -> None:
     with listening(settings) as listener:
         model = Model("IMP", station.view, station)
         told = lambda line: print(line, flush=True)  # noqa: E731
-        prepared(model, settings, listener, told, page.build).run([listener])
+        server = prepared(model, settings, listener, told, page.build)
+        server.beat = Stretch(folder / "stretch.txt").beat
+        server.run([listener])
+
+
+class Stretch:
+    """The longest time of CPU that the server's thread takes before its next turn.
+
+    Unlike the gap between beats it does not depend on what else the computer does.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.task, self.longest = path, None, 0.0
+
+    def beat(self) -> None:
+        if self.task is None:
+            self.task = asyncio.ensure_future(self._watch())
+        new = self.path.with_suffix(".new")
+        new.write_text(str(self.longest))
+        new.replace(self.path)
+        if self.path.with_suffix(".reset").exists():
+            self.path.with_suffix(".reset").unlink()
+            self.longest = 0.0
+
+    async def _watch(self) -> None:
+        while True:
+            begun = time.thread_time()
+            await asyncio.sleep(0.002)
+            self.longest = max(self.longest, time.thread_time() - begun)
 
 
 class Browser:
@@ -146,6 +177,8 @@ class Load:
             one.start()
         for one in threads:
             one.join()
+        if isinstance(self.send, Messages):
+            self.send.open.close()
 
     def _work(self, port: int, cookie: str) -> None:
         browser = Browser(port)
@@ -245,7 +278,7 @@ class Server:
     """The server in a process of its own."""
 
     def __init__(self, folder: Path) -> None:
-        self.log = folder / "log.txt"
+        self.log, self.stretch = folder / "log.txt", folder / "stretch.txt"
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(
                 [sys.executable, __file__, "--serve", str(folder)],
@@ -279,6 +312,7 @@ def measure(name: str, seconds: float, rate: float) -> str:
             driver.start()
             for _ in range(5):
                 beats.get(timeout=20)
+            server.stretch.with_suffix(".reset").touch()
             memory, cpu, (lines, size) = server.memory(), server.cpu(), server.lines()
             load = Load(make(), password, rate)
             begun = time.monotonic()
@@ -290,6 +324,7 @@ def measure(name: str, seconds: float, rate: float) -> str:
             seen = [beats.get() for _ in range(beats.qsize())]
             gaps = [b - a for a, b in itertools.pairwise(seen)]
             growth = server.memory() - memory
+            stretch = float(server.stretch.read_text())
             again = Browser(server.port)
             status, _, _ = again.ask("POST", "/login", urlencode({"password": DRIVE}))
         finally:
@@ -297,7 +332,8 @@ def measure(name: str, seconds: float, rate: float) -> str:
             server.process.terminate()
             server.process.wait(20)
     return (
-        f"{name:28} gap {max(gaps):5.2f} s  memory {growth:+6.1f} MB  CPU {100 * busy:4.0f} %  "
+        f"{name:28} gap {max(gaps):5.2f} s  stretch {stretch:5.3f} s  memory {growth:+6.1f} MB  "
+        f"CPU {100 * busy:4.0f} %  "
         f"log {(more - lines) / spent:6.1f} lines/s {(larger - size) / spent / 1e3:7.1f} kB/s  "
         f"login after {status}  {dict(load.answers)}"
     )

@@ -15,7 +15,7 @@ from tests.platform.console.serving import DRIVE, PICTURE, WATCH, raw, serving
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from impslam.platform.console import guard, protocol, refusals
+from impslam.platform.console import guard, pages, protocol, refusals
 from impslam.platform.console.session import IDLE, LIFE
 from impslam.platform.console.throttle import FORGET, FREE
 
@@ -601,7 +601,8 @@ class TestMessages:
     FORGED = "\x1b[31mall is well\nimp: warning: all is well"
 
     @pytest.fixture
-    def page(self, served):
+    def page(self, served, monkeypatch):
+        monkeypatch.setattr(pages, "WATCHED", 1000)  # a page that was left stays for 3 s
         with served.logged_in(WATCH) as client:
             page, press = page_of(client)
             with opened(served, client, page=page) as line:

@@ -18,11 +18,13 @@ from functools import partial
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from impslam.platform.console.admission import Admission, Sockets
 from impslam.platform.console.asked import Asked, Refusal, host, origin, shape
 from impslam.platform.console.gate import Gate
 from impslam.platform.console.line import Ended, Line, read, replayed, while_alive
 from impslam.platform.console.messages import opening
-from impslam.platform.console.routes import route
+from impslam.platform.console.pages import room
+from impslam.platform.console.routes import PAGE, route
 from impslam.platform.console.sealed import Sealed
 from impslam.platform.console.session import Session
 
@@ -31,6 +33,8 @@ LOGIN_BODY = 4 * 1024  # bytes, from those who have no session yet
 BODY_TIME = 10.0  # s for the whole body: below 64 kbit/s no page can be driven from anyway
 GRACE = 1.0  # s for a socket that is cut to take note
 LOOK = 0.25  # s between two looks whether an open socket's session still holds
+
+BUSY = Refusal(503, "too many requests at once")
 
 _CLAIMS = re.compile(rb"x-forwarded-.*|forwarded|x-real-ip|x-original-.*")
 
@@ -55,6 +59,7 @@ class Guard:
     ) -> None:
         self.app, self._gate, self._clock = app, gate, clock
         self._names = frozenset(name.lower().rstrip(".") for name in names)
+        self._admission, self._sockets = Admission(), Sockets()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Look at one request or socket, and pass it on or refuse it."""
@@ -74,10 +79,15 @@ class Guard:
             await self._refuse(asked, refusal, receive, send)
             return
         scope = _passed(scope, session)
-        if session is not None and asked.socket:
-            await self._socket(asked, session, scope, receive, send)
-        else:
+        if session is None or not asked.socket:
             await self._request(asked, session, scope, receive, send)
+        elif self._sockets.take(session):
+            try:
+                await self._socket(asked, session, scope, receive, send)
+            finally:
+                self._sockets.leave(session)
+        else:
+            await self._refuse(asked, Refusal(503, "too many sockets"), receive, send)
 
     async def _session(self, asked: Asked) -> Session | None:
         token = asked.cookie(self._gate.cookie)
@@ -111,17 +121,31 @@ class Guard:
             return
         if body is None:
             return
+        turn = await self._admission.turn(asked, session)
+        if turn is None:
+            await self._refuse(asked, BUSY, receive, send)
+            return
         try:
-            await self.app(scope, replayed(body, receive), while_alive(session, send))
+            if session is not None and asked.path == PAGE and not room(session):
+                await self._refuse(asked, Refusal(503, "too many pages"), receive, send)
+                return
+            sent = turn.ended_by(while_alive(session, send))
+            await self.app(scope, replayed(body, receive), sent)
         except Ended:
             self._gate.refusals.tell(asked.address, "the rest after its session ended", asked.path)
+        finally:
+            turn.end()
 
     async def _socket(
         self, asked: Asked, session: Session, scope: Scope, receive: Receive, send: Send
     ) -> None:
         """Pass messages on for as long as the session holds, then close the socket."""
+        turn = await self._admission.turn(asked, session)
+        if turn is None:
+            await self._refuse(asked, BUSY, receive, send)
+            return
         tell = partial(self._gate.refusals.tell, asked.address)
-        line = Line(session, receive, send, tell, self._clock)
+        line = Line(session, receive, turn.ended_by(send), tell, self._clock)
         app = asyncio.ensure_future(self.app(scope, line.receive, line.send))
         try:
             while not app.done():
@@ -133,6 +157,7 @@ class Guard:
                     break
                 await asyncio.wait({app}, timeout=LOOK)
         finally:
+            turn.end()
             if not app.done():
                 app.cancel()
         if line.broken:
@@ -144,7 +169,8 @@ class Guard:
 def _answer(asked: Asked, why: Refusal) -> Response:
     """Return what the client of a refusal gets to see."""
     if why.status != 401:
-        return PlainTextResponse(f"{why.what}\n", why.status)
+        headers = {"retry-after": "1"} if why.status == 503 else None
+        return PlainTextResponse(f"{why.what}\n", why.status, headers)
     if asked.socket:
         return PlainTextResponse(f"{why.what}\n", 403)
     if "text/html" in asked.header("accept"):

@@ -10,12 +10,13 @@ import re
 
 from impslam.platform.console.asked import Asked, Refusal
 
+PAGE = "/"
 SOCKET = "/_nicegui_ws/socket.io/"
 READ = frozenset({"GET", "HEAD"})
 _SERVED = tuple(
     (re.compile(pattern), methods)
     for pattern, methods in (
-        (r"/", frozenset({"GET"})),
+        (PAGE, frozenset({"GET"})),
         (r"/login", READ | {"POST"}),
         (r"/logout", frozenset({"POST"})),
         (r"/login\.css|/favicon\.ico|/grid\.png|/camera\.jpg", READ),

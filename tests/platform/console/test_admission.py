@@ -1,0 +1,203 @@
+"""What those may take of the server who may not drive: turns, pages, sockets."""
+
+import asyncio
+import contextlib
+import gc
+import itertools
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from fastapi import Request
+from nicegui import Client, ui
+from tests.platform.console.serving import WATCH, serving
+from tests.platform.console.test_security import opened, page_of, soon, status
+
+from impslam.platform.console import admission, pages
+from impslam.platform.console.admission import EACH, Lane
+from impslam.platform.console.pages import OPEN, UNOPENED, WATCHED
+
+BUILD = 0.1  # s that a page takes to build, as on an ARM board
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    """A server with a page that takes long to build, and tells when it was."""
+    built = []
+
+    def build(_):
+        @ui.page("/")
+        def page(request: Request):
+            time.sleep(BUILD)
+            ui.button("go", on_click=lambda: None)
+            built.append(request.state.session)
+
+    with serving(tmp_path_factory.mktemp("robot"), build=build) as running:
+        running.built = built
+        yield running
+
+
+def owned(session_may_drive):
+    """The pages that exist of watchers, or of drivers."""
+    found = [getattr(page.request.state, "session", None) for page in Client.instances.values()]
+    return [one for one in found if one is not None and one.may_drive is session_may_drive]
+
+
+def statuses(client, path, number):
+    """Ask for one path many times at once; return the answers."""
+    with ThreadPoolExecutor(number) as pool:
+        return [one.status_code for one in pool.map(lambda _: client.get(path), range(number))]
+
+
+class TestLane:
+    pytestmark = pytest.mark.anyio
+
+    @pytest.fixture
+    def anyio_backend(self):
+        return "asyncio"
+
+    async def test_one_at_a_time_in_their_order_with_a_pause(self, monkeypatch):
+        monkeypatch.setattr(admission, "PAUSE", 2.0)
+        lane, spans = Lane(), []
+
+        async def work(key):
+            turn = await lane.turn(key)
+            begun = time.monotonic()
+            await asyncio.sleep(0.02)
+            spans.append((key, begun, time.monotonic()))
+            turn.end()
+            turn.end()  # the second one does nothing
+
+        await asyncio.gather(*[work(f"{k}") for k in range(4)])
+        assert [key for key, _, _ in spans] == ["0", "1", "2", "3"]
+        for (_, begun, ended), (_, after, _) in itertools.pairwise(spans):
+            assert after - ended >= 1.9 * (ended - begun)
+
+    async def test_one_session_may_not_fill_it(self):
+        lane = Lane()
+        first = await lane.turn("a")
+        waiting = [asyncio.ensure_future(lane.turn("a")) for _ in range(EACH)]
+        await asyncio.sleep(0)
+        assert await lane.turn("a") is None
+        other = asyncio.ensure_future(lane.turn("b"))
+        await asyncio.sleep(0)
+        assert not other.done()
+        first.end()
+        for one in [*waiting, other]:
+            (await one).end()
+        assert not lane._waiting
+
+    async def test_all_together_are_bounded(self, monkeypatch):
+        monkeypatch.setattr(admission, "PATIENCE", 0.05)
+        lane = Lane()
+        await lane.turn("held")
+        waiting = [asyncio.ensure_future(lane.turn(f"{k}")) for k in range(admission.QUEUE)]
+        await asyncio.sleep(0)
+        assert await lane.turn("another") is None
+        assert set(await asyncio.gather(*waiting)) == {None}  # none waits for ever
+
+
+class TestRequests:
+    def test_a_driver_goes_before_the_pages_of_a_watcher(self, served):
+        with served.logged_in() as driver, served.logged_in(WATCH) as watcher:
+            driver.get("/camera.jpg")
+            with ThreadPoolExecutor(6) as pool:
+                asked = [pool.submit(watcher.get, "/") for _ in range(6)]
+                before = len(served.built)
+                soon(lambda: len(served.built) > before)
+                for _ in range(3):
+                    count = len(served.built)
+                    assert driver.get("/camera.jpg").status_code == 200
+                    assert len(served.built) <= count + 1  # not behind all that wait
+                assert {one.result().status_code for one in asked} == {200}
+
+    def test_who_sends_too_many_at_once_is_told_to_wait(self, served, caplog):
+        with served.logged_in(WATCH) as watcher:
+            told = statuses(watcher, "/", 20)
+            assert set(told) == {200, 503}
+            assert told.count(200) >= EACH
+        assert "too many requests at once" in caplog.text
+
+    def test_a_driver_is_not(self, served):
+        with served.logged_in() as driver:
+            assert statuses(driver, "/", 20) == [200] * 20
+
+    def test_a_stranger_does_not_hold_up_watchers_nor_another_stranger_for_long(self, served):
+        with served.client() as stranger, served.logged_in(WATCH) as watcher:
+            assert set(statuses(stranger, "/login", 30)) <= {200, 503}
+            assert watcher.get("/camera.jpg").status_code == 200
+            assert stranger.get("/login").status_code == 200
+
+    def test_a_browser_s_six_connections_are_never_refused(self, served):
+        with served.logged_in(WATCH) as watcher, ThreadPoolExecutor(6) as pool:
+            told = list(pool.map(lambda _: watcher.get("/camera.jpg").status_code, range(60)))
+        assert told == [200] * 60
+
+
+class TestPages:
+    def test_pages_that_nobody_opens_do_not_pile_up(self, served):
+        with served.logged_in(WATCH) as watcher:
+            for _ in range(UNOPENED + 4):
+                assert watcher.get("/").status_code == 200
+            mine = served.built[-1]
+            assert owned(False).count(mine) == UNOPENED
+
+    def test_pages_that_were_left_are_given_up_once(self, served, monkeypatch, caplog):
+        monkeypatch.setattr(pages, "UNOPENED", 1)
+        with served.logged_in(WATCH) as watcher:
+            page, _ = page_of(watcher)
+            with opened(served, watcher, page=page):
+                soon(lambda: Client.instances[page].has_socket_connection)
+            soon(lambda: not Client.instances[page].has_socket_connection)
+            for _ in range(3):
+                assert watcher.get("/").status_code == 200
+            soon(lambda: page not in Client.instances)
+        assert not [record for record in caplog.records if record.name == "nicegui"]
+
+    def test_open_pages_are_kept_and_bounded(self, served, monkeypatch, caplog):
+        monkeypatch.setattr(pages, "OPEN", 2)
+        with served.logged_in(WATCH) as watcher, contextlib.ExitStack() as stack:
+            for _ in range(2):
+                stack.enter_context(opened(served, watcher, page=page_of(watcher)[0]))
+            soon(lambda: sum(page.has_socket_connection for page in Client.instances.values()) >= 2)
+            assert watcher.get("/").status_code == 503
+            assert "too many pages" in caplog.text
+
+    def test_all_watchers_together_are_bounded(self, served, monkeypatch):
+        monkeypatch.setattr(pages, "WATCHED", 4)
+        for _ in range(4):
+            with served.logged_in(WATCH) as watcher:
+                for _ in range(2):
+                    assert watcher.get("/").status_code == 200
+                assert len(owned(False)) <= 4
+
+    def test_drivers_have_room(self, served):
+        before = len(owned(True))
+        with served.logged_in() as driver:
+            for _ in range(OPEN + 2):
+                assert driver.get("/").status_code == 200
+        assert len(owned(True)) >= before + OPEN
+        assert WATCHED > OPEN > UNOPENED
+
+
+class TestSockets:
+    def test_a_watcher_has_a_few(self, served, caplog):
+        with served.logged_in(WATCH) as watcher, contextlib.ExitStack() as stack:
+            for _ in range(EACH):
+                stack.enter_context(opened(served, watcher))
+            assert status(served, watcher) == 503
+            assert "too many sockets" in caplog.text
+            stack.close()
+            soon(lambda: not served.server.config.app._sockets._open)
+            with opened(served, watcher):
+                pass
+
+    def test_a_driver_has_more(self, served):
+        with served.logged_in() as driver, contextlib.ExitStack() as stack:
+            for _ in range(EACH + 2):
+                stack.enter_context(opened(served, driver))
+
+
+def test_what_was_loaded_before_the_start_is_no_garbage_to_look_for(served):
+    """Looking through all that is imported takes 0.1 s, in which no command passes."""
+    assert gc.get_freeze_count() > 100_000

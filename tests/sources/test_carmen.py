@@ -5,10 +5,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.sources.logs import CARMEN_RANGES, flaser, odom, read, robot_laser, write_carmen
+from tests.sources.logs import (
+    CARMEN_RANGES,
+    assert_same,
+    flaser,
+    odom,
+    read,
+    robot_laser,
+    write_carmen,
+)
 
 from impslam.columns import messages
 from impslam.errors import SourceError
+from impslam.sources import carmen
 from impslam.sources.base import recognise
 from impslam.types import LaserScan, OdometryPose
 
@@ -162,6 +171,36 @@ def test_bad_robot_lasers(tmp_path: Path) -> None:
     found, source = read(log(tmp_path, good, *bad, robot_laser(2.0)))
     assert len(found) == 4
     assert source.problems.counts == {"malformed ROBOTLASER1": 5}
+
+
+def test_lines_read_at_once_are_what_they_are_one_by_one(
+    tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = []
+    for i in range(120):
+        sound = [
+            odom(0.1 * i, float(rng.normal())),
+            flaser(0.1 * i, rng.random(rng.choice([7, 180])).round(3)),
+            flaser(0.1 * i, [2.0] * 9, "RLASER"),
+            robot_laser(0.1 * i, start=-1.5 + 0.1 * (i % 4), remissions=i % 3),
+            " " + odom(0.1 * i),
+            flaser(0.1 * i, [1e-7, math.nan, 1e400, *rng.random(177)]),
+            odom(0.1 * i).replace(" ", "\t"),
+        ][rng.integers(7)]
+        words = sound.split(" ")
+        words[rng.integers(len(words))] = ["x", "nan", "", "-1", "1e", "7 7"][rng.integers(6)]
+        lines.append(" ".join(words) if i % 4 == 0 else sound)
+    path = log(tmp_path, *lines)
+    for choice in ("FLASER", "ROBOTLASER1"):
+        found, source = read(path, laser=choice, wanted=("RLASER",))
+        with monkeypatch.context() as patched:
+            patched.setattr(carmen, "shapes", lambda *_: ())
+            expected, slow = read(path, laser=choice, wanted=("RLASER",))
+        assert len(found) == len(expected) > 50
+        for one, other in zip(found, expected, strict=True):
+            assert_same(one, other)
+        assert source.problems == slow.problems
+        assert len(source.problems.counts) > 2
 
 
 def test_odd_ranges_pass_through_for_the_lidar_to_judge(tmp_path: Path) -> None:

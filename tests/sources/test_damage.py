@@ -183,11 +183,11 @@ def test_memory_stays_flat(tmp_path: Path, name: str, rng: np.random.Generator) 
         "dat": lambda i: dat_line(100_000 * i, i, i, rng.integers(0, 5000, 682)),
     }[name]
     peaks = []
-    for n in (100, 1000):
+    for n in (1000, 4000):
         path = tmp_path / f"{n}"
         path.write_text("".join(make(i) + "\n" for i in range(n)))
         peaks.append(_peak(path))
-    assert peaks[1] < 1.2 * peaks[0] + 200_000  # bytes; the longer file has 600 kB more
+    assert peaks[1] < 1.2 * peaks[0] + 50_000  # bytes; the longer file has 2 MB more
 
 
 def _peak(path: Path) -> int:

@@ -9,44 +9,35 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
+from impslam.columns import Columns
 from impslam.component import parameter, register
 from impslam.errors import MessageError
 from impslam.sources.base import Stream
-from impslam.sources.parts import Located
-from impslam.sources.text import TextSource, beam_angles, beam_times, finite, head, numbers
-from impslam.types import LaserScan, Message, OdometryPose
+from impslam.sources.carmen_lines import (
+    Convert,
+    Shape,
+    line_laser,
+    odometry,
+    read_table,
+    robot_laser,
+    shapes,
+)
+from impslam.sources.parts import Located, Piece, single
+from impslam.sources.tables import Lines
+from impslam.sources.text import TextSource, head
+from impslam.types import Array, Ints, LaserScan, Message, OdometryPose
 
 LASERS = ("FLASER", "ROBOTLASER1", "RLASER")  # in the order of preference
 _COMMON_COUNTS = (180, 181, 360, 361)  # SICK LMS: 1 deg or 0.5 deg over 180 deg
 _NAME = re.compile(rb"#|[A-Z][A-Z0-9_]*\s")
 _OPENING = (b"# CARMEN", b"ODOM ", b"PARAM ", b"SYNC ", *(f"{name} ".encode() for name in LASERS))
-
-
-def line_layout(n: int, field_of_view: float) -> tuple[float, float]:
-    """Return start angle and step (rad) of n beams that say nothing about themselves.
-
-    An odd number spans the field of view from edge to edge (181 beams: -90 to +90 deg), an even
-    one leaves out the last (180: -90 to +89 deg), which is how the SICK LMS is read out.
-    """
-    return -field_of_view / 2.0, field_of_view / max(n - n % 2, 1)
-
-
-def _pose(stamp: float, tokens: list[bytes]) -> OdometryPose:
-    x, y, theta = map(float, tokens)
-    finite("stamp or pose", stamp, x, y, theta)
-    return OdometryPose(stamp, numbers(tokens))
-
-
-def _count(tokens: list[bytes], at: int, others: int) -> int:
-    """Return the array length said at an index, checked against the length of the line."""
-    n = int(tokens[at])
-    if n <= 0 or len(tokens) != n + others:
-        raise MessageError(f"{len(tokens)} words, which does not fit {n} values")
-    return n
 
 
 @register("carmen")
@@ -69,27 +60,79 @@ class Carmen(TextSource):
         """Tell by the names of messages at the start of lines."""
         return any(line.startswith(_OPENING) and _plausible(line) for line in head(path))
 
-    def _messages(self) -> Iterator[Located]:
-        choice = self._choice().encode()
-        read: dict[bytes, Callable[[list[bytes]], tuple[Message, ...]]] = {b"ODOM": _odometry}
-        for laser in self._lasers():
-            is_robot = laser == "ROBOTLASER1"
-            read[laser.encode()] = self._robot_laser if is_robot else self._line_laser
-        for number, line in self._lines(self.path):
-            tokens = line.split()
-            if not tokens:
-                continue
-            convert = read.get(tokens[0])
-            try:
-                if convert is not None:
-                    *pose, last = convert(tokens)
-                    if pose and tokens[0] == choice:  # any other laser's would say the same again
-                        yield Located(pose[0], number, "ODOM", checked=False)
-                    yield Located(last, number, tokens[0].decode())
-                elif _NAME.match(line) is None:
-                    self._reject("line", self.path, number, "no CARMEN message is called so")
-            except (ValueError, IndexError, MessageError) as error:
-                self._reject(tokens[0].decode(), self.path, number, error)
+    def _parts(self, rows: int) -> Iterator[list[Piece]]:
+        """Yield the rows of a block of lines: alike ones as tables, the others one by one."""
+        del rows  # a block is small
+        read, choice = self._converters(), self._choice()
+        for first, block in self._blocks(self.path):
+            lines = Lines(block)
+            part: list[Piece] = []
+            left = np.ones(len(lines), np.bool_)
+            for name, convert in read.items():
+                for shape in shapes(lines, name, convert):
+                    good, values = read_table(lines, shape)
+                    left[good] = False
+                    part += self._pieces(shape, values, first + good, choice)
+            for k in np.flatnonzero(left).tolist():
+                part += self._line(lines.line(k), first + k, read, choice)
+            self._enter_guesses(part)
+            yield part
+
+    def _pieces(self, shape: Shape, values: Array, places: Ints, choice: str) -> list[Piece]:
+        """Return the rows of lines that are alike, from the numbers in them."""
+        stamps, beams = values[:, -1], shape.beams
+        poses = {"stamp": stamps, "pose": np.ascontiguousarray(values[:, shape.pose :][:, :3])}
+        is_odometry = shape.name == "ODOM"
+        checked = np.full(len(places), is_odometry)
+        order = 2 * places + is_odometry
+        pieces = []
+        if is_odometry or shape.name == choice:  # any other laser's would say the same again
+            pieces.append(Piece(Columns("ODOM", OdometryPose, order, poses, {}), places, checked))
+        if not is_odometry:
+            sweeps = {"stamp": stamps, "ranges": np.ascontiguousarray(values[:, :beams])}
+            columns = Columns(shape.name, LaserScan, order + 1, sweeps, shape.layout)
+            pieces.append(Piece(columns, places, ~checked))
+        return pieces
+
+    def _line(
+        self, line: bytes, number: int, read: Mapping[str, Convert], choice: str
+    ) -> Iterator[Piece]:
+        """Yield the rows of any line, or say what is wrong with it."""
+        name = b"".join(line.split(None, 1)[:1]).decode("ascii", "replace")
+        if name not in read:
+            if name and _NAME.match(line + b"\n") is None:
+                self._reject("line", self.path, number, "no CARMEN message is called so")
+            return
+        try:
+            *pose, last = read[name](line.split())
+        except (ValueError, IndexError, MessageError) as error:
+            self._reject(name, self.path, number, error)
+            return
+        if pose and name == choice:
+            yield single(Located(pose[0], number, "ODOM", checked=False), 2 * number)
+        yield single(Located(last, number, name), 2 * number + 1)
+
+    def _enter_guesses(self, part: Iterable[Piece]) -> None:
+        """Enter scans whose beams span an angle that their lines do not say."""
+        guesses = [
+            (columns.order[0], columns["ranges"].shape[1], len(columns))
+            for columns, _, _ in part
+            if columns.stream in {"FLASER", "RLASER"} and len(columns)
+        ]
+        for _, beams, count in sorted(guesses):
+            if beams not in _COMMON_COUNTS:
+                self._problems.add(
+                    "guessed beam angles",
+                    f"{self.path}: {beams} beams taken to span "
+                    f"{math.degrees(self.field_of_view):g} deg; set field_of_view if that is wrong",
+                    count,
+                )
+
+    def _converters(self) -> dict[str, Convert]:
+        """Return what reads the words of a line, by its name."""
+        plain = partial(line_laser, field_of_view=self.field_of_view)
+        lasers = {"FLASER": plain, "RLASER": plain, "ROBOTLASER1": robot_laser}
+        return {"ODOM": odometry} | {laser: lasers[laser] for laser in self._lasers()}
 
     def _lasers(self) -> list[str]:
         """Return the names of the laser lines that are read."""
@@ -102,40 +145,6 @@ class Carmen(TextSource):
             return self.laser
         found: set[bytes] = {line.split(None, 1)[0] for line in head(self.path) if line.strip()}
         return next((name for name in LASERS if name.encode() in found), LASERS[0])
-
-    def _line_laser(self, tokens: list[bytes]) -> tuple[Message, ...]:
-        """Read `FLASER n ranges laser_pose(3) odom_pose(3) ipc_timestamp host logger`."""
-        n = _count(tokens, 1, 11)
-        stamp = float(tokens[n + 8])
-        pose = _pose(stamp, tokens[n + 5 : n + 8])
-        if n not in _COMMON_COUNTS:
-            self._problems.add(
-                "guessed beam angles",
-                f"{self.path}: {n} beams taken to span {math.degrees(self.field_of_view):g} deg; "
-                "set field_of_view if that is wrong",
-            )
-        angles = beam_angles(n, *line_layout(n, self.field_of_view))
-        return pose, LaserScan(stamp, angles, numbers(tokens[2 : n + 2]), beam_times(n))
-
-    def _robot_laser(self, tokens: list[bytes]) -> tuple[Message, ...]:
-        """Read `ROBOTLASER1 type start fov step max accuracy mode n ranges m remissions ...`.
-
-        What follows is laser_pose(3) robot_pose(3) tv rv and three safety figures, then the tail.
-        """
-        n = int(tokens[8])
-        if n <= 0:
-            raise MessageError(f"{n} beams")
-        after = _count(tokens, 9 + n, n + 24) + n + 10 if tokens[9 + n] != b"0" else n + 10
-        if len(tokens) != after + 14:
-            raise MessageError(f"{len(tokens)} words, which does not fit {n} beams")
-        stamp = float(tokens[after + 11])
-        pose = _pose(stamp, tokens[after + 3 : after + 6])
-        start, span, step, range_max = map(float, tokens[2:6])
-        finite("start angle or resolution", start, span, step)
-        step = step or span / max(n - 1, 1)
-        angles = beam_angles(n, start, step)
-        ranges = numbers(tokens[9 : n + 9])
-        return pose, LaserScan(stamp, angles, ranges, beam_times(n), range_max=range_max)
 
     def streams(self) -> list[Stream]:
         """Return the kinds of line, by name."""
@@ -168,13 +177,6 @@ def _note(name: str, choice: str, is_read: bool) -> str:
     if name not in LASERS or is_read:
         return ""
     return f"not read: {choice} is; set source.laser={name} to use it instead, or name it in source.wanted"
-
-
-def _odometry(tokens: list[bytes]) -> tuple[Message, ...]:
-    """Read `ODOM x y theta tv rv accel ipc_timestamp host logger`."""
-    if len(tokens) != 10:
-        raise MessageError(f"{len(tokens)} words instead of 10")
-    return (_pose(float(tokens[7]), tokens[1:4]),)
 
 
 def _plausible(line: bytes) -> bool:

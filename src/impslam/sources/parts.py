@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.columns import Batch, Columns, batches, same_layout
+from impslam.columns import Batch, Columns, batch, batches, same_layout
 from impslam.types import Ints, Mask, Message
 
 
@@ -47,6 +47,12 @@ def by_stream(part: Iterable[Piece]) -> dict[str, list[Piece]]:
     return streams
 
 
+def single(located: Located, order: int) -> Piece:
+    """Return a message as a piece of one row."""
+    columns = batch(located.stream, located.message, order)[located.stream]
+    return Piece(columns, np.array([located.place]), np.array([located.checked]))
+
+
 def gather(messages: Iterable[Located], rows: int) -> Iterator[list[Piece]]:
     """Gather messages into pieces, one a stream, of at most `rows` rows together."""
     located: dict[str, list[tuple[int, bool]]] = {}
@@ -56,9 +62,9 @@ def gather(messages: Iterable[Located], rows: int) -> Iterator[list[Piece]]:
             located.setdefault(stream, []).append((place, checked))
             yield stream, message
 
-    for batch in batches(noted(), rows):
+    for gathered in batches(noted(), rows):
         part = []
-        for stream, columns in batch.items():
+        for stream, columns in gathered.items():
             known = located[stream]
             places = np.array(known[: len(columns)], np.int64)  # the one read ahead stays
             del known[: len(columns)]

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache, partial
-from io import BufferedIOBase
+from io import BufferedIOBase, BytesIO
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -22,10 +22,17 @@ from impslam.sources.base import Source
 from impslam.types import Array
 
 LINE_LIMIT = 1 << 20  # bytes; ten times the longest line of any lidar here, so memory stays flat
+BLOCK = 1 << 18  # bytes read at once: a hundred scans
 BEAMS_LIMIT = 100_000  # of a scan; ten times those of any lidar that turns in a plane
 WORDS_LIMIT = 100  # first words that are counted apart; formats have some ten
 _HEAD = 1 << 16  # bytes looked at to tell a format
 _DAMAGE = (OSError, EOFError, zlib.error)
+
+
+def _first_line(text: bytes) -> int:
+    """Return the length of the first line."""
+    end = text.find(b"\n")
+    return len(text) if end < 0 else end
 
 
 @contextmanager
@@ -120,17 +127,39 @@ class TextSource(Source):
     ) -> None:
         self._open.clear()
 
-    def _lines(self, path: Path) -> Iterator[tuple[int, bytes]]:
-        """Yield (number, line) from 1; a damaged gzip file ends early, which is a problem."""
+    def _blocks(self, path: Path) -> Iterator[tuple[int, bytes]]:
+        """Yield (number of the first line, whole lines); numbers begin at 1.
+
+        A damaged gzip file ends early, which is a problem.
+        """
+        number, text = 1, b""
         try:
-            with open_text(path) as (raw, text):
+            with open_text(path) as (raw, file):
                 self._open[path] = raw
-                yield from enumerate(iter(partial(text.readline, LINE_LIMIT), b""), 1)
+                while more := file.read1(BLOCK):
+                    text += more
+                    if _first_line(text) >= LINE_LIMIT:
+                        yield number, text[:LINE_LIMIT]
+                        number, text = number + 1, text[LINE_LIMIT:]
+                    if len(text) >= BLOCK:
+                        end = text.rfind(b"\n") + 1
+                        block, text = text[:end], text[end:]
+                        yield number, block
+                        number += block.count(b"\n")
+            if text:
+                yield number, text
         except _DAMAGE as error:
+            if whole := text[: text.rfind(b"\n") + 1]:
+                yield number, whole
             self._problems.add(
                 "damaged file",
                 f"{path}: ends early ({error}); what precedes is used; copy it again",
             )
+
+    def _lines(self, path: Path) -> Iterator[tuple[int, bytes]]:
+        """Yield (number, line) from 1."""
+        for number, block in self._blocks(path):
+            yield from enumerate(BytesIO(block), number)
 
     def _reject(self, kind: str, path: Path, number: int, why: object) -> None:
         self._problems.add(f"malformed {kind}", f"{path}:{number}: {why}; the line is dropped")

@@ -131,7 +131,7 @@ class Carmen(TextSource):
     def _converters(self) -> dict[str, Convert]:
         """Return what reads the words of a line, by its name."""
         plain = partial(line_laser, field_of_view=self.field_of_view)
-        lasers = {"FLASER": plain, "RLASER": plain, "ROBOTLASER1": robot_laser}
+        lasers: dict[str, Convert] = {"FLASER": plain, "RLASER": plain, "ROBOTLASER1": robot_laser}
         return {"ODOM": odometry} | {laser: lasers[laser] for laser in self._lasers()}
 
     def _lasers(self) -> list[str]:

@@ -200,7 +200,7 @@ def test_other_ends(imp, monkeypatch, error, code) -> None:
     def fail(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr(impslam.cli.config, "load", fail)
+    monkeypatch.setattr(impslam.config, "load", fail)
     said = imp("config")
     assert said.code == code
     assert said.out == ""
@@ -250,7 +250,7 @@ def test_log_lines(imp, monkeypatch) -> None:
             logging.getLogger("impslam.sources").log(level, "a %s", "word")
         raise SourceError("the end")
 
-    monkeypatch.setattr(impslam.cli.config, "load", speak)
+    monkeypatch.setattr(impslam.config, "load", speak)
     warning, end = "imp: warning: a word\n", "imp: error: the end\n"
     assert imp("config").err == warning + end
     assert imp("config", "--quiet").err == end

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impslam.cli import main, progress
+from impslam.cli import bar, main
 from impslam.cli.job import FILES
 from impslam.evaluation.tum import read_tum
 from impslam.observers import trajectory
@@ -99,7 +99,7 @@ def test_an_interrupted_run_leaves_whole_rows_and_a_folder_to_use_again(
     steps = iter(range(60))
     with monkeypatch.context() as patch:
         patch.setattr(trajectory, "FLUSH", 10)
-        patch.setattr(progress.Bar, "step", lambda *_: next(steps, None) == 55 and interrupt())
+        patch.setattr(bar.Bar, "step", lambda *_: next(steps, None) == 55 and interrupt())
         said = imp("run", room, "-o", tmp_path)
     assert (said.code, said.err.count("\n")) == (130, 1)
     assert read_tum(tmp_path / "trajectory.tum").shape == (50, 4)

@@ -14,8 +14,9 @@ from rich.table import Table
 from rich.text import Text
 
 from impslam.cli import console
+from impslam.evaluation.options import Alignment
 from impslam.evaluation.relations import RelationErrors
-from impslam.evaluation.scores import Alignment, Consistency, KindScore, PathScore
+from impslam.evaluation.scores import Consistency, KindScore, PathScore
 from impslam.types import Array
 
 ALIGNED = {"fit": "aligned", "start": "at start", "none": "as given"}

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import tomli_w
-
 from impslam.cli import console
 from impslam.cli.console import Common, Settings
-from impslam.config import load
 
 
 def config(
@@ -19,5 +16,9 @@ def config(
     preset
         Name of a preset, or a TOML file.
     """
+    import tomli_w
+
+    from impslam.config import load
+
     del common
     console.say(tomli_w.dumps(load(preset, settings).resolved()).rstrip())

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from impslam.cli import console
 from impslam.cli.console import Base, Common, Settings, Topics
-from impslam.cli.job import plan, topic_settings
 from impslam.cli.progress import display, follow
-from impslam.cli.survey import Beams, Survey
-from impslam.config import Config
-from impslam.sources.base import Problems, Source, Stream
+
+if TYPE_CHECKING:
+    from impslam.cli.survey import Beams, Survey
+    from impslam.config import Config
+    from impslam.sources.base import Problems, Source, Stream
 
 
 def inspect(
@@ -30,6 +32,9 @@ def inspect(
     log
         A file or folder; its format is recognised from its content.
     """
+    from impslam.cli.job import plan, topic_settings
+    from impslam.cli.survey import Survey
+
     chosen, source = plan(log, config, [*settings, *topic_settings(topics)])
     survey = Survey(chosen.make_robot())
     with source, display(common is not None and common.quiet) as shown:

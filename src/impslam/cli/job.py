@@ -8,7 +8,8 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from impslam.cli import progress
+from impslam.cli.bar import Bar
+from impslam.cli.progress import display
 from impslam.component import explain
 from impslam.config import Config, carried, load, load_plugins
 from impslam.errors import ConfigError, ImpError
@@ -75,11 +76,11 @@ def execute(
     created = not folder.exists()
     _clear(folder)
     try:
-        with progress.display(quiet) as shown:
+        with display(quiet) as shown:
             known = known or source.true_landmarks() or _surveyed(source.path)
             recorder = Recorder(folder, config.grid.resolution, known)
             report = Report(folder, recorder.grid, known)
-            return player(config, source, [progress.Bar(source, shown), recorder, report, *more])
+            return player(config, source, [Bar(source, shown), recorder, report, *more])
     except ImpError:
         _clear(folder)
         if created and folder.is_dir() and not any(folder.iterdir()):

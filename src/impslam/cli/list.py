@@ -14,9 +14,7 @@ from rich.text import Text
 from impslam.cli import console
 from impslam.cli.console import Common
 from impslam.component import Component, components, near_miss, roles
-from impslam.config import presets
 from impslam.errors import ConfigError
-from impslam.simulation.world import load_world, shipped_worlds
 
 INDENT = 4
 Row: TypeAlias = tuple[str, ...]
@@ -30,6 +28,9 @@ def list_components(role: str | None = None, /, *, common: Common | None = None)
     role
         extractor, filter, association, ...; or presets, or worlds. Default: everything.
     """
+    from impslam.config import presets
+    from impslam.simulation.world import load_world, shipped_worlds
+
     del common
     known = [*roles(), "presets", "worlds"]
     if role is not None and role not in known:

@@ -6,49 +6,18 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from impslam.cli.console import stderr
-from impslam.observers.base import Observer, Outcome
-from impslam.sources.base import Source
-from impslam.types import StepResult
+
+if TYPE_CHECKING:
+    from impslam.sources.base import Source
 
 T = TypeVar("T")
 
 PERIOD = 0.1  # s between two updates: smooth to the eye, nothing to the run
-
-
-class Bar(Observer):
-    """Shows how far a run has come. Does nothing without a display.
-
-    How much there is to do the source tells while it is open: during the run.
-    """
-
-    def __init__(self, source: Source, display: Any = None) -> None:
-        self._source, self._display, self._due = source, display, 0.0
-        if display is not None:
-            self._task = display.add_task("starting (the very first run compiles)", total=None)
-
-    def step(self, result: StepResult) -> None:
-        """Move on."""
-        del result
-        if self._display is None or time.monotonic() < self._due:
-            return
-        self._due = time.monotonic() + PERIOD
-        self._display.update(
-            self._task,
-            description="mapping",
-            total=self._source.total,
-            completed=self._source.position,
-        )
-
-    def finish(self, outcome: Outcome) -> None:
-        """Say what comes after the last scan."""
-        del outcome
-        if self._display is not None:
-            self._display.update(self._task, description="writing the report")
 
 
 def follow(steps: Iterable[T], source: Source, display: Any, what: str) -> Iterator[T]:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from impslam.cli import console
-from impslam.config import Config
 from impslam.errors import ConfigError, LeftError
-from impslam.observers.base import Observer, Outcome
-from impslam.observers.live_view import LiveView
-from impslam.sources.base import Source
+
+if TYPE_CHECKING:
+    from impslam.config import Config
+    from impslam.observers.base import Observer, Outcome
+    from impslam.sources.base import Source
 
 WEB = ("nicegui", "cryptography")
 
@@ -35,9 +37,10 @@ def replay(
         If it was left before the log's end.
     """
     need_web()
-    from impslam.platform.console.model import Model  # noqa: PLC0415  # needs the extra
-    from impslam.platform.console.server import ServerSettings, listening, serve  # noqa: PLC0415
-    from impslam.platform.station.player import play_live  # noqa: PLC0415
+    from impslam.observers.live_view import LiveView
+    from impslam.platform.console.model import Model  # needs the extra
+    from impslam.platform.console.server import ServerSettings, listening, serve
+    from impslam.platform.station.player import play_live
 
     view, settings = LiveView(), ServerSettings(port=port)
     with listening(settings) as listener:

@@ -65,8 +65,8 @@ def reproduce(
         The folder to write to. Default: runs/reproduce-DATE-TIME.
     """
     # A run of anything else neither imports nor needs the studies.
-    from impslam.studies.job import Job  # noqa: PLC0415
-    from impslam.studies.report import PAGE, write  # noqa: PLC0415
+    from impslam.studies.job import Job
+    from impslam.studies.report import PAGE, write
 
     names = _chosen(experiments)
     if full and seeds is not None:
@@ -123,7 +123,7 @@ def _study(name: str) -> Study:
 
 def _folder(wanted: Path | None) -> Path:
     """Return the folder to write to: an earlier one of this command may be used again."""
-    from impslam.studies.report import NUMBERS  # noqa: PLC0415
+    from impslam.studies.report import NUMBERS
 
     if wanted is None:
         return Path("runs") / f"reproduce-{time.strftime('%Y%m%d-%H%M%S')}"

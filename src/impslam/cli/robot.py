@@ -17,7 +17,6 @@ from impslam.cli import console
 from impslam.cli.console import Common, Flag
 from impslam.cli.replay import need_web
 from impslam.errors import ConfigError, ImpError
-from impslam.platform.station.robot_file import RobotFile, load_robot
 from impslam.platform.station.service import Watchdog, unit
 
 if TYPE_CHECKING:
@@ -97,8 +96,8 @@ def robot(
         Begin to map at once.
     """
     need_web()
-    from impslam.platform.console.model import Model  # noqa: PLC0415  # needs the extra
-    from impslam.platform.console.server import ServerSettings, allowed, listening, serve  # noqa: PLC0415
+    from impslam.platform.console.model import Model  # needs the extra
+    from impslam.platform.console.server import ServerSettings, allowed, listening, serve
 
     where = serving or Serving()
     settings = ServerSettings(
@@ -127,7 +126,7 @@ def password(*, watch: Flag = False, common: Common | None = None) -> None:
     watch
         Set the password of those who may only watch.
     """
-    from impslam.platform.console.accounts import Accounts  # noqa: PLC0415  # not needed to serve
+    from impslam.platform.console.accounts import Accounts  # not needed to serve
 
     right: Right = "watch" if watch else "drive"
     accounts = Accounts()
@@ -155,6 +154,8 @@ def service(
         The user it runs as. Default: you.
     """
     del common
+    from impslam.platform.station.robot_file import load_robot
+
     chosen = load_robot(config)
     program = Path(sys.executable).with_name("imp")
     arguments = ["robot", "-c", str(config.resolve()), "--host", host, "--port", str(port)]
@@ -185,18 +186,20 @@ def running_station(
     config: Path | None, simulated: Simulated, folder: Path | None
 ) -> Iterator[tuple[Station, str, Fault | None]]:
     """Give a running station, the robot's name, and a virtual one's faults; at the end all stops."""
-    from impslam.platform.station.station import Station  # noqa: PLC0415  # numba takes a second to load
+    from impslam.platform.station.station import Station  # numba takes a second to load
 
     if config is None and not simulated.virtual:
         raise ConfigError(
             "no robot: name its file with -c robot.toml (docs/robot-guide.md shows one), or try "
             "`imp robot --virtual`"
         )
+    from impslam.platform.station.robot_file import RobotFile, load_robot
+
     chosen = RobotFile() if config is None else load_robot(config)
     fault: Fault | None = None
     with ExitStack() as stack:
         if simulated.virtual:
-            from impslam.platform.virtual.process import VirtualRobot  # noqa: PLC0415  # needs the extra
+            from impslam.platform.virtual.process import VirtualRobot  # needs the extra
 
             imp = stack.enter_context(VirtualRobot(simulated.world, simulated.seed))
             chosen = chosen.model_copy(update={"devices": imp.devices()})

@@ -6,17 +6,15 @@ from collections import Counter
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from impslam.cli import console
 from impslam.cli.console import Base, Common, Flag, Seed, Settings, Topics
-from impslam.cli.job import execute, plan, run_folder, topic_settings
-from impslam.cli.replay import replay
-from impslam.observers.base import Outcome
-from impslam.observers.summary import Distance, real_time_factor
-from impslam.pipeline import run as pipeline_run
+
+if TYPE_CHECKING:
+    from impslam.observers.base import Outcome
 
 
 @Parameter(name="*")
@@ -57,6 +55,11 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     output
         The folder to write to. Default: runs/LOG-DATE-TIME.
     """
+    from impslam.cli.job import execute, plan, run_folder, topic_settings
+    from impslam.cli.replay import replay
+    from impslam.observers.summary import Distance
+    from impslam.pipeline import run as pipeline_run
+
     changes = [*settings, *topic_settings(topics), *(() if seed is None else (f"seed={seed}",))]
     chosen, source = plan(log, config, changes)
     folder = run_folder(output, log.resolve().name.split(".")[0] or "log")
@@ -71,6 +74,8 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
 
 def show(outcome: Outcome, length: float, folder: Path, *, at_once: bool = True) -> None:
     """Print what a run was, and where it is; its speed says something where nobody paused it."""
+    from impslam.observers.summary import real_time_factor
+
     counts, seconds = outcome.counts, outcome.log_seconds
     kinds = Counter(landmark.kind for landmark in outcome.landmarks)
     found = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())) or "none"

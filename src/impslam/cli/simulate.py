@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 from cyclopts import Parameter
 
 from impslam.cli import console
 from impslam.cli.console import Common
 from impslam.cli.progress import display, ticker
-from impslam.evaluation.landmark_files import landmarks_path, write_true_landmarks
-from impslam.evaluation.tum import write_tum
-from impslam.simulation.drive import drive
-from impslam.simulation.simulate import simulate as messages
-from impslam.simulation.world import World, load_world
-from impslam.sources.recording import McapWriter
-from impslam.types import LaserScan, Message, TruePose
+
+if TYPE_CHECKING:
+    from impslam.simulation.world import World
+    from impslam.types import Message, TruePose
 
 
 def simulate(
@@ -42,6 +38,9 @@ def simulate(
     seed
         Seed of all noise; the same seed gives the same bytes.
     """
+    from impslam.evaluation.landmark_files import landmarks_path
+    from impslam.simulation.world import load_world
+
     quiet = common is not None and common.quiet
     chosen = load_world(world)
     with display(quiet) as shown:
@@ -58,6 +57,14 @@ def truth_path(log: Path) -> Path:
 
 def write_log(world: World, log: Path, seed: int, shown: Any = None) -> int:
     """Write a simulated log and its truth; return the number of scans."""
+    import numpy as np
+
+    from impslam.evaluation.landmark_files import landmarks_path, write_true_landmarks
+    from impslam.evaluation.tum import write_tum
+    from impslam.simulation.drive import drive
+    from impslam.simulation.simulate import simulate as messages
+    from impslam.sources.recording import McapWriter
+
     # Driving takes a moment, so only who watches learns beforehand how long the run will be.
     duration = 0.0 if shown is None else drive(world.robot).duration
     tick = ticker(shown, "simulating", duration)
@@ -73,6 +80,8 @@ def _recorded(
     messages: Iterable[Message], write: Callable[[Message], None], tick: Callable[[float], None]
 ) -> Iterator[TruePose]:
     """Write every message; yield the true pose at each scan's stamp."""
+    from impslam.types import LaserScan, TruePose
+
     latest: dict[float, TruePose] = {}
     for message in messages:
         write(message)

@@ -9,12 +9,11 @@ from itertools import combinations
 
 import numpy as np
 
+from impslam.evaluation.options import GATE
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import transform
 from impslam.types import Array, Landmark, TrueLandmark
 
-GATE = 0.5
-"""m: an estimate further off than this is of something else (thesis 5.2.2 associates by 0.5 m)."""
 ANGLE_GATE = math.radians(20.0)
 """rad: likewise for the direction of walls."""
 SAME = {"point": "cylinder", "cylinder": "point"}

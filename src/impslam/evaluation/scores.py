@@ -11,20 +11,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
 
 import numpy as np
 
 from impslam.errors import ImpError
 from impslam.evaluation.consistency import nees, pose_errors, share_within
 from impslam.evaluation.landmarks import (
-    GATE,
     LandmarkScore,
     judged_as,
     landmark_errors,
     moved,
     score_landmarks,
 )
+from impslam.evaluation.options import GATE, Alignment
 from impslam.evaluation.run_files import RecordedRun
 from impslam.evaluation.trajectory import (
     Pairs,
@@ -41,8 +40,6 @@ from impslam.evaluation.trajectory import (
 from impslam.geometry.se2 import inverse
 from impslam.types import Array, Landmark, Mask, TrueLandmark
 
-Alignment: TypeAlias = Literal["fit", "start", "none"]
-"""Where errors are taken: the path fitted to the truth, laid on its start, or as it is given."""
 STILL = 1e-3
 """m: before it has moved so far a run is at its start, whose covariance is a formality."""
 

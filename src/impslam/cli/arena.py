@@ -1,0 +1,129 @@
+"""What `imp demo` does: the arena of the thesis simulated, mapped, and printed beside the truth."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from numba.core import event
+
+from impslam.cli import console
+from impslam.cli.ending import EndOfRun
+from impslam.cli.job import execute, plan, run_folder
+from impslam.cli.progress import display
+from impslam.cli.simulate import truth_path, write_log
+from impslam.evaluation.landmark_files import landmarks_path
+from impslam.evaluation.landmarks import corners, score_landmarks
+from impslam.geometry.angles import wrap
+from impslam.observers.base import Outcome
+from impslam.simulation.world import load_world
+from impslam.types import Array, Landmark, TrueLandmark
+
+WORLD = "arena"
+FELT = 0.5  # s of compiling that are worth a word
+
+
+def map_arena(
+    seed: int, output: Path | None, config: str | None, settings: Sequence[str], quiet: bool
+) -> None:
+    """Simulate the arena, map it, and print the map beside the truth."""
+    clock = Clock()
+    own = Path(f"{WORLD}.mcap")
+    folder = run_folder(
+        output, WORLD, [str(p) for p in (own, truth_path(own), landmarks_path(own))]
+    )
+    log, world, end = folder / own, load_world(WORLD), EndOfRun()
+    with clock("simulate the arena"), display(quiet) as shown:
+        scans = write_log(world, log, seed, shown)
+    if not quiet:
+        console.say(f"{scans} scans and the wheels' turns are in {log}; mapping them ...")
+    start = list(map(float, world.robot.start))
+    with clock("map and report"):
+        chosen, source = plan(log, config, [f"start={start}", f"seed={seed}", *settings])
+        outcome = execute(chosen, source, folder, quiet, [end], world.landmarks())
+    if not quiet:
+        _show_landmarks(world.landmarks(), outcome)
+        _show_end(end)
+        _show_times(clock, outcome)
+        console.say(f"report: {folder / 'report.html'}")
+
+
+class Clock:
+    """Seconds per part of the demo, with the time that compiling takes out of each."""
+
+    def __init__(self) -> None:
+        self.parts: dict[str, float] = {}
+        self.compiling = 0.0
+
+    @contextmanager
+    def __call__(self, part: str) -> Iterator[None]:
+        """Time a part."""
+        before, begin = self.compiling, time.perf_counter()
+        with event.install_timer("numba:compile", self._compiled):
+            yield
+        took = time.perf_counter() - begin
+        self.parts[part] = took - (self.compiling - before)
+
+    def _compiled(self, seconds: float) -> None:
+        self.compiling += seconds
+
+
+def _show_landmarks(truth: list[TrueLandmark], outcome: Outcome) -> None:
+    """Print every true landmark beside the map's; of corners, which walls imply, those found."""
+    score = score_landmarks(outcome.landmarks, [*truth, *corners(truth)])
+    found = {error.name: error for error in score.found}
+    marks = {mark.id: mark for mark in outcome.landmarks}
+    rows = []
+    for true in [*truth, *(corner for corner in corners(truth) if corner.name in found)]:
+        estimate, errors = ("missed", ""), ("-", "")
+        if true.name in found:
+            error = found[true.name]
+            estimate = _place(marks[error.id])
+            turn = "" if true.end_points is None else f"{math.degrees(error.angle):.2f}"
+            errors = f"{100 * error.distance:.1f}", turn
+        rows.append((true.name, *_place(true), *estimate, *errors))
+    header = ("landmark", "true", "", "estimated", "", "error, cm", "deg")
+    console.show_table(header, rows, numbers=6)
+    for number in score.false:
+        console.say(f"not in the arena: {marks[number].kind} {' '.join(_place(marks[number]))}")
+    for number in score.doubles:
+        console.say(f"twice in the map: {marks[number].kind} {' '.join(_place(marks[number]))}")
+
+
+def _place(landmark: Landmark | TrueLandmark) -> tuple[str, str]:
+    """Return a point's x and y, a wall's distance and direction from the origin."""
+    values = landmark.parameters
+    if landmark.end_points is not None:
+        return f"r {values['r']:.3f} m", f"{math.degrees(values['alpha']):.2f} deg"
+    return f"x {landmark.position[0]:.3f}", f"y {landmark.position[1]:.3f}"
+
+
+def _show_end(end: EndOfRun) -> None:
+    if end.true is None or end.pose is None or end.odometry is None:
+        return
+    rows = [("true", *_coordinates(end.true), "")]
+    for name, pose in (("estimated", end.pose), ("wheels alone", end.odometry)):
+        error = 100 * math.dist(pose[:2], end.true[:2])
+        turn = math.degrees(wrap(float(pose[2] - end.true[2])))
+        rows.append((name, *_coordinates(pose), f"{error:.1f} cm, {turn:+.2f} deg"))
+    console.show_table(("end of the path", "x", "y", "heading", "error"), rows, numbers=4)
+
+
+def _coordinates(pose: Array) -> tuple[str, str, str]:
+    return f"{pose[0]:.3f}", f"{pose[1]:.3f}", f"{math.degrees(pose[2]):.2f}"
+
+
+def _show_times(clock: Clock, outcome: Outcome) -> None:
+    """Say where the time went."""
+    parts = [f"{name} {seconds:.1f} s" for name, seconds in clock.parts.items()]
+    if clock.compiling > FELT:
+        parts.append(f"compile {clock.compiling:.1f} s (once; the next run has it ready)")
+    stages = {name: 1000 * float(np.median(times)) for name, times in outcome.stages.items()}
+    console.say("time: " + ", ".join(parts))
+    console.say(
+        "median per scan: " + ", ".join(f"{name} {ms:.2f} ms" for name, ms in stages.items())
+    )

@@ -7,9 +7,9 @@ import pytest
 
 from impslam.platform.console import accounts as module
 from impslam.platform.console.accounts import Accounts, AccountsError, write_private
-from impslam.platform.console.gate import BASIC_LIFE, LINK_LIFE, Gate, Refused
-from impslam.platform.console.refusals import FIRST, MOST, WINDOW, Refusals, shown
-from impslam.platform.console.session import IDLE, LIFE, Session, Sessions
+from impslam.platform.console.gate import KNOWN_LIFE, LINK_LIFE, Gate, Refused
+from impslam.platform.console.refusals import FIRST, LINES, MOST, WINDOW, Refusals, shown
+from impslam.platform.console.session import EACH, IDLE, LIFE, Session, Sessions
 from impslam.platform.console.session import MOST as MOST_SESSIONS
 from impslam.platform.console.throttle import FORGET, FREE, LONGEST, TOGETHER, Bucket, Throttle
 
@@ -206,13 +206,27 @@ class TestSessions:
     def test_there_are_never_too_many_and_the_idlest_goes(self, clock):
         sessions = Sessions(clock)
         held = []
-        for _ in range(MOST_SESSIONS):
-            held.append(sessions.begin("watch")[1])
+        for k in range(MOST_SESSIONS):
+            held.append(sessions.begin("watch", f"10.0.0.{k}")[1])
             clock.moment += 1.0
         held[0].use()
+        _, driver = sessions.begin("drive", "10.0.1.1")
         assert all(session.alive() for session in held)
-        sessions.begin("drive")
+        sessions.begin("watch", "10.0.1.1")
         assert [session.alive() for session in held[:3]] == [True, False, True]
+        assert driver.alive()
+
+    def test_who_logs_in_again_and_again_ends_their_own_sessions_alone(self, clock):
+        sessions = Sessions(clock)
+        _, driver = sessions.begin("drive", "10.0.0.1")
+        _, other = sessions.begin("watch", "10.0.0.2")
+        mine = []
+        for _ in range(200):
+            clock.moment += 0.01
+            mine.append(sessions.begin("watch", "10.0.0.1")[1])
+        assert driver.alive()
+        assert other.alive()
+        assert sum(session.alive() for session in mine) == EACH
 
 
 class TestThrottle:
@@ -268,6 +282,21 @@ class TestThrottle:
             clock.moment += throttle.wait("10.0.0.1")
         clock.moment += FORGET
         assert [throttle.wait("10.0.0.1") for _ in range(FREE)] == [0.0] * FREE
+
+    def test_right_ones_use_nothing_up(self, clock):
+        throttle = Throttle(clock)
+        for _ in range(1000):
+            assert throttle.wait("10.0.0.1") == 0.0
+            throttle.forgive("10.0.0.1", wholly=False)
+        assert throttle.wait("10.0.0.2") == 0.0
+
+    def test_the_password_to_watch_buys_no_guesses_at_the_one_to_drive(self, clock):
+        throttle, guesses = Throttle(clock), 0
+        for _ in range(100):
+            guesses += throttle.wait("10.0.0.1") == 0.0
+            if throttle.wait("10.0.0.1") == 0.0:
+                throttle.forgive("10.0.0.1", wholly=False)
+        assert guesses <= FREE
 
     def test_one_network_of_ipv6_is_one_guesser(self, clock):
         throttle = Throttle(clock)
@@ -336,9 +365,22 @@ class TestRefusals:
         refusals = Refusals(clock)
         for k in range(100_000):
             refusals.tell(f"10.{k >> 16}.{k >> 8 & 255}.{k & 255}", "login")
-        assert len(caplog.records) == MOST + FIRST
+        assert len(caplog.records) == LINES
         refusals.flush(everything=True)
-        assert f"{100_000 - MOST - FIRST} more" in self.told(caplog)[-1]
+        assert len(caplog.records) == LINES + 1
+        assert f"{100_000 - LINES} more" in self.told(caplog)[-1]
+
+    def test_one_line_a_second_whatever_comes(self, clock, caplog):
+        caplog.set_level(logging.INFO)
+        refusals = Refusals(clock)
+        for k in range(60_000):
+            clock.moment += 0.01
+            refusals.tell(f"10.0.{k % 9}.{k % 250}", f"kind {k % 31}")
+            refusals.admit(f"10.0.{k % 9}.{k % 250}", "logs in as watcher")
+            if k % 100 == 0:
+                refusals.flush()
+        assert len(caplog.records) <= LINES + 600
+        assert len(refusals._counts) <= MOST + 1
 
     @pytest.mark.parametrize(
         "text", ["a\nrefused 10.0.0.9: login", "\x1b[31m", "\u202e", "é" * 999]
@@ -373,7 +415,7 @@ class TestGate:
         assert not session.may_drive
         with pytest.raises(Refused, match="not a password"):
             await gate.enter("10.0.0.1", "guessed-password")
-        assert "10.0.0.1 logs in as watcher 1" in caplog.text
+        assert "10.0.0.1 logs in as watcher (watcher 1, by a password)" in caplog.text
         assert "refused 10.0.0.1: login (a wrong password)" in caplog.text
         assert WATCH not in caplog.text
         assert "guessed" not in caplog.text
@@ -394,6 +436,26 @@ class TestGate:
         assert told.value.wait > 0.0
         assert len(hashes) == FREE
         assert (await gate.enter("10.0.0.2", DRIVE))[1].may_drive
+
+    async def test_right_logins_keep_nobody_out(self, gate, monkeypatch, caplog):
+        """However often somebody logs in who may watch, the driver gets in from that address too."""
+        hashes = []
+        real = gate.accounts.right
+        monkeypatch.setattr(
+            gate.accounts, "right", lambda password: hashes.append(1) or real(password)
+        )
+        for _ in range(300):
+            assert not (await gate.enter("10.0.0.1", WATCH))[1].may_drive
+        assert len(hashes) == 1
+        assert len(caplog.records) <= FIRST
+        assert (await gate.enter("10.0.0.1", DRIVE))[1].may_drive
+        assert (await gate.enter("10.0.0.2", DRIVE))[1].may_drive
+
+    async def test_a_remembered_password_ends_with_the_file(self, gate):
+        await gate.enter("10.0.0.1", WATCH)
+        gate.accounts.set("watch", "another password")  # the gate has not swept yet
+        with pytest.raises(Refused, match="not a password"):
+            await gate.enter("10.0.0.1", WATCH)
 
     async def test_a_new_password_ends_every_session(self, gate, caplog):
         token, session = await gate.enter("10.0.0.1", DRIVE)
@@ -457,7 +519,7 @@ class TestGate:
             assert session is not None
             assert not session.may_drive  # it fetches, nothing else
         assert len(hashes) == 1
-        clock.moment += BASIC_LIFE
+        clock.moment += KNOWN_LIFE
         await gate.basic("10.0.0.1", self.basic("drive", DRIVE))
         assert len(hashes) == 2
         gate.accounts.set("drive", "another password")

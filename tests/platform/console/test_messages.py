@@ -14,6 +14,8 @@ from tests.platform.console.test_security import opened, soon
 from impslam.platform.console import page
 from impslam.platform.console.line import MESSAGES
 from impslam.platform.console.model import Model
+from impslam.platform.console.refusals import FIRST, Refusals
+from impslam.platform.console.session import Sessions
 
 ARGUMENTS = [
     [], ["null"], ["5"], ["-1e999"], ['"x"'], ["{}"], ["[]"], ["[1,2]"], ["[1,2,3]"], ["true"],
@@ -51,3 +53,18 @@ def test_whatever_a_watcher_sends_to_the_page_raises_nothing(tmp_path, replay, c
             caplog.records
         )  # nicegui complains at the end of a server that is not the first
     assert not [one for one in told if one.name in {"nicegui", "asyncio"} or one.exc_info], told
+
+
+def test_refused_commands_of_a_watcher_do_not_fill_the_log(caplog):
+    caplog.set_level("INFO")
+    refusals = Refusals()
+    sessions = Sessions(report=refusals.tell)
+    _, session = sessions.begin("watch", "10.0.0.9")
+    for _ in range(1000):
+        session.refused("log in with the drive password\nimp: warning: forged")
+    refusals.flush(everything=True)
+    assert len(caplog.records) <= FIRST + 1
+    assert (
+        "refused 10.0.0.9: a command of watcher 1 (log in with the drive password\\x0a"
+        in caplog.text
+    )

@@ -22,8 +22,7 @@ log = logging.getLogger(__name__)
 
 LINK_LIFE = 600.0  # s; long enough to walk from the terminal to the browser
 LINK_PAUSE = 60.0  # s between two links that are made because somebody asks for the page
-BASIC_LIFE = 300.0  # s; a download that resumes every few seconds costs one hash in five minutes
-BASIC_MOST = 16  # passwords remembered at a time
+KNOWN_LIFE = 300.0  # s that a right password costs no hash again: logins, downloads that resume
 
 
 class Refused(ImpError):
@@ -54,14 +53,15 @@ class Gate:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.accounts, self.secure = accounts, secure
-        self.sessions, self.refusals = Sessions(clock), Refusals(clock)
+        self.refusals = Refusals(clock)
+        self.sessions = Sessions(clock, self.refusals.tell)
         self._throttle = Throttle(clock)
         self._show, self._clock = show, clock
         self._link: tuple[bytes, float] | None = None
         self._linked = -math.inf
         self._version = accounts.version()
         self._secret = secrets.token_bytes(32)
-        self._basic: dict[bytes, tuple[Right, float]] = {}
+        self._known: dict[bytes, tuple[Right, float]] = {}  # right passwords, so two at most
         self._hashing = asyncio.Semaphore(1)  # one core at most, whoever logs in
 
     @property
@@ -120,17 +120,15 @@ class Gate:
         Nothing is returned where that is not so; it is told in the log.
         """
         user, password = _user(header)
-        key = hmac.digest(self._secret, f"{user}:{password}".encode("utf-8", "replace"), "sha256")
-        right, until = self._basic.get(key, (None, 0.0))
-        if right is None or self._clock() >= until:
-            try:
-                right = await self._right(address, password, "basic login")
-            except Refused:
-                return None
-            if right != user:
-                self.refusals.tell(address, "basic login", "a wrong user")
-                return None
-            self._remember(key, right)
+        try:
+            right = self._remembered(password) or await self._right(
+                address, password, "basic login"
+            )
+        except Refused:
+            return None
+        if right != user:
+            self.refusals.tell(address, "basic login", "a wrong user")
+            return None
         return Session(f"basic-{right}", f"{user}'s script", may_drive=False, clock=self._clock)
 
     def sweep(self) -> None:
@@ -145,7 +143,7 @@ class Gate:
     def close(self) -> None:
         """End every session and whatever could begin one without a password."""
         self._link = None
-        self._basic.clear()
+        self._known.clear()
         self.sessions.end_all()
 
     async def _right(self, address: str, password: str, what: str) -> Right:
@@ -153,27 +151,39 @@ class Gate:
         if wait > 0.0:
             self.refusals.tell(address, what, "too many tries")
             raise Refused("Too many tries.", wait)
+        right = self._remembered(password) or await self._hashed(password)
+        if right is None:
+            self.refusals.tell(address, what, "a wrong password")
+            raise Refused("This is not a password of this robot.")
+        self._throttle.forgive(address, wholly=right == "drive")
+        return right
+
+    async def _hashed(self, password: str) -> Right | None:
+        version = self._version
         try:
             async with self._hashing:
                 right = await asyncio.to_thread(self.accounts.right, password[: LONGEST + 1])
         except AccountsError as error:
             log.error("%s", error)  # noqa: TRY400  # what to do is in the message
             raise Refused("The robot cannot read its passwords; its log says why.") from None
-        if right is None:
-            self.refusals.tell(address, what, "a wrong password")
-            raise Refused("This is not a password of this robot.")
-        self._throttle.forgive(address)
+        if right is not None and version == self.accounts.version():
+            self._known[self._key(password)] = right, self._clock() + KNOWN_LIFE
         return right
 
-    def _begin(self, address: str, right: Right, by: str) -> tuple[str, Session]:
-        token, session = self.sessions.begin(right)
-        log.info("%s logs in as %s with %s", address, session.name, by)
-        return token, session
+    def _remembered(self, password: str) -> Right | None:
+        """Return the right of a password that was right a while ago; it costs no hash again."""
+        right, until = self._known.get(self._key(password), (None, 0.0))
+        fresh = self._clock() < until and self.accounts.version() == self._version
+        return right if fresh else None
 
-    def _remember(self, key: bytes, right: Right) -> None:
-        if len(self._basic) >= BASIC_MOST:
-            del self._basic[next(iter(self._basic))]
-        self._basic[key] = right, self._clock() + BASIC_LIFE
+    def _key(self, password: str) -> bytes:
+        return hmac.digest(self._secret, password.encode("utf-8", "replace"), "sha256")
+
+    def _begin(self, address: str, right: Right, by: str) -> tuple[str, Session]:
+        token, session = self.sessions.begin(right, address)
+        role = "driver" if session.may_drive else "watcher"
+        self.refusals.admit(address, f"logs in as {role}", f"{session.name}, by {by}")
+        return token, session
 
 
 def _user(header: str) -> tuple[str, str]:

@@ -1,6 +1,7 @@
-"""What was refused, told in the log: the first of a kind at once, the rest as a count.
+"""What strangers and watchers cause in the log: the first of a kind at once, the rest as a count.
 
-A thousand refusals a minute must neither hide among others nor fill the disk.
+A thousand refusals a minute must neither hide among others nor fill the disk, and a thousand logins
+no more than they.
 """
 
 from __future__ import annotations
@@ -11,22 +12,29 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from impslam.platform.console.throttle import Bucket
+
 log = logging.getLogger(__name__)
 
-FIRST = 5  # of each kind and address are told one by one
+FIRST = 5  # of each kind are told one by one
 WINDOW = 60.0  # s, then the rest is told as one count
-MOST = 256  # kinds and addresses kept apart; all beyond are told as one
+MOST = 256  # kinds kept apart; all beyond are told as one
+LINES, RATE = 10, 1.0  # lines at once, and a second in the long run
 LONGEST = 120  # characters of what a request said of itself
+
+_Kind = tuple[int, str]  # level, and what the line begins with
+_OTHERS: _Kind = (logging.WARNING, "refused others: requests")
 
 
 @dataclass(slots=True)
 class _Count:
     begun: float
     number: int = 0
+    told: int = 0
 
 
 class Refusals:
-    """Tells the log of refusals, at a bounded rate.
+    """Tells the log of refusals and logins, at a bounded rate.
 
     Parameters
     ----------
@@ -36,34 +44,51 @@ class Refusals:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._lock = threading.Lock()
-        self._counts: dict[tuple[str, str], _Count] = {}
+        self._lines = Bucket(LINES, RATE, clock)
+        self._counts: dict[_Kind, _Count] = {}
 
     def tell(self, address: str, what: str, detail: str = "") -> None:
         """Note one refusal: to whom, what kind, and what it was about (never a secret)."""
-        with self._lock:
-            key = (address, what)
-            if key not in self._counts and len(self._counts) >= MOST:
-                key = ("others", "requests")
-            count = self._counts.setdefault(key, _Count(self._clock()))
-            count.number += 1
-        if count.number <= FIRST:
-            log.warning("refused %s: %s%s", *key, f" ({shown(detail)})" if detail else "")
+        self._note((logging.WARNING, f"refused {address}: {what}"), detail)
+
+    def admit(self, address: str, what: str, detail: str = "") -> None:
+        """Note what an address was let do: what kind, and more about it (never a secret)."""
+        self._note((logging.INFO, f"{address} {what}"), detail)
 
     def flush(self, *, everything: bool = False) -> None:
         """Tell the counts whose time is up; call it about once a second, and at the end."""
-        moment = self._clock()
+        moment, others = self._clock(), 0
         with self._lock:
-            due = {
-                key: count
-                for key, count in self._counts.items()
-                if everything or moment - count.begun >= WINDOW
-            }
-            for key in due:
-                del self._counts[key]
-        for (address, what), count in due.items():
-            if (more := count.number - FIRST) > 0:
-                seconds = moment - count.begun
-                log.warning("refused %s: %s: %d more in %.0f s", address, what, more, seconds)
+            for kind, count in list(self._counts.items()):
+                if not everything and moment - count.begun < WINDOW:
+                    continue
+                more = count.number - count.told
+                if more > 0 and self._lines.wait() > 0.0:
+                    if not everything:
+                        continue  # when there is room for a line
+                    others, more = others + more, 0
+                del self._counts[kind]
+                if more > 0:
+                    self._tell(kind, more, moment - count.begun)
+            if others:
+                self._tell(_OTHERS, others, 0.0)
+
+    def _note(self, kind: _Kind, detail: str) -> None:
+        with self._lock:
+            if kind not in self._counts and len(self._counts) >= MOST:
+                kind = _OTHERS
+            count = self._counts.setdefault(kind, _Count(self._clock()))
+            count.number += 1
+            if count.number > FIRST or self._lines.wait() > 0.0:
+                return
+            count.told += 1
+        level, what = kind
+        log.log(level, "%s%s", what, f" ({shown(detail)})" if detail else "")
+
+    @staticmethod
+    def _tell(kind: _Kind, more: int, seconds: float) -> None:
+        level, what = kind
+        log.log(level, "%s: %d more in %.0f s", what, more, seconds)
 
 
 def shown(text: str) -> str:

@@ -13,13 +13,15 @@ import secrets
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Literal
 
 Right = Literal["watch", "drive"]
 
 IDLE = 30 * 60.0  # s without a request or a message: longer than a pause, shorter than a lunch
 LIFE = 12 * 3600.0  # s since the login: one working day
-MOST = 64  # sessions at a time; a robot has a handful of people, and each costs memory
+MOST = 64  # sessions of a right; a robot has a handful of people, and each costs memory
+EACH = 16  # of them from one address, so that who logs in again and again ends their own alone
 TOKEN = 32  # bytes of a token
 
 
@@ -31,14 +33,22 @@ class Session:
     id : names the session, to the helm for example; not secret, and opens nothing
     name : how this one is called on the page: "driver 1", "watcher 2"
     may_drive : whether it may change anything; who may not, may watch
+    address : where it was begun
     used : s of the clock, when it was last in use
     """
 
     def __init__(
-        self, ident: str, name: str, *, may_drive: bool, clock: Callable[[], float] = time.monotonic
+        self,
+        ident: str,
+        name: str,
+        *,
+        may_drive: bool,
+        address: str = "",
+        report: Callable[[str, str], None] = lambda what, detail: None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.id, self.name, self.may_drive = ident, name, may_drive
-        self._clock = clock
+        self.id, self.name, self.may_drive, self.address = ident, name, may_drive, address
+        self._report, self._clock = report, clock
         self._begun = self.used = clock()
         self._ended = False
 
@@ -50,6 +60,10 @@ class Session:
         moment = self._clock()
         fresh = moment - self.used < IDLE and moment - self._begun < LIFE
         return fresh and not self._ended
+
+    def refused(self, reason: str) -> None:
+        """Tell the log that a command from its pages was refused."""
+        self._report(f"a command of {self.name}", reason)
 
     def use(self) -> None:
         """Note that it is in use now; does not wake a session that has ended."""
@@ -67,27 +81,38 @@ class Sessions:
     Parameters
     ----------
     clock : s, never stepping back
+    report : called with (address, what, detail) for what is refused to a session
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
+    def __init__(
+        self,
+        clock: Callable[[], float] = time.monotonic,
+        report: Callable[[str, str, str], None] = lambda address, what, detail: None,
+    ) -> None:
+        self._clock, self._report = clock, report
         self._lock = threading.Lock()
         self._by_digest: dict[bytes, Session] = {}
         self._numbers = itertools.count(1)
 
-    def begin(self, right: Right) -> tuple[str, Session]:
+    def begin(self, right: Right, address: str = "") -> tuple[str, Session]:
         """Begin a session; return the token for the browser, and the session.
 
-        Where `MOST` are held the one that was not used for longest ends.
+        Where `MOST` of the right are held, or `EACH` from the address, the one of them ends that was
+        not used for longest: who may watch never ends the session of who may drive.
         """
         token = secrets.token_urlsafe(TOKEN)
         number = next(self._numbers)
         name = f"{'driver' if right == 'drive' else 'watcher'} {number}"
         session = Session(
-            f"{number}-{secrets.token_hex(4)}", name, may_drive=right == "drive", clock=self._clock
+            f"{number}-{secrets.token_hex(4)}",
+            name,
+            may_drive=right == "drive",
+            address=address,
+            report=partial(self._report, address),
+            clock=self._clock,
         )
         with self._lock:
-            self._forget()
+            self._make_room(session)
             self._by_digest[digest(token)] = session
         return token, session
 
@@ -104,11 +129,13 @@ class Sessions:
                 session.end()
             self._by_digest.clear()
 
-    def _forget(self) -> None:
+    def _make_room(self, new: Session) -> None:
         """Drop what has ended, and end what was not used for longest where there are too many."""
         kept = {key: one for key, one in self._by_digest.items() if one.alive()}
-        by_use = sorted(kept, key=lambda key: kept[key].used)
-        for key in by_use[: max(0, len(kept) - MOST + 1)]:
+        alike = [key for key, one in kept.items() if one.may_drive == new.may_drive]
+        alike.sort(key=lambda key: kept[key].used)
+        same = [key for key in alike if kept[key].address == new.address]
+        for key in {*same[: max(0, len(same) - EACH + 1)], *alike[: max(0, len(alike) - MOST + 1)]}:
             kept.pop(key).end()
         self._by_digest = kept
 

@@ -3,7 +3,7 @@
 Each address has a few free tries, then waits, twice as long after each. All addresses together
 have what one core spares. Whoever waits is refused with the right password too: one that is let
 through would tell a guesser that it was right. Who comes from another address is not held up, as
-long as fewer than `TOGETHER` tries a minute pass in all.
+long as fewer than `TOGETHER` tries a minute fail in all. Right ones do not count, however many.
 """
 
 from __future__ import annotations
@@ -46,6 +46,10 @@ class Bucket:
         self._level -= 1.0
         return 0.0
 
+    def give_back(self) -> None:
+        """Put a token back that was not needed."""
+        self._level = min(self._most, self._level + 1.0)
+
 
 class Throttle:
     """Counts the tries of each address, and of all.
@@ -79,10 +83,17 @@ class Throttle:
                 self._note(key, _Tries(tries.count + 1, moment))
             return max(wait, 0.0)
 
-    def forgive(self, address: str) -> None:
-        """Forget the tries of an address: its last one was right."""
+    def forgive(self, address: str, *, wholly: bool = True) -> None:
+        """Take the last try of an address back, which was right; `wholly` those before it too.
+
+        Who knows the password to watch may be guessing the one to drive, and must not start anew.
+        """
+        key = _block(address)
         with self._lock:
-            self._tries.pop(_block(address), None)
+            self._all.give_back()
+            tries = self._tries.pop(key, None)
+            if tries is not None and tries.count > 1 and not wholly:
+                self._note(key, _Tries(tries.count - 1, tries.last))
 
     def _note(self, key: str, tries: _Tries) -> None:
         self._tries.pop(key, None)  # so that the dict is in the order of the last tries

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import logging
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -14,7 +13,6 @@ from impslam.errors import ImpError
 from impslam.platform.console.session import Session
 from impslam.platform.console.widgets import button, line
 
-log = logging.getLogger(__name__)
 T = TypeVar("T")
 
 _numbers = itertools.count(1)
@@ -80,7 +78,7 @@ class Viewer:
         return bool(answer)
 
     def _tell(self, text: str) -> bool:
-        log.info("%s: refused: %s", self.session.name, text)
+        self.session.refused(text)
         with self.client:  # the button that was pressed may be gone by now
             ui.notify(text, type="negative", position="bottom", timeout=6000, multi_line=True)
         return False

@@ -71,99 +71,109 @@ def truth():
 
 
 @pytest.fixture(scope="module")
-def moment(truth):
-    return truth.moment(0.0)
+def sweep_(truth):
+    return truth.sweep(0.0)
 
 
-def beams_on(moment, *kinds):
-    known = [i >= 0 and moment.kinds[i] in kinds for i in moment.hits.tolist()]
-    return np.flatnonzero(known)
+@pytest.fixture(scope="module")
+def beams_on(truth, sweep_):
+    """Return the beams that hit things of some kinds."""
+    things = truth.scene.things
+
+    def beams(*kinds):
+        return np.flatnonzero([i >= 0 and things[i].kind in kinds for i in sweep_.hits.tolist()])
+
+    return beams
 
 
-def wall(moment, start, end, beams):
+@pytest.fixture(scope="module")
+def south(sweep_, beams_on):
+    """The beams on the south wall with its door."""
+    beams = beams_on("wall", "door", "doorway")
+    return beams[beams < len(sweep_.hits) // 2]  # counter-clockwise from behind on the right
+
+
+def wall(sweep_, start, end, beams):
     """Return the wall from start to end (map) as an observation on some beams."""
-    ends = transform(inverse(moment.pose), np.array([start, end]))
+    ends = transform(inverse(sweep_.pose), np.array([start, end]))
     along = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0]))
     normal = np.array([along[1], -along[0]])
     z = np.array([normal @ ends[0], math.atan2(normal[1], normal[0])])
     return Observation("wall", z, np.eye(2), beams, ends)
 
 
-def point(moment, kind, place, beams):
-    z = transform(inverse(moment.pose), np.array([place]))[0]
+def point(sweep_, kind, place, beams):
+    z = transform(inverse(sweep_.pose), np.array([place]))[0]
     return Observation(kind, z, np.eye(2), beams)
-
-
-def south(moment):
-    beams = beams_on(moment, "wall", "door", "doorway")
-    return beams[beams < len(moment.hits) // 2]  # counter-clockwise from behind on the right
 
 
 # ------------------------------------------------------------------------------- observations
 
 
-def test_beams_meet_what_is_there(moment):
-    assert {moment.kinds[i] for i in moment.hits if i >= 0} == {
+def test_beams_meet_what_is_there(truth, sweep_):
+    assert {truth.scene.things[i].kind for i in sweep_.hits if i >= 0} == {
         *("wall", "door", "doorway", "cylinder", "person")
     }
-    np.testing.assert_allclose(moment.people, [[2.5, -0.5]])
+    legs = sweep_.hits >= len(sweep_.round) - len(sweep_.legs)
+    assert {truth.scene.things[i].kind for i in sweep_.hits[legs]} == {"person"}
+    np.testing.assert_allclose(sweep_.legs[:, :2].mean(axis=0), [2.5, -0.5])
 
 
-def test_a_wall_with_its_shut_door_is_one(moment):
-    seen = wall(moment, (-1.0, -1.5), (3.5, -1.5), south(moment))
-    assert judge(moment, seen) == Verdict(person=False, touched=False, false=False)
+def test_a_wall_with_its_shut_door_is_one(sweep_, south):
+    seen = wall(sweep_, (-1.0, -1.5), (3.5, -1.5), south)
+    assert judge(sweep_, seen) == Verdict(person=False, touched=False, false=False)
 
 
 @pytest.mark.parametrize("turn", [-9.0, 9.0])
-def test_a_wall_off_by_less_than_a_bin_is_the_wall(moment, turn):
+def test_a_wall_off_by_less_than_a_bin_is_the_wall(sweep_, turn, south):
     rise = 0.5 * math.tan(math.radians(turn))
-    assert not judge(moment, wall(moment, (0, -1.5 - rise), (1, -1.5 + rise), south(moment))).false
+    assert not judge(sweep_, wall(sweep_, (0, -1.5 - rise), (1, -1.5 + rise), south)).false
 
 
 @pytest.mark.parametrize("turn", [-11.0, 11.0, 90.0])
-def test_a_wall_off_by_more_is_none(moment, turn):
+def test_a_wall_off_by_more_is_none(sweep_, turn, south):
     way = 0.5 * np.array([math.cos(math.radians(turn)), math.sin(math.radians(turn))])
     middle = np.array([0.5, -1.5])
-    assert judge(moment, wall(moment, middle - way, middle + way, south(moment))).false
+    assert judge(sweep_, wall(sweep_, middle - way, middle + way, south)).false
 
 
-def test_a_wall_beside_the_wall_is_none(moment):
-    assert not judge(moment, wall(moment, (0, -1.69), (1, -1.69), south(moment))).false
-    assert judge(moment, wall(moment, (0, -1.71), (1, -1.71), south(moment))).false
+def test_a_wall_beside_the_wall_is_none(sweep_, south):
+    assert not judge(sweep_, wall(sweep_, (0, -1.69), (1, -1.69), south)).false
+    assert judge(sweep_, wall(sweep_, (0, -1.71), (1, -1.71), south)).false
 
 
-def test_a_line_across_the_passage_is_none(moment):
+def test_a_line_across_the_passage_is_none(sweep_, beams_on, south):
     """As RANSAC draws it: half of its readings on one wall, half on the other."""
-    beams = np.concatenate((south(moment)[:20], beams_on(moment, "wall")[-21:]))
-    assert judge(moment, wall(moment, (0.0, -1.5), (0.5, 1.5), beams)).false
+    beams = np.concatenate((south[:20], beams_on("wall")[-21:]))
+    assert judge(sweep_, wall(sweep_, (0.0, -1.5), (0.5, 1.5), beams)).false
 
 
-def test_whoever_is_taken_for_something_is_a_person(moment):
-    legs = beams_on(moment, "person")
+def test_whoever_is_taken_for_something_is_a_person(sweep_, beams_on):
+    legs = beams_on("person")
     for kind in ("cylinder", "corner"):
-        seen = judge(moment, point(moment, kind, (2.5, -0.5), legs))
+        seen = judge(sweep_, point(sweep_, kind, (2.5, -0.5), legs))
         assert seen == Verdict(person=True, touched=True, false=True)
-    assert judge(moment, wall(moment, (2.44, -0.7), (2.44, -0.3), legs)).person
+    assert judge(sweep_, wall(sweep_, (2.44, -0.7), (2.44, -0.3), legs)).person
 
 
-def test_what_lies_where_someone_is_is_the_person_though_beams_say_else(moment):
-    beams = beams_on(moment, "wall")
-    assert judge(moment, point(moment, "corner", (2.5, -0.2), beams)).person
-    assert not judge(moment, point(moment, "corner", (2.5, 0.0), beams)).person
+def test_what_lies_where_someone_is_is_the_person_though_beams_say_else(sweep_, beams_on):
+    beams = beams_on("wall")
+    assert judge(sweep_, point(sweep_, "corner", (2.5, -0.2), beams)).person
+    assert not judge(sweep_, point(sweep_, "corner", (2.5, 0.0), beams)).person
 
 
-def test_a_wall_behind_someone_is_no_person(moment):
-    beams = np.concatenate((south(moment), beams_on(moment, "person")))
-    seen = judge(moment, wall(moment, (-1.0, -1.5), (3.5, -1.5), beams))
+def test_a_wall_behind_someone_is_no_person(sweep_, beams_on, south):
+    beams = np.concatenate((south, beams_on("person")))
+    seen = judge(sweep_, wall(sweep_, (-1.0, -1.5), (3.5, -1.5), beams))
     assert seen == Verdict(person=False, touched=True, false=False)
 
 
-def test_points(moment):
-    beams = beams_on(moment, "cylinder")
-    assert not judge(moment, point(moment, "cylinder", (2.05, 1.05), beams)).false
-    assert judge(moment, point(moment, "cylinder", (2.15, 1.0), beams)).false
-    assert judge(moment, point(moment, "corner", (2.0, 1.0), beams)).false
-    assert not judge(moment, point(moment, "corner", (1.0, -1.45), beams)).false
+def test_points(sweep_, beams_on):
+    beams = beams_on("cylinder")
+    assert not judge(sweep_, point(sweep_, "cylinder", (2.05, 1.05), beams)).false
+    assert judge(sweep_, point(sweep_, "cylinder", (2.15, 1.0), beams)).false
+    assert judge(sweep_, point(sweep_, "corner", (2.0, 1.0), beams)).false
+    assert not judge(sweep_, point(sweep_, "corner", (1.0, -1.45), beams)).false
 
 
 # ------------------------------------------------------------------------------- maps

@@ -18,13 +18,14 @@ from impslam.extractors.filtered_jump import FilteredJump
 from impslam.extractors.hough import Hough
 from impslam.extractors.jump import Jump, candidates, derivative
 from impslam.extractors.readings import usable
-from impslam.geometry.se2 import between, log, transform
-from impslam.simulation.drive import Trajectory, drive
+from impslam.geometry.se2 import transform
+from impslam.simulation.drive import drive
 from impslam.simulation.lidar import LidarSimulator
 from impslam.simulation.robot import Lidar, SimulatedRobot
 from impslam.simulation.scene import Scene, distance_to_segments
 from impslam.simulation.simulate import sweep_times
 from impslam.simulation.world import Person, World, load_world
+from impslam.studies.ground_truth import true_twist
 from impslam.types import Array, Ints, LaserScan, Observation, Scan
 
 RATE = 1.0
@@ -144,7 +145,7 @@ def snapshots(world: World, seed: int = 0) -> Iterator[Snapshot]:
     lidar = LidarSimulator(robot.lidar, scene, trajectory, np.random.default_rng(seed))
     for number, time in enumerate(sweep_times(robot, trajectory).tolist()):
         message = LaserScan(time, lidar.angles, lidar.ranges(time), lidar.time_offsets)
-        twist = _twist(trajectory, *sensor.span(message))
+        twist = true_twist(trajectory, *sensor.span(message))
         scan = sensor.observe(message, twist, np.random.default_rng(seed), look=False).scan
         assert scan is not None
         middle = time + 0.5 * lidar.duration
@@ -160,12 +161,6 @@ def walls_among(segments: Array) -> Array:
     lengths = np.hypot(*along.T)
     more = DOORWAY * along / lengths[:, None]
     return np.asarray((segments + np.hstack([-more, more]))[lengths >= SURFACE])
-
-
-def _twist(trajectory: Trajectory, begin: float, end: float) -> Array:
-    first, last = trajectory.at(np.array([begin, end]))
-    twist: Array = log(between(first, last)) / max(end - begin, 1e-9)
-    return twist
 
 
 def extractor(preset: str, kind: str, *settings: str) -> Extractor:

@@ -13,10 +13,10 @@ from impslam.component import build
 from impslam.config import load
 from impslam.evaluation.landmarks import score_landmarks
 from impslam.extractors.base import Extractor
-from impslam.geometry.se2 import between, log
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.simulation.world import World, load_world
 from impslam.studies.corridor_truth import CorridorTruth, Verdict, false_landmarks, judge
+from impslam.studies.ground_truth import true_twist
 from impslam.studies.report import load_text
 from impslam.studies.sweep import ROBOT, Row, Run, Variant, grid
 from impslam.types import Landmark, LaserScan, Message
@@ -86,7 +86,8 @@ def distance_held(run: Run, off: float) -> float:
 def _at_birth(run: Run, number: int) -> Verdict:
     """Return what a landmark was when it entered the map."""
     _, stamp, observation = run.promotions[number]
-    return judge(corridor_truth().moment(stamp - run.messages[0].stamp), observation)
+    truth = corridor_truth()
+    return judge(truth.sweep(stamp - run.messages[0].stamp), observation)
 
 
 def _missing(landmarks: Sequence[Landmark], kinds: Collection[str]) -> tuple[str, ...]:
@@ -107,11 +108,11 @@ def count_walls(
     assert isinstance(sensor, Lidar2D)
     for message in [message for message in messages if isinstance(message, LaserScan)][::every]:
         time = message.stamp - messages[0].stamp
-        begin, end = truth.path.at(time + np.array([0.0, truth.sweep]))
-        scan = sensor.scan(message, log(between(begin, end)) / truth.sweep)
-        moment = truth.moment(time)
+        scan = sensor.scan(message, true_twist(truth.path, time, time + truth.duration))
+        sweep = truth.sweep(time)
         for name, extractor in extractors.items():
-            counts[name].update(tally([judge(moment, o) for o in extractor.extract(scan, rng)]))
+            walls = extractor.extract(scan, rng)
+            counts[name].update(tally([judge(sweep, wall) for wall in walls]))
     return counts
 
 

@@ -9,12 +9,11 @@ import numpy as np
 
 from impslam.geometry.se2 import rotation, transform
 from impslam.simulation.drive import drive
-from impslam.simulation.lidar import laser_poses
-from impslam.simulation.raycast import trace
 from impslam.simulation.robot import Lidar
 from impslam.simulation.scene import Scene, distance_to_segments
 from impslam.simulation.world import World
-from impslam.types import Array, Ints, Landmark, Mask, Observation
+from impslam.studies.ground_truth import TracedSweep, trace_sweep
+from impslam.types import Array, Landmark, Mask, Observation
 
 MOSTLY = 0.5
 """Share of an observation's beams from which on it rests on what they hit."""
@@ -34,28 +33,6 @@ ASTRAY = 0.25
 """m: a landmark of the final map so far from all that stands is false."""
 ASKEW = math.radians(5.0)
 """rad: likewise for the direction of walls."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Moment:
-    """A sweep as it truly was.
-
-    Attributes
-    ----------
-    pose : (3,) `T_map_base` in the middle of the sweep
-    hits : (n,) what each beam met, by its place in `kinds`; -1 for nothing within range
-    kinds : "wall", "door", "person", ... of every thing
-    straight : (s, 4) m, everything straight; NaN rows for what is round, so that `hits` count it
-    round : (c, 3) m, everything round that stands
-    people : (k, 2) m, middles between the legs
-    """
-
-    pose: Array
-    hits: Ints
-    kinds: tuple[str, ...]
-    straight: Array
-    round: Array
-    people: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,71 +56,60 @@ class CorridorTruth:
     """The world at any time of the drive, as a lidar of the simulated robot meets it."""
 
     def __init__(self, world: World, lidar: Lidar) -> None:
-        self._lidar, self.scene, self.path = lidar, Scene(world), drive(world.robot)
-        beams = np.arange(lidar.beams, dtype=np.float64)
-        self._angles, self._offsets = (
-            lidar.angle_min + lidar.angle_step * beams,
-            lidar.beam_time * beams,
-        )
-        self._kinds = tuple(thing.kind for thing in self.scene.things)
+        self.lidar, self.scene, self.path = lidar, Scene(world), drive(world.robot)
+        self.duration = lidar.beam_time * (lidar.beams - 1)  # of a sweep, s
 
-    @property
-    def sweep(self) -> float:
-        """From the first to the last beam, s."""
-        return float(self._offsets[-1])
-
-    def moment(self, time: float) -> Moment:
+    def sweep(self, time: float) -> TracedSweep:
         """Return the sweep that began at a time in s since the start of the run."""
-        scene, sweep = self.scene, self.sweep
-        lasers = laser_poses(self.path.at(time + self._offsets), self._lidar.mount)
-        moving = scene.moving(time, time + sweep)
-        standing = scene.segments, scene.circles
-        fractions = self._offsets / sweep
-        _, _, hits = trace(lasers, self._angles, fractions, standing, moving, self._lidar.range_max)
-        leaves, legs = (ends.mean(axis=0) for ends in moving)
-        nothing = np.full((len(scene.circles), 4), np.nan)
-        straight = np.vstack([scene.segments, nothing, leaves, np.full((len(legs), 4), np.nan)])
-        people = 0.5 * (legs[0::2, :2] + legs[1::2, :2])
-        pose = self.path.at(np.array([time + 0.5 * sweep]))[0]
-        return Moment(pose, hits, self._kinds, straight, scene.circles, people)
+        return trace_sweep(self.scene, self.lidar, self.path, time)
 
 
-def judge(moment: Moment, seen: Observation) -> Verdict:
+def judge(sweep: TracedSweep, seen: Observation) -> Verdict:
     """Compare an observation with what was there; all in the robot's true frame."""
-    hits = moment.hits[seen.beams]
-    on_people = np.array([i >= 0 and moment.kinds[i] == "person" for i in hits.tolist()])
-    place = _place(moment.pose, seen)
-    gaps = np.hypot(*(moment.people - place).T)
-    near = bool((gaps < PERSON).any()) and _clearance(moment, place) > POINT
+    on_people = sweep.hits[seen.beams] >= len(sweep.round) - len(sweep.legs)
+    place = _place(sweep.pose, seen)
+    gaps = np.hypot(*(_people(sweep) - place).T)
+    near = bool((gaps < PERSON).any()) and _clearance(sweep, place) > POINT
     return Verdict(
         near or bool(on_people.mean() >= MOSTLY),
         bool(on_people.any()),
-        not (is_wall(moment, seen) if seen.kind == "wall" else _is_point(moment, seen, place)),
+        not (is_wall(sweep, seen) if seen.kind == "wall" else _is_point(sweep, seen, place)),
     )
 
 
-def is_wall(moment: Moment, seen: Observation) -> bool:
+def _people(sweep: TracedSweep) -> Array:
+    """Return the middles (k, 2) between people's legs, m, in map."""
+    return np.asarray(0.5 * (sweep.legs[0::2, :2] + sweep.legs[1::2, :2]))
+
+
+def _standing(sweep: TracedSweep) -> Array:
+    """Return the circles (c, 3) that stand, m, in map: all that is round but legs."""
+    circles = sweep.round[: len(sweep.round) - len(sweep.legs)]
+    return circles[np.isfinite(circles[:, 0])]
+
+
+def is_wall(sweep: TracedSweep, seen: Observation) -> bool:
     """Tell whether half of a wall's beams or more hit one plane, and the wall lies in it.
 
     Within `TURNED`, and within `ASIDE` at the middle between the wall's end points. Parallel faces
     not `RECESS` apart are one plane: a wall with its closed doors, not the sides of a passage.
     """
-    hits = moment.hits[seen.beams]
+    hits = sweep.hits[seen.beams]
     which, times = np.unique(hits[hits >= 0], return_counts=True)
-    faces = moment.straight[which]
+    faces = sweep.straight[which]
     faces, times = faces[np.isfinite(faces[:, 0])], times[np.isfinite(faces[:, 0])]
     if not len(faces):
         return False
     together = [int(times[_coplanar(faces, face)].sum()) for face in faces]
     votes, _, best = max(zip(together, times.tolist(), range(len(faces)), strict=True))
     face = faces[best]
-    turn = _between(float(seen.z[1] + moment.pose[2] + 0.5 * math.pi), _direction(face))
-    aside = abs(_aside(_place(moment.pose, seen)[None], face)[0])
+    turn = _between(float(seen.z[1] + sweep.pose[2] + 0.5 * math.pi), _direction(face))
+    aside = abs(_aside(_place(sweep.pose, seen)[None], face)[0])
     return votes >= MOSTLY * len(hits) and turn <= TURNED and aside <= ASIDE
 
 
-def _is_point(moment: Moment, seen: Observation, place: Array) -> bool:
-    known = moment.round[:, :2] if seen.kind == "cylinder" else _ends(moment.straight)
+def _is_point(sweep: TracedSweep, seen: Observation, place: Array) -> bool:
+    known = _standing(sweep)[:, :2] if seen.kind == "cylinder" else _ends(sweep.straight)
     return bool((np.hypot(*(known - place).T) <= POINT).any())
 
 
@@ -154,10 +120,11 @@ def _place(pose: Array, seen: Observation) -> Array:
     return place
 
 
-def _clearance(moment: Moment, place: Array) -> float:
+def _clearance(sweep: TracedSweep, place: Array) -> float:
     """Return how far a place (2,) is from all that stands or hangs, m."""
-    straight = moment.straight[np.isfinite(moment.straight[:, 0])]
-    gaps = np.hypot(*(moment.round[:, :2] - place).T) - moment.round[:, 2]
+    straight = sweep.straight[np.isfinite(sweep.straight[:, 0])]
+    circles = _standing(sweep)
+    gaps = np.hypot(*(circles[:, :2] - place).T) - circles[:, 2]
     return float(min(distance_to_segments(place, straight).min(), *np.maximum(gaps, 0.0)))
 
 

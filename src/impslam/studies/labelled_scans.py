@@ -16,14 +16,14 @@ from functools import lru_cache
 import numpy as np
 
 from impslam.geometry.angles import wrap
-from impslam.geometry.se2 import between, inverse, log, transform
+from impslam.geometry.se2 import inverse, transform
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.simulation.drive import Trajectory, drive
-from impslam.simulation.lidar import LidarSimulator, laser_poses
-from impslam.simulation.raycast import trace
+from impslam.simulation.lidar import LidarSimulator
 from impslam.simulation.robot import Lidar
 from impslam.simulation.scene import Scene
 from impslam.simulation.world import Drive, World
+from impslam.studies.ground_truth import TracedSweep, trace_sweep, true_twist
 from impslam.studies.passers_by import passing
 from impslam.types import Array, Ints, LaserScan, Scan
 
@@ -150,36 +150,36 @@ def take(
 ) -> LabelledScan:
     """Return the sweep that begins at a time, de-skewed with the true motion, and its labels."""
     simulator = LidarSimulator(lidar, scene, path, rng)
-    offsets = simulator.time_offsets
-    message = LaserScan(time, simulator.angles, simulator.ranges(time), offsets, *simulator.limits)
-    begin, middle, end = path.at(time + np.array([0.0, 0.5, 1.0]) * simulator.duration)
-    twist = log(between(begin, end)) / max(simulator.duration, 1e-9)
+    message = LaserScan(
+        time, simulator.angles, simulator.ranges(time), simulator.time_offsets, *simulator.limits
+    )
     sensor = Lidar2D(
         mount=lidar.mount,
         sigma=max(lidar.sigma, 1e-9),
         sigma_per_m=lidar.sigma_rate,
         bias=lidar.bias_sigma,
     )
-    scan = sensor.scan(message, twist)
-    lasers = laser_poses(path.at(time + offsets), lidar.mount)
-    standing, moving = (
-        (scene.segments, scene.circles),
-        scene.moving(time, time + simulator.duration),
-    )
-    fractions = offsets / max(simulator.duration, 1e-9)
-    exact, _, hits = trace(lasers, simulator.angles, fractions, standing, moving, lidar.range_max)
-    exact, hits = np.where(np.isfinite(exact), exact, 0.0), np.where(scan.valid, hits, -1)
-    rays = _seen_from(middle, lasers, simulator.angles)
-    places = rays[0] + exact[:, None] * np.column_stack((np.cos(rays[1]), np.sin(rays[1])))
-    rows = [*standing[0], *standing[1], *0.5 * moving[0].sum(0), *0.5 * moving[1].sum(0)]
+    scan = sensor.scan(message, true_twist(path, time, time + simulator.duration))
+    sweep = trace_sweep(scene, lidar, path, time)
+    hits = np.where(scan.valid, sweep.hits, -1)
+    origins, directions = _seen_from(sweep.pose, sweep.lasers, sweep.angles)
+    beams = np.column_stack((np.cos(directions), np.sin(directions)))
+    places = origins + sweep.ranges[:, None] * beams
     seen = tuple(
-        (_straight if len(rows[k]) == 4 else _round)(
-            scene.things[k].kind, rows[k], beams, places[beams], inverse(middle), scan
-        )
-        for k, beams in _hit(scene, hits)
+        _seen(scene.things[k].kind, sweep, k, on, places[on], scan) for k, on in _hit(scene, hits)
     )
-    sigmas = lidar.sigma + lidar.sigma_rate * exact
-    return LabelledScan(scan, seen, *rays, sigmas, lidar.bias_sigma)
+    sigmas = lidar.sigma + lidar.sigma_rate * sweep.ranges
+    return LabelledScan(scan, seen, origins, directions, sigmas, lidar.bias_sigma)
+
+
+def _seen(
+    thing: str, sweep: TracedSweep, which: int, beams: Ints, places: Array, scan: Scan
+) -> Seen:
+    """Return a thing that some beams hit at some places (n, 2) in base_link."""
+    T_base_map = inverse(sweep.pose)
+    if np.isfinite(sweep.round[which, 0]):
+        return _round(thing, sweep.round[which], beams, places, T_base_map, scan)
+    return _straight(thing, sweep.straight[which], beams, places, T_base_map, scan)
 
 
 def _seen_from(pose: Array, lasers: Array, angles: Array) -> tuple[Array, Array]:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from tests.sources.logs import write_acfr_park
@@ -67,7 +69,11 @@ def test_a_log_of_detections_needs_no_scan(imp, tmp_path) -> None:
 
 def test_clocks_apart(imp, write) -> None:
     log = write([scan(1.0), scan(2.0), WheelAngles(101.0, 0, 0), WheelAngles(102.0, 0, 0)])
-    assert "--set sensors.lidar.time_offset=100.000" in imp("inspect", log).out
+    (fix,) = re.findall(r"--set (\S+)", imp("inspect", log).out)
+    assert fix == "sensors.lidar.latency=-100.000"
+    said = imp("inspect", log, "--set", fix)
+    assert said.code == 0
+    assert "clocks apart" not in said.out
 
 
 def test_the_odometry_that_would_fit(imp, write) -> None:

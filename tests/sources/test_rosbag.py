@@ -52,7 +52,7 @@ def test_the_fullest_topic_of_a_type_is_taken_and_it_says_so(tmp_path: Path) -> 
     with RosBag(path=path) as source:
         shown = {s.name: (s.used, s.note) for s in source.streams()}
         assert source.total == 2
-        said = "not read: scan is /a; set topics.scan to use this one instead, or name it"
+        said = "not read: scan is /a; set source.topics.scan=/b to use this one instead, or name it"
         assert shown == {"/a": (True, "scan"), "/b": (False, f"{said} in source.wanted")}
 
 

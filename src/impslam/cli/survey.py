@@ -130,8 +130,8 @@ class Survey:
     def _judge(self) -> None:
         """Enter what is wrong with the log as a whole."""
         felt = self._robot.odometry.consumes.__name__
-        scans, motion = self._seen(), self.clocks.get(felt)
-        if scans is None:
+        name, motion = self._seen(), self.clocks.get(felt)
+        if name is None:
             self.problems.add(
                 "no scan",
                 f"the log holds no {self._wanted()} to map with: record one, or name its topic with "
@@ -139,19 +139,19 @@ class Survey:
             )
         if motion is None:
             self.problems.add("no odometry", self._no_odometry(felt))
-        if scans is not None and motion is not None:
-            self._judge_clocks(scans, motion)
+        if name is not None and motion is not None:
+            self._judge_clocks(name, motion)
         if self.beams.share_invalid > MOSTLY:
             self.problems.add(
                 "few valid beams",
                 f"{100 * self.beams.share_invalid:.0f} % of the beams have no valid range: check "
-                "the lidar, or sensors.lidar.range_min and range_max",
+                f"the lidar, or sensors.{name}.range_min and range_max",
             )
 
-    def _seen(self) -> Clock | None:
-        """Return the clock of what the robot's first sensor with messages in the log understands."""
-        names = [sensor.consumes.__name__ for sensor in self._robot.sensors.values()]
-        return next((self.clocks[name] for name in names if name in self.clocks), None)
+    def _seen(self) -> str | None:
+        """Return the name of the robot's first sensor that has messages in the log."""
+        sensors = self._robot.sensors.items()
+        return next((n for n, s in sensors if s.consumes.__name__ in self.clocks), None)
 
     def _wanted(self) -> str:
         return " or ".join(sensor.consumes.__name__ for sensor in self._robot.sensors.values())
@@ -163,12 +163,13 @@ class Survey:
         there = f"choose --set odometry.kind={fix}" if fix else "record wheel angles or odometry"
         return f"odometry {kind!r} needs {felt}, and the log holds none: {there}"
 
-    def _judge_clocks(self, scans: Clock, motion: Clock) -> None:
-        outside = scans.last < motion.first or scans.first > motion.last
-        if outside:
+    def _judge_clocks(self, name: str, motion: Clock) -> None:
+        sensor = self._robot.sensors[name]
+        scans, latency = self.clocks[sensor.consumes.__name__], getattr(sensor, "latency", 0.0)
+        if scans.last - latency < motion.first or scans.first - latency > motion.last:
             self.problems.add(
                 "clocks apart",
                 f"scans are stamped {scans.first:.3f} to {scans.last:.3f} s, odometry "
                 f"{motion.first:.3f} to {motion.last:.3f} s: bring them together with "
-                f"--set sensors.lidar.time_offset={motion.first - scans.first:.3f}",
+                f"--set sensors.{name}.latency={scans.first - motion.first:.3f}",
             )

@@ -161,7 +161,7 @@ class RosBag(Source):
             return ""
         said = ", ".join(f"{use} is {name}" for use, name in taken.items())
         return (
-            f"not read: {said}; set topics.{next(iter(taken))} to use this one instead, or name it "
+            f"not read: {said}; set source.topics.{next(iter(taken))}={topic} to use this one instead, or name it "
             "in source.wanted"
         )
 
@@ -207,7 +207,7 @@ class RosBag(Source):
         if (topic, TYPES[use]) not in counts:
             known = [name for name, kind in counts if kind == TYPES[use]]
             raise SourceError(
-                f"{self.path}: no topic {topic!r} of type {TYPES[use]} for topics.{use}; "
+                f"{self.path}: no topic {topic!r} of type {TYPES[use]} for source.topics.{use}; "
                 + (near_miss(topic, known) if known else "the log has none of this type")
             )
 
@@ -289,7 +289,7 @@ class RosBag(Source):
         if joints is None:
             raise MessageError(
                 f"no left and right wheel among the joints {', '.join(message.name)}; "
-                "set left_joint and right_joint"
+                "name them with --set source.left_joint=NAME --set source.right_joint=NAME"
             )
         left, right = (float(message.position[joint]) for joint in joints)
         finite("wheel position", left, right)

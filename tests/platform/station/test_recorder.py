@@ -249,7 +249,8 @@ def test_a_second_lidar_has_a_topic_of_its_own(recorder: LogRecorder) -> None:
     streams = {stream.name: stream for stream in source_streams(path)}
     assert {t for t, s in streams.items() if s.used} == {"/scan", "/impslam/preset"}
     assert streams["/scan/rear_lidar"].note == (
-        "not read: scan is /scan; set topics.scan to use this one instead, or name it in source.wanted"
+        "not read: scan is /scan; set source.topics.scan=/scan/rear_lidar to use this one "
+        "instead, or name it in source.wanted"
     )
     assert streams["/clock/urg"].note == "kept: a device's clock"
     _, source = read(path)

@@ -27,9 +27,11 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from impslam.errors import ConfigError
+from impslam.parameters import Parameters
+from impslam.parameters import parameter as parameter  # noqa: PLC0414  # part of this face
 from impslam.paths import is_file
 
 _ROLES: dict[str, dict[str, type[Component]]] = {}
@@ -51,10 +53,10 @@ _REGISTRATION = re.compile(r'^@register\("([^"]+)"\)', re.MULTILINE)
 C = TypeVar("C", bound="Component")
 
 
-class Component(BaseModel):
+class Component(Parameters):
     """A replaceable part. Fields are parameters; mutable state lives in private attributes."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+    model_config = ConfigDict(arbitrary_types_allowed=True)
 
     role: ClassVar[str] = ""
     name: ClassVar[str] = ""
@@ -82,15 +84,6 @@ class Component(BaseModel):
     def describe(cls) -> str:
         """Return the first line of the class's docstring."""
         return (cls.__doc__ or "").strip().split("\n", 1)[0]
-
-
-def parameter(default: Any, unit: str, sentence: str, **bounds: Any) -> Any:
-    """Declare a parameter: its default, its unit ("m", "rad", "1", ...) and what it means.
-
-    `bounds` are pydantic's (`gt`, `ge`, `lt`, `le`, ...). Pass `...` for a parameter that has no
-    sensible default.
-    """
-    return Field(default, description=sentence, json_schema_extra={"unit": unit}, **bounds)
 
 
 def register(name: str) -> Callable[[type[C]], type[C]]:

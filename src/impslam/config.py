@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
+from pydantic import FiniteFloat, ValidationError
 
 from impslam import toml
 from impslam.association.base import Association
@@ -32,6 +32,7 @@ from impslam.filters.base import Filter
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
 from impslam.matching.base import Matcher
+from impslam.parameters import Parameters
 from impslam.paths import is_file
 from impslam.robot import Robot
 from impslam.slam import Slam
@@ -39,15 +40,13 @@ from impslam.slam import Slam
 Table = dict[str, Any]
 
 
-class Grid(BaseModel):
+class Grid(Parameters):
     """The occupancy grid that a run writes."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    resolution: float = parameter(0.05, "m", "side of a cell", gt=0)
+    resolution: float = parameter(0.05, "m", "side of a cell", ge=0.001, le=10)
 
 
-class Keyframes(BaseModel):
+class Keyframes(Parameters):
     """Which scans are searched for landmarks: those after some motion, or after some time.
 
     Scans from one place repeat their errors (the surface's brightness, the mount, the lidar's own
@@ -55,22 +54,23 @@ class Keyframes(BaseModel):
     pose is dead-reckoned.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     distance: float = parameter(
         0.12,
         "m",
-        "a keyframe after this way: errors of surfaces repeat over a few decimetres",
+        "a keyframe after this way: errors of surfaces repeat over a few decimetres; inf: never",
+        special="inf",
         ge=0,
     )
-    angle: float = parameter(0.06, "rad", "or after this turn: beams fall elsewhere", ge=0)
-    seconds: float = parameter(0.5, "s", "or after this time, moving or not", ge=0)
+    angle: float = parameter(
+        0.06, "rad", "or after this turn: beams fall elsewhere; inf: never", special="inf", ge=0
+    )
+    seconds: float = parameter(
+        0.5, "s", "or after this time, moving or not; inf: never", special="inf", ge=0
+    )
 
 
-class Config(BaseModel):
+class Config(Parameters):
     """The whole of a run's parameters, as TOML holds them."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     robot: str = parameter("robot", "", "name of the robot")
     seed: int = parameter(0, "", "seed of everything that samples", ge=0)
@@ -292,6 +292,7 @@ def load(base: str | Path | Table = "default", settings: Sequence[str] = ()) -> 
     except ValidationError as error:
         raise ConfigError(explain(error, "", Config.model_fields)) from None
     config.make_robot()
+    config.make_matcher()
     config.make_slam()
     return config
 

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
-from impslam.component import parameter
+from impslam.parameters import Parameters, parameter
 from impslam.types import Array
 
 
-class MotionNoise(BaseModel):
+class MotionNoise(Parameters):
     """Random walk of dead reckoning (after Thrun et al. 2005, ch. 5.4, as variances per way).
 
     Variances are proportional to the distance and the angle travelled, so that they do not depend on
     how a path is cut into increments. The defaults are what measured relations between poses show of
     indoor robots with wheel odometry: 0.05 rad/sqrt(m) straight on, 0.09 to 0.14 rad/sqrt(rad) in turns.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     forward: float = parameter(0.05, "m/sqrt(m)", "error along the way, per root metre", ge=0)
     sideways: float = parameter(0.03, "m/sqrt(m)", "error across the way, per root metre", ge=0)

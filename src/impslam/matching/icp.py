@@ -172,7 +172,7 @@ class Icp(Matcher):
         gt=0,
     )
     reach: float = parameter(
-        0.5, "m", "a point and its partner are at most this far apart: the odometry's error", gt=0
+        0.5, "m", "a point and its partner are at most this far apart: the odometry's error", ge=0.1
     )
     spacing: float = parameter(0.05, "m", "points nearer to each other are one", gt=0)
     memory: float = parameter(6.0, "m", "points are forgotten after so much way", gt=0)

@@ -45,10 +45,14 @@ class Encoders(Odometry):
 
     consumes: ClassVar[type] = WheelAngles
 
-    wheel_radius: float = parameter(..., "m", "radius of the wheels that carry the encoders", gt=0)
-    track: float = parameter(..., "m", "distance between the two wheels' contact points", gt=0)
+    wheel_radius: float = parameter(
+        ..., "m", "radius of the wheels that carry the encoders", ge=0.001, le=10
+    )
+    track: float = parameter(
+        ..., "m", "distance between the two wheels' contact points", ge=0.001, le=100
+    )
     right_left_ratio: float = parameter(
-        1.0, "1", "radius of the right wheel over that of the left one", gt=0
+        1.0, "1", "radius of the right wheel over that of the left one", ge=0.1, le=10
     )
     per_turn: float = parameter(
         2.0 * math.pi,

@@ -74,10 +74,12 @@ class Lidar2D(Sensor):
         -math.pi, "rad", "beams to the right of this (laser frame) are invalid: the robot's body"
     )
     angle_max: float = parameter(math.pi, "rad", "beams to the left of this are invalid")
-    sigma: float = parameter(0.01, "m", "standard deviation of the range noise at range 0", gt=0)
-    sigma_per_m: float = parameter(0.0, "1", "how much it grows with range", ge=0)
+    sigma: float = parameter(
+        0.01, "m", "standard deviation of the range noise at range 0", gt=0, le=100
+    )
+    sigma_per_m: float = parameter(0.0, "1", "how much it grows with range", ge=0, le=1)
     bias: float = parameter(
-        0.0, "m", "standard deviation of the range error that all beams share", ge=0
+        0.0, "m", "standard deviation of the range error that all beams share", ge=0, le=100
     )
     range_scale: float = parameter(
         1.0, "1", "true range over measured range, from a calibration", gt=0
@@ -86,7 +88,11 @@ class Lidar2D(Sensor):
         0.0, "m", "added to the scaled ranges, from a calibration: true = scale * measured + offset"
     )
     period: float = parameter(
-        0.0, "s", "time of a revolution, to smooth stamps that jitter; 0: the stamps are true", ge=0
+        0.0,
+        "s",
+        "time of a revolution, to smooth stamps that jitter; 0: the stamps are true",
+        ge=0,
+        le=60,
     )
     deskew: bool = parameter(True, "", "undo the robot's motion during the sweep")
     latency: float = parameter(

@@ -34,7 +34,7 @@ class RangeBearing(Sensor):
     )
     landmark: str = parameter("point", "", "kind of landmark that it detects")
     range_min: float = parameter(0.0, "m", "nearer detections are left out", ge=0)
-    range_max: float = parameter(math.inf, "m", "farther detections are left out", gt=0)
+    range_max: float = parameter(math.inf, "m", "farther detections are left out; inf: none", gt=0)
     depth: bool = parameter(
         False, "", "what is called range is depth along the sensor's x, as cameras measure it"
     )

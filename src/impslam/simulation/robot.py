@@ -10,17 +10,13 @@ from __future__ import annotations
 import math
 from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict
-
-from impslam.component import parameter
+from impslam.parameters import Parameters, parameter
 
 _STEP = 2 * math.pi / 1024  # rad, angular step of the URG-04LX
 
 
-class Device(BaseModel):
+class Device(Parameters):
     """A part of the simulated robot."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class WheelEncoders(Device):
@@ -77,7 +73,7 @@ class Lidar(Device):
     rate: float = parameter(10.0, "Hz", "sweeps", gt=0.0)
     range_min: float = parameter(0.02, "m", "nothing nearer is measured", ge=0.0)
     range_max: float = parameter(5.6, "m", "nothing beyond is measured", gt=0.0)
-    no_return: float = parameter(0.0, "m", "what a beam without an echo reads", allow_inf_nan=True)
+    no_return: float = parameter(0.0, "m", "what a beam without an echo reads", special="nan inf")
     sigma: float = parameter(0.003, "m", "range noise, part that does not depend on range", ge=0.0)
     sigma_rate: float = parameter(0.003, "m/m", "range noise, part that grows with range", ge=0.0)
     bias_sigma: float = parameter(

@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from impslam import toml
-from impslam.component import near_miss, parameter
+from impslam.component import near_miss
 from impslam.errors import ConfigError
+from impslam.parameters import Parameters, parameter
 from impslam.types import Array, TrueLandmark
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -28,10 +29,8 @@ Span = tuple[float, float]
 Size = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 
-class Part(BaseModel):
+class Part(Parameters):
     """Anything in a world file: a typo in it is an error."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Wall(Part):
@@ -81,7 +80,9 @@ class Door(Part):
     at: float = parameter(..., "m", "distance of its hinge from the wall's start", ge=0.0)
     width: float = parameter(0.9, "m", "width of the opening", gt=0.0)
     recess: float = parameter(0.07, "m", "depth of the jambs: leaf behind wall face", ge=0.0)
-    open: tuple[Span, ...] = parameter((), "s", "times [from, until] in which it stands open")
+    open: tuple[Span, ...] = parameter(
+        (), "s", "times [from, until] in which it stands open; inf: for ever", special="inf -inf"
+    )
     swing: float = parameter(math.pi / 2, "rad", "angle of the open leaf", gt=0.0, le=math.pi)
     swing_time: float = parameter(1.5, "s", "time it takes to open or to close", gt=0.0)
     room: tuple[Size, Size] | None = parameter(
@@ -245,14 +246,14 @@ def parse_world(text: str, where: str) -> World:
 def _one_line(error: ValidationError, where: str) -> str:
     first = error.errors()[0]
     path = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "value_error":
+    if first["type"] == "value_error" and not path:
         return f"{where}: {first['msg'].removeprefix('Value error, ')}"
     if first["type"] == "missing":
         return f"{where}: {path} is missing; add it"
     if first["type"] == "extra_forbidden":
         hint = near_miss(str(first["loc"][-1]), _keys(first["loc"][:-1]))
         return f"{where}: {path} is not a key of a world; {hint}"
-    return f"{where}: {path} = {str(first['input'])[:60]}: {first['msg']}"
+    return f"{where}: {path} = {str(first['input'])[:60]}: {first['msg'].removeprefix('Value error, ')}"
 
 
 def _keys(path: tuple[int | str, ...]) -> list[str]:

@@ -161,8 +161,8 @@ class RosBag(Source):
             return ""
         said = ", ".join(f"{use} is {name}" for use, name in taken.items())
         return (
-            f"not read: {said}; set source.topics.{next(iter(taken))}={topic} to use this one instead, or name it "
-            "in source.wanted"
+            f"not read: {said}; set source.topics.{next(iter(taken))}={topic} to use this one "
+            "instead, or name it in source.wanted"
         )
 
     def _open(self) -> Bag:

@@ -13,20 +13,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from impslam import toml
-from impslam.component import build, explain, parameter
+from impslam.component import build, explain
 from impslam.errors import ConfigError
+from impslam.parameters import Parameters, parameter
 from impslam.platform.devices.base import Device
 
 Table = dict[str, Any]
 
 
-class RobotFile(BaseModel):
+class RobotFile(Parameters):
     """A robot's devices and its limits."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str = parameter("imp", "1", "the robot's name, on the page and in certificates")
     preset: str = parameter("imp", "1", "preset or config that maps live; its logs name it, too")

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
-from impslam.component import parameter
+from impslam.parameters import Parameters, parameter
 from impslam.platform.virtual.autopilot import AutopilotEmulator
 from impslam.platform.virtual.base import Emulator
 from impslam.platform.virtual.camera import CameraEmulator
@@ -25,10 +24,8 @@ DRIFT = 30e-6  # 1, standard deviation of a quartz's rate: parts are sold with 2
 BAUD = 460800  # bit/s, as docs/autopilot-protocol.md sets the autopilot's UART
 
 
-class Setup(BaseModel):
+class Setup(Parameters):
     """What is wanted of a virtual IMP."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     world: World
     robot: SimulatedRobot = SimulatedRobot()

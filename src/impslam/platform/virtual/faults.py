@@ -7,17 +7,17 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
-from impslam.component import parameter
 from impslam.errors import ConfigError
+from impslam.parameters import Parameters, parameter
 
 Kind: TypeAlias = Literal["flip", "drop", "insert", "any"]
 KINDS = ("flip", "drop", "insert")
 HELD = 1 << 20  # bytes that a stalled line holds back; more than it carries in any fault's time
 
 
-class _Fault(BaseModel):
+class _Fault(Parameters):
     """A fault as it is asked for: a typo in it is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

@@ -228,9 +228,25 @@ def test_help_does_not_wait_for_numpy() -> None:
     assert python(code).stdout.splitlines()[-1] == "False"
 
 
-def test_small_matrices_get_one_thread() -> None:
-    code = "import os, impslam.cli; print(os.environ['OPENBLAS_NUM_THREADS'])"
-    assert python(code).stdout == "1\n"
+@pytest.mark.parametrize(
+    ("asked", "threads"),
+    [
+        ({}, ["1", "1", "1"]),
+        ({"OPENBLAS_NUM_THREADS": "3"}, ["3", "1", "1"]),
+        ({"OMP_NUM_THREADS": "2"}, ["2", "2", "2"]),
+        ({"OMP_NUM_THREADS": "2", "MKL_NUM_THREADS": "4"}, ["2", "4", "2"]),
+    ],
+)
+def test_small_matrices_get_one_thread_unless_more_are_asked_for(
+    asked: dict[str, str], threads: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = [f"{library}_NUM_THREADS" for library in ("OPENBLAS", "MKL", "OMP")]
+    for name in names:
+        monkeypatch.delenv(name, raising=False)
+    for name, value in asked.items():
+        monkeypatch.setenv(name, value)
+    code = f"import os, impslam.cli; print([os.environ[name] for name in {names}])"
+    assert python(code).stdout == f"{threads}\n"
 
 
 def test_closed_pipe_is_quiet() -> None:

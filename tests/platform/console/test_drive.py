@@ -9,19 +9,20 @@ from tests.platform.console import browsing
 from tests.platform.console.browsing import until, visit
 
 from impslam.platform.console.drive_panel import _command
-from impslam.platform.console.link import PATIENCE, fresh
+from impslam.platform.console.link import age
 from impslam.platform.devices.base import now
 
-NEWEST = "window.impLink.beat"
+NEWEST = "window.impLink.clock()"
 
 
 def milliseconds(ago: float = 0.0) -> int:
     return round(1000 * (time.monotonic() - ago))
 
 
-def test_a_command_is_two_fractions_and_a_beat_that_is_not_old():
-    assert _command([0.5, -1, milliseconds()]) == (0.5, -1.0)
-    assert _command([7.0, -7.0, milliseconds()]) == (1.0, -1.0)
+def test_a_command_is_two_fractions_and_the_robots_clock():
+    soon = pytest.approx(0.05, abs=0.05)
+    assert _command([0.5, -1, milliseconds()]) == (0.5, -1.0, soon)
+    assert _command([7.0, -7.0, milliseconds()]) == (1.0, -1.0, soon)
 
 
 @pytest.mark.parametrize(
@@ -37,11 +38,12 @@ def test_a_malformed_command_is_none(bad):
     assert _command(bad) is None
 
 
-def test_a_command_from_a_queue_that_a_broken_link_filled_is_none():
-    assert _command([1.0, 0.0, milliseconds(PATIENCE + 0.1)]) is None
+def test_a_command_tells_how_long_it_was_under_way():
+    assert _command([1.0, 0.0, milliseconds(0.7)])[2] == pytest.approx(0.74, abs=0.06)
     assert _command([1.0, 0.0, milliseconds(-5.0)]) is None, "a beat that was never sent"
     assert _command([1.0, 0.0, None]) is None
-    assert not fresh(float(milliseconds()))
+    assert math.isnan(age(float(milliseconds())))
+    assert age(milliseconds(-0.002)) == 0.0
 
 
 @pytest.fixture(scope="module")
@@ -315,6 +317,25 @@ def test_a_link_that_dies_is_told_and_the_page_lets_go(browser, robot):
         expect(page.get_by_test_id("driver")).to_have_text("You drive")
         page.keyboard.down("w")
         until(lambda: moves(robot))
+
+
+@pytest.mark.browser
+def test_commands_that_waited_on_a_slow_link_do_not_move_the_robot(browser, robot):
+    with visit(browser, robot) as watched:
+        page = watched.page
+        take(page)
+        page.keyboard.down("w")
+        until(lambda: moves(robot))
+        with robot.frozen():
+            page.wait_for_timeout(250)
+            page.keyboard.up("w")
+            page.wait_for_timeout(400)
+            thawed = now()
+        page.wait_for_timeout(600)
+        late = [told for told in robot.state()["told"] if told[0] > thawed and told[1] > 0]
+        assert not late
+        assert stands(robot)
+        expect(page.get_by_test_id("link-lost")).to_have_count(0)
 
 
 @pytest.mark.browser

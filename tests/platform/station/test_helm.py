@@ -73,6 +73,25 @@ def test_a_command_holds_for_the_dead_man_s_time_and_no_longer(helm, wheels, clo
     assert wheels.told[-1][1:] == ((0.2, 0.1) if moves else (0.0, 0.0))
 
 
+@pytest.mark.parametrize("age", [DEAD_MAN, 0.31, 1.0, 60.0])
+def test_a_command_that_waited_on_its_way_moves_nothing(helm, wheels, clock, age):
+    helm.take("a", "Ann")
+    helm.drive("a", 0.2, 0.1, age)
+    helm._pass_on()
+    assert not [told for told in wheels.told if told[1:] != (0.0, 0.0)]
+
+
+def test_a_command_holds_from_when_it_was_given_not_from_when_it_came(helm, wheels, clock):
+    helm.take("a", "Ann")
+    helm.drive("a", 0.2, 0.1, 0.2)
+    clock[0] += DEAD_MAN - 0.2 - 1e-6
+    helm._pass_on()
+    assert wheels.told[-1][1:] == (0.2, 0.1)
+    clock[0] += 2e-6
+    helm._pass_on()
+    assert wheels.told[-1][1:] == (0.0, 0.0)
+
+
 def test_the_thread_stops_the_robot_when_commands_cease(wheels):
     helm = Helm(wheels, (0.5, 1.0))
     helm.start()

@@ -141,7 +141,7 @@ export default {
       if (this.held && !link?.alive()) return this.release();
       this.command = this.wanted(this.share);
       // The socket would keep what is sent without a link, and deliver it when that is back.
-      if (link?.alive()) this.$emit("command", [...this.command.map((v) => +v.toFixed(3)), link.beat]);
+      if (link?.alive()) this.$emit("command", [...this.command.map((v) => +v.toFixed(3)), link.clock()]);
     },
   },
 };

@@ -10,7 +10,7 @@ from nicegui.element import Element
 from nicegui.events import GenericEventArguments
 
 from impslam.errors import ImpError
-from impslam.platform.console.link import fresh
+from impslam.platform.console.link import age
 from impslam.platform.console.stop_button import StopButton
 from impslam.platform.console.viewer import Viewer
 from impslam.platform.console.widgets import button, card, line, show, text
@@ -100,19 +100,19 @@ class DrivePanel:
         command = _command(event.args)
         if command is None or self._viewer.refused():
             return
-        forward, left = command
+        forward, left, late = command
         speed, turn_rate = self._station.limits
         try:
-            self._station.helm.drive(self._viewer.driver, forward * speed, left * turn_rate)
+            self._station.helm.drive(self._viewer.driver, forward * speed, left * turn_rate, late)
         except ImpError:
             self.update()  # someone else has the helm by now: the page shows it
 
 
-def _command(args: Any) -> tuple[float, float] | None:
-    """Return fractions forward and left in [-1, 1], None for what is malformed or came too late."""
-    if not isinstance(args, list) or len(args) != 3 or not fresh(args[2]):
+def _command(args: Any) -> tuple[float, float, float] | None:
+    """Return fractions forward and left in [-1, 1] and s under way, None for what is malformed."""
+    if not isinstance(args, list) or len(args) != 3 or not math.isfinite(late := age(args[2])):
         return None
     if not all(isinstance(value, int | float) and math.isfinite(value) for value in args[:2]):
         return None
     forward, left = (max(-1.0, min(1.0, float(value))) for value in args[:2])
-    return forward, left
+    return forward, left, late

@@ -19,6 +19,8 @@ export default {
     window.impLink = {
       beat: null,
       picture: 0,
+      // The robot's clock, ms: too early by the time that the newest beat was under way.
+      clock: () => window.impLink.beat + Math.round(performance.now() - this.last),
       // What drives asks this before each command.
       alive: () =>
         window.socket?.connected === true &&

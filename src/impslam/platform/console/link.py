@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 
@@ -9,13 +10,15 @@ from nicegui.element import Element
 
 PERIOD = 0.2  # s between beats
 PATIENCE = 1.0  # s without a beat after which the page says that the link is lost
+ROUNDING = 0.01  # s that a command may seem to come from the future: clocks are read in ms
 
 
 class Link(Element, component="link.js"):
     """Sends beats, by which the page knows that the robot lives; without them it says so by itself.
 
-    Each command from the page brings the newest beat back. A command that brings an old one has
-    been on its way for too long, in a queue that a broken link filled: it must not move the robot.
+    A beat carries the robot's clock. Each command from the page carries that clock as well, gone on
+    since the newest beat came, so that the robot knows how long the beat and the command together
+    were on their way: what waited in a queue that a broken link filled must not move it.
     """
 
     def __init__(self, *, robot: bool) -> None:
@@ -34,9 +37,12 @@ class Link(Element, component="link.js"):
             self._props["alarms"] = list(alarms)
 
 
-def fresh(beat: object) -> bool:
-    """Return whether a beat that came back from a page was sent less than `PATIENCE` ago."""
-    return isinstance(beat, int) and 0 <= _milliseconds() - beat <= 1000 * PATIENCE
+def age(stamp: object) -> float:
+    """Return for how many s a command with this stamp (ms) has been under way; NaN if it is none."""
+    if not isinstance(stamp, int):
+        return math.nan
+    seconds = (_milliseconds() - stamp) / 1000
+    return max(seconds, 0.0) if seconds > -ROUNDING else math.nan
 
 
 def _milliseconds() -> int:

@@ -110,8 +110,15 @@ class Helm:
             self._driver, self._command = None, (0.0, 0.0)
         self._tell("info", f"{name} lets go of the helm")
 
-    def drive(self, driver: str, speed: float, turn_rate: float) -> None:
+    def drive(self, driver: str, speed: float, turn_rate: float, age: float = 0.0) -> None:
         """Command a speed forward (m/s) and a turn rate (rad/s); repeat it within `DEAD_MAN`.
+
+        Parameters
+        ----------
+        driver : who commands
+        speed, turn_rate : m/s and rad/s
+        age : s since the command was given. It holds until `DEAD_MAN` after that; one that is older
+            has waited somewhere on its way, and is dropped.
 
         Raises
         ------
@@ -124,8 +131,10 @@ class Helm:
         with self._lock:
             if self._driver is None or self._driver[0] != driver:
                 raise HelmError("take the helm before you drive")
+            if age >= DEAD_MAN:
+                return
             self._command = _within(speed, self._limits[0]), _within(turn_rate, self._limits[1])
-            self._given = now()
+            self._given = now() - age
         self._pass_on()
 
     def emergency_stop(self, by: str) -> None:

@@ -7,8 +7,10 @@ Stamps are never sorted.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
+from functools import cache
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -57,7 +59,7 @@ class Columns:
     def take(self, rows: slice | Ints | Mask) -> Columns:
         """Return some of the rows."""
         values = {name: column[rows] for name, column in self.values.items()}
-        return replace(self, order=self.order[rows], values=values)
+        return Columns(self.stream, self.kind, self.order[rows], values, self.layout)
 
     def row(self, k: int) -> Message:
         """Return one row as a message."""
@@ -119,18 +121,14 @@ def _stack(stream: str, numbered: list[tuple[int, Message]]) -> Columns:
     first = numbered[0][1]
     values: dict[str, Values] = {}
     layout: dict[str, Any] = {}
-    for field in fields(first):
-        value = getattr(first, field.name)
-        if _is_layout(first, field.name):
-            layout[field.name] = value
+    for name in _names(type(first)):  # type: ignore[arg-type]  # a class can be hashed
+        value = getattr(first, name)
+        if value is None or name in first.layout_fields:
+            layout[name] = value
         else:
-            column = [getattr(message, field.name) for _, message in numbered]
-            values[field.name] = np.array(column, None if _numeric(value) else np.object_)
+            column = [getattr(message, name) for _, message in numbered]
+            values[name] = np.array(column, None if _numeric(value) else np.object_)
     return Columns(stream, type(first), order, values, layout)
-
-
-def _is_layout(message: Message, name: str) -> bool:
-    return name in message.layout_fields or getattr(message, name) is None
 
 
 def _numeric(value: object) -> bool:
@@ -145,13 +143,24 @@ def _stacks(first: Message, other: Message) -> bool:
     """Tell whether two messages may be rows of the same columns."""
     if type(first) is not type(other):
         return False
-    for field in fields(first):
-        a, b = getattr(first, field.name), getattr(other, field.name)
-        if (a is None) != (b is None) or np.shape(a) != np.shape(b):
+    for name in _names(type(first)):  # type: ignore[arg-type]  # a class can be hashed
+        a, b = getattr(first, name), getattr(other, name)
+        if a is b:
+            continue
+        if a is None or b is None or _shape(a) != _shape(b):
             return False
-        if field.name in first.layout_fields and a is not b and not _equal(a, b):
+        if name in first.layout_fields and not _equal(a, b):
             return False
     return True
+
+
+@cache
+def _names(kind: type[Message]) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind))
+
+
+def _shape(value: Any) -> tuple[int, ...]:
+    return value.shape if isinstance(value, np.ndarray) else ()
 
 
 def same_layout(a: Columns, b: Columns) -> bool:
@@ -166,7 +175,10 @@ def same_layout(a: Columns, b: Columns) -> bool:
 
 
 def _equal(a: Any, b: Any) -> bool:
-    return bool(np.array_equal(a, b, equal_nan=isinstance(a, float | np.ndarray)))
+    if isinstance(a, np.ndarray):
+        return np.array_equal(a, b, equal_nan=True)
+    both_nan = isinstance(a, float) and math.isnan(a) and math.isnan(b)
+    return both_nan or bool(a == b)
 
 
 class Motions(NamedTuple):

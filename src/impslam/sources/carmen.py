@@ -83,15 +83,15 @@ class Carmen(TextSource):
         stamps, beams = values[:, -1], shape.beams
         poses = {"stamp": stamps, "pose": np.ascontiguousarray(values[:, shape.pose :][:, :3])}
         is_odometry = shape.name == "ODOM"
-        checked = np.full(len(places), is_odometry)
         order = 2 * places + is_odometry
         pieces = []
         if is_odometry or shape.name == choice:  # any other laser's would say the same again
-            pieces.append(Piece(Columns("ODOM", OdometryPose, order, poses, {}), places, checked))
+            columns = Columns("ODOM", OdometryPose, order, poses, {})
+            pieces.append(Piece.of(columns, places, checked=is_odometry))
         if not is_odometry:
             sweeps = {"stamp": stamps, "ranges": np.ascontiguousarray(values[:, :beams])}
             columns = Columns(shape.name, LaserScan, order + 1, sweeps, shape.layout)
-            pieces.append(Piece(columns, places, ~checked))
+            pieces.append(Piece.of(columns, places))
         return pieces
 
     def _line(

@@ -38,6 +38,11 @@ class Piece(NamedTuple):
     places: Ints
     checked: Mask
 
+    @staticmethod
+    def of(columns: Columns, places: Ints, checked: bool = True) -> Piece:
+        """Return rows that are all checked, or none of them."""
+        return Piece(columns, places, np.full(len(columns), checked))
+
 
 def by_stream(part: Iterable[Piece]) -> dict[str, list[Piece]]:
     """Return the pieces of each stream."""

@@ -20,6 +20,7 @@ Bytes = npt.NDArray[np.uint8]
 _POWERS = np.array([float(f"1e{k}") for k in range(23)])  # all that are exact
 _EXACT = 2**53  # float64 has all whole numbers up to it; 18 digits fit into an int64
 _FAR = 1_000_000  # an exponent that is not plain, whatever the digits before it
+_WORD = 32  # bytes; a stamp is shorter
 _ODD = 1024  # words a call of the kernel leaves to `float`; lines with more are not read here
 
 
@@ -44,6 +45,10 @@ class Lines:
     def line(self, k: int) -> bytes:
         """Return a line without its end."""
         return self._text[self.begins[k] : self.ends[k]].tobytes()
+
+    def word(self, k: int) -> bytes:
+        """Return the first word of a line, cut to 32 bytes."""
+        return b"".join(self._text[self.begins[k] :][:_WORD].tobytes().split(None, 1)[:1])
 
     def starting(self, prefix: bytes) -> Mask:
         """Tell (m,) which lines start with some bytes."""

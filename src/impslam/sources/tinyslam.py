@@ -14,12 +14,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
+
+from impslam.columns import Columns
 from impslam.component import register
 from impslam.errors import MessageError
 from impslam.sources.base import Stream
-from impslam.sources.parts import Located
+from impslam.sources.parts import Located, Piece, single
+from impslam.sources.tables import Lines
 from impslam.sources.text import TextSource, beam_angles, beam_times, finite, head, numbers
-from impslam.types import LaserScan, WheelAngles
+from impslam.types import Array, LaserScan, WheelAngles
 
 BEAMS = 682  # steps 44 to 725
 STEP = 2.0 * math.pi / 1024.0  # rad
@@ -53,16 +57,24 @@ class TinySlam(TextSource):
         """Tell by the number of words, all of them numbers."""
         return any(_is_record(line) for line in head(path)[:3])
 
-    def _messages(self) -> Iterator[Located]:
+    def _parts(self, rows: int) -> Iterator[list[Piece]]:
+        """Yield the rows of a block of lines: as a table, or one by one if any is not sound."""
+        del rows  # a block is small
         clock = Clock()
-        for number, line in self._lines(self.path):
+        for first, block in self._blocks(self.path):
+            lines = Lines(block)
+            yield _table(lines, first, clock) or list(self._one_by_one(lines, first, clock))
+
+    def _one_by_one(self, lines: Lines, first: int, clock: Clock) -> Iterator[Piece]:
+        for k in range(len(lines)):
+            number = first + k
             try:
-                wheels, scan = _record(line.split(), clock)
+                wheels, scan = _record(lines.line(k).split(), clock)
             except (ValueError, MessageError) as error:
                 self._reject("line", self.path, number, error)
                 continue
-            yield Located(wheels, number, "encoders", checked=False)
-            yield Located(scan, number, "lidar")
+            yield single(Located(wheels, number, "encoders", checked=False), 2 * number)
+            yield single(Located(scan, number, "lidar"), 2 * number + 1)
 
     def streams(self) -> list[Stream]:
         """Return encoders and scans, one of each per line."""
@@ -88,6 +100,31 @@ class Clock:
         return self._time * 1e-6
 
 
+def _table(lines: Lines, first: int, clock: Clock) -> list[Piece]:
+    """Return the rows of lines that are all sound and of one layout; nothing if they are not."""
+    words = lines.line(0).split()
+    layout = LAYOUTS.get(len(words))
+    if layout is None:
+        return []
+    values, good = lines.table(np.arange(len(lines)), 0, len(words), 0)
+    left, right = values[:, layout.left], values[:, layout.right] * layout.right_sign
+    counts = [lines.word(k) for k in range(len(lines))]
+    plain = all(count.isdigit() and int(count) < _TURN for count in counts)
+    if not (plain and good.all() and np.isfinite(left + right).all()):
+        return []
+    stamps = np.array([clock.seconds(int(count)) for count in counts])
+    ranges = values[:, layout.ranges :][:, :BEAMS] / 1000.0
+    scan = _scan(stamps[0], ranges[0])
+    places = first + np.arange(len(lines))
+    wheels = {"stamp": stamps, "left": left.copy(), "right": right}
+    sweeps = {"stamp": stamps, "ranges": ranges}
+    shared = single(Located(scan, 0, "lidar"), 0).columns.layout
+    return [
+        Piece.of(Columns("encoders", WheelAngles, 2 * places, wheels, {}), places, checked=False),
+        Piece.of(Columns("lidar", LaserScan, 2 * places + 1, sweeps, shared), places),
+    ]
+
+
 def _record(tokens: list[bytes], clock: Clock) -> tuple[WheelAngles, LaserScan]:
     layout = LAYOUTS.get(len(tokens))
     if layout is None:
@@ -96,9 +133,12 @@ def _record(tokens: list[bytes], clock: Clock) -> tuple[WheelAngles, LaserScan]:
     finite("encoder", left, right)
     ranges = numbers(tokens[layout.ranges : layout.ranges + BEAMS]) / 1000.0
     stamp = clock.seconds(int(tokens[0]))
+    return WheelAngles(stamp, left, right), _scan(stamp, ranges)
+
+
+def _scan(stamp: float, ranges: Array) -> LaserScan:
     angles, times = beam_angles(BEAMS, START, STEP), beam_times(BEAMS, BEAM_TIME)
-    scan = LaserScan(stamp, angles, ranges, times, RANGE_MIN, RANGE_MAX)
-    return WheelAngles(stamp, left, right), scan
+    return LaserScan(stamp, angles, ranges, times, RANGE_MIN, RANGE_MAX)
 
 
 def _is_record(line: bytes) -> bool:

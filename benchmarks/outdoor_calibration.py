@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,14 +23,16 @@ from scipy.optimize import least_squares, minimize
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from impslam.columns import messages  # noqa: E402  from the root
-from impslam.evaluation.trajectory import interpolate, relative  # noqa: E402  from the root
+from impslam.columns import Motions, Sweeps, batch, messages  # noqa: E402  from the root
+from impslam.evaluation.trajectory import interpolate, relative  # noqa: E402
 from impslam.extractors.reflector import Reflector  # noqa: E402
 from impslam.geometry.se2 import rotation  # noqa: E402
+from impslam.odometry.ackermann import Ackermann  # noqa: E402
+from impslam.robot import Robot  # noqa: E402
 from impslam.sensors.lidar2d import Lidar2D  # noqa: E402
 from impslam.sensors.range_bearing import RangeBearing  # noqa: E402
 from impslam.sources.base import recognise  # noqa: E402
-from impslam.types import Array, Detections, LaserScan, Steering, TruePose  # noqa: E402
+from impslam.types import Array, Steering, TruePose  # noqa: E402
 
 WHEELBASE, ENCODER_OFFSET = 2.83, 0.76  # m, by the ruler
 NAMES = ("steering_offset", "steering_scale", "laser x", "laser y", "laser yaw", "latency")
@@ -54,20 +56,27 @@ class Log:
 
 def read(log: Path) -> Log:
     """Read a log once."""
-    rng, still = np.random.default_rng(0), np.zeros(3)
-    lidar = Lidar2D(range_max=80.0, extractors={"beacons": Reflector()})
-    sensors = {LaserScan: lidar, Detections: RangeBearing()}
+    rng = np.random.default_rng(0)
+    lidar = Lidar2D(range_max=80.0, deskew=False, extractors={"beacons": Reflector()})
+    car = Robot("car", Ackermann(wheelbase=WHEELBASE), {"lidar": lidar, "sick": RangeBearing()})
     wheels, stamps, sights, fixes = [], [], [], []
+
+    def see(sensed: Iterable[tuple[Motions, Sweeps]]) -> None:
+        for _, sweeps in sensed:
+            stamps.extend(sweeps.columns.stamps.tolist())
+            for k in range(len(sweeps)):
+                seen = car.look(sweeps, k, rng)
+                sights.append(np.array([o.z for o in seen]).reshape(-1, 2))
+
     with recognise(log)(path=log) as source:
-        for m in messages(source.batches()):
+        for place, m in enumerate(messages(source.batches())):
             if isinstance(m, Steering):
                 wheels.append((m.stamp, m.speed, m.angle))
             elif isinstance(m, TruePose):
                 fixes.append((m.stamp, *m.pose[:2]))
-            elif type(m) in sensors:
-                seen = sensors[type(m)].observe(m, still, rng).observations
-                stamps.append(m.stamp)
-                sights.append(np.array([o.z for o in seen]).reshape(-1, 2))
+            else:
+                see(car.sense(batch(type(m).__name__, m, place)))
+    see(car.flush())
     return Log(np.array(wheels), np.array(stamps), sights, np.array(fixes))
 
 

@@ -11,7 +11,8 @@ from impslam.config import load
 from impslam.errors import SourceError
 from impslam.geometry.se2 import compose, exp
 from impslam.observers.base import Observer
-from impslam.pipeline import MAX_WAIT, Gate, Pipeline, run
+from impslam.odometry.synchroniser import MAX_WAIT
+from impslam.pipeline import Gate, Pipeline, run
 from impslam.simulation.world import load_world
 from impslam.types import (
     Image,

@@ -67,6 +67,12 @@ class Columns:
         return self.kind(**found, **self.layout)
 
 
+def join(first: Columns, second: Columns) -> Columns:
+    """Return the rows of two columns of one stream and layout, the first before the second."""
+    values = {name: np.concatenate((v, second.values[name])) for name, v in first.values.items()}
+    return replace(second, order=np.concatenate((first.order, second.order)), values=values)
+
+
 Batch: TypeAlias = Mapping[str, Columns]
 """A piece of a log: columns by the name of their stream."""
 
@@ -197,6 +203,10 @@ class Motions(NamedTuple):
     covariance: Array
     duration: Array
 
+    def take(self, rows: slice | Ints | Mask) -> Motions:
+        """Return some of the motions."""
+        return Motions(*(column[rows] for column in self))
+
     def row(self, k: int) -> Increment:
         """Return one motion."""
         return Increment(
@@ -231,6 +241,14 @@ class Sweeps:
     def __len__(self) -> int:
         return len(self.columns)
 
+    def take(self, rows: slice | Ints | Mask) -> Sweeps:
+        """Return some of the rows."""
+        return Sweeps(
+            self.sensor, self.columns.take(rows), self.middles[rows], self.twists[rows],
+            self.T_middle_stamp[rows], self.stamp_covariance[rows],
+            None if self.scans is None else self.scans.take(rows),
+        )  # fmt: skip
+
     def scan(self, k: int) -> Scan | None:
         """Return one row ready for extraction."""
         return None if self.scans is None else self.scans.row(k)
@@ -256,6 +274,15 @@ class Scans:
     range_max: float
     laser: Array
     intensities: Array | None = None
+
+    def take(self, rows: slice | Ints | Mask) -> Scans:
+        """Return some of the sweeps."""
+        bright = None if self.intensities is None else self.intensities[rows]
+        return Scans(
+            self.stamps[rows], self.angles, self.ranges[rows], self.valid[rows], self.points[rows],
+            self.directions[rows], self.origins[rows], self.sigmas[rows], self.bias,
+            self.range_max, self.laser, bright,
+        )  # fmt: skip
 
     def row(self, k: int) -> Scan:
         """Return one sweep, as views."""

@@ -25,9 +25,16 @@ class MotionNoise(Parameters):
         0.15, "rad/sqrt(rad)", "heading error of turning (slip), per root radian", ge=0
     )
 
+    def variances(self, distances: Array, angles: Array) -> Array:
+        """Return (m, 3): of m motions over (m,) m and (m,) rad; along, across, of the heading."""
+        way, turn = np.abs(distances), np.abs(angles)
+        out = np.empty((len(way), 3))
+        out[:, 0] = self.forward**2 * way
+        out[:, 1] = self.sideways**2 * way
+        out[:, 2] = self.turn_per_distance**2 * way + self.turn_per_turn**2 * turn
+        return out
+
     def covariance(self, distance: float, angle: float) -> Array:
         """Return (3, 3) for a way of `distance` m and a turn of `angle` rad, in the body frame."""
-        distance, angle = abs(distance), abs(angle)
-        along, across = self.forward**2 * distance, self.sideways**2 * distance
-        turn = self.turn_per_distance**2 * distance + self.turn_per_turn**2 * angle
-        return np.array([[along, 0.0, 0.0], [0.0, across, 0.0], [0.0, 0.0, turn]])
+        (of_one,) = self.variances(np.array([distance]), np.array([angle]))
+        return np.diag(of_one)

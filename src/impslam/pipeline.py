@@ -6,7 +6,6 @@ import hashlib
 import math
 import time
 from array import array
-from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,19 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from impslam.columns import messages
+from impslam.columns import Motions, Sweeps, batch, batches, messages
 from impslam.config import Config, Keyframes
 from impslam.errors import MessageError, NumericalError, SourceError
-from impslam.geometry.se2 import compose, inverse
+from impslam.geometry.se2 import compose, compose_uncertain
 from impslam.observers.base import Dropped, Observer, Outcome
-from impslam.odometry.clocks import Clocks
-from impslam.odometry.timeline import Timeline
-from impslam.sensors.base import Reading, Sensor
+from impslam.sensors.base import Reading
 from impslam.sources.base import Problems, Source
-from impslam.types import Increment, Message, StepResult, TruePose
-
-MAX_WAIT = 25
-"""Messages a scan waits for odometry to reach its end; then it is used with what is known."""
+from impslam.types import Array, Increment, Message, StepResult, TruePose
 
 
 class Stopwatch:
@@ -72,96 +66,63 @@ class Pipeline:
     def __init__(self, config: Config) -> None:
         self.robot, self.slam = config.make_robot(), config.make_slam()
         self._matcher = config.make_matcher()
-        self._timeline = Timeline()
-        self._waiting: deque[tuple[Message, Sensor, float, tuple[float, float], int]] = deque()
         self._rng = np.random.default_rng(config.seed)
         self._clock = Stopwatch()
         self._gate = Gate(config.keyframes)
-        self._newest: StepResult | None = None  # the timeline's motion begins where it ends
+        self._newest: StepResult | None = None  # the robot's motion ahead begins where it ends
+        self._owed: Increment | None = None  # of scans that were dropped
         self._seen = 0
-        self.counts: dict[str, int] = {}
-        self.problems = Problems()
-        self.clocks, self._shift = Clocks(self.problems), 0.0  # s, of odometry
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages by type."""
+        return self.robot.counts
+
+    @property
+    def problems(self) -> Problems:
+        """What was dropped, and why."""
+        return self.robot.problems
 
     def feed(self, message: Message) -> Iterator[StepResult]:
         """Take in one message; yield a result for each scan that it completes."""
         self._seen += 1
-        name = type(message).__name__
-        self.counts[name] = self.counts.get(name, 0) + 1
-        if self.robot.feels(message):
-            self._feel(message)
-        sensor = self.robot.sensor_for(message)
-        if sensor is not None:
-            shift = self.clocks.shift(name, message.stamp)
-            begin, end = sensor.span(message)
-            span = begin + shift, end + shift
-            self._waiting.append((message, sensor, message.stamp + shift, span, self._seen))
-        yield from self._ready(flush=False)
+        yield from self._used(self.robot.sense(batch(type(message).__name__, message, self._seen)))
 
-    def play(self, messages: Iterable[Message]) -> Iterator[StepResult]:
+    def play(self, log: Iterable[Message]) -> Iterator[StepResult]:
         """Take in a whole log; yield a result for each scan."""
-        for message in messages:
-            yield from self.feed(message)
+        for part in batches((type(message).__name__, message) for message in log):
+            yield from self._used(self.robot.sense(part))
         yield from self.flush()
 
     def flush(self) -> Iterator[StepResult]:
         """Use the scans that still wait for odometry; the log is over."""
-        yield from self._ready(flush=True)
+        yield from self._used(self.robot.flush())
 
-    def _feel(self, message: Message) -> None:
-        shift = self._shift = self.clocks.shift(type(message).__name__, message.stamp)
-        try:
-            increment = self.robot.odometry.update(message)
-        except MessageError as error:
-            self.problems.add("odometry", str(error))
-            increment = None
-        if increment is None:
-            self._timeline.start(message.stamp + shift)
-        else:
-            self._timeline.add(replace(increment, stamp=increment.stamp + shift))
+    def _used(self, sensed: Iterable[tuple[Motions, Sweeps]]) -> Iterator[StepResult]:
+        for motions, sweeps in sensed:
+            for k in range(len(sweeps)):
+                with self._clock("odometry"):
+                    motion = self._motion(motions, sweeps, k)
+                try:
+                    result = self._use(motion, sweeps, k)
+                except MessageError as error:
+                    self.problems.add("scan", str(error))
+                    self._owed = motion
+                    continue
+                yield result
 
-    def _ready(self, flush: bool) -> Iterator[StepResult]:
-        while self._waiting:
-            message, sensor, moment, (begin, end), since = self._waiting[0]
-            together = begin == end and self._timeline.ends_at(moment)
-            known = self._timeline.covers(max(end, moment))
-            patient = self._seen - since < MAX_WAIT
-            if not (flush or together or known or not patient):
-                return
-            self._waiting.popleft()
-            result = self._use(message, sensor, moment, begin, end)
-            if result is not None:
-                yield replace(result, stamp=message.stamp)
+    def _motion(self, motions: Motions, sweeps: Sweeps, k: int) -> Increment:
+        motion, owed = motions.row(k), self._owed
+        self._owed = None
+        motion = motion if owed is None else owed.then(motion)
+        return replace(motion, stamp=float(sweeps.columns.stamps[k]))
 
-    def _use(
-        self, message: Message, sensor: Sensor, moment: float, begin: float, end: float
-    ) -> StepResult | None:
-        with self._clock("odometry"):
-            before = self._timeline.take(begin)
-            twist = self._timeline.twist(begin, end - begin)
-            middle = 0.5 * (begin + end)
-            before = before.then(self._timeline.take(min(max(begin, moment), middle)))
-            since = self._timeline.take(middle)
-            motion = before.then(since)
-            increment = replace(motion, stamp=moment)
-        try:
-            with self._clock("sensor"):
-                look = self._gate.passes(increment)
-                reading = sensor.observe(message, twist, self._rng, look)
-            result = self._estimate(increment, reading)
-        except MessageError as error:
-            self.problems.add("scan", str(error))
-            self._timeline.put_back(motion)
-            return None
-        if reading.scan is not None and not reading.scan.valid.any():
-            self.problems.add(
-                "scan without valid beams",
-                f"the scan at {message.stamp:.3f} s has no valid range; the pose is dead-reckoned "
-                "there: check the lidar, or sensors.*.range_min and range_max",
-            )
-        if middle == moment:
-            return result
-        return _at_stamp(result, since, self._timeline.ahead(moment))
+    def _use(self, motion: Increment, sweeps: Sweeps, k: int) -> StepResult:
+        with self._clock("sensor"):
+            look = self._gate.passes(motion)
+            seen = self.robot.look(sweeps, k, self._rng) if look else ()
+        result = self._estimate(motion, Reading(sweeps.scan(k), seen, look))
+        return _at_stamp(result, sweeps.T_middle_stamp[k], sweeps.stamp_covariance[k])
 
     def _estimate(self, increment: Increment, reading: Reading) -> StepResult:
         """Take a reading into matcher and filter: into both, or with `NumericalError` into neither."""
@@ -187,14 +148,15 @@ class Pipeline:
         """
         if self._newest is None:
             return None
-        ahead = self._timeline.all_ahead()
-        carried = _at_stamp(self._newest, Increment.none(ahead.stamp), ahead)
-        return replace(carried, stamp=ahead.stamp - self._shift)
+        ahead = self.robot.ahead()
+        ahead = ahead if self._owed is None else self._owed.then(ahead)
+        carried = _at_stamp(self._newest, ahead.d_pose, ahead.covariance)
+        return replace(carried, stamp=ahead.stamp)
 
     @property
     def waiting(self) -> int:
         """How many scans wait for odometry."""
-        return len(self._waiting)
+        return self.robot.waiting
 
     @property
     def stages(self) -> dict[str, array[float]]:
@@ -202,19 +164,11 @@ class Pipeline:
         return self._clock.stages
 
 
-def _at_stamp(result: StepResult, since: Increment, ahead: Increment) -> StepResult:
-    """Carry the pose from the middle of a sweep to its stamp, by dead reckoning.
-
-    `since` is the motion from an earlier stamp to the middle, `ahead` that on to a later one.
-    """
-    motion = replace(
-        ahead,
-        d_pose=compose(inverse(since.d_pose), ahead.d_pose),
-        covariance=since.covariance + ahead.covariance,
-    )
-    pose, covariance = motion.advance(result.pose, result.covariance)
-    odometry = compose(result.odometry, motion.d_pose)
-    return replace(result, pose=pose, covariance=covariance, odometry=odometry)
+def _at_stamp(result: StepResult, T_middle_stamp: Array, covariance: Array) -> StepResult:
+    """Carry the pose from the middle of a sweep to its stamp, by dead reckoning."""
+    pose, spread = compose_uncertain(result.pose, result.covariance, T_middle_stamp, covariance)
+    odometry = compose(result.odometry, T_middle_stamp)
+    return replace(result, pose=pose, covariance=spread, odometry=odometry)
 
 
 class Run:
@@ -276,7 +230,7 @@ class Run:
             counts={**pipeline.counts, "steps": self.steps, "landmarks": len(landmarks)},
             dropped=_join(*problems, pipeline.problems),
             stages={name: np.array(times) for name, times in pipeline.stages.items()},
-            log_seconds=pipeline.clocks.elapsed,
+            log_seconds=pipeline.robot.elapsed,
             wall_seconds=time.perf_counter() - self._begin,
             landmarks=landmarks,
             state_size=pipeline.slam.filter.state_size,

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from tests.felt import stacked
 
-from impslam.geometry.se2 import exp
 from impslam.sensors.clock import SweepClock
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.types import LaserScan
@@ -14,7 +14,7 @@ SETTLED = 100  # sweeps
 
 def smoothed(stamps, period=PERIOD):
     clock = SweepClock(period)
-    return np.array([clock.smooth(float(stamp)) for stamp in stamps])
+    return clock.smooth(np.asarray(stamps))
 
 
 def rms(values):
@@ -22,7 +22,15 @@ def rms(values):
 
 
 def test_the_first_stamp_is_returned_as_it_is():
-    assert SweepClock(PERIOD).smooth(1234.567) == 1234.567
+    assert smoothed([1234.567]) == [1234.567]
+
+
+def test_any_cutting_gives_the_same_bytes(rng):
+    stamps = PERIOD * np.arange(100) + rng.uniform(-0.03, 0.03, 100)
+    stamps[50:] += 100.0
+    clock = SweepClock(PERIOD)
+    one_by_one = np.concatenate([clock.smooth(stamps[k : k + 1]) for k in range(100)])
+    assert one_by_one.tobytes() == smoothed(stamps).tobytes()
 
 
 def test_steady_stamps_stay():
@@ -89,23 +97,20 @@ def sweep(stamp):
     return LaserScan(stamp, np.linspace(-1.0, 1.0, n), np.full(n, 2.0), 1e-3 * np.arange(n))
 
 
-def test_the_lidar_smooths_once_a_message(rng):
-    """`span` moves the clock on; the scan's extraction does not."""
-    lidar, clock = Lidar2D(period=PERIOD, latency=0.02), SweepClock(PERIOD)
-    for stamp in PERIOD * np.arange(100) + rng.uniform(-0.03, 0.03, 100):
-        message = sweep(float(stamp))
-        begin = clock.smooth(message.stamp) - 0.02
-        assert lidar.span(message) == (begin, begin + 0.019)
-        lidar.observe(message, exp(np.zeros(3)), rng)
+def test_the_lidar_smooths_its_stamps(rng):
+    stamps = PERIOD * np.arange(100) + rng.uniform(-0.03, 0.03, 100)
+    begins, ends = Lidar2D(period=PERIOD, latency=0.02).spans(stacked(map(sweep, stamps.tolist())))
+    np.testing.assert_array_equal(begins, smoothed(stamps) - 0.02)
+    np.testing.assert_array_equal(ends, begins + 0.019)
 
 
 def test_without_a_period_the_stamps_are_true(rng):
-    lidar = Lidar2D()
-    for stamp in rng.uniform(0.0, 10.0, 20):
-        assert lidar.span(sweep(float(stamp)))[0] == stamp
+    stamps = rng.uniform(0.0, 10.0, 20)
+    begins, _ = Lidar2D().spans(stacked(map(sweep, stamps.tolist())))
+    np.testing.assert_array_equal(begins, stamps)
 
 
 def test_each_lidar_has_its_own_clock():
     first, second = Lidar2D(period=PERIOD), Lidar2D(period=PERIOD)
-    first.span(sweep(0.0))
-    assert second.span(sweep(0.13))[0] == 0.13
+    first.spans(stacked([sweep(0.0)]))
+    assert second.spans(stacked([sweep(0.13)]))[0] == [0.13]

@@ -1,14 +1,17 @@
 """The lidar: mounts, validity, and de-skewing that is exact for constant twists."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.felt import stacked
 
-from impslam.errors import MessageError
+from impslam.columns import Sweeps
+from impslam.extractors.base import Extractor
 from impslam.geometry.se2 import compose, exp, inverse, transform
 from impslam.sensors.lidar2d import Lidar2D
-from impslam.types import LaserScan
+from impslam.types import LaserScan, Observation
 
 STILL = np.zeros(3)
 
@@ -21,7 +24,7 @@ def sweep(ranges, angles=None, rate=0.0, **limits):
 
 
 def observe(lidar, message, twist=STILL):
-    return lidar.observe(message, twist, np.random.default_rng(0)).scan
+    return lidar.scan(message, np.asarray(twist, dtype=float))
 
 
 @pytest.mark.parametrize("upside_down", [False, True])
@@ -98,9 +101,56 @@ def test_noise_grows_with_range():
     np.testing.assert_allclose(scan.sigmas, [0.015, 0.03])
 
 
-def test_scan_lengths_may_change_and_empty_scans_are_refused():
+def test_scan_lengths_may_change_and_empty_scans_are_not_usable():
     lidar = Lidar2D()
     assert len(observe(lidar, sweep(np.ones(5))).ranges) == 5
     assert len(observe(lidar, sweep(np.ones(9))).ranges) == 9
-    with pytest.raises(MessageError, match="no beams"):
-        observe(lidar, sweep([]))
+    assert lidar.usable(stacked([sweep(np.ones(3))] * 2)).tolist() == [True, True]
+    assert lidar.usable(stacked([sweep([])])).tolist() == [False]
+    assert "has no beams; it is dropped" in lidar.fault(sweep([]))
+
+
+def test_ranges_are_calibrated_where_they_are_valid():
+    scan = observe(Lidar2D(range_scale=1.1, range_offset=-0.2), sweep([0.0, 2.0]))
+    np.testing.assert_allclose(scan.ranges, [0.0, 2.0])
+
+
+def test_many_sweeps_are_to_the_byte_what_each_is_alone():
+    rng = np.random.default_rng(3)
+    messages = [sweep(rng.uniform(0.0, 6.0, 40), rate=1e-3, range_max=5.0) for _ in range(9)]
+    twists = rng.normal(0.0, [0.5, 0.1, 1.0], (9, 3))
+    lidar = Lidar2D(mount=(0.1, 0.2, 0.3), upside_down=True, sigma_per_m=0.01, angle_max=1.5)
+    scans = lidar.sweeps(stacked(messages), twists)
+    for k, message in enumerate(messages):
+        one, other = scans.row(k), lidar.scan(message, twists[k])
+        for name in ("ranges", "valid", "points", "directions", "origins", "sigmas"):
+            assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
+
+
+def test_columns_of_any_memory_are_taken():
+    """Readers hand out views that cannot be written, single precision, and strided ones."""
+    ranges = np.linspace(1.0, 2.0, 12).reshape(2, 6).astype(np.float32)
+    ranges.setflags(write=False)
+    columns = stacked([sweep(row) for row in ranges])
+    odd = replace(columns, values={**columns.values, "ranges": ranges[:, ::-1]})
+    scans = Lidar2D().sweeps(odd, np.zeros((2, 3)))
+    np.testing.assert_array_equal(scans.ranges, ranges[:, ::-1].astype(np.float64))
+
+
+class Whole(Extractor):
+    """Sees one thing, in the last half of the beams."""
+
+    def extract(self, scan, rng):
+        del rng
+        beams = np.arange(len(scan.ranges) // 2, len(scan.ranges))
+        return [Observation("point", np.zeros(2), np.eye(2), beams)]
+
+
+def test_an_observation_tells_when_its_beams_were_fired():
+    lidar = Lidar2D(extractors={"all": Whole()})
+    columns = stacked([sweep(np.ones(4), rate=0.01)])
+    empty = np.zeros((1, 3))
+    scans = lidar.sweeps(columns, empty)
+    sweeps = Sweeps("lidar", columns, np.zeros(1), empty, empty, np.zeros((1, 3, 3)), scans)
+    (seen,) = lidar.look(sweeps, 0, np.random.default_rng(0))
+    assert seen.delay == pytest.approx(0.025 - 0.015)

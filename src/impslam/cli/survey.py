@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from impslam.columns import messages
-from impslam.errors import MessageError
+from impslam.columns import Columns, messages
+from impslam.odometry.following import Follower
 from impslam.robot import Robot
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Problems, Source
@@ -96,7 +96,7 @@ class Survey:
     """Reads every message of a log once, and keeps no message."""
 
     def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+        self._robot, self._follower = robot, Follower(robot.odometry)
         self.clocks: dict[str, Clock] = {}
         self.beams = Beams()
         self.way = self.rotation = 0.0
@@ -104,28 +104,27 @@ class Survey:
 
     def read(self, source: Source) -> Iterator[float]:
         """Take in an open log; yields the stamps, for whoever shows progress."""
-        for message in messages(source.batches()):
-            self._add(message)
-            yield message.stamp
+        for batch in source.batches():
+            for columns in batch.values():
+                if self._robot.feels(columns.kind):
+                    self._feel(columns)
+            for message in messages([batch]):
+                self._add(message)
+                yield message.stamp
         self._judge()
 
     def _add(self, message: Message) -> None:
         self.clocks.setdefault(type(message).__name__, Clock()).add(message.stamp)
         if isinstance(message, LaserScan):
-            sensor = self._robot.sensor_for(message)
+            sensor = self._robot.sensor_for(LaserScan)
             self.beams.add(message, sensor if isinstance(sensor, Lidar2D) else None)
-        if self._robot.feels(message):
-            self._feel(message)
 
-    def _feel(self, message: Message) -> None:
-        try:
-            increment = self._robot.odometry.update(message)
-        except MessageError as error:
-            self.problems.add("odometry", str(error))
-            return
-        if increment is not None:
-            self.way += math.hypot(*increment.d_pose[:2])
-            self.rotation += abs(float(increment.d_pose[2]))
+    def _feel(self, columns: Columns) -> None:
+        motions, faults, example = self._follower.follow(columns)
+        if example:
+            self.problems.add("odometry", example, int(faults.sum()))
+        self.way += float(np.nansum(np.hypot(motions.d_pose[:, 0], motions.d_pose[:, 1])))
+        self.rotation += float(np.nansum(np.abs(motions.d_pose[:, 2])))
 
     def _judge(self) -> None:
         """Enter what is wrong with the log as a whole."""

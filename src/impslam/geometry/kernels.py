@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from impslam.geometry.machine_code import MachineCode, warn_once
@@ -24,3 +26,8 @@ def kernel(function: F) -> F:
     except RuntimeError:  # numba's word for: neither the package nor a cache folder can be written
         warn_once("no folder for compiled code can be written")
     return cast("F", dispatcher)
+
+
+def plain(array: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Return an array as kernels are compiled for: float64, contiguous, writable; copied if need be."""
+    return np.require(array, np.float64, ["C", "W"])

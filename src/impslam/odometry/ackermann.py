@@ -16,34 +16,15 @@ import math
 from typing import ClassVar
 
 import numpy as np
-from pydantic import PrivateAttr
 
+from impslam.columns import Columns, Motions
 from impslam.component import parameter, register
-from impslam.errors import MessageError
-from impslam.geometry.se2 import exp
 from impslam.noise import MotionNoise
-from impslam.odometry.base import Odometry, held_for
-from impslam.types import Array, Increment, Message, Steering
+from impslam.odometry.base import Odometry, durations, known, silence
+from impslam.odometry.kernels import axle_motions, carry
+from impslam.types import Mask, Steering
 
-
-def bicycle(wheel_travel: float, angle: float, wheelbase: float, offset: float) -> Array:
-    """Return the rear axle's increment (3,) from a rear wheel's travel (m) and the steering (rad)."""
-    curvature = math.tan(angle) / wheelbase
-    way = wheel_travel / (1.0 - offset * curvature)
-    return exp(np.array([way, 0.0, way * curvature]))
-
-
-def carried(d_axle: Array, axle: Array) -> tuple[Array, Array]:
-    """Return the increment (3,) of base_link from that of the axle at `axle` (2,) on it.
-
-    The second value is its Jacobian (3, 3) by the axle's increment.
-    """
-    c, s = math.cos(d_axle[2]), math.sin(d_axle[2])
-    x, y = axle
-    turned = np.array([c * x - s * y, s * x + c * y])
-    d_base = np.array([*(d_axle[:2] + axle - turned), d_axle[2]])
-    d_base_D_d_axle = np.array([[1.0, 0.0, turned[1]], [0.0, 1.0, -turned[0]], [0.0, 0.0, 1.0]])
-    return d_base, d_base_D_d_axle
+_FIELDS = ("speed", "angle")
 
 
 @register("ackermann")
@@ -51,6 +32,7 @@ class Ackermann(Odometry):
     """A car's wheel speed and steering angle, each of which holds until the next one."""
 
     consumes: ClassVar[type] = Steering
+    holds: ClassVar[bool] = True
 
     wheelbase: float = parameter(..., "m", "from the rear to the front axle", gt=0)
     encoder_offset: float = parameter(
@@ -81,31 +63,32 @@ class Ackermann(Odometry):
     max_hold: float = parameter(
         2.0, "s", "after a longer silence it is not known whether speed and steering held on", gt=0
     )
-    _last: Steering | None = PrivateAttr(None)
 
-    def update(self, message: Message) -> Increment | None:
-        """Return the motion at the previous speed and steering until now; see `Odometry.update`."""
-        assert isinstance(message, Steering)
-        last, self._last = self._last, None
-        self._refuse_wild(message)
-        self._last = message
-        if last is None:
-            return None
-        duration = held_for(last.stamp, message.stamp, self.max_hold, "speed and steering")
-        angle = self.steering_scale * last.angle + self.steering_offset
-        travel = self.speed_scale * last.speed * duration
-        d_axle = bicycle(travel, angle, self.wheelbase, self.encoder_offset)
-        d_pose, J = carried(d_axle, np.array(self.axle))
-        Q = self.noise.covariance(math.hypot(d_axle[0], d_axle[1]), float(d_axle[2]))
-        return Increment(message.stamp, d_pose, J @ Q @ J.T, duration)
+    def usable(self, readings: Columns) -> Mask:
+        """Return which readings are finite and within the limits; see `Odometry.usable`."""
+        slow = np.abs(readings["speed"]) <= self.max_speed  # false for NaN
+        return np.asarray(slow & (np.abs(readings["angle"]) <= self.max_angle))
 
-    def _refuse_wild(self, message: Steering) -> None:
-        # Comparisons with nan are false, so that it is refused too.
-        if abs(message.speed) <= self.max_speed and abs(message.angle) <= self.max_angle:
-            return
-        finite = math.isfinite(message.speed) and math.isfinite(message.angle)
-        raise MessageError(
-            f"speed {message.speed:.3g} m/s and steering {message.angle:.3g} rad at "
-            f"{message.stamp:.3f} s are {'more than a car can do' if finite else 'not finite'}; they "
-            "are left out: check the log, or raise odometry.max_speed or max_angle"
+    def motions(self, readings: Columns) -> Motions:
+        """Return the motions at each speed and steering until the next; see `Odometry.motions`."""
+        seconds, usable = durations(readings), self.usable(readings)
+        speed, angle = (np.where(usable, readings[name], 0.0)[:-1] for name in _FIELDS)
+        travel = self.speed_scale * speed * seconds
+        angles = self.steering_scale * angle + self.steering_offset
+        d_axle = axle_motions(travel, angles, self.wheelbase, self.encoder_offset)
+        variances = self.noise.variances(np.hypot(d_axle[:, 0], d_axle[:, 1]), d_axle[:, 2])
+        d_pose, covariance = carry(d_axle, variances, np.array(self.axle))
+        motions = Motions(readings.stamps[1:], d_pose, covariance, seconds)
+        return known(motions, usable[:-1] & usable[1:] & (seconds <= self.max_hold))
+
+    def fault(self, readings: Columns) -> str:
+        """Say what is wrong; see `Odometry.fault`."""
+        if self.usable(readings)[-1]:
+            return silence(readings, "speed and steering")
+        speed, angle, stamp = (float(readings[name][-1]) for name in (*_FIELDS, "stamp"))
+        finite = math.isfinite(speed) and math.isfinite(angle)
+        return (
+            f"speed {speed:.3g} m/s and steering {angle:.3g} rad at {stamp:.3f} s are "
+            f"{'more than a car can do' if finite else 'not finite'}; they are left out: check the "
+            "log, or raise odometry.max_speed or max_angle"
         )

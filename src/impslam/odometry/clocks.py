@@ -8,12 +8,12 @@ period there, and streams that were in step stay in step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from impslam.sources.base import Problems
+from impslam.geometry.kernels import kernel
+from impslam.types import Array, Ints
 
 JITTER = 1.0
 """s: stamps that a busy computer gives on arrival run back by up to 0.9 s (the Intel log of the SLAM
@@ -21,98 +21,144 @@ benchmarks) and the clock is still the same."""
 LEAP = 2.0 * JITTER
 """s: jitter takes stamps ahead by less, from one that is late to one that is early."""
 
+# Columns of a stream's newest row: its shift, its stamp, when that was, how far behind the newest of
+# all, its period, and how far other streams have leapt ahead since; all in s.
+_SHIFT, _STAMP, _TIME, _LAG, _PERIOD, _LEAPT = range(6)
+# Of all streams: the first and the newest time; whose the newest leap ahead was, a pause or a step, at
+# which stamp, and what time it was before.
+_FIRST, _NOW, _LEAPER, _LEAP_STAMP, _LEAP_BEFORE = range(5)
 
-@dataclass(slots=True)
-class _Stream:
-    """A stream's newest message: its stamp, when that was, how far behind the newest; all in s."""
 
-    shift: float
+class Step(NamedTuple):
+    """A clock that was set: ahead by `by` s (back if negative) at a stamp of a stream.
+
+    `row` is the row that told it.
+    """
+
+    row: int
+    stream: int
+    by: float
     stamp: float
-    time: float
-    lag: float = 0.0
-    period: float = 0.0
-    leapt: float = 0.0  # how far other streams have leapt ahead since
 
-
-class _Leap(NamedTuple):
-    """The newest leap ahead: whose, at which stamp, and what time it was before; a pause or a step."""
-
-    name: str
-    stamp: float
-    before: float
+    def __str__(self) -> str:
+        how = f"ahead by {self.by:.6g} s" if self.by > 0.0 else f"back by {-self.by:.6g} s"
+        return f"stepped {how} at {self.stamp:.3f} s"
 
 
 class Clocks:
     """Tells what to add to the stamps of each stream to have them on one time line."""
 
-    def __init__(self, problems: Problems) -> None:
-        self._problems = problems
-        self._streams: dict[str, _Stream] = {}
-        self._first, self._now = np.inf, -np.inf
-        self._leap = _Leap("", 0.0, 0.0)
+    def __init__(self) -> None:
+        self._streams = np.zeros((0, 6))
+        self._all = np.array([np.inf, -np.inf, 0.0, 0.0, 0.0])
 
     @property
     def elapsed(self) -> float:
-        """How long it has been since the first message, s on the one time line."""
-        return self._now - self._first if self._streams else 0.0
+        """How long it has been since the first row, s on the one time line."""
+        return float(self._all[_NOW] - self._all[_FIRST]) if len(self._streams) else 0.0
 
-    def shift(self, name: str, stamp: float) -> float:
-        """Return what to add to this stamp of a stream; ask once a message, in the log's order."""
-        stream = self._streams.get(name)
-        if stream is None:
-            now = self._now if self._streams else stamp
-            shift = min(self._shifts(), key=lambda s: abs(stamp + s - now))
-            stream = self._streams[name] = _Stream(shift, stamp, stamp + shift)
+    def shifts(self, streams: Ints, stamps: Array) -> tuple[Array, list[Step]]:
+        """Return what to add to the stamps (m,) of rows, in the log's order, and the steps.
+
+        `streams` (m,) counts streams from 0 in the order in which they first come.
+        """
+        m, known = len(stamps), len(self._streams)
+        new = max(int(streams.max(initial=-1)) + 1 - known, 0)
+        self._streams = np.vstack((self._streams, np.zeros((new, 6))))
+        shifts, steps = np.empty(m), np.empty((m, 4))
+        count = _shift(self._streams, known, self._all, streams, stamps, shifts, steps)
+        return shifts, [Step(int(k), int(s), float(by), float(t)) for k, s, by, t in steps[:count]]
+
+
+@kernel
+def _shift(
+    table: Array,
+    known: int,
+    every: Array,
+    streams: Ints,
+    stamps: Array,
+    shifts: Array,
+    steps: Array,
+) -> int:
+    """Write the shift of each row, and the steps; return how many there are."""
+    count = 0
+    for k in range(len(stamps)):
+        name, stamp = streams[k], stamps[k]
+        if name >= known:
+            now = every[_NOW] if known else stamp
+            shift = _nearest(table[:known], stamp, now, -np.inf, np.inf)
+            table[name, _SHIFT], table[name, _STAMP] = shift, stamp
+            table[name, _TIME] = stamp + shift
+            known = name + 1
         else:
-            self._follow(name, stream, stamp)
-        self._advance(name, stream, stamp)
-        return stream.shift
+            steps[count, 0] = k
+            count += _follow(table[:known], every, name, stamp, steps[count, 1:])
+        _advance(table[:known], every, name, stamp)
+        shifts[k] = table[name, _SHIFT]
+    return count
 
-    def _follow(self, name: str, stream: _Stream, stamp: float) -> None:
-        """Change the stream's shift if its clock, or that of the others, was set since."""
-        step, leapt, before = stamp - stream.stamp, stream.leapt, stream.shift
-        expected = self._expected(stream)
-        low, high = expected - JITTER, max(expected, self._now) + JITTER
-        if step >= 0.5 * leapt:  # it went along: a pause of all
-            stream.leapt = 0.0
-        if abs(step) > JITTER and not low <= stamp + before <= high:
-            fitting = [s for s in self._shifts() if low <= stamp + s <= high]
-            if fitting:
-                stream.shift = min(fitting, key=lambda s: abs(stamp + s - expected))
-            elif step < 0.0:
-                stream.shift = expected - stamp
-            if stream.shift > before:
-                self._enter(name, f"back by {stream.period - step:.6g} s", stamp)
-        elif leapt and step < 0.5 * leapt and self._leap.before < stamp + before:
-            stream.shift += leapt
-            stream.leapt = 0.0
-            self._enter(self._leap.name, f"ahead by {leapt:.6g} s", self._leap.stamp)
-        elif step > 0.0:
-            stream.period += (0.1 if stream.period else 1.0) * (step - stream.period)
 
-    def _expected(self, stream: _Stream) -> float:
-        """Return when the stream's next message is due, or overdue if others went on without it."""
-        due, overdue = stream.time + stream.period, self._now - stream.lag
-        return overdue if overdue > due + JITTER else due
+@kernel
+def _nearest(table: Array, stamp: float, goal: float, low: float, high: float) -> float:
+    """Return the shift that brings a stamp nearest to a goal, of those in use; nan if none is within.
 
-    def _shifts(self) -> list[float]:
-        """Return the shifts in use; a clock that was set back may be set right again."""
-        return [0.0, *(stream.shift for stream in self._streams.values())]
+    A clock that was set back may be set right again: 0 is always one of them.
+    """
+    best, least = np.nan, np.inf
+    for i in range(-1, len(table)):
+        shift = 0.0 if i < 0 else table[i, _SHIFT]
+        if low <= stamp + shift <= high and abs(stamp + shift - goal) < least:
+            best, least = shift, abs(stamp + shift - goal)
+    return best
 
-    def _advance(self, name: str, stream: _Stream, stamp: float) -> None:
-        """Let time go on to a stamp of a stream."""
-        time = stamp + stream.shift
-        if time > max(self._now, stream.time + stream.period) + LEAP:
-            self._leap = _Leap(name, stamp, self._now)
-            leap = time - self._expected(stream)
-            for other in self._streams.values():
-                other.leapt += 0.0 if other is stream else leap
-        self._first, self._now = min(self._first, time), max(self._now, time)
-        stream.stamp, stream.time = stamp, max(stream.time, time)
-        stream.lag = self._now - time
 
-    def _enter(self, name: str, how: str, stamp: float) -> None:
-        self._problems.add(
-            "clock step",
-            f"the clock stepped {how} at {stamp:.3f} s ({name}); motion is kept in file order",
-        )
+@kernel
+def _expected(stream: Array, now: float) -> float:
+    """Return when the stream's next row is due, or overdue if others went on without it."""
+    due: float = stream[_TIME] + stream[_PERIOD]
+    overdue: float = now - stream[_LAG]
+    return overdue if overdue > due + JITTER else due
+
+
+@kernel
+def _follow(table: Array, every: Array, name: int, stamp: float, entry: Array) -> int:
+    """Change the stream's shift if its clock, or that of the others, was set since; 1 if told."""
+    stream = table[name]
+    step, leapt, before = stamp - stream[_STAMP], stream[_LEAPT], stream[_SHIFT]
+    expected = _expected(stream, every[_NOW])
+    low, high = expected - JITTER, max(expected, every[_NOW]) + JITTER
+    if step >= 0.5 * leapt:  # it went along: a pause of all
+        stream[_LEAPT] = 0.0
+    if abs(step) > JITTER and not low <= stamp + before <= high:
+        fitting = _nearest(table, stamp, expected, low, high)
+        if not np.isnan(fitting):
+            stream[_SHIFT] = fitting
+        elif step < 0.0:
+            stream[_SHIFT] = expected - stamp
+        if stream[_SHIFT] > before:
+            entry[0], entry[1], entry[2] = name, step - stream[_PERIOD], stamp
+            return 1
+    elif leapt != 0.0 and step < 0.5 * leapt and every[_LEAP_BEFORE] < stamp + before:
+        stream[_SHIFT] += leapt
+        stream[_LEAPT] = 0.0
+        entry[0], entry[1], entry[2] = every[_LEAPER], leapt, every[_LEAP_STAMP]
+        return 1
+    elif step > 0.0:
+        stream[_PERIOD] += (0.1 if stream[_PERIOD] else 1.0) * (step - stream[_PERIOD])
+    return 0
+
+
+@kernel
+def _advance(table: Array, every: Array, name: int, stamp: float) -> None:
+    """Let time go on to a stamp of a stream."""
+    stream = table[name]
+    time = stamp + stream[_SHIFT]
+    if time > max(every[_NOW], stream[_TIME] + stream[_PERIOD]) + LEAP:
+        every[_LEAPER], every[_LEAP_STAMP], every[_LEAP_BEFORE] = name, stamp, every[_NOW]
+        leap = time - _expected(stream, every[_NOW])
+        for i in range(len(table)):
+            if i != name:
+                table[i, _LEAPT] += leap
+    every[_FIRST], every[_NOW] = min(every[_FIRST], time), max(every[_NOW], time)
+    stream[_STAMP], stream[_TIME] = stamp, max(stream[_TIME], time)
+    stream[_LAG] = every[_NOW] - time

@@ -6,14 +6,13 @@ import math
 from typing import ClassVar
 
 import numpy as np
-from pydantic import PrivateAttr
 
+from impslam.columns import Columns, Motions
 from impslam.component import parameter, register
-from impslam.errors import MessageError
 from impslam.geometry.se2 import between
 from impslam.noise import MotionNoise
-from impslam.odometry.base import Odometry
-from impslam.types import Increment, Message, OdometryPose
+from impslam.odometry.base import Odometry, diagonal, durations, known
+from impslam.types import Array, Mask, OdometryPose
 
 
 @register("odometry_pose")
@@ -32,27 +31,34 @@ class OdometryPoses(Odometry):
     max_speed: float = parameter(
         10.0, "m/s", "a step that seems faster than this is a jump and is dropped", gt=0
     )
-    _last: OdometryPose | None = PrivateAttr(None)
 
-    def update(self, message: Message) -> Increment | None:
-        """Return the motion since the previous pose; see `Odometry.update`."""
-        assert isinstance(message, OdometryPose)
-        if not all(map(math.isfinite, message.pose.tolist())):
-            raise MessageError(
-                f"odometry pose {message.pose} at {message.stamp:.3f} s is not finite; it is left out"
-            )
-        last, self._last = self._last, message
-        if last is None:
-            return None
-        duration = max(message.stamp - last.stamp, 0.0)
-        d_pose = between(last.pose, message.pose)
-        distance = math.hypot(d_pose[0], d_pose[1])
-        if distance > self.max_speed * max(duration, 0.2):
-            raise MessageError(
-                f"odometry jumps by {distance:.3g} m in {duration:.3g} s at {message.stamp:.3f} s; "
-                "the jump is left out: check the odometry, or raise odometry.max_speed"
-            )
-        covariance = self.noise.covariance(distance, float(d_pose[2]))
-        if d_pose.any():
-            covariance += np.diag(np.square(self.drift)) * duration
-        return Increment(message.stamp, d_pose, covariance, duration)
+    def usable(self, readings: Columns) -> Mask:
+        """Return which poses are finite; see `Odometry.usable`."""
+        return np.asarray(np.isfinite(readings["pose"]).all(axis=1))
+
+    def motions(self, readings: Columns) -> Motions:
+        """Return the motions between the poses; see `Odometry.motions`."""
+        d_pose, seconds = _steps(readings), durations(readings)
+        distances = np.hypot(d_pose[:, 0], d_pose[:, 1])
+        moved = d_pose.any(axis=1)
+        variances = self.noise.variances(distances, d_pose[:, 2])
+        variances += np.square(self.drift) * (seconds * moved)[:, None]
+        motions = Motions(readings.stamps[1:], d_pose, diagonal(variances), seconds)
+        return known(motions, distances <= self.max_speed * np.maximum(seconds, 0.2))
+
+    def fault(self, readings: Columns) -> str:
+        """Say what is wrong; see `Odometry.fault`."""
+        pose, stamp = readings["pose"][-1], readings.stamps[-1]
+        if not self.usable(readings)[-1]:
+            return f"odometry pose {pose} at {stamp:.3f} s is not finite; it is left out"
+        (step,) = _steps(readings)
+        return (
+            f"odometry jumps by {math.hypot(step[0], step[1]):.3g} m in "
+            f"{durations(readings)[-1]:.3g} s at {stamp:.3f} s; "
+            "the jump is left out: check the odometry, or raise odometry.max_speed"
+        )
+
+
+def _steps(readings: Columns) -> Array:
+    """Return (m, 3) from each of m + 1 poses to the next."""
+    return between(readings["pose"][:-1], readings["pose"][1:])

@@ -11,14 +11,15 @@ import math
 from typing import ClassVar
 
 import numpy as np
-from pydantic import PrivateAttr
 
+from impslam.columns import Columns, Motions
 from impslam.component import parameter, register
-from impslam.errors import MessageError
 from impslam.geometry.se2 import exp
 from impslam.noise import MotionNoise
-from impslam.odometry.base import Odometry, held_for
-from impslam.types import Increment, Message, Velocity
+from impslam.odometry.base import Odometry, diagonal, durations, known, silence
+from impslam.types import Mask, Velocity
+
+_FIELDS = ("speed", "turn_rate")
 
 
 @register("velocity")
@@ -26,6 +27,7 @@ class Velocities(Odometry):
     """Speed and turn rate, each of which holds until the next one."""
 
     consumes: ClassVar[type] = Velocity
+    holds: ClassVar[bool] = True
 
     speed_scale: float = parameter(
         1.0, "1", "true speed over the one in the log, from a calibration", gt=0
@@ -42,31 +44,32 @@ class Velocities(Odometry):
     max_hold: float = parameter(
         2.0, "s", "after a longer silence it is not known whether a velocity held on", gt=0
     )
-    _last: Velocity | None = PrivateAttr(None)
 
-    def update(self, message: Message) -> Increment | None:
-        """Return the motion at the previous velocity until now; see `Odometry.update`."""
-        assert isinstance(message, Velocity)
-        last, self._last = self._last, None
-        self._refuse_wild(message)
-        self._last = message
-        if last is None:
-            return None
-        duration = held_for(last.stamp, message.stamp, self.max_hold, "velocity")
-        way = self.speed_scale * last.speed * duration
-        turn = self.turn_scale * last.turn_rate * duration
-        d_pose = exp(np.array([way, 0.0, turn]))
-        covariance = self.noise.covariance(way, turn)
-        return Increment(message.stamp + self.latency, d_pose, covariance, duration)
+    def usable(self, readings: Columns) -> Mask:
+        """Return which velocities are finite and within the limits; see `Odometry.usable`."""
+        slow = np.abs(readings["speed"]) <= self.max_speed  # false for NaN
+        return np.asarray(slow & (np.abs(readings["turn_rate"]) <= self.max_turn_rate))
 
-    def _refuse_wild(self, message: Velocity) -> None:
-        # Comparisons with nan are false, so that it is refused too.
-        if abs(message.speed) <= self.max_speed and abs(message.turn_rate) <= self.max_turn_rate:
-            return
-        said = f"{message.speed:.3g} m/s and {message.turn_rate:.3g} rad/s"
-        finite = math.isfinite(message.speed) and math.isfinite(message.turn_rate)
-        raise MessageError(
-            f"velocity {said} at {message.stamp:.3f} s is "
+    def motions(self, readings: Columns) -> Motions:
+        """Return the motions at each velocity until the next; see `Odometry.motions`."""
+        seconds, usable = durations(readings), self.usable(readings)
+        speed, rate = (np.where(usable, readings[name], 0.0)[:-1] for name in _FIELDS)
+        ways, turns = self.speed_scale * speed * seconds, self.turn_scale * rate * seconds
+        covariance = diagonal(self.noise.variances(ways, turns))
+        stamps = readings.stamps[1:] + self.latency
+        motions = Motions(
+            stamps, exp(np.column_stack((ways, np.zeros_like(ways), turns))), covariance, seconds
+        )
+        return known(motions, usable[:-1] & usable[1:] & (seconds <= self.max_hold))
+
+    def fault(self, readings: Columns) -> str:
+        """Say what is wrong; see `Odometry.fault`."""
+        if self.usable(readings)[-1]:
+            return silence(readings, "velocity")
+        speed, turn_rate, stamp = (float(readings[name][-1]) for name in (*_FIELDS, "stamp"))
+        finite = math.isfinite(speed) and math.isfinite(turn_rate)
+        return (
+            f"velocity {speed:.3g} m/s and {turn_rate:.3g} rad/s at {stamp:.3f} s is "
             f"{'more than the robot can do' if finite else 'not finite'}; it is left out: check the "
             "log, or raise odometry.max_speed or max_turn_rate"
         )

@@ -1,4 +1,4 @@
-"""The role of an exteroceptive sensor: a message in, what it shows of the world out (thesis 5.1)."""
+"""The role of an exteroceptive sensor: its rows in, what they show of the world out (thesis 5.1)."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from impslam.component import Component
-from impslam.types import Array, Message, Observation, Scan
+from impslam.columns import Columns, Scans, Sweeps
+from impslam.component import Component, parameter
+from impslam.types import Array, Mask, Message, Observation, Scan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,29 +29,36 @@ class Sensor(Component):
     """An exteroceptive sensor. Extractors hang on it; it owns its mount, limits and noise."""
 
     role: ClassVar[str] = "sensor"
-    consumes: ClassVar[type]
+    consumes: ClassVar[type[Message]]
     """The type of message it understands."""
 
+    stream: str = parameter(
+        "", "", "name of the stream it reads; empty: the default stream of its kind"
+    )
+
+    def spans(self, columns: Columns) -> tuple[Array, Array]:
+        """Return when the rows' measurements began and ended, (m,) s on the odometry's clock.
+
+        Asked once for each row, in order: a sensor may smooth its stamps.
+        """
+        return columns.stamps, columns.stamps
+
+    def usable(self, columns: Columns) -> Mask:
+        """Return (m,) which rows can be used at all."""
+        return np.ones(len(columns), np.bool_)
+
+    def fault(self, message: Message) -> str:
+        """Say in one line why a row cannot be used, and what becomes of it."""
+        raise NotImplementedError
+
     @abstractmethod
-    def observe(
-        self, message: Message, twist: Array, rng: np.random.Generator, look: bool = True
-    ) -> Reading:
-        """Return what the message shows in base_link as it is in the middle of its `span`.
+    def sweeps(self, columns: Columns, twists: Array) -> Scans | None:
+        """Return usable rows in base_link as it is in the middle of their spans, if they are scans.
 
-        Without `look` the scan is made ready but not searched for landmarks.
-
-        `twist` (3,) is the body's mean [vx, vy, omega] (m/s, m/s, rad/s) over the span, for the
+        `twists` (m, 3) are the body's mean [vx, vy, omega] (m/s, m/s, rad/s) over the spans, for the
         removal of motion distortion.
-
-        Raises
-        ------
-        MessageError
-            If the message cannot be used at all.
         """
 
-    def span(self, message: Message) -> tuple[float, float]:
-        """Return when the measurement began and ended, s on the odometry's clock.
-
-        Asked once for each message, in order: a sensor may smooth its stamps.
-        """
-        return message.stamp, message.stamp
+    @abstractmethod
+    def look(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
+        """Return the landmarks that row k of the sweeps shows, in base_link in its middle."""

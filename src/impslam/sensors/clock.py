@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from impslam.geometry.kernels import kernel
+from impslam.types import Array
+
 _ALPHA = 0.1  # 1: share of a stamp's deviation taken over; averages jitter over some ten sweeps
 _BETA = (
     _ALPHA**2 / 2.0
@@ -17,18 +22,26 @@ class SweepClock:
     """
 
     def __init__(self, period: float) -> None:
-        self._period = period
-        self._phase: float | None = None
+        self._state = np.array([period, np.nan])  # the period, and the newest sweep's phase
 
-    def smooth(self, stamp: float) -> float:
-        """Return the stamp of the next sweep as the device's clock has it; call it once a sweep."""
-        lost = 0 if self._phase is None else round((stamp - self._phase) / self._period) - 1
-        if self._phase is None or not -2 < lost < _GAP:
-            self._phase = stamp
-            return stamp
-        predicted = self._phase + (1 + max(lost, 0)) * self._period
-        error = stamp - predicted
-        self._phase = predicted + _ALPHA * error
-        if lost <= 0:
-            self._period += _BETA * error
-        return self._phase
+    def smooth(self, stamps: Array) -> Array:
+        """Return the stamps (m,) of the next sweeps as the device's clock has them."""
+        return _smooth(self._state, stamps)
+
+
+@kernel
+def _smooth(state: Array, stamps: Array) -> Array:
+    smoothed = np.empty(len(stamps))
+    for k in range(len(stamps)):
+        period, phase = state[0], state[1]
+        lost = np.rint((stamps[k] - phase) / period) - 1.0
+        if -2.0 < lost < _GAP:  # false for the first
+            predicted = phase + (1.0 + max(lost, 0.0)) * period
+            error = stamps[k] - predicted
+            state[1] = predicted + _ALPHA * error
+            if lost <= 0.0:
+                state[0] += _BETA * error
+        else:
+            state[1] = stamps[k]
+        smoothed[k] = state[1]
+    return smoothed

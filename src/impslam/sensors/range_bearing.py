@@ -15,19 +15,19 @@ from typing import ClassVar
 
 import numpy as np
 
+from impslam.columns import Columns, Sweeps
 from impslam.component import parameter, register
-from impslam.errors import MessageError
 from impslam.geometry.polar import to_cartesian
 from impslam.geometry.se2 import rotation, transform
-from impslam.sensors.base import Reading, Sensor
-from impslam.types import Array, Detections, Message, Observation
+from impslam.sensors.base import Sensor
+from impslam.types import Array, Detections, Mask, Message, Observation
 
 
 @register("range_bearing")
 class RangeBearing(Sensor):
     """A sensor that gives landmarks by range and bearing, with or without their identity."""
 
-    consumes: ClassVar[type] = Detections
+    consumes: ClassVar[type[Message]] = Detections
 
     mount: tuple[float, float, float] = parameter(
         (0.0, 0.0, 0.0), "m, m, rad", "pose [x, y, yaw] of the sensor on base_link"
@@ -50,24 +50,33 @@ class RangeBearing(Sensor):
         "how much later than they were made detections are stamped, on the odometry's clock",
     )
 
-    def span(self, message: Message) -> tuple[float, float]:
-        """Return the moment of the detections, s on the odometry's clock."""
-        return message.stamp - self.latency, message.stamp - self.latency
+    def spans(self, columns: Columns) -> tuple[Array, Array]:
+        """Return the moments of the detections, (m,) s on the odometry's clock, twice."""
+        moments = columns.stamps - self.latency
+        return moments, moments
 
-    def observe(
-        self, message: Message, twist: Array, rng: np.random.Generator, look: bool = True
-    ) -> Reading:
-        """Return an observation for each detection that is usable; see `Sensor.observe`."""
-        del twist, rng
+    def usable(self, columns: Columns) -> Mask:
+        """Return which rows have a detection that is finite, or none at all."""
+        finite = np.isfinite(columns["ranges"]) & np.isfinite(columns["bearings"])
+        return np.asarray(finite.any(axis=1) | (finite.shape[1] == 0))
+
+    def fault(self, message: Message) -> str:
+        """Say what is wrong with a row whose detections are not finite."""
+        return f"no detection at {message.stamp:.3f} s is finite; it is dropped"
+
+    def sweeps(self, columns: Columns, twists: Array) -> None:
+        """Return None: detections are no scans."""
+
+    def look(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
+        """Return an observation for each detection that is usable; see `Sensor.look`."""
+        del rng
+        message = sweeps.columns.row(k)
         assert isinstance(message, Detections)
-        usable = np.isfinite(message.ranges) & np.isfinite(message.bearings)
-        if len(usable) and not usable.any():
-            raise MessageError(f"no detection at {message.stamp:.3f} s is finite; it is dropped")
         with np.errstate(invalid="ignore"):
+            usable = np.isfinite(message.ranges) & np.isfinite(message.bearings)
             usable &= (message.ranges > self.range_min) & (message.ranges <= self.range_max)
             usable &= (not self.depth) | (np.cos(message.bearings) > 0.0)
-        seen = np.flatnonzero(usable) if look else ()
-        return Reading(None, tuple(self._observation(message, int(i)) for i in seen))
+        return tuple(self._observation(message, int(i)) for i in np.flatnonzero(usable))
 
     def _observation(self, message: Detections, i: int) -> Observation:
         label, diameter = int(message.labels[i]), float(message.diameters[i])

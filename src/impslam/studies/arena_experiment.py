@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from impslam.columns import batches
 from impslam.evaluation.landmarks import corners, score_landmarks
 from impslam.geometry.se2 import compose
 from impslam.simulation.robot import SimulatedRobot
@@ -120,12 +121,13 @@ def dead_reckoning_error(seed: int) -> float:
     """Return how far the wheels alone end from the truth, m; nothing is estimated for it."""
     world, robot = load_world("arena"), SimulatedRobot(lidar=None, imu=None, truth_rate=1.0)
     config = Variant(DEFAULT).config(world, seed)
-    odometry, pose, truth = config.make_robot().odometry, np.array(config.start), np.zeros(3)
-    for message in simulate(world, robot, seed):
-        if isinstance(message, TruePose):
-            truth = message.pose
-        elif (increment := odometry.update(message)) is not None:
-            pose = compose(pose, increment.d_pose)
+    blind, truth = config.make_robot(), np.zeros(3)
+    messages = ((type(message).__name__, message) for message in simulate(world, robot, seed))
+    for part in batches(messages):
+        blind.sense(part)
+        if TruePose.__name__ in part:
+            truth = part[TruePose.__name__]["pose"][-1]
+    pose = compose(np.array(config.start), blind.ahead().d_pose)
     return float(math.dist(pose[:2], truth[:2]))
 
 

@@ -11,6 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from impslam.columns import batch
 from impslam.component import build
 from impslam.config import load
 from impslam.extractors.base import Extractor
@@ -145,9 +146,11 @@ def snapshots(world: World, seed: int = 0) -> Iterator[Snapshot]:
     lidar = LidarSimulator(robot.lidar, scene, trajectory, np.random.default_rng(seed))
     for number, time in enumerate(sweep_times(robot, trajectory).tolist()):
         message = LaserScan(time, lidar.angles, lidar.ranges(time), lidar.time_offsets)
-        twist = true_twist(trajectory, *sensor.span(message))
-        scan = sensor.observe(message, twist, np.random.default_rng(seed), look=False).scan
-        assert scan is not None
+        (columns,) = batch("lidar", message, number).values()
+        twist = true_twist(trajectory, *np.concatenate(sensor.spans(columns)).tolist())
+        scans = sensor.sweeps(columns, twist[None])
+        assert scans is not None
+        scan = scans.row(0)
         middle = time + 0.5 * lidar.duration
         pose = trajectory.at(np.array([middle]))[0]
         leaves, legs = scene.leaves(middle), scene.legs(middle)

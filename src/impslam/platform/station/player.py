@@ -182,7 +182,7 @@ class Player:
 
     def _admits(self, message: Message) -> bool:
         """Wait until it is time for a message; tell whether to go on."""
-        if self._run.pipeline.robot.sensor_for(message) is None:
+        if self._run.pipeline.robot.sensor_for(type(message)) is None:
             return True
         self._position = self._source.position, self._source.total
         verdict = self._pace.wait(message.stamp)

@@ -1,0 +1,73 @@
+"""The beams of a lidar in base_link at one instant.
+
+The beams of a sweep start while the robot moves. With a constant body twist xi the robot is at
+exp(t xi) when a beam is fired t seconds after the middle of the sweep; the beam's origin and end are
+carried through that motion (de-skewed) before they are used.
+
+A beam is valid if its range is one (REP 117: finite, within the limits; drivers' 0 for no return and the
+lidar's error codes, below its smallest range, are not) and if its direction is within the field of view.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from impslam.geometry.kernels import kernel
+from impslam.types import Array, Mask
+
+
+@kernel
+def place(
+    ranges: Array,
+    beams: Array,
+    in_field: Mask,
+    twists: Array,
+    mount: Array,
+    calibration: Array,
+    noise: Array,
+) -> tuple[Array, Mask, Array, Array, Array, Array]:
+    """Return sweeps of n beams in base_link in the middle of each.
+
+    Parameters
+    ----------
+    ranges : (m, n) m, as received
+    beams : (n, 2) rad and s; angle in the laser frame, time after the middle of the sweep
+    in_field : (n,) which beams are within the field of view
+    twists : (m, 3) m/s, m/s, rad/s, of the body over each sweep
+    mount : (4,) `T_base_laser`, and -1 if the laser is upside down, else 1
+    calibration : (4,) scale and offset (m) of the ranges; limits (m) of what is received
+    noise : (2,) standard deviation of a range at 0 (m), and how much it grows with range
+
+    Returns
+    -------
+    ranges, valid, points, directions, origins, sigmas : the fields of `Scans`
+    """
+    m, n = ranges.shape
+    calibrated, valid, sigmas = np.empty((m, n)), np.empty((m, n), np.bool_), np.empty((m, n))
+    points, directions, origins = np.empty((m, n, 2)), np.empty((m, n)), np.empty((m, n, 2))
+    heading = mount[2] + mount[3] * beams[:, 0]
+    cosines, sines = np.cos(heading), np.sin(heading)
+    for k in range(m):
+        vx, vy, omega = twists[k]
+        for i in range(n):
+            r = ranges[k, i]
+            usable = in_field[i] and calibration[2] <= r <= calibration[3] and 0.0 < r < np.inf
+            r = calibration[0] * r + calibration[1] if usable else 0.0
+            t = beams[i, 1]
+            theta = omega * t
+            c, s = math.cos(theta), math.sin(theta)
+            if abs(theta) < 1e-4:
+                a, b = 1.0 - theta * theta / 6.0, theta / 2.0
+            else:
+                a, b = s / theta, (1.0 - c) / theta
+            x = t * (a * vx - b * vy) + c * mount[0] - s * mount[1]
+            y = t * (b * vx + a * vy) + s * mount[0] + c * mount[1]
+            calibrated[k, i], valid[k, i] = r, usable
+            sigmas[k, i] = noise[0] + noise[1] * r
+            directions[k, i] = theta + heading[i]
+            origins[k, i, 0], origins[k, i, 1] = x, y
+            points[k, i, 0] = x + r * (c * cosines[i] - s * sines[i])
+            points[k, i, 1] = y + r * (s * cosines[i] + c * sines[i])
+    return calibrated, valid, points, directions, origins, sigmas

@@ -1,0 +1,124 @@
+"""Rows of sensors that wait until odometry tells where they were taken."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from impslam.columns import Columns, Motions, Sweeps
+from impslam.odometry.synchroniser import Synchronised, Waiting
+from impslam.sensors.base import Sensor
+from impslam.types import Array, Ints, Mask
+
+
+@dataclass(slots=True, eq=False)
+class Rows:
+    """w rows of one sensor; begins, ends and stamps (w,) in s on the one time line of all streams.
+
+    Those that are not usable wait like the others, so that none is used before its turn.
+    """
+
+    name: str
+    sensor: Sensor
+    columns: Columns
+    begins: Array
+    ends: Array
+    stamps: Array
+    usable: Mask
+
+    def take(self, rows: slice | Mask) -> Rows:
+        """Return some of the rows."""
+        return replace(
+            self,
+            columns=self.columns.take(rows),
+            begins=self.begins[rows],
+            ends=self.ends[rows],
+            stamps=self.stamps[rows],
+            usable=self.usable[rows],
+        )
+
+    def sweeps(self, got: Synchronised) -> Sweeps:
+        """Return the rows, all usable, with what odometry tells of each."""
+        scans = self.sensor.sweeps(self.columns, got.twists)
+        return Sweeps(
+            self.name, self.columns, got.motions.stamps, got.twists,
+            got.T_middle_stamp, got.stamp_covariance, scans,
+        )  # fmt: skip
+
+
+class Queue:
+    """Rows of all sensors, first in, first out."""
+
+    def __init__(self) -> None:
+        self._parts: list[Rows] = []
+        self._part = np.empty(0, np.int64)  # of each row that waits
+
+    def __len__(self) -> int:
+        return len(self._part)
+
+    def join(self, rows: list[Rows]) -> Waiting:
+        """Append the rows of a batch; return all that wait, in the order of the log."""
+        self._parts += rows
+        parts = self._parts
+        if not parts:
+            nothing = np.empty(0)
+            self._part = nothing.astype(np.int64)
+            return Waiting(self._part, nothing, nothing, nothing, nothing.astype(np.bool_))
+        order = np.concatenate([part.columns.order for part in parts])
+        part = np.repeat(np.arange(len(parts)), [len(part.columns) for part in parts])
+        columns = [
+            order,
+            *(
+                np.concatenate([getattr(part, name) for part in parts])
+                for name in ("begins", "ends", "stamps", "usable")
+            ),
+        ]
+        if len(parts) > 1:
+            place = np.argsort(order)
+            part, columns = part[place], [column[place] for column in columns]
+        self._part = part
+        return Waiting(*columns)
+
+    def leave(self, got: Synchronised) -> list[tuple[Motions, Sweeps]]:
+        """Let go of the first rows, for which odometry told something, in runs of one sensor."""
+        part = self._part[: len(got.twists)]
+        usable = np.zeros(len(part), np.bool_)
+        gone: dict[int, Sweeps] = {}
+        for i, rows in enumerate(self._parts):
+            at = np.flatnonzero(part == i)
+            if len(at) == 0:
+                continue
+            leaving = rows.take(slice(len(at)))
+            usable[at] = leaving.usable
+            gone[i] = leaving.take(leaving.usable).sweeps(_taken(got, at[leaving.usable]))
+            self._parts[i] = rows.take(slice(len(at), None))
+        self._parts = [rows for rows in self._parts if len(rows.columns)]
+        self._part = self._part[len(part) :]
+        return list(_runs(part[usable], got.motions.take(usable), gone))
+
+
+def _taken(got: Synchronised, rows: Ints) -> Synchronised:
+    return Synchronised(
+        got.motions.take(rows),
+        got.twists[rows],
+        got.T_middle_stamp[rows],
+        got.stamp_covariance[rows],
+    )
+
+
+def _runs(
+    part: Ints, motions: Motions, gone: dict[int, Sweeps]
+) -> Iterator[tuple[Motions, Sweeps]]:
+    """Yield rows of one part that follow each other, with their motions."""
+    borders = np.flatnonzero(np.diff(part, prepend=-1, append=-1))
+    come = dict.fromkeys(gone, 0)
+    for begin, end in pairwise(borders.tolist()):
+        i = int(part[begin])
+        run = slice(come[i], come[i] + end - begin)
+        come[i] = run.stop
+        sweeps = gone[i]
+        whole = len(sweeps) == run.stop - run.start
+        yield motions.take(slice(begin, end)), sweeps if whole else sweeps.take(run)

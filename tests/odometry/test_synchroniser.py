@@ -1,0 +1,192 @@
+"""Motions compose exactly however they are cut, and each sweep gets those before its middle."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.numeric import wrapped
+
+from impslam.columns import Motions
+from impslam.geometry.se2 import compose, exp
+from impslam.odometry.following import nothing_told
+from impslam.odometry.synchroniser import END, MAX_WAIT, Synchroniser, Waiting
+from impslam.types import Increment
+
+TWIST = np.array([0.5, 0.1, 0.8])
+Q = np.diag([1e-4, 2e-4, 3e-4])
+NOTHING = np.empty(0, np.int64), nothing_told(np.empty(0))
+
+
+def moving(stamps):
+    """Return the motions (m,) of a robot at TWIST between m + 1 stamps."""
+    steps = np.diff(stamps)
+    return Motions(
+        np.array(stamps[1:]), exp(steps[:, None] * TWIST), steps[:, None, None] * Q, steps
+    )
+
+
+def sweeps(begins, ends=None, stamps=None, order=None, usable=True):
+    begins = np.array(begins, np.float64)
+    ends = begins if ends is None else np.array(ends, np.float64)
+    stamps = begins if stamps is None else np.array(stamps, np.float64)
+    order = 1000 + np.arange(len(begins)) if order is None else np.array(order)
+    return Waiting(order, begins, ends, stamps, np.full(len(begins), usable))
+
+
+def fed(stamps, order=0, **parameters):
+    """Return a synchroniser that knows the motion at TWIST between these stamps."""
+    synchroniser, motions = Synchroniser(**parameters), moving(stamps)
+    places = order + np.arange(len(stamps) - 1)
+    synchroniser.feed(places, motions, sweeps([]), int(places[-1]))
+    return synchroniser
+
+
+def used(synchroniser, waiting):
+    """Return what sweeps get of the motion that is known."""
+    return synchroniser.feed(*NOTHING, waiting, END)
+
+
+def reference(stamps, until):
+    """Compose the motion at TWIST up to a time by `Increment`, which is tested by itself."""
+    total = Increment.none(stamps[0])
+    for a, b in pairwise(stamps):
+        whole = Increment(b, exp((b - a) * TWIST), (b - a) * Q, b - a)
+        if b <= until:
+            total = total.then(whole)
+        elif a < until:
+            total = total.then(whole.split((until - a) / (b - a))[0])
+    return total
+
+
+@given(st.lists(st.floats(0.01, 4.99), min_size=1, max_size=8))
+def test_sweeps_at_any_time_get_the_motion_up_to_it(times):
+    stamps = np.linspace(0.0, 5.0, 26)
+    times = sorted(times)
+    got = used(fed(stamps), sweeps(times))
+    pose, total = np.zeros(3), Increment.none(0.0)
+    for k, time in enumerate(times):
+        pose = compose(pose, got.motions.d_pose[k])
+        total = total.then(got.motions.row(k))
+        assert np.abs(wrapped(pose - exp(time * TWIST), 2)).max() < 1e-9
+        np.testing.assert_allclose(total.covariance, reference(stamps, time).covariance, atol=1e-14)
+    assert total.duration == pytest.approx(times[-1])
+
+
+@given(st.floats(0.01, 4.8))
+def test_the_twist_over_a_sweep_is_that_of_the_motion(time):
+    got = used(fed(np.linspace(0.0, 5.0, 26)), sweeps([time], [time + 0.1]))
+    np.testing.assert_allclose(got.twists[0], TWIST, atol=1e-9)
+
+
+def test_a_part_and_the_rest_compose_to_the_whole():
+    whole = reference([0.0, 1.0], 1.0)
+    got = used(fed([0.0, 1.0]), sweeps([0.3, 1.0]))
+    again = got.motions.row(0).then(got.motions.row(1))
+    np.testing.assert_allclose(again.d_pose, whole.d_pose, atol=1e-12)
+    np.testing.assert_allclose(again.covariance, whole.covariance, atol=1e-15)
+
+
+def test_covariance_of_a_composition_by_monte_carlo(rng):
+    first = Increment(1.0, np.array([0.4, 0.1, 0.5]), np.diag([1e-4, 2e-4, 1e-3]), 1.0)
+    second = Increment(2.0, np.array([0.3, -0.1, -0.2]), np.diag([3e-4, 1e-4, 2e-3]), 1.0)
+    both = Motions(*(np.array(c) for c in zip(*(
+        (m.stamp, m.d_pose, m.covariance, m.duration) for m in (first, second)
+    ), strict=True)))  # fmt: skip
+    synchroniser = Synchroniser()
+    synchroniser.feed(np.arange(2), both, sweeps([]), 1)
+    ends = compose(
+        first.d_pose + rng.multivariate_normal(np.zeros(3), first.covariance, 20000),
+        second.d_pose + rng.multivariate_normal(np.zeros(3), second.covariance, 20000),
+    )
+    np.testing.assert_allclose(np.cov(ends.T), synchroniser.ahead().covariance, atol=6e-5)
+
+
+def test_a_sweep_recorded_with_odometry_gets_all_motion_though_stamps_run_back():
+    stamps = np.array([10.1, 10.9, 10.3])
+    motions = Motions(
+        stamps, np.tile([1.0, 0, 0], (3, 1)), np.tile(np.eye(3), (3, 1, 1)), stamps * 0 + 0.1
+    )
+    synchroniser = Synchroniser()
+    got = synchroniser.feed(np.arange(3), motions, sweeps([10.3], order=[3]), 3)
+    np.testing.assert_allclose(got.motions.d_pose, [[3.0, 0, 0]])
+
+
+def test_a_sweep_waits_for_odometry_to_reach_its_end():
+    synchroniser = fed(np.linspace(0.0, 1.0, 11))
+    waiting = sweeps([0.95], [1.05], order=[10])
+    assert len(synchroniser.feed(*NOTHING, waiting, 10).twists) == 0
+    more = moving([1.0, 1.1])
+    got = synchroniser.feed(np.array([11]), more, waiting, 11)
+    np.testing.assert_allclose(got.motions.d_pose[0], exp(TWIST), atol=1e-12)
+
+
+def test_a_sweep_waits_for_so_many_rows_of_any_stream_and_gets_no_later_motion():
+    """Rows that nobody reads count by their place in the log, whatever batch they are in."""
+    late = moving([1.0, 1.01])
+    for place, expected in ((10 + MAX_WAIT, 1.01), (11 + MAX_WAIT, 1.0)):
+        synchroniser = fed(np.linspace(0.0, 1.0, 11))
+        waiting = sweeps([5.0], order=[10])
+        assert len(synchroniser.feed(*NOTHING, waiting, 10 + MAX_WAIT - 1).twists) == 0
+        got = synchroniser.feed(np.array([place]), late, waiting, place)
+        assert got.motions.duration[0] == pytest.approx(expected)
+
+
+def test_a_late_stamp_is_carried_to_by_what_is_known_and_nothing_is_used_up():
+    stamps = np.linspace(0.0, 1.0, 11)
+    synchroniser = fed(stamps)
+    got = used(synchroniser, sweeps([0.25], stamps=[0.7]))
+    np.testing.assert_allclose(got.T_middle_stamp[0], exp(0.45 * TWIST), atol=1e-12)
+    np.testing.assert_allclose(synchroniser.ahead().d_pose, exp(0.75 * TWIST), atol=1e-12)
+    again = used(synchroniser, sweeps([0.7]))
+    np.testing.assert_allclose(again.motions.d_pose[0], exp(0.45 * TWIST), atol=1e-12)
+    np.testing.assert_allclose(again.motions.covariance, got.stamp_covariance, atol=1e-15)
+
+
+def test_an_early_stamp_is_carried_back_to():
+    """A sweep of 0.2 s stamped at its first beam: its stamp is 0.1 s before its middle."""
+    got = used(fed(np.linspace(0.0, 1.0, 11)), sweeps([0.4], [0.6]))
+    np.testing.assert_allclose(got.motions.d_pose[0], exp(0.5 * TWIST), atol=1e-12)
+    np.testing.assert_allclose(got.T_middle_stamp[0], exp(-0.1 * TWIST), atol=1e-12)
+    assert np.trace(got.stamp_covariance[0]) == pytest.approx(0.1 * np.trace(Q), rel=0.01)
+
+
+def test_without_motion_over_a_sweep_its_twist_is_the_newest():
+    synchroniser = fed([0.0, 0.1, 0.2])
+    np.testing.assert_allclose(
+        used(synchroniser, sweeps([3.0], [3.1])).twists[0], TWIST, atol=1e-12
+    )
+    assert not used(Synchroniser(), sweeps([3.0], [3.1])).twists.any()
+
+
+def test_what_is_not_usable_is_passed_over_and_takes_no_motion():
+    synchroniser = fed(np.linspace(0.0, 1.0, 11))
+    both = sweeps([0.35, 0.3])._replace(usable=np.array([False, True]))
+    got = used(synchroniser, both)
+    np.testing.assert_allclose(got.motions.d_pose[1], exp(0.3 * TWIST), atol=1e-12)
+    np.testing.assert_allclose(synchroniser.ahead().d_pose, exp(0.7 * TWIST), atol=1e-12)
+
+
+def test_where_no_motion_is_known_odometry_begins_anew():
+    """Time goes on, so that sweeps are not kept waiting; the motion is lost."""
+    synchroniser = fed([0.0, 1.0])
+    stamps = np.array([2.0])
+    got = synchroniser.feed(np.array([1]), nothing_told(stamps), sweeps([2.0], order=[2]), 2)
+    np.testing.assert_allclose(got.motions.d_pose[0], exp(TWIST), atol=1e-12)
+
+
+def test_motion_without_sweeps_takes_bounded_memory():
+    stamps = 0.01 * np.arange(1001)
+    whole, folded = Synchroniser(), Synchroniser(most=50)
+    size = folded._pending.nbytes
+    for k in range(1000):
+        motion = moving(stamps[k : k + 2])
+        for synchroniser in (whole, folded):
+            synchroniser.feed(np.array([k]), motion, sweeps([]), k)
+    assert folded._pending.nbytes == size
+    assert folded._ring[1] <= 51
+    a, b = (used(synchroniser, sweeps([9.995])).motions.row(0) for synchroniser in (whole, folded))
+    np.testing.assert_allclose(b.d_pose, a.d_pose, atol=1e-12)
+    np.testing.assert_allclose(b.covariance, a.covariance, rtol=1e-9)
+    assert b.duration == pytest.approx(a.duration)

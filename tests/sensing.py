@@ -1,0 +1,137 @@
+"""What `Robot.sense` does, one message at a time and in plain words: slow, short, without kernels.
+
+Each message is a batch of its own for odometry, clocks and sensors, which have tests of their own; how
+motions and sweeps meet is written out with `Increment`s.
+"""
+
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from impslam.columns import batch
+from impslam.geometry.se2 import compose, inverse, log
+from impslam.odometry.clocks import Clocks
+from impslam.odometry.following import Follower
+from impslam.odometry.synchroniser import MAX_WAIT
+from impslam.types import Increment
+
+
+class Timeline:
+    """The motion that no sweep has asked for yet."""
+
+    def __init__(self):
+        self.pending, self.newest, self.last = deque(), -np.inf, -np.inf
+        self.latest = None
+
+    def start(self, stamp):
+        self.newest, self.last = max(self.newest, stamp), stamp
+
+    def add(self, increment):
+        duration = min(increment.duration, max(increment.stamp - self.newest, 0.0))
+        self.start(increment.stamp)
+        self.pending.append(replace(increment, stamp=self.newest, duration=duration))
+        if increment.duration > 0.0:
+            self.latest = increment
+
+    def take(self, stamp):
+        return consume(self.pending, stamp, stamp == self.last)
+
+    def ahead(self, stamp):
+        return consume(self.pending.copy(), stamp, stamp == self.last)
+
+    def twist(self, begin, end):
+        total = Increment.none(begin)
+        for increment in self.pending:
+            if increment.stamp - increment.duration > end:
+                break
+            total = total.then(increment)
+        if total.duration > 0.0 and total.duration >= 0.5 * (end - begin):
+            return log(total.d_pose) / total.duration
+        last = self.latest
+        return np.zeros(3) if last is None else log(last.d_pose) / last.duration
+
+
+def consume(pending, stamp, together):
+    total = Increment.none(stamp)
+    while pending:
+        first = pending[0]
+        begin = first.stamp - first.duration
+        if not together and first.stamp > stamp:
+            if begin < stamp:
+                head, pending[0] = first.split((stamp - begin) / first.duration)
+                total = total.then(head)
+            break
+        total = total.then(pending.popleft())
+    return replace(total, stamp=stamp)
+
+
+@dataclass
+class Row:
+    """A sweep, and what it gets."""
+
+    sensor: str
+    columns: object
+    begin: float
+    end: float
+    moment: float
+    order: int
+    motion: Increment | None = None
+    twist: object = None
+    T_middle_stamp: object = None
+    stamp_covariance: object = None
+
+
+class Reference:
+    """An odometry on one stream and sensors on others."""
+
+    def __init__(self, odometry, stream, sensors):
+        self.stream, self.sensors, self.used = stream, sensors, []
+        self.follower, self.clocks, self.numbers = Follower(odometry), Clocks(), {}
+        self.timeline, self.waiting = Timeline(), deque()
+
+    def feed(self, stream, message, order):
+        (row,) = batch(stream, message, order).values()
+        if stream == self.stream or stream in self.sensors:
+            number = self.numbers.setdefault(stream, len(self.numbers))
+            (shift,), _ = self.clocks.shifts(np.array([number]), row.stamps)
+        if stream == self.stream:
+            motions, _, _ = self.follower.follow(row)
+            increment = motions.row(0)
+            if np.isnan(increment.d_pose).any():
+                self.timeline.start(message.stamp + shift)
+            else:
+                self.timeline.add(replace(increment, stamp=increment.stamp + shift))
+        if stream in self.sensors:
+            name, sensor = self.sensors[stream]
+            (begin,), (end,) = sensor.spans(row)
+            moment = message.stamp + shift
+            self.waiting.append(Row(name, row, begin + shift, end + shift, moment, order))
+        self.release(order)
+
+    def release(self, seen):
+        timeline = self.timeline
+        while self.waiting:
+            row = self.waiting[0]
+            together = row.begin == row.end and row.moment == timeline.last
+            known = timeline.newest >= max(row.end, row.moment)
+            if not (together or known or seen - row.order >= MAX_WAIT):
+                return
+            self.waiting.popleft()
+            if self.sensors[row.columns.stream][1].usable(row.columns).all():
+                self.use(row)
+
+    def use(self, row):
+        timeline, middle = self.timeline, 0.5 * (row.begin + row.end)
+        before = timeline.take(row.begin)
+        row.twist = timeline.twist(row.begin, row.end)
+        before = before.then(timeline.take(min(max(row.begin, row.moment), middle)))
+        since = timeline.take(middle)
+        ahead = timeline.ahead(row.moment) if middle != row.moment else since
+        row.motion = replace(before.then(since), stamp=middle)
+        row.T_middle_stamp = compose(inverse(since.d_pose), ahead.d_pose)
+        row.stamp_covariance = (since.covariance + ahead.covariance) * (middle != row.moment)
+        self.used.append(row)
+
+    def flush(self):
+        self.release(np.inf)

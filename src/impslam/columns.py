@@ -70,7 +70,8 @@ class Columns:
 def join(first: Columns, second: Columns) -> Columns:
     """Return the rows of two columns of one stream and layout, the first before the second."""
     values = {name: np.concatenate((v, second.values[name])) for name, v in first.values.items()}
-    return replace(second, order=np.concatenate((first.order, second.order)), values=values)
+    order = np.concatenate((first.order, second.order))
+    return Columns(second.stream, second.kind, order, values, second.layout)
 
 
 Batch: TypeAlias = Mapping[str, Columns]

@@ -44,6 +44,15 @@ def odometry(store: Any, turn: tuple[float, ...] = (0, 0, 0, 2), x: float = 1.0)
     )
 
 
+def imu(store: Any, stamp: float, known: float, rate: float) -> Any:
+    new = lambda name, *values: store.types[f"geometry_msgs/msg/{name}"](*values)  # noqa: E731
+    turn, covariance = new("Quaternion", 0.0, 0.0, 0.6, 0.8), np.zeros(9)
+    unknown = np.append(known - 1.0, np.zeros(8))
+    rates, forces = new("Vector3", rate, 0.25, -0.5), new("Vector3", 1.0, 2.0, rate)
+    cls = store.types["sensor_msgs/msg/Imu"]
+    return cls(header(store, stamp), turn, unknown, rates, covariance, forces, covariance)
+
+
 def image(store: Any, form: str) -> Any:
     cls = store.types["sensor_msgs/msg/CompressedImage"]
     return cls(header(store), form, np.arange(4, dtype=np.uint8))

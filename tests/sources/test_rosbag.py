@@ -1,14 +1,16 @@
 import math
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from tests.sources.bags import ROS1, ROS2, bag, image, joints, odometry, scan
-from tests.sources.logs import messages, read, write_mcap
+from tests.sources.bags import ROS1, ROS2, bag, image, imu, joints, odometry, scan
+from tests.sources.logs import assert_same, messages, read, write_mcap
 
 from impslam import columns
 from impslam.errors import SourceError
+from impslam.sources import rosbag
 from impslam.sources.base import recognise
 from impslam.sources.recording import McapWriter
 from impslam.sources.rosbag import RosBag
@@ -199,3 +201,65 @@ def test_what_went_wrong_on_the_robot_is_told_and_is_no_message(tmp_path: Path) 
         f"{tmp_path / 'a.mcap'}: urg: slow indeed",
         f"{tmp_path / 'a.mcap'}: urg: lost",
     ]
+
+
+@pytest.mark.parametrize("store", [ROS1, ROS2], ids=["ros1", "ros2"])
+def test_messages_read_at_once_are_what_they_are_one_by_one(
+    tmp_path: Path, store: Any, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    entries = [entry(store, i, rng) for i in range(400)]
+    path = bag(tmp_path / "b", *entries, store=store)
+    given = []
+    real = rosbag.Rows
+    monkeypatch.setattr(
+        rosbag, "Rows", lambda datas, *about: given.append(len(datas)) or real(datas, *about)
+    )
+    found, source = read(path, wanted=("/odom2",))
+    assert sum(given) > 300
+    monkeypatch.setattr(rosbag, "TABLES", {})
+    expected, slow = read(path, wanted=("/odom2",))
+    assert len(found) == len(expected) > 250
+    for one, other in zip(found, expected, strict=True):
+        assert_same(one, other)
+    assert source.problems == slow.problems
+    assert set(slow.problems.counts) >= {
+        "malformed scan message",
+        "malformed wheels message",
+        "malformed odometry message",
+        "malformed imu message",
+        "no stamp",
+    }
+
+
+def entry(store: Any, i: int, rng: np.random.Generator) -> tuple[str, Any]:
+    """Return a message of any type, now and then one that is odd or unsound."""
+    stamp, odd = 0.1 * i, rng.integers(30)
+    turn = tuple(rng.normal(size=4)) if odd else (0.0, 0.0, 0.0, 1e-9)
+    scans = {
+        0: scan(store, stamp, math.nan),
+        1: scan(store, stamp, n=7),
+        2: scan(store, stamp, -2.0),
+    }
+    scans |= {3: scan(store, stamp, n=0), 4: scan(store, 0.0)}
+    names = ["left", "right"] if odd else ["a", "b"]
+    return [
+        ("/scan", scans.get(int(odd), scan(store, stamp, n=3))),
+        ("/js", joints(store, names, [rng.normal(), math.nan if odd == 1 else 2.0], stamp)),
+        ("/odom", odometry(store, turn, math.inf if odd == 1 else rng.normal())),
+        ("/odom2", odometry(store, turn)),
+        ("/imu", imu(store, stamp, float(odd == 0), math.nan if odd == 1 else rng.normal())),
+    ][rng.integers(5)]
+
+
+def test_a_message_that_is_cut_short_leaves_the_others_alone(tmp_path: Path) -> None:
+    path = bag(tmp_path / "a.mcap", *[("/scan", scan(ROS2, 0.5 * i, n=50)) for i in range(1, 30)])
+    (file,) = path.glob("*.mcap")
+    data = file.read_bytes()
+    places = [k for k in range(len(data)) if data.startswith(b"\x32\0\0\0\0\0\0\0\0\0\x80\x3f", k)]
+    spoilt = bytearray(data)
+    spoilt[places[7]] = 200  # ranges, of 50 that are there
+    file.write_bytes(spoilt)
+    found, source = read(path)
+    assert len(found) == 28
+    assert source.problems.counts["malformed scan message"] == 1
+    assert f"{path}:8: /scan: " in source.problems.examples["malformed scan message"]

@@ -78,14 +78,18 @@ class Bag:
         except LimitError as error:
             raise _too_large(self._path, error) from None
 
+    @property
+    def types(self) -> Typestore:
+        """The standard types of messages."""
+        return _standard_types(self.is_ros1)
+
     def decoder(self, connection: Connection) -> Callable[[bytes], RosMessage]:
         """Return what turns a connection's data into messages.
 
         Types are the standard ones, the same since ROS 1 but for the header: definitions in the log
         are left alone, since rosbags makes code of them.
         """
-        kind = connection.msgtype
-        store = _standard_types(self.is_ros1)
+        kind, store = connection.msgtype, self.types
         if self.is_ros1:
             return lambda data: store.deserialize_ros1(data, kind)
         return lambda data: store.deserialize_cdr(data, kind)

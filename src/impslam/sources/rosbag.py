@@ -7,21 +7,24 @@ their headers. Only the messages of topics in use are deserialised.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self, TypeAlias
+from typing import Literal, NamedTuple, Self, TypeAlias
 
+import numpy as np
 from pydantic import PrivateAttr
 from rosbags.interfaces import Connection
 
+from impslam.columns import ROWS, Columns, same_layout
 from impslam.component import near_miss, parameter, register
 from impslam.errors import MessageError, SourceError
 from impslam.sources import ros_messages as ros
 from impslam.sources.base import Source, Stream
-from impslam.sources.parts import Located
+from impslam.sources.parts import Located, Piece, single
 from impslam.sources.ros_storage import Bag, RosMessage, one_line, storage_class
+from impslam.sources.ros_tables import TABLES, Rows, stamps
 from impslam.sources.text import finite
 from impslam.types import Image, Imu, LaserScan, Message, OdometryPose, TruePose, WheelAngles
 
@@ -50,6 +53,8 @@ KINDS: dict[Use, type[Message]] = {
     "imu": Imu,
     "image": Image,
 }
+PART = 1 << 23  # bytes of messages held at once, and the one that exceeds them
+FEW = 4  # messages that are read one by one in the time that a table takes
 TRUTH_TOPIC = "/ground_truth"  # and what is below it
 PRESET_TOPIC, PRESET_TYPE = "/impslam/preset", "std_msgs/msg/String"
 EVENT_TYPE = "rcl_interfaces/msg/Log"
@@ -66,6 +71,15 @@ KEPT = {
     "geometry_msgs/msg/TwistStamped": "commanded velocity",
 }
 """What else our recorder writes: kept for whoever wants it, of no use for mapping."""
+
+
+class Record(NamedTuple):
+    """A serialised message and its number among those in use."""
+
+    place: int
+    connection: Connection
+    log_time: int
+    data: bytes
 
 
 @register("rosbag")
@@ -222,32 +236,90 @@ class RosBag(Source):
             self._problems.add("unreadable preset", f"{self.path}: {one_line(error)}; set one")
         return ""
 
-    def _messages(self) -> Iterator[Located]:
-        bag, used = self._open(), self._used()
+    def _parts(self, rows: int) -> Iterator[list[Piece]]:
+        """Yield the rows of some messages: those that lie alike at once, the others one by one."""
+        bag = self._open()
         if bag.is_cut:
             self._problems.add(
                 "cut file",
                 f"{self.path}: lacks its end (power lost, or still being recorded); whole records "
                 "are used; other programs need `mcap recover` first",
             )
+        for records in self._records(bag, rows):
+            part = []
+            left = dict.fromkeys(record.place for record in records)
+            for group in _alike(records):
+                piece = self._at_once(bag, group)
+                if piece is not None:
+                    part.append(piece)
+                    for place in piece.places.tolist():
+                        del left[place]
+            for record in records:
+                if record.place in left:
+                    part += self._one(bag, record)
+            yield part
+
+    def _records(self, bag: Bag, rows: int) -> Iterator[list[Record]]:
+        """Yield the messages in use, some at a time."""
+        used = self._used()
         events = [c for c in bag.connections if self._preset and c.msgtype == EVENT_TYPE]
-        decode = {connection.id: bag.decoder(connection) for connection in [*used, *events]}
+        topics, decoders = {c.topic for c in used}, {c.id: bag.decoder(c) for c in events}
         self._position = 0
+        records: list[Record] = []
+        size = 0
         for connection, log_time, data in self._raw(bag, [*used, *events]):
-            if connection in events:
-                self._enter_event(decode[connection.id], data)
+            if connection.topic not in topics:
+                self._enter_event(decoders[connection.id], data)
                 continue
             self._position += 1
-            try:
-                message = self._convert(connection.topic, decode[connection.id](data), log_time)
-            except Exception as error:  # rosbags raises anything on damaged data
-                where = f"{self.path}:{self._position}: {connection.topic}"
-                self._problems.add(
-                    f"malformed {self._uses[connection.topic]} message",
-                    f"{where}: {one_line(error)}; the message is dropped",
-                )
-            else:
-                yield Located(message, self._position, connection.topic)
+            records.append(Record(self._position, connection, log_time, data))
+            size += len(data)
+            if len(records) >= min(rows, ROWS) or size > PART:
+                yield records
+                records, size = [], 0
+        if records:
+            yield records
+
+    def _at_once(self, bag: Bag, group: Sequence[Record]) -> Piece | None:
+        """Return the rows of messages on one topic that lie alike and are sound, if any are."""
+        topic, kind = group[0].connection.topic, group[0].connection.msgtype
+        table = TABLES.get(self._uses[topic])
+        if table is None or len(group) < FEW:
+            return None
+        with suppress(Exception):  # what is not sound is explained one by one
+            decode = bag.decoder(group[0].connection)
+            message = decode(group[0].data)
+            joints = None
+            if self._uses[topic] == "wheels":
+                joints = ros.find_joints(message.name, self.left_joint, self.right_joint)
+            rows = Rows([record.data for record in group], kind, bag.types, bag.is_ros1)
+            values, good = table(rows, joints)
+            nanoseconds = rows.nanoseconds()
+            good &= rows.alike & (nanoseconds != 0)
+            k = int(good.argmax())
+            message = self._convert(topic, decode(group[k].data), group[k].log_time)
+            first = single(Located(message, 0, topic), 0).columns
+            places = np.array([record.place for record in group])[good]
+            values = {name: column[good] for name, column in values.items()}
+            values["stamp"] = stamps(nanoseconds[good].tolist())
+            columns = Columns(topic, first.kind, places, values, first.layout)
+            if good[k] and _same(columns.take(slice(0, 1)), first):
+                return Piece.of(columns, places)
+        return None
+
+    def _one(self, bag: Bag, record: Record) -> Iterator[Piece]:
+        """Yield the row of any message, or say what is wrong with it."""
+        topic = record.connection.topic
+        try:
+            found = bag.decoder(record.connection)(record.data)
+            message = self._convert(topic, found, record.log_time)
+        except Exception as error:  # rosbags raises anything on damaged data
+            self._problems.add(
+                f"malformed {self._uses[topic]} message",
+                f"{self.path}:{record.place}: {topic}: {one_line(error)}; the message is dropped",
+            )
+        else:
+            yield single(Located(message, record.place, topic), record.place)
 
     def _enter_event(self, decode: Callable[[bytes], RosMessage], data: bytes) -> None:
         """Enter what went wrong on the robot; what it merely did is left alone."""
@@ -294,6 +366,23 @@ class RosBag(Source):
         left, right = (float(message.position[joint]) for joint in joints)
         finite("wheel position", left, right)
         return WheelAngles(stamp, left, right)
+
+
+def _alike(records: Iterable[Record]) -> Iterable[list[Record]]:
+    """Return messages of one publisher and size together."""
+    groups: dict[tuple[int, int], list[Record]] = {}
+    for record in records:
+        groups.setdefault((record.connection.id, len(record.data)), []).append(record)
+    return groups.values()
+
+
+def _same(a: Columns, b: Columns) -> bool:
+    """Tell whether columns of one row are the same to the byte."""
+    return (
+        a.values.keys() == b.values.keys()
+        and same_layout(a, b)
+        and all(a.values[name].tobytes() == b.values[name].tobytes() for name in a.values)
+    )
 
 
 def _counts(connections: Sequence[Connection]) -> dict[tuple[str, str], int]:

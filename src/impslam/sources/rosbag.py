@@ -6,38 +6,38 @@ their headers. Only the messages of topics in use are deserialised.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, NamedTuple, Self, TypeAlias
+from typing import NamedTuple, Self
 
 import numpy as np
 from pydantic import PrivateAttr
 from rosbags.interfaces import Connection
 
 from impslam.columns import ROWS, Columns, same_layout
-from impslam.component import near_miss, parameter, register
+from impslam.component import parameter, register
 from impslam.errors import MessageError, SourceError
 from impslam.sources import ros_messages as ros
 from impslam.sources.base import Source, Stream
 from impslam.sources.parts import Located, Piece, single
 from impslam.sources.ros_storage import Bag, RosMessage, one_line, storage_class
 from impslam.sources.ros_tables import TABLES, Rows, stamps
+from impslam.sources.ros_topics import (
+    EVENT_TYPE,
+    KEPT,
+    KINDS,
+    TYPES,
+    Use,
+    choose,
+    choose_wanted,
+    count_messages,
+    rivals,
+)
 from impslam.sources.text import finite
-from impslam.types import Image, Imu, LaserScan, Message, OdometryPose, TruePose, WheelAngles
+from impslam.types import Message, WheelAngles
 
-Use: TypeAlias = Literal["scan", "wheels", "odometry", "imu", "image", "truth"]
-
-TYPES: dict[Use, str] = {
-    "truth": "nav_msgs/msg/Odometry",
-    "scan": "sensor_msgs/msg/LaserScan",
-    "wheels": "sensor_msgs/msg/JointState",
-    "odometry": "nav_msgs/msg/Odometry",
-    "imu": "sensor_msgs/msg/Imu",
-    "image": "sensor_msgs/msg/CompressedImage",
-}
 READERS: dict[Use, Callable[[RosMessage, float], Message]] = {
     "truth": ros.read_truth,
     "scan": ros.read_scan,
@@ -45,32 +45,10 @@ READERS: dict[Use, Callable[[RosMessage, float], Message]] = {
     "imu": ros.read_imu,
     "image": ros.read_image,
 }
-KINDS: dict[Use, type[Message]] = {
-    "truth": TruePose,
-    "scan": LaserScan,
-    "wheels": WheelAngles,
-    "odometry": OdometryPose,
-    "imu": Imu,
-    "image": Image,
-}
 PART = 1 << 23  # bytes of messages held at once, and the one that exceeds them
 FEW = 4  # messages that are read one by one in the time that a table takes
-TRUTH_TOPIC = "/ground_truth"  # and what is below it
 PRESET_TOPIC, PRESET_TYPE = "/impslam/preset", "std_msgs/msg/String"
-EVENT_TYPE = "rcl_interfaces/msg/Log"
 WARNING, ERROR = 30, 40  # levels of rcl_interfaces/Log
-
-KEPT = {
-    EVENT_TYPE: "events",
-    "sensor_msgs/msg/TimeReference": "a device's clock",
-    "sensor_msgs/msg/MagneticField": "magnetic field",
-    "sensor_msgs/msg/Temperature": "temperature",
-    "sensor_msgs/msg/RelativeHumidity": "humidity",
-    "geometry_msgs/msg/AccelStamped": "second accelerometer",
-    "geometry_msgs/msg/Vector3Stamped": "encoder voltages",
-    "geometry_msgs/msg/TwistStamped": "commanded velocity",
-}
-"""What else our recorder writes: kept for whoever wants it, of no use for mapping."""
 
 
 class Record(NamedTuple):
@@ -106,9 +84,9 @@ class RosBag(Source):
     def __enter__(self) -> Self:
         self._bag = Bag(self.path)
         try:
-            counts = _counts(self._bag.connections)
-            self._defaults = self._choose(counts)
-            self._uses = self._choose_wanted(counts) | self._defaults
+            counts = count_messages(self._bag.connections)
+            self._defaults = choose(self.path, self.topics, counts)
+            self._uses = choose_wanted(self.wanted, counts) | self._defaults
             self._preset = self._recorded_preset(self._bag)
         except BaseException:
             self.__exit__(None, None, None)
@@ -142,7 +120,7 @@ class RosBag(Source):
 
     def streams(self) -> list[Stream]:
         """Return the topics, by name, with what they are used for."""
-        counts = _counts(self._open().connections)
+        counts = count_messages(self._open().connections)
         return [
             Stream(
                 topic,
@@ -169,15 +147,7 @@ class RosBag(Source):
             return "preset"
         if self._preset and kind in KEPT:  # the log is one of ours
             return f"kept: {KEPT[kind]}"
-        rivals = [use for use, name in TYPES.items() if name == kind]
-        taken = {use: name for name, use in self._defaults.items() if use in rivals}
-        if not taken:
-            return ""
-        said = ", ".join(f"{use} is {name}" for use, name in taken.items())
-        return (
-            f"not read: {said}; set source.topics.{next(iter(taken))}={topic} to use this one "
-            "instead, or name it in source.wanted"
-        )
+        return rivals(topic, kind, self._defaults)
 
     def _open(self) -> Bag:
         if self._bag is None:
@@ -190,40 +160,6 @@ class RosBag(Source):
             for c in self._open().connections
             if c.topic in self._uses and c.msgtype == TYPES[self._uses[c.topic]]
         ]
-
-    def _choose(self, counts: dict[tuple[str, str], int]) -> dict[str, Use]:
-        """Return what each topic is used for: what is asked for first, then the fullest of a type."""
-        uses: dict[str, Use] = {}
-        for use, topic in self.topics.items():
-            if topic:
-                self._check_topic(use, topic, counts)
-                uses[topic] = use
-        for use, kind in TYPES.items():
-            if use in self.topics:
-                continue
-            free = [(-n, t) for (t, k), n in counts.items() if k == kind and t not in uses and n]
-            fit = [(n, t) for n, t in free if _is_truth(t) == (use == "truth")]
-            if fit:
-                uses[min(fit)[1]] = use
-        return uses
-
-    def _choose_wanted(self, counts: dict[tuple[str, str], int]) -> dict[str, Use]:
-        """Return what the topics that are asked for by name are used for."""
-        uses: dict[str, Use] = {}
-        for topic, kind in counts:
-            fit = [use for use, name in TYPES.items() if name == kind]
-            if topic in self.wanted and fit:
-                is_truth = kind == TYPES["truth"] and _is_truth(topic)
-                uses[topic] = "truth" if is_truth else fit[-1]
-        return uses
-
-    def _check_topic(self, use: Use, topic: str, counts: dict[tuple[str, str], int]) -> None:
-        if (topic, TYPES[use]) not in counts:
-            known = [name for name, kind in counts if kind == TYPES[use]]
-            raise SourceError(
-                f"{self.path}: no topic {topic!r} of type {TYPES[use]} for source.topics.{use}; "
-                + (near_miss(topic, known) if known else "the log has none of this type")
-            )
 
     def _recorded_preset(self, bag: Bag) -> str:
         found = [c for c in bag.connections if c.topic == PRESET_TOPIC and c.msgtype == PRESET_TYPE]
@@ -383,15 +319,3 @@ def _same(a: Columns, b: Columns) -> bool:
         and same_layout(a, b)
         and all(a.values[name].tobytes() == b.values[name].tobytes() for name in a.values)
     )
-
-
-def _counts(connections: Sequence[Connection]) -> dict[tuple[str, str], int]:
-    """Return the number of messages by (topic, type)."""
-    counts: dict[tuple[str, str], int] = defaultdict(int)
-    for connection in connections:
-        counts[connection.topic, connection.msgtype] += connection.msgcount
-    return dict(counts)
-
-
-def _is_truth(topic: str) -> bool:
-    return topic.startswith(TRUTH_TOPIC)

@@ -1,0 +1,112 @@
+"""Topics of a ROS log: what each of them is used for."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+from rosbags.interfaces import Connection
+
+from impslam.component import near_miss
+from impslam.errors import SourceError
+from impslam.types import Image, Imu, LaserScan, Message, OdometryPose, TruePose, WheelAngles
+
+Use: TypeAlias = Literal["scan", "wheels", "odometry", "imu", "image", "truth"]
+
+TYPES: dict[Use, str] = {
+    "truth": "nav_msgs/msg/Odometry",
+    "scan": "sensor_msgs/msg/LaserScan",
+    "wheels": "sensor_msgs/msg/JointState",
+    "odometry": "nav_msgs/msg/Odometry",
+    "imu": "sensor_msgs/msg/Imu",
+    "image": "sensor_msgs/msg/CompressedImage",
+}
+KINDS: dict[Use, type[Message]] = {
+    "truth": TruePose,
+    "scan": LaserScan,
+    "wheels": WheelAngles,
+    "odometry": OdometryPose,
+    "imu": Imu,
+    "image": Image,
+}
+TRUTH_TOPIC = "/ground_truth"  # and what is below it
+EVENT_TYPE = "rcl_interfaces/msg/Log"
+
+KEPT = {
+    EVENT_TYPE: "events",
+    "sensor_msgs/msg/TimeReference": "a device's clock",
+    "sensor_msgs/msg/MagneticField": "magnetic field",
+    "sensor_msgs/msg/Temperature": "temperature",
+    "sensor_msgs/msg/RelativeHumidity": "humidity",
+    "geometry_msgs/msg/AccelStamped": "second accelerometer",
+    "geometry_msgs/msg/Vector3Stamped": "encoder voltages",
+    "geometry_msgs/msg/TwistStamped": "commanded velocity",
+}
+"""What else our recorder writes: kept for whoever wants it, of no use for mapping."""
+
+Counts: TypeAlias = dict[tuple[str, str], int]
+"""Number of messages by (topic, type)."""
+
+
+def choose(log: Path, asked: Mapping[Use, str], counts: Counts) -> dict[str, Use]:
+    """Return what each topic is used for: what is asked for first, then the fullest of a type."""
+    uses: dict[str, Use] = {}
+    for use, topic in asked.items():
+        if topic:
+            _check(log, use, topic, counts)
+            uses[topic] = use
+    for use, kind in TYPES.items():
+        if use in asked:
+            continue
+        free = [(-n, t) for (t, k), n in counts.items() if k == kind and t not in uses and n]
+        fit = [(n, t) for n, t in free if _is_truth(t) == (use == "truth")]
+        if fit:
+            uses[min(fit)[1]] = use
+    return uses
+
+
+def choose_wanted(wanted: Collection[str], counts: Counts) -> dict[str, Use]:
+    """Return what the topics that are asked for by name are used for."""
+    uses: dict[str, Use] = {}
+    for topic, kind in counts:
+        fit = [use for use, name in TYPES.items() if name == kind]
+        if topic in wanted and fit:
+            is_truth = kind == TYPES["truth"] and _is_truth(topic)
+            uses[topic] = "truth" if is_truth else fit[-1]
+    return uses
+
+
+def _check(log: Path, use: Use, topic: str, counts: Counts) -> None:
+    if (topic, TYPES[use]) not in counts:
+        known = [name for name, kind in counts if kind == TYPES[use]]
+        raise SourceError(
+            f"{log}: no topic {topic!r} of type {TYPES[use]} for source.topics.{use}; "
+            + (near_miss(topic, known) if known else "the log has none of this type")
+        )
+
+
+def rivals(topic: str, kind: str, defaults: Mapping[str, Use]) -> str:
+    """Return which topic of its type is read instead of one, and how to read that; or nothing."""
+    uses = [use for use, name in TYPES.items() if name == kind]
+    taken = {use: name for name, use in defaults.items() if use in uses}
+    if not taken:
+        return ""
+    said = ", ".join(f"{use} is {name}" for use, name in taken.items())
+    return (
+        f"not read: {said}; set source.topics.{next(iter(taken))}={topic} to use this one "
+        "instead, or name it in source.wanted"
+    )
+
+
+def count_messages(connections: Sequence[Connection]) -> Counts:
+    """Return the number of messages by (topic, type)."""
+    counts: dict[tuple[str, str], int] = defaultdict(int)
+    for connection in connections:
+        counts[connection.topic, connection.msgtype] += connection.msgcount
+    return dict(counts)
+
+
+def _is_truth(topic: str) -> bool:
+    return topic.startswith(TRUTH_TOPIC)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from impslam.columns import Columns, Motions, Sweeps
 from impslam.odometry.synchroniser import Synchronised, Waiting
 from impslam.sensors.base import Sensor
 from impslam.types import Array, Ints, Mask
+
+_TIMES = ("begins", "ends", "stamps")
 
 
 @dataclass(slots=True, eq=False)
@@ -63,24 +66,18 @@ class Queue:
         """Append the rows of a batch; return all that wait, in the order of the log."""
         self._parts += rows
         parts = self._parts
-        if not parts:
-            nothing = np.empty(0)
-            self._part = nothing.astype(np.int64)
-            return Waiting(self._part, nothing, nothing, nothing, nothing.astype(np.bool_))
-        order = np.concatenate([part.columns.order for part in parts])
-        part = np.repeat(np.arange(len(parts)), [len(part.columns) for part in parts])
+        lengths = np.array([len(part.columns) for part in parts], np.int64)
         columns = [
-            order,
-            *(
-                np.concatenate([getattr(part, name) for part in parts])
-                for name in ("begins", "ends", "stamps", "usable")
-            ),
+            np.repeat(np.arange(len(parts)), lengths),
+            _joined([part.columns.order for part in parts], np.int64),
+            *(_joined([getattr(part, name) for part in parts]) for name in _TIMES),
+            _joined([part.usable for part in parts], np.bool_),
         ]
         if len(parts) > 1:
-            place = np.argsort(order)
-            part, columns = part[place], [column[place] for column in columns]
-        self._part = part
-        return Waiting(*columns)
+            place = np.argsort(columns[1])
+            columns = [column[place] for column in columns]
+        self._part, *waiting = columns
+        return Waiting(*waiting)
 
     def leave(self, got: Synchronised) -> list[tuple[Motions, Sweeps]]:
         """Let go of the first rows, for which odometry told something, in runs of one sensor."""
@@ -98,6 +95,10 @@ class Queue:
         self._parts = [rows for rows in self._parts if len(rows.columns)]
         self._part = self._part[len(part) :]
         return list(_runs(part[usable], got.motions.take(usable), gone))
+
+
+def _joined(columns: list[Any], kind: type = np.float64) -> Any:
+    return np.concatenate([np.empty(0, kind), *columns])
 
 
 def _taken(got: Synchronised, rows: Ints) -> Synchronised:

@@ -179,13 +179,13 @@ def test_where_no_motion_is_known_odometry_begins_anew():
 def test_motion_without_sweeps_takes_bounded_memory():
     stamps = 0.01 * np.arange(1001)
     whole, folded = Synchroniser(), Synchroniser(most=50)
-    size = folded._pending.nbytes
+    size = folded._state[0].nbytes
     for k in range(1000):
         motion = moving(stamps[k : k + 2])
         for synchroniser in (whole, folded):
             synchroniser.feed(np.array([k]), motion, sweeps([]), k)
-    assert folded._pending.nbytes == size
-    assert folded._ring[1] <= 51
+    assert folded._state[0].nbytes == size
+    assert folded._state[1][1] <= 51
     a, b = (used(synchroniser, sweeps([9.995])).motions.row(0) for synchroniser in (whole, folded))
     np.testing.assert_allclose(b.d_pose, a.d_pose, atol=1e-12)
     np.testing.assert_allclose(b.covariance, a.covariance, rtol=1e-9)

@@ -1,0 +1,211 @@
+"""Motions that no sweep has asked for yet: composed, cut and dropped in place by kernels.
+
+They are rows of a ring, each a stamp at its end, a duration, a pose [x, y, theta] and the six distinct
+entries of the covariance of an additive error on it. Composition is that of
+`geometry.se2.compose_uncertain`, to first order; it is written out here, because every row of
+odometry passes through it.
+
+Time never runs backwards: a motion whose stamp lies before the newest one is kept and takes no time. So
+logs whose stamps jitter are used in the order of the log.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from impslam.geometry.angles import wrap_in_kernel
+from impslam.geometry.kernels import kernel
+from impslam.types import Array, Ints
+
+# Columns of a motion: the stamp at its end, duration, pose (3), covariance xx, xy, xt, yy, yt, tt.
+WIDTH = 11
+STAMP, DURATION, POSE, THETA, COVARIANCE = 0, 1, 2, 4, 5
+SQUARE = COVARIANCE + np.array([0, 1, 2, 1, 3, 4, 2, 4, 5])  # the nine entries of the covariance
+# Marks: the newest time, the newest stamp, and the newest motion that took time (duration, pose).
+NEWEST, LAST, LATEST = 0, 1, 2
+MARKS = 6
+
+
+def begin(most: int) -> tuple[Array, Ints, Array]:
+    """Return the ring of at most so many motions, where it begins and how many it holds, the marks."""
+    marks = np.zeros(MARKS)
+    marks[[NEWEST, LAST]] = -np.inf
+    return np.empty((most + 1, WIDTH)), np.zeros(2, np.int64), marks
+
+
+@kernel
+def _carry_covariance(P: Array, dx: float, dy: float) -> None:
+    """F P F^T in place; F = [[1, 0, -dy], [0, 1, dx], [0, 0, 1]], a further motion [dx, dy] in map."""
+    P[2] -= dy * P[5]
+    P[0] -= dy * (2.0 * P[2] + dy * P[5])
+    yt = P[4] + dx * P[5]
+    P[1] += dx * P[2] - dy * P[4]
+    P[3] += dx * (P[4] + yt)
+    P[4] = yt
+
+
+@kernel
+def _add_turned(P: Array, Q: Array, c: float, s: float, share: float) -> None:
+    """P + share S Q S^T in place; S turns x and y by the angle with this cosine and sine."""
+    a, b = c * Q[0] - s * Q[1], c * Q[1] - s * Q[3]
+    e, f = s * Q[0] + c * Q[1], s * Q[1] + c * Q[3]
+    P[0] += share * (c * a - s * b)
+    P[1] += share * (s * a + c * b)
+    P[3] += share * (s * e + c * f)
+    P[2] += share * (c * Q[2] - s * Q[4])
+    P[4] += share * (s * Q[2] + c * Q[4])
+    P[5] += share * Q[5]
+
+
+@kernel
+def follow(total: Array, other: Array) -> None:
+    """Let a motion be followed by another, in place."""
+    c, s = math.cos(total[THETA]), math.sin(total[THETA])
+    dx, dy = c * other[2] - s * other[3], s * other[2] + c * other[3]
+    _carry_covariance(total[COVARIANCE:], dx, dy)
+    _add_turned(total[COVARIANCE:], other[COVARIANCE:], c, s, 1.0)
+    total[2] += dx
+    total[3] += dy
+    total[THETA] = wrap_in_kernel(total[THETA] + other[THETA])
+    total[DURATION] += other[DURATION]
+    total[STAMP] = other[STAMP]
+
+
+@kernel
+def _log(pose: Array, out: Array) -> None:
+    """Write the twist that reaches a pose in 1 s; see `geometry.se2.log`."""
+    theta = wrap_in_kernel(pose[2])
+    if abs(theta) < 1e-4:
+        a, b = 1.0 - theta * theta / 6.0, theta / 2.0 - theta**3 / 24.0
+    else:
+        a, b = math.sin(theta) / theta, (1.0 - math.cos(theta)) / theta
+    scale = 1.0 / (a * a + b * b)
+    out[0] = scale * (a * pose[0] + b * pose[1])
+    out[1] = scale * (a * pose[1] - b * pose[0])
+    out[2] = theta
+
+
+@kernel
+def _exp(twist: Array, share: float, out: Array) -> None:
+    """Write the pose that part of a twist reaches in 1 s; see `geometry.se2.exp`."""
+    vx, vy, theta = share * twist[0], share * twist[1], share * twist[2]
+    if abs(theta) < 1e-4:
+        a, b = 1.0 - theta * theta / 6.0, theta / 2.0 - theta**3 / 24.0
+    else:
+        a, b = math.sin(theta) / theta, (1.0 - math.cos(theta)) / theta
+    out[0], out[1], out[2] = a * vx - b * vy, b * vx + a * vy, wrap_in_kernel(theta)
+
+
+@kernel
+def _split(whole: Array, fraction: float, head: Array, tail: Array) -> None:
+    """Cut a motion at a fraction of its time, at constant twist; see `Increment.split`.
+
+    Each part has its share of the covariance, pulled back through the composition of the two, so
+    that `follow` restores it. `tail` may be `whole` itself.
+    """
+    twist, P = np.empty(3), whole[COVARIANCE:].copy()
+    _log(whole[POSE:COVARIANCE], twist)
+    cut, rest = fraction * whole[DURATION], whole[DURATION] - fraction * whole[DURATION]
+    head[STAMP], head[DURATION] = whole[STAMP] - whole[DURATION] + cut, cut
+    tail[STAMP], tail[DURATION] = whole[STAMP], rest
+    _exp(twist, fraction, head[POSE:COVARIANCE])
+    _exp(twist, 1.0 - fraction, tail[POSE:COVARIANCE])
+    c, s = math.cos(head[THETA]), math.sin(head[THETA])
+    head[COVARIANCE:] = fraction * P
+    _carry_covariance(head[COVARIANCE:], s * tail[3] - c * tail[2], -s * tail[2] - c * tail[3])
+    tail[COVARIANCE:] = 0.0
+    _add_turned(tail[COVARIANCE:], P, c, -s, 1.0 - fraction)
+
+
+@kernel
+def consume(
+    pending: Array, ring: Ints, stamp: float, together: bool, total: Array, keep: bool
+) -> None:
+    """Append the motion up to a stamp, or all of it, to `total`; remove it unless it is to be kept."""
+    head = np.empty(WIDTH)
+    rest = np.empty(WIDTH)
+    at, count = ring[0], ring[1]
+    while count > 0:
+        first = pending[at]
+        begin = first[STAMP] - first[DURATION]
+        if not together and first[STAMP] > stamp:
+            if begin < stamp:
+                fraction = (stamp - begin) / first[DURATION]
+                _split(first, fraction, head, rest if keep else first)
+                follow(total, head)
+            break
+        follow(total, first)
+        at, count = (at + 1) % len(pending), count - 1
+    if not keep:
+        ring[0], ring[1] = at, count
+
+
+@kernel
+def add_up(pending: Array, ring: Ints, total: Array) -> None:
+    """Append all motion to `total` and leave it."""
+    for k in range(ring[1]):
+        follow(total, pending[(ring[0] + k) % len(pending)])
+
+
+@kernel
+def _fold(pending: Array, ring: Ints) -> None:
+    """Make the older half of the motions one."""
+    half = (len(pending) - 1) // 2
+    total = np.zeros(WIDTH)
+    for k in range(half):
+        follow(total, pending[(ring[0] + k) % len(pending)])
+    ring[0], ring[1] = (ring[0] + half - 1) % len(pending), ring[1] - half + 1
+    pending[ring[0]] = total
+
+
+@kernel
+def append(
+    pending: Array, ring: Ints, marks: Array, stamp: float, d_pose: Array, P: Array, duration: float
+) -> None:
+    """Take in the motion that a row of odometry told."""
+    taken = min(duration, max(stamp - marks[NEWEST], 0.0))
+    marks[LAST] = stamp
+    marks[NEWEST] = max(marks[NEWEST], stamp)
+    row = pending[(ring[0] + ring[1]) % len(pending)]
+    ring[1] += 1
+    row[STAMP], row[DURATION] = marks[NEWEST], taken
+    row[POSE:COVARIANCE] = d_pose
+    row[5], row[6], row[7], row[8], row[9], row[10] = (
+        P[0, 0], P[0, 1], P[0, 2], P[1, 1], P[1, 2], P[2, 2]
+    )  # fmt: skip
+    if duration > 0.0:
+        marks[LATEST] = duration
+        marks[LATEST + 1 :] = d_pose
+    if ring[1] == len(pending):
+        _fold(pending, ring)
+
+
+@kernel
+def mean_twist(
+    pending: Array, ring: Ints, marks: Array, stamp: float, duration: float, out: Array
+) -> None:
+    """Write the mean body twist from a stamp on, of what is pending, or the latest one."""
+    ahead = np.zeros(WIDTH)
+    for k in range(ring[1]):
+        row = pending[(ring[0] + k) % len(pending)]
+        if row[STAMP] - row[DURATION] > stamp + duration:
+            break
+        follow(ahead, row)
+    if ahead[DURATION] > 0.0 and ahead[DURATION] >= 0.5 * duration:
+        _log(ahead[POSE:COVARIANCE], out)
+        out /= ahead[DURATION]
+    elif marks[LATEST] > 0.0:
+        _log(marks[LATEST + 1 :], out)
+        out /= marks[LATEST]
+    else:
+        out[:] = 0.0
+
+
+@kernel
+def invert(motion: Array, out: Array) -> None:
+    """Write the inverse of a motion's pose."""
+    c, s = math.cos(motion[THETA]), math.sin(motion[THETA])
+    out[2], out[3] = -c * motion[2] - s * motion[3], s * motion[2] - c * motion[3]
+    out[THETA] = wrap_in_kernel(-motion[THETA])

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from impslam.errors import ConfigError
+from impslam.evaluation.json_values import json_values
 from impslam.evaluation.relations import RelationErrors
 from impslam.evaluation.scores import KindScore, PathScore
 
@@ -22,7 +22,7 @@ def write_json(path: Path, facts: Mapping[str, Any]) -> None:
     ConfigError
         If the file cannot be written.
     """
-    text = json.dumps(_plain(facts), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(json_values(facts), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -65,16 +65,3 @@ def relation_facts(errors: RelationErrors) -> dict[str, Any]:
         "translation_m": {**asdict(errors.metres), "std": float(errors.translation.std())},
         "rotation_rad": {**asdict(errors.radians), "std": float(errors.rotation.std())},
     }
-
-
-def _plain(value: Any) -> Any:
-    """Return plain values as JSON knows them."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
-    if isinstance(value, Mapping):
-        return {name: _plain(part) for name, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(part) for part in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

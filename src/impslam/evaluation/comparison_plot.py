@@ -1,4 +1,4 @@
-"""The picture of several runs: their paths, their errors over time, how they keep relations.
+"""The figure of several runs: their paths, their errors over time, and their errors of relations.
 
 Importing this module imports matplotlib (0.3 s); import it where a picture is drawn. Figures are
 drawn on their own canvas, without pyplot and its global state.
@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from impslam.errors import ImpError
+from impslam.evaluation.colours import INK
+from impslam.evaluation.plots import new_figure, quiet
 from impslam.evaluation.relations import RelationErrors
 from impslam.evaluation.scores import PathScore
 from impslam.evaluation.trajectory import align, associate, move, position_errors
@@ -23,7 +24,7 @@ from impslam.types import Array, Ints
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
 """Okabe and Ito 2008: they differ for the colour-blind, too. More runs differ by their dashes."""
 DASHES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1, 1)))
-INK, PALE, TRUTH = "#37424d", "#8a949e", "#c3cad1"
+TRUTH = "#c3cad1"
 WIDTH = 9.0
 """inches, 900 pixels as the picture is shown, at twice that resolution."""
 NAME = 30
@@ -53,24 +54,23 @@ def draw_comparison(
     panels = 1 + bool(paths) + bool(relations)
     shown = [score.pairs.truth for score in paths.values()] or [run[:, 1:] for run in runs.values()]
     heights = [_height(np.vstack(shown)), *[2.8] * (panels - 1)]
-    figure = Figure(figsize=(WIDTH, 0.6 + sum(heights)), dpi=200, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(WIDTH, 0.6 + sum(heights), dpi=200)
     axes: list[Axes] = list(figure.subplots(panels, 1, height_ratios=heights, squeeze=False)[:, 0])
-    looks = _looks(list(runs))
+    styles = _styles(list(runs))
     below = iter(axes[1:])
     if paths:
         holes = {name: _holes(runs[name], score) for name, score in paths.items()}
-        _draw_paths(axes[0], paths, looks, holes)
+        _draw_paths(axes[0], paths, styles, holes)
         axes[0].set_title(f"Paths, {where}", color=INK, fontsize=10)
-        _draw_errors(next(below), paths, looks, holes)
+        _draw_errors(next(below), paths, styles, holes)
     else:
-        _draw_runs(axes[0], runs, looks)
+        _draw_runs(axes[0], runs, styles)
     if relations:
-        _draw_relations(next(below), relations, looks)
+        _draw_relations(next(below), relations, styles)
     axes[0].set(xlabel="x in m", ylabel="y in m")
     axes[0].set_aspect("equal", adjustable="datalim")
     for panel in axes:
-        _style(panel)
+        quiet(panel)
     figure.legend(
         *axes[0].get_legend_handles_labels(),
         loc="outside upper center",
@@ -86,8 +86,8 @@ def _height(poses: Array) -> float:
     return WIDTH * float(np.clip(height / max(width, 1e-9), 0.35, 0.7))
 
 
-def _looks(names: list[str]) -> dict[str, dict[str, Any]]:
-    """Return the look of each run's lines."""
+def _styles(names: list[str]) -> dict[str, dict[str, Any]]:
+    """Return the line style of each run, by its name."""
     return {
         name: {
             "color": COLOURS[i % len(COLOURS)],
@@ -107,7 +107,7 @@ def _shortened(name: str) -> str:
 
 
 def _draw_paths(
-    axes: Axes, paths: Mapping[str, PathScore], looks: Mapping[str, Any], holes: Mapping[str, Ints]
+    axes: Axes, paths: Mapping[str, PathScore], styles: Mapping[str, Any], holes: Mapping[str, Ints]
 ) -> None:
     """Draw what is true, and the estimates in its frame; nothing where there is no truth."""
     for i, (name, score) in enumerate(paths.items()):
@@ -115,14 +115,14 @@ def _draw_paths(
         axes.plot(*true.T, color=TRUTH, lw=4.0, zorder=1, label="" if i else "truth")
     for name, score in paths.items():
         path = np.insert(score.pairs.estimate[:, :2], holes[name], np.nan, axis=0)
-        axes.plot(*path.T, **looks[name])
+        axes.plot(*path.T, **styles[name])
 
 
-def _draw_runs(axes: Axes, runs: Mapping[str, Array], looks: Mapping[str, Any]) -> None:
+def _draw_runs(axes: Axes, runs: Mapping[str, Array], styles: Mapping[str, Any]) -> None:
     """Draw paths without a truth, each where it fits the first best."""
     first = next(iter(runs.values()))
     for name, run in runs.items():
-        axes.plot(*_fitted(run, first)[:, :2].T, **looks[name])
+        axes.plot(*_fitted(run, first)[:, :2].T, **styles[name])
     title = "Paths, each fitted to the first" if len(runs) > 1 else "Path"
     axes.set_title(title, color=INK, fontsize=10)
 
@@ -137,12 +137,12 @@ def _fitted(run: Array, first: Array) -> Array:
 
 
 def _draw_errors(
-    axes: Axes, paths: Mapping[str, PathScore], looks: Mapping[str, Any], holes: Mapping[str, Ints]
+    axes: Axes, paths: Mapping[str, PathScore], styles: Mapping[str, Any], holes: Mapping[str, Ints]
 ) -> None:
     begin = min(float(score.pairs.stamps.min()) for score in paths.values())
     for name, score in paths.items():
         errors = np.column_stack((score.pairs.stamps - begin, position_errors(score.pairs)))
-        axes.plot(*np.insert(errors, holes[name], np.nan, axis=0).T, **looks[name])
+        axes.plot(*np.insert(errors, holes[name], np.nan, axis=0).T, **styles[name])
     axes.set(xlabel="time in s", ylabel="distance from the truth in m", xmargin=0.01)
     typical = [score.aligned.median for score in paths.values()]
     if max(typical) > SCALES * min(typical) > 0.0:
@@ -154,12 +154,12 @@ def _draw_errors(
 
 
 def _draw_relations(
-    axes: Axes, relations: Mapping[str, RelationErrors], looks: Mapping[str, Any]
+    axes: Axes, relations: Mapping[str, RelationErrors], styles: Mapping[str, Any]
 ) -> None:
     """Draw which share of the relations has an error of at most so much."""
     largest = max(errors.metres.max for errors in relations.values())
     for name, errors in relations.items():
-        axes.ecdf(np.maximum(errors.translation, NOTHING), **looks[name])
+        axes.ecdf(np.maximum(errors.translation, NOTHING), **styles[name])
     # Errors of closed and of missed loops are orders of magnitude apart.
     axes.set(xscale="log", xlabel="translation error in m", ylabel="share of the relations")
     axes.set_xlim(NOTHING, max(10.0 * NOTHING, 1.1 * largest))
@@ -171,13 +171,3 @@ def _holes(run: Array, score: PathScore) -> Ints:
     """Return the pairs (k,) before which poses of the run (n, 4) have no truth."""
     rows = np.flatnonzero(np.isin(run[:, 0], score.pairs.stamps))
     return np.flatnonzero(np.diff(rows) > 1) + 1
-
-
-def _style(axes: Axes) -> None:
-    axes.tick_params(colors=PALE, labelcolor=INK, labelsize=9)
-    axes.grid(color="#000000", alpha=0.06, lw=0.6)
-    axes.set_axisbelow(True)
-    for label in (axes.xaxis.label, axes.yaxis.label):
-        label.set_color(INK)
-    for spine in axes.spines.values():
-        spine.set_color("#d4d9de")

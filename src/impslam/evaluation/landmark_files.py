@@ -18,7 +18,7 @@ from impslam.evaluation.landmarks import true_wall
 from impslam.types import Array, TrueLandmark
 
 TRUE_LANDMARKS = "truth.landmarks.csv"
-"""The true landmarks in a run folder, where the log told them, in the log's own frame."""
+"""The true landmarks in a run folder, where the log holds them, in the log's own frame."""
 COLUMNS = ("name", "kind", "x", "y", "r", "alpha", "radius", "x1", "y1", "x2", "y2")
 """x, y: the centre, or the foot of the normal from the origin (m). r (m), alpha (rad) of walls, radius
 (m) of cylinders, x1 to y2: end points of walls (m). Cells that a kind does not have stay empty."""

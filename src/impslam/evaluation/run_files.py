@@ -18,7 +18,7 @@ SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedRun:
-    """A run as its files tell it; what they do not hold is None.
+    """A run as read from its files; what they do not hold is None.
 
     `path` (n, 4) is stamp, x, y, theta; `covariances` (n, 3, 3) those of its poses; `truth` (m, 4)
     and `true_landmarks` are in the log's own frame, all else is in map.

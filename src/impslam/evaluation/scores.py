@@ -86,7 +86,7 @@ class PathScore:
 
 @dataclass(frozen=True, slots=True)
 class KindScore:
-    """What became of the true landmarks of one kind.
+    """Counts and errors of the true landmarks of one kind.
 
     `distance` is in m (of walls: across, at the middle of the true wall), `angle` in rad between
     walls. `nees` is the mean over landmarks, ideally 2; NaN if not known.
@@ -154,7 +154,7 @@ def _consistency(run: RecordedRun, pairs: Pairs, T_truth_map: Array) -> Consiste
 
 
 def _regular(covariances: Array) -> Mask:
-    """Tell which covariances (n, k, k) can be divided by."""
+    """Return which covariances (n, k, k) can be divided by."""
     return np.asarray(np.linalg.eigvalsh(covariances)[:, 0] > 0.0)
 
 
@@ -192,7 +192,7 @@ def _kind_score(kind: str, true: int, score: LandmarkScore, mean_nees: float) ->
 
 
 def _mean_nees(pairs: Sequence[tuple[Landmark, TrueLandmark]]) -> float:
-    """Return the mean normalised error squared of landmarks, NaN where none can be told."""
+    """Return the mean normalised error squared of landmarks, NaN where none is known."""
     errors = np.array([landmark_errors(mark, true) for mark, true in pairs]).reshape(-1, 2)
     covariances = np.array([mark.covariance for mark, _ in pairs]).reshape(-1, 2, 2)
     used = _regular(covariances)

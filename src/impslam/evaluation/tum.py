@@ -16,7 +16,7 @@ from impslam.errors import ImpError
 from impslam.types import Array
 
 TRUTH = "truth.tum"
-"""The true path in a run folder, where the log told it, in the log's own frame."""
+"""The true path in a run folder, where the log holds it, in the log's own frame."""
 PATH_COLUMNS = "stamp,x,y,theta,xx,xy,xt,yy,yt,tt"
 """Columns of trajectory.csv: m, rad, s; xx to tt are the pose covariance's distinct entries."""
 

@@ -23,7 +23,7 @@ from impslam.studies.sweep import Run, by_variant, failures, median_row, simulat
 SEEDS = 20
 """Enough for a first look; the claims are for 100."""
 INTERPRETATION_SEEDS = 5
-"""Seeds for each other interpretation of the thesis's text: enough to tell what fails."""
+"""Seeds for each other interpretation of the thesis's text: enough to see what fails."""
 
 
 def points(job: Job) -> Section:

@@ -102,8 +102,8 @@ def summary(rows: Sequence[Row], names: Sequence[str]) -> dict[str, Any]:
         wanted = (set(r[metric]) & set(among) if among else r[metric] for r in rows)
         return [row["seed"] for row, some in zip(rows, wanted, strict=True) if some]
 
-    def quantiles(what: str) -> dict[str, Any]:
-        return {n: Quantiles.of(r[f"{what} {n}"] for r in rows).numbers() for n in (*names, END)}
+    def quantiles(what: str) -> dict[str, Quantiles]:
+        return {n: Quantiles.of(r[f"{what} {n}"] for r in rows) for n in (*names, END)}
 
     return {
         "distance": quantiles("distance"),

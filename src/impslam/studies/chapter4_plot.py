@@ -48,8 +48,8 @@ def jumps_figure(detections: Detections, seen: Jumps, threshold: float, radius: 
     echo = seen.ranges > 0.0
     ranges.plot(degrees[echo], seen.ranges[echo], ".", ms=2.5, color=READING, label="range")
     if not echo.all():
-        look: dict[str, Any] = {"ms": 5, "color": SPURIOUS, "label": "no echo: 0"}
-        ranges.plot(degrees[~echo], seen.ranges[~echo], "x", **look)
+        options: dict[str, Any] = {"ms": 5, "color": SPURIOUS, "label": "no echo: 0"}
+        ranges.plot(degrees[~echo], seen.ranges[~echo], "x", **options)
     _objects(ranges, slopes, detections, seen)
     _slopes(slopes, seen, threshold)
     ranges.set_ylabel("range in m")
@@ -67,9 +67,9 @@ def _objects(ranges: Axes, slopes: Axes, detections: Detections, seen: Jumps) ->
     for begin, end in seen.objects:
         taken = int(begin) in begins
         span = np.degrees(seen.angles[[begin, end]]) + np.array([-0.4, 0.4])
-        look: dict[str, Any] = {"color": TRUE if taken else SPURIOUS, "alpha": 0.16, "lw": 0}
-        ranges.axvspan(*span, label=labels.pop(taken, None), **look)
-        slopes.axvspan(*span, **look)
+        options: dict[str, Any] = {"color": TRUE if taken else SPURIOUS, "alpha": 0.16, "lw": 0}
+        ranges.axvspan(*span, label=labels.pop(taken, None), **options)
+        slopes.axvspan(*span, **options)
 
 
 def _slopes(axes: Axes, seen: Jumps, threshold: float) -> None:
@@ -78,10 +78,10 @@ def _slopes(axes: Axes, seen: Jumps, threshold: float) -> None:
     for sign in (-1.0, 1.0):
         label = f"threshold ±{threshold:g} m/rad" if sign > 0.0 else None
         axes.axhline(sign * threshold, color=PALE, lw=1.0, ls=(0, (4, 3)), label=label)
-    look: dict[str, Any] = {"ls": "", "ms": 7, "mec": "white", "mew": 0.6}
+    options: dict[str, Any] = {"ls": "", "ms": 7, "mec": "white", "mew": 0.6}
     begins, ends = seen.falls, seen.rises
-    axes.plot(degrees[begins], seen.slopes[begins], "v", color="#15803d", label="begins", **look)
-    axes.plot(degrees[ends], seen.slopes[ends], "^", color="#f2a03d", label="ends", **look)
+    axes.plot(degrees[begins], seen.slopes[begins], "v", color="#15803d", label="begins", **options)
+    axes.plot(degrees[ends], seen.slopes[ends], "^", color="#f2a03d", label="ends", **options)
     # Linear up to the threshold, logarithmic beyond: a lost beam jumps ten times as far.
     axes.set_yscale("symlog", linthresh=threshold, linscale=1.0)
     ticks = threshold * np.array([-16.0, -4.0, -1.0, 0.0, 1.0, 4.0, 16.0])
@@ -179,8 +179,8 @@ def _world(axes: Axes, snapshot: Snapshot) -> None:
 def _robot(axes: Axes, pose: Array) -> None:
     """Draw the robot's outline with its bow."""
     shape = 0.8 * ROBOT * np.array([[1.0, 0.0], [-0.7, 0.65], [-0.4, 0.0], [-0.7, -0.65]])
-    look: dict[str, Any] = {"fc": INK, "ec": "white", "lw": 0.8, "zorder": 8}
-    axes.add_patch(Polygon(transform(pose, shape), **look))
+    options: dict[str, Any] = {"fc": INK, "ec": "white", "lw": 0.8, "zorder": 8}
+    axes.add_patch(Polygon(transform(pose, shape), **options))
 
 
 def _findings(

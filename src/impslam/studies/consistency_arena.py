@@ -1,8 +1,8 @@
-"""Is the whole system's uncertainty true? The simulated arena, mapped from its raw readings.
+"""Consistency of the whole system: the simulated arena, mapped from its raw readings.
 
-Here noise is not what the filter is told: ranges share an error, edges mix, wheels slip. The preset
-allows for that with more noise than there is in a simulated room. How much of what comes out is due
-to which allowance shows where the fault is switched off and the preset told so.
+The noise here is not the filter's: ranges share an error, edges mix, wheels slip. The preset allows for
+that with more noise than a simulated room has. To show what each allowance contributes, a fault is
+switched off in the simulation and its allowance in the preset.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from impslam.types import Array, Landmark, StepResult, TrueLandmark
 FILTERS = ("ekf", "riekf")
 KINDS = ("cylinder", "wall", "corner")
 SETTLED = 2.0
-"""s; until the robot has left the start its errors are 0 by definition, and tell nothing."""
+"""s; until the robot has left the start its errors are 0 by definition."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """What is simulated, what the preset is told of it, and which filters run over it."""
+    """The simulated robot, the settings that go with it, and the filters that run."""
 
     name: str
     robot: SimulatedRobot = ROBOT
@@ -45,11 +45,11 @@ class Case:
 
 
 _NO_SLIP = WheelEncoders(radius_sigma=0.0, track_sigma=0.0, slip_sigma=0.0, skid_rate=0.0)
-_TOLD_NO_SLIP = tuple(
+_NO_SLIP_SETTINGS = tuple(
     f"odometry.slip.{name}=0.0"
     for name in ("forward", "sideways", "turn_per_distance", "turn_per_turn")
 )
-_TOLD_EXACT = (
+_EXACT_SETTINGS = (
     "sensors.lidar.bias=0.0",
     "sensors.lidar.extractors.walls.flatness=0.0",
     "sensors.lidar.extractors.corners.flatness=0.0",
@@ -60,13 +60,13 @@ CASES = (
     Case(
         "no slip, and told so",
         ROBOT.model_copy(update={"encoders": _NO_SLIP}),
-        _TOLD_NO_SLIP,
+        _NO_SLIP_SETTINGS,
         FILTERS[-1:],
     ),
     Case(
         "nor bias nor mixed pixels, walls told flat",
         ROBOT.model_copy(update=_EXACT),
-        (*_TOLD_NO_SLIP, *_TOLD_EXACT),
+        (*_NO_SLIP_SETTINGS, *_EXACT_SETTINGS),
         FILTERS[-1:],
     ),
 )
@@ -103,7 +103,7 @@ class ArenaConsistency:
 def arena_consistency(
     job: Job, runs: int, cases: Sequence[Case] = CASES
 ) -> tuple[list[ArenaConsistency], list[Row]]:
-    """Simulate, map and judge the arena; cases after the first get half the runs.
+    """Simulate, map and score the arena; cases after the first get half the runs.
 
     Returns the means by case and filter, and the rows of the runs.
     """
@@ -154,7 +154,7 @@ def landmark_nees(estimates: Sequence[Landmark], truth: Sequence[TrueLandmark]) 
 
 
 def reported_error(mark: Landmark, true: TrueLandmark) -> Array:
-    """Return the error (2,) of the values that a landmark's covariance speaks of."""
+    """Return the error (2,) of the values that a landmark's covariance refers to."""
     if mark.kind != "wall":
         return mark.position - true.position
     r, alpha = (mark.parameters[name] - true.parameters[name] for name in ("r", "alpha"))

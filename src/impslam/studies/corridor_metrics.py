@@ -1,4 +1,4 @@
-"""What is measured of a drive through the corridor: its path, its map, and what the extractors see."""
+"""Metrics of a drive through the corridor: its path, its map, and what the extractors find."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ EXTRACTORS: Mapping[str, Mapping[str, Any]] = TEXT["extractors"]
 WITHIN = 0.005
 """Of the distance travelled: the end is to be this near."""
 EVERY = 10
-"""Of so many scans one is given to the extractors alone: a second, 0.6 m of way."""
+"""Of so many scans one is given to the extractors alone: a second, 0.6 m of the drive."""
 COUNTS = ("scans", "walls", "spurious", "of_people", "scans_with_spurious")
 """What is counted of each extractor: scans looked at, walls seen in them, those that are none (see
 `corridor_truth.is_wall`), of these the ones that rest on people, and scans with a spurious wall."""
@@ -58,7 +58,8 @@ def corridor_metrics(run: Run) -> Row:
     Of all landmarks that ever were in
     the map: `landmarks_ever`, `people_ever`, `touched_by_people` and `false_at_birth`, as they were when
     they entered. `false_at_the_end` are ids of the final map's landmarks, `missing` names of true ones,
-    of the kinds that the map is made of. The default's rows tell of the extractors, too: `NAME: COUNT`.
+    of the kinds that the map is made of. The default's rows also hold the extractors' counts, as
+    `NAME: COUNT`.
     """
     verdicts = [_at_birth(run, number) for number in range(len(run.promotions))]
     kinds = {promotion.observation.kind for promotion in run.promotions}
@@ -126,9 +127,9 @@ def tally(walls: Sequence[Verdict]) -> dict[str, int]:
 
 
 def total_counts(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
-    """Return `COUNTS` of every extractor over all rows that tell of them."""
-    told = [row for row in rows if f"{next(iter(EXTRACTORS))}: {COUNTS[0]}" in row]
+    """Return `COUNTS` of every extractor over all rows that hold them."""
+    counted = [row for row in rows if f"{next(iter(EXTRACTORS))}: {COUNTS[0]}" in row]
     return {
-        name: {what: sum(row[f"{name}: {what}"] for row in told) for what in COUNTS}
+        name: {what: sum(row[f"{name}: {what}"] for row in counted) for what in COUNTS}
         for name in EXTRACTORS
     }

@@ -65,7 +65,7 @@ class CorridorTruth:
 
 
 def judge(sweep: TracedSweep, seen: Observation) -> Verdict:
-    """Compare an observation with what was there; all in the robot's true frame."""
+    """Compare an observation with the true things, in the robot's true frame."""
     on_people = sweep.hits[seen.beams] >= len(sweep.round) - len(sweep.legs)
     place = _place(sweep.pose, seen)
     gaps = np.hypot(*(_people(sweep) - place).T)
@@ -89,7 +89,7 @@ def _standing(sweep: TracedSweep) -> Array:
 
 
 def is_wall(sweep: TracedSweep, seen: Observation) -> bool:
-    """Tell whether half of a wall's beams or more hit one plane, and the wall lies in it.
+    """Return whether half of a wall's beams or more hit one plane, and the wall lies in it.
 
     Within `TURNED`, and within `ASIDE` at the middle between the wall's end points. Parallel faces
     not `RECESS` apart are one plane: a wall with its closed doors, not the sides of a passage.
@@ -150,7 +150,7 @@ def _aside(points: Array, face: Array) -> Array:
 
 
 def _coplanar(rows: Array, face: Array) -> Mask:
-    """Tell which of the faces (n, 4) lie in the plane of one."""
+    """Return which of the faces (n, 4) lie in the plane of one."""
     off = np.arctan2(rows[:, 3] - rows[:, 1], rows[:, 2] - rows[:, 0]) - _direction(face)
     near = np.abs(_aside(0.5 * (rows[:, :2] + rows[:, 2:]), face)) <= RECESS
     return np.asarray(near & (np.abs(np.sin(off)) <= math.sin(PARALLEL)))
@@ -172,8 +172,8 @@ def _stands(mark: Landmark, straight: Array, circles: Array) -> bool:
         known = circles[:, :2] if mark.kind == "cylinder" else straight.reshape(-1, 2)
         return bool((np.hypot(*(known - mark.position).T) <= ASTRAY).any())
     middle = mark.end_points.mean(axis=0)
-    way = mark.end_points[1] - mark.end_points[0]
-    turn = math.atan2(way[1], way[0])
+    along = mark.end_points[1] - mark.end_points[0]
+    turn = math.atan2(along[1], along[0])
     back = rotation(turn).T
     for face in straight:
         if _between(turn, _direction(face)) > ASKEW or abs(_aside(middle[None], face)[0]) > ASTRAY:

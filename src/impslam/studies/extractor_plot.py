@@ -58,14 +58,14 @@ def _ratios(
             -1, 4
         )
         x, y, below, above = drawn.T
-        look: dict[str, Any] = {
+        options: dict[str, Any] = {
             "color": colours[label],
             "label": label,
             "lw": 1.3,
             "ms": 4,
             "capsize": 2,
         }
-        axes.errorbar(x, y, (y - below, above - y), marker="o", **look)
+        axes.errorbar(x, y, (y - below, above - y), marker="o", **options)
     axes.set(xscale="log", yscale="log", xlabel="beams that hit it", title=f"{kind}s".capitalize())
     axes.xaxis.set_major_locator(FixedLocator(edges.tolist()))
     axes.xaxis.set_minor_locator(NullLocator())

@@ -64,7 +64,7 @@ class Detection:
     radius_error, radius_bound : m and m^2; NaN of walls, and where the radius is taken for known
     beams : how many truly hit it
     used : share of these that the observation rests on
-    own_excess : squared error in the bound of those alone; NaN where they tell nothing
+    own_excess : squared error in the bound of those alone; NaN where they do not define it
     """
 
     error: Array

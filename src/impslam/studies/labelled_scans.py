@@ -220,7 +220,7 @@ def _round(
 
 
 def _edge_to_edge(sight: Array, radius: float, places: Array, scan: Scan) -> bool:
-    """Tell whether the outermost beams on a circle are as near to its edges as beams can be."""
+    """Return whether the outermost beams on a circle are as near to its edges as beams can be."""
     bearings = np.arctan2(places[:, 1], places[:, 0]) - math.atan2(sight[1], sight[0])
     off, half = wrap(bearings), math.asin(min(1.0, radius / float(np.hypot(*sight))))
     least = (1.0 - EDGE) * half - abs(float(scan.angles[1] - scan.angles[0]))

@@ -99,7 +99,7 @@ def _draw(axes: Any, run: Run, layout: Layout, false: Collection[int]) -> None:
 
 
 def _leaves(points: Array, limits: tuple[float, float, float, float]) -> bool:
-    """Tell whether any of the points (n, 2) is outside the limits."""
+    """Return whether any of the points (n, 2) is outside the limits."""
     low, high = np.reshape(limits, (2, 2)).T
     return bool(((points < low) | (points > high)).any())
 

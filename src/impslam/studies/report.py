@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import csv
 import json
-import math
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
 from impslam import __version__
+from impslam.evaluation.json_values import json_values
 from impslam.observers.page import escape, page, section, table
 from impslam.studies.job import Job
 from impslam.studies.sweep import Row
@@ -60,8 +60,8 @@ class Picture:
 class Section:
     """One section of the page: what was done and what came out.
 
-    `numbers` are those behind the tables by name, in m, rad, s or 1, for other programs; `runs` are the
-    rows of the study's sweep.
+    `numbers` are those behind the tables by name, in m, rad, s or 1, for other programs (see
+    `json_values`); `runs` are the rows of the study's sweep.
     """
 
     name: str
@@ -105,11 +105,6 @@ def load_text(name: str) -> dict[str, Any]:
     return tomllib.loads(text)
 
 
-def plain(value: Any) -> Any:
-    """Return a number as JSON knows it: None for one that is infinite or not a number."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def write(folder: Path, sections: Sequence[Section], command: str) -> None:
     """Write all files into a folder; `command` is the one that made them."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -119,11 +114,11 @@ def write(folder: Path, sections: Sequence[Section], command: str) -> None:
         if part.runs:
             _write_csv(folder / f"{part.name}.csv", part.runs)
     numbers = {part.name: part.numbers for part in sections}
-    facts = json.dumps({"command": command, "version": __version__, **numbers}, indent=2)
+    facts = json_values({"command": command, "version": __version__, **numbers})
     made = f"Made by <code>{escape(command)}</code>, impslam {escape(__version__)}."
     heading = f"<header><h1>{TITLE}</h1><p>{ABOUT} {made}</p></header>"
     texts = {
-        NUMBERS: facts + "\n",
+        NUMBERS: json.dumps(facts, indent=2, allow_nan=False) + "\n",
         PAGE: page(f"{TITLE} · impslam", [heading, *map(_html, sections)]),
         MARKDOWN: f"# {TITLE}\n\n{ABOUT} Made by\n\n```sh\n{command}\n```\n\n"
         + "\n".join(map(_markdown, sections)),

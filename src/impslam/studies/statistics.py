@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.studies.report import plain
 from impslam.studies.sweep import Row
 from impslam.types import Array, Ints
 
@@ -36,10 +35,6 @@ class Quantiles(NamedTuple):
     def __str__(self) -> str:
         median, low, high = (f"{v:.3f}" if math.isfinite(v) else "missing" for v in self)
         return f"{median} [{low}, {high}]"
-
-    def numbers(self) -> dict[str, float | None]:
-        """Return plain numbers, None for missing."""
-        return {name: plain(value) for name, value in self._asdict().items()}
 
 
 class Estimate(NamedTuple):

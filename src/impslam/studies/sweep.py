@@ -221,8 +221,10 @@ def by_variant(rows: Iterable[Row]) -> dict[str, list[Row]]:
 def failures(rows: Iterable[Row]) -> str:
     """Return a sentence on the runs that failed; empty if none did."""
     lost = [row for row in rows if row["error"]]
-    told = "; ".join(f"{r['world']}, {r['variant']}, seed {r['seed']}: {r['error']}" for r in lost)
-    return f"{len(lost)} runs failed and are left out ({told})." if lost else ""
+    reasons = "; ".join(
+        f"{r['world']}, {r['variant']}, seed {r['seed']}: {r['error']}" for r in lost
+    )
+    return f"{len(lost)} runs failed and are left out ({reasons})." if lost else ""
 
 
 def grid(presets: Sequence[str], settings: Mapping[str, Sequence[str]]) -> list[Variant]:

@@ -14,7 +14,7 @@ CODE = (
     "sys.stderr.write(json.dumps([code, list(sys.modules)]))"
 )
 SLOW = {"numpy", "numba", "scipy", "cv2", "matplotlib", "rosbags"}
-NOT_TO_MAP = {"matplotlib", "rosbags", "scipy.linalg", "scipy.optimize", "scipy.special"}
+NOT_TO_MAP = {"matplotlib", "rosbags", "rich", "scipy.linalg", "scipy.optimize", "scipy.special"}
 """What no run of a text log has to do with."""
 
 

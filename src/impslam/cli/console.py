@@ -6,14 +6,14 @@ import logging
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from cyclopts import Parameter
-from rich import box
-from rich.console import Console
-from rich.padding import Padding
-from rich.table import Table
-from rich.text import Text
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.padding import Padding
+    from rich.table import Table
 
 WIDTH = 120
 """Columns where there is no terminal to fit."""
@@ -102,6 +102,8 @@ def stderr() -> Console:
 
 
 def _console(terminal: bool, stderr: bool) -> Console:
+    from rich.console import Console
+
     width = None if terminal else WIDTH
     return Console(stderr=stderr, width=width, markup=False, highlight=False, soft_wrap=False)
 
@@ -110,6 +112,10 @@ def show_table(
     header: Sequence[str], rows: Iterable[Sequence[str]], title: str = "", numbers: int = 0
 ) -> None:
     """Print a table; the last `numbers` columns are flush right."""
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
     table = Table(title=title or None, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
     for i, name in enumerate(header):
         right = i >= len(header) - numbers
@@ -121,6 +127,8 @@ def show_table(
 
 def show_indented(table: Table, indent: int) -> None:
     """Print a table some columns further right."""
+    from rich.padding import Padding
+
     _print(Padding(table, (0, 0, 0, indent)))
 
 

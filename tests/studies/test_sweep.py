@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from impslam.errors import ConfigError
+from impslam.errors import ConfigError, ImpError
 from impslam.simulation.world import load_world
 from impslam.studies.job import Job
 from impslam.studies.statistics import Quantiles, mean, rms
@@ -33,7 +33,7 @@ def short():
 
 
 def fail_for_ekf(run):
-    if run.variant.name == "ekf":
+    if run.variant.name == "ekf" and run.seed == 0:
         raise ArithmeticError("singular")
     return {"scans": len(run.steps)}
 
@@ -55,15 +55,18 @@ def test_rows_are_ordered_by_world_seed_and_variant_whatever_the_processes(short
 
 
 def test_a_run_that_fails_has_a_row_and_costs_no_other(short):
-    rows = sweep(VARIANTS, [0], short[:1], measure=fail_for_ekf)
-    assert [row["error"] for row in rows] == ["", "ArithmeticError: singular"]
-    assert rows[0]["scans"] > 5
+    rows = sweep(VARIANTS, [0, 1], short[:1], measure=fail_for_ekf)
+    assert [row["error"] for row in rows] == ["", "ArithmeticError: singular", "", ""]
+    assert all(row["scans"] > 5 for row in rows if not row["error"])
     assert "end" not in rows[1]
-    assert list(by_variant(rows)) == ["default"]
+    seeds = {name: [row["seed"] for row in some] for name, some in by_variant(rows).items()}
+    assert seeds == {"default": [0, 1], "ekf": [1]}
     assert failures(rows) == (
-        "1 runs failed and are left out (arena, ekf, seed 0: ArithmeticError: singular)."
+        "Runs that failed and are left out: arena, ekf, seed 0: ArithmeticError: singular."
     )
     assert failures(rows[:1]) == ""
+    with pytest.raises(ImpError, match="ekf: all 1 runs failed; the first: ArithmeticError"):
+        by_variant(rows[:2])
 
 
 def test_a_setting_that_does_not_exist_is_refused_before_anything_runs(short):

@@ -113,7 +113,7 @@ def arena_consistency(
         stage = f"arena, {case.name}"
         made = sweep(case.variants(), seeds, measure=consistency_metrics, job=job, stage=stage)
         groups = by_variant(made)
-        results += [_means(case.name, name, groups[name]) for name in groups]
+        results += [_means(case.name, name, groups[name]) for name in case.filters]
         rows += [{"case": case.name, **row} for row in made]
     return results, rows
 

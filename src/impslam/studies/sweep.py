@@ -1,4 +1,12 @@
-"""Run SLAM over presets x settings x worlds x seeds, and tabulate the errors: one row per run."""
+"""Run SLAM over presets x settings x worlds x seeds, and tabulate the errors: one row per run.
+
+For example, a gate tuned over ten drives through each of two worlds:
+
+    settings = {f"gate {d} m": [f"association.max_distance={d}"] for d in (0.5, 1.0, 2.0)}
+    rows = sweep(grid(["thesis-lines"], settings), range(10), ["arena", "room"], job=Job(processes=2))
+    for name, runs in by_variant(rows).items():
+        print(name, Quantiles.of(run["end"] for run in runs))
+"""
 
 from __future__ import annotations
 
@@ -11,6 +19,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from impslam.config import Config, load
+from impslam.errors import ImpError
 from impslam.evaluation.consistency import chi2_bounds, nees, pose_errors
 from impslam.pipeline import Pipeline
 from impslam.simulation.robot import SimulatedRobot
@@ -210,12 +219,20 @@ def _row(task: _Task, messages: Sequence[Message], variant: Variant) -> Row:
 
 
 def by_variant(rows: Iterable[Row]) -> dict[str, list[Row]]:
-    """Return the rows of the runs that did not fail, by the name of the variant."""
+    """Return the rows of the runs that did not fail, by the name of the variant.
+
+    Raises
+    ------
+    ImpError
+        If a variant has none.
+    """
     groups: dict[str, list[Row]] = {}
     for row in rows:
-        if not row["error"]:
-            groups.setdefault(row["variant"], []).append(row)
-    return groups
+        groups.setdefault(row["variant"], []).append(row)
+    for name, runs in groups.items():
+        if all(row["error"] for row in runs):
+            raise ImpError(f"{name}: all {len(runs)} runs failed; the first: {runs[0]['error']}")
+    return {name: [row for row in runs if not row["error"]] for name, runs in groups.items()}
 
 
 def failures(rows: Iterable[Row]) -> str:
@@ -224,7 +241,7 @@ def failures(rows: Iterable[Row]) -> str:
     reasons = "; ".join(
         f"{r['world']}, {r['variant']}, seed {r['seed']}: {r['error']}" for r in lost
     )
-    return f"{len(lost)} runs failed and are left out ({reasons})." if lost else ""
+    return f"Runs that failed and are left out: {reasons}." if lost else ""
 
 
 def grid(presets: Sequence[str], settings: Mapping[str, Sequence[str]]) -> list[Variant]:

@@ -20,7 +20,7 @@ def scan_poses(empty_at, latency):
         stamp, way = 10.0 + 0.01 * i, 0.05 * i
         results += pipeline.feed(WheelAngles(stamp, way, way + 1e-4 * i**2))
         if i % 4 == 0 and i > 40:
-            n = 0 if i == empty_at else 50
+            n = 0 if i == empty_at else 9  # too few to tell that the robot seems to stand
             offsets = 1e-3 * np.arange(n)
             scan = LaserScan(stamp, np.linspace(-1, 1, n), np.full(n, 2.0), offsets)
             results += pipeline.feed(scan)
@@ -65,9 +65,9 @@ def test_a_scan_without_a_solution_is_dropped_and_counted_and_the_run_goes_on():
     pipeline, results = drive_along(spoilt=[10.6])
     whole, all_results = drive_along()
     assert len(results) == len(all_results) - 1
-    assert pipeline.problems.counts == {"scan": 1}
+    assert pipeline.problems.counts["scan"] == 1
     assert pipeline.problems.examples["scan"] == "the scan at 10.600 s is dropped: no solution"
-    assert whole.problems.counts == {}
+    assert "scan" not in whole.problems.counts
 
 
 def test_matcher_and_filter_drop_the_same_scan():

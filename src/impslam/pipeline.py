@@ -17,10 +17,17 @@ from impslam.columns import Motions, Sweeps, batch, batches, messages
 from impslam.config import Config, Keyframes
 from impslam.errors import MessageError, NumericalError, SourceError
 from impslam.geometry.se2 import compose, compose_uncertain
+from impslam.matching.check import Checked, OdometryCheck
 from impslam.observers.base import Dropped, Observer, Outcome
 from impslam.sensors.base import Reading
 from impslam.sources.base import Problems, Source
+from impslam.trust import Trust
 from impslam.types import Array, Increment, Message, StepResult, TruePose
+
+_CONTRADICTED = (
+    "the scan at {:.3f} s shows another motion than odometry; the pose follows the scans: check encoders "
+    "and wheels, or the parameters of odometry"
+)
 
 
 class Stopwatch:
@@ -65,7 +72,7 @@ class Pipeline:
 
     def __init__(self, config: Config) -> None:
         self.robot, self.slam = config.make_robot(), config.make_slam()
-        self._matcher = config.make_matcher()
+        self._check, self._matcher = OdometryCheck(), config.make_matcher()
         self._rng = np.random.default_rng(config.seed)
         self._clock = Stopwatch()
         self._gate = Gate(config.keyframes)
@@ -125,20 +132,26 @@ class Pipeline:
         return _at_stamp(result, sweeps.T_middle_stamp[k], sweeps.stamp_covariance[k])
 
     def _estimate(self, increment: Increment, reading: Reading) -> StepResult:
-        """Take a reading into matcher and filter: into both, or with `NumericalError` into neither."""
-        refined, matcher = increment, self._matcher
+        """Take a reading into check, matcher and filter: into all, or with `NumericalError` into none."""
+        check, matcher, motion = self._check.copy(), self._matcher, Checked(increment, False)
         try:
-            if matcher is not None and reading.scan is not None:
-                matcher = matcher.model_copy()
+            if reading.scan is not None:
                 with self._clock("matching"):
-                    refined = matcher.refine(increment, reading.scan)
+                    motion = check.check(increment, reading.scan)
+                    if matcher is not None:
+                        matcher = matcher.model_copy()
+                        refined = matcher.refine(motion.increment, reading.scan)
+                        motion = motion._replace(increment=refined)
             with self._clock("slam"):
-                result = self.slam.step(refined, reading, increment)
+                result = self.slam.step(motion.increment, reading, increment)
         except NumericalError as error:
             raise NumericalError(
                 f"the scan at {increment.stamp:.3f} s is dropped: {error}"
             ) from error
-        self._matcher, self._newest = matcher, result
+        if motion.contradicted:
+            self.problems.add("odometry against scans", _CONTRADICTED.format(increment.stamp))
+        result = replace(result, contradicted=motion.contradicted)
+        self._check, self._matcher, self._newest = check, matcher, result
         return result
 
     def dead_reckoned(self) -> StepResult | None:
@@ -185,7 +198,7 @@ class Run:
 
     def __init__(self, config: Config, observers: Iterable[Observer] = ()) -> None:
         self._config, self._observers, self.pipeline = config, list(observers), Pipeline(config)
-        self.steps = 0
+        self.steps, self._trust = 0, Trust()
         self._begin = time.perf_counter()
 
     def feed(self, message: Message) -> None:
@@ -202,6 +215,7 @@ class Run:
     def _show(self, results: Iterable[StepResult]) -> None:
         for result in results:
             self.steps += 1
+            self._trust.step(result)
             for observer in self._observers:
                 observer.step(result)
 
@@ -234,6 +248,7 @@ class Run:
             wall_seconds=time.perf_counter() - self._begin,
             landmarks=landmarks,
             state_size=pipeline.slam.filter.state_size,
+            health=self._trust.health,
         )
 
 

@@ -399,7 +399,8 @@ class StepResult:
     `pose` (3,) is `T_map_base` at `stamp` and `covariance` (3, 3) its own; `odometry` (3,) is dead
     reckoning from the same start. `scan_pose` (3,) is where the scan was taken: it differs from
     `pose` for a sensor that stamps late. `new` and `removed` are landmark ids; `born` are the indices
-    of the observations that the new ones began with.
+    of the observations that the new ones began with. `contradicted` tells that scans show another
+    motion than odometry; the pose then follows the scans.
     """
 
     stamp: float
@@ -413,3 +414,4 @@ class StepResult:
     new: tuple[int, ...]
     removed: tuple[int, ...]
     born: tuple[int, ...] = ()
+    contradicted: bool = False

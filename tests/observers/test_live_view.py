@@ -17,7 +17,7 @@ from impslam.observers import live_view as module
 from impslam.observers.grid_mapper import GridMapper
 from impslam.observers.live_view import LiveView
 from impslam.observers.thin_path import ThinPath
-from impslam.observers.trust import Trust
+from impslam.trust import Trust
 from impslam.types import StepResult, TruePose
 
 

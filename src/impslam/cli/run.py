@@ -91,4 +91,5 @@ def show(outcome: Outcome, length: float, folder: Path, *, at_once: bool = True)
     )
     for kind, dropped in outcome.dropped.items():
         console.show_problem(kind, dropped.count, dropped.example)
+    console.say(f"pose: {outcome.health.words}")
     console.say(f"report: {folder / 'report.html'}")

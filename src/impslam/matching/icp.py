@@ -152,8 +152,8 @@ def _inverse(A: Array) -> Array:
     return inverse
 
 
-def _gap(scan: Scan) -> float:
-    """Return how far apart neighbours of one surface may be: three beams' spacing, and 5 cm."""
+def gap(scan: Scan) -> float:
+    """Return how far apart neighbours of one surface may be, m: three beams' spacing, and 5 cm."""
     if len(scan.angles) < 2 or not scan.valid.any():
         return 0.0
     spacing = abs(float(scan.angles[-1] - scan.angles[0])) / (len(scan.angles) - 1)
@@ -192,7 +192,7 @@ class Icp(Matcher):
     def refine(self, increment: Increment, scan: Scan) -> Increment:
         """Return the motion since the previous scan; see `Matcher.refine`."""
         points = scan.points[scan.valid]
-        directions, flat = normals(points, _gap(scan))
+        directions, flat = normals(points, gap(scan))
         keep = _thin(points, self.spacing)
         points, directions, flat = points[keep], directions[keep], flat[keep]
         refined = self._match(increment, np.column_stack([points, flat]))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from impslam.trust import TRUSTED, Health
 from impslam.types import Array, Landmark, StepResult, TruePose
 
 
@@ -34,6 +35,7 @@ class Outcome:
     wall_seconds : how long the run took
     landmarks : the final map
     state_size : number of scalars in the belief at the end
+    health : whether the robot knew where it was
     """
 
     log: Path
@@ -46,6 +48,7 @@ class Outcome:
     wall_seconds: float
     landmarks: tuple[Landmark, ...]
     state_size: int
+    health: Health = TRUSTED
 
 
 class Observer:

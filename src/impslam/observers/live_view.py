@@ -15,7 +15,7 @@ from impslam.mapping.grid import OccupancyGrid
 from impslam.observers.base import Observer, Outcome
 from impslam.observers.grid_picture import GridPicture, frozen, paint
 from impslam.observers.thin_path import Points, ThinPath
-from impslam.observers.trust import Trust
+from impslam.trust import Trust
 from impslam.types import Array, Landmark, StepResult, TruePose
 
 __all__ = ["GridPicture", "LiveView", "Snapshot"]

@@ -52,6 +52,12 @@ def summarise(outcome: Outcome, distance: Distance, refused: int) -> dict[str, A
             "slam": _round(distance.path, 6),
             "odometry": _round(distance.odometry, 6),
         },
+        "health": {
+            "doubted_scans": outcome.health.doubted,
+            "first_stamp": _round(outcome.health.stamp),
+            "first": outcome.health.first,
+            "at_end": outcome.health.at_end,
+        },
         "dropped": {
             kind: {"count": dropped.count, "example": dropped.example}
             for kind, dropped in sorted(outcome.dropped.items())

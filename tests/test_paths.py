@@ -1,25 +1,38 @@
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
 from pathlib import Path
 
 import pytest
 
-from impslam.paths import unused
+from impslam.paths import is_file, make_folder, numbered
+
+
+def test_names_are_numbered_before_the_suffix(tmp_path: Path) -> None:
+    names = [path.name for path in islice(numbered(tmp_path, "exp.1", ".mcap"), 3)]
+    assert names == ["exp.1.mcap", "exp.1-2.mcap", "exp.1-3.mcap"]
 
 
 @pytest.mark.parametrize(
-    ("there", "suffix", "name"),
-    [
-        ([], ".mcap", "exp.1.mcap"),
-        (["exp.1"], ".mcap", "exp.1.mcap"),
-        (["exp.1.mcap"], ".mcap", "exp.1-2.mcap"),
-        (["exp.1", "exp.1-2"], "", "exp.1-3"),
-        (["exp.1", "exp.1-3"], "", "exp.1-2"),
-    ],
+    ("there", "name"),
+    [([], "exp.1"), (["exp.1", "exp.1-2"], "exp.1-3"), (["exp.1", "exp.1-3"], "exp.1-2")],
 )
-def test_a_name_that_is_taken_gets_a_number(
-    tmp_path: Path, there: list[str], suffix: str, name: str
-) -> None:
+def test_a_name_that_is_taken_gets_a_number(tmp_path: Path, there: list[str], name: str) -> None:
     for taken in there:
-        (tmp_path / taken).mkdir()
-    assert unused(tmp_path, "exp.1", suffix) == tmp_path / name
+        (tmp_path / "runs" / taken).mkdir(parents=True)
+    folder = make_folder(tmp_path / "runs", "exp.1")
+    assert folder == tmp_path / "runs" / name
+    assert folder.is_dir()
+
+
+def test_nobody_shares_a_folder(tmp_path: Path) -> None:
+    """Whoever is as fast: each of many at once has one of its own."""
+    with ThreadPoolExecutor(16) as pool:
+        made = list(pool.map(lambda _: make_folder(tmp_path / "runs", "log"), range(64)))
+    assert len(set(made)) == 64
+
+
+def test_a_name_that_cannot_be_one_is_no_file(tmp_path: Path) -> None:
+    assert not is_file(tmp_path / "a\0b")
+    assert not is_file(tmp_path / ("a" * 10_000))

@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import count
 from pathlib import Path
 
 
-def unused(folder: Path, stem: str, suffix: str = "") -> Path:
-    """Return `folder/stem+suffix`, with -2, -3, ... after the stem if that name is taken."""
-    path, number = folder / f"{stem}{suffix}", 1
-    while path.exists():
-        number += 1
-        path = folder / f"{stem}-{number}{suffix}"
-    return path
+def numbered(folder: Path, stem: str, suffix: str = "") -> Iterator[Path]:
+    """Yield `folder/stem+suffix`, then with -2, -3, ... after the stem, without end."""
+    yield folder / f"{stem}{suffix}"
+    for number in count(2):
+        yield folder / f"{stem}-{number}{suffix}"
+
+
+def make_folder(folder: Path, stem: str) -> Path:
+    """Make a folder of the first name that is free; who makes it has it, whoever else looks."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in numbered(folder, stem):
+        with suppress(FileExistsError):
+            path.mkdir()
+            return path
+    raise AssertionError("names never end")
 
 
 def is_file(path: Path) -> bool:

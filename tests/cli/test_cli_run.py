@@ -2,15 +2,18 @@ from __future__ import annotations
 
 import json
 import shutil
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from impslam.cli import bar, main
-from impslam.cli.job import FILES
+from impslam.cli.job import FILES, run_folder
 from impslam.evaluation.tum import read_tum
 from impslam.observers import trajectory
+from impslam.sources.recording import McapWriter
+from impslam.types import WheelAngles
 
 SAME = sorted(FILES - {"report.html", "report.png", "summary.json"})
 """Figures that are times stand in the others."""
@@ -75,6 +78,24 @@ def test_default_folder(imp, room, tmp_path, monkeypatch) -> None:
     folders = list((tmp_path / "runs").iterdir())
     assert len(folders) == 2
     assert all(folder.name.startswith("room-") for folder in folders)
+
+
+def test_a_run_that_fails_leaves_no_folder(imp, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with McapWriter(Path("a.mcap")) as writer:
+        writer.write(WheelAngles(1.0, 0.0, 0.0))
+    assert imp("run", "a.mcap").code == 2
+    assert list((tmp_path / "runs").iterdir()) == []
+
+
+def test_runs_that_begin_at_once_have_folders_of_their_own(tmp_path, monkeypatch) -> None:
+    """Before either has written a file."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(time, "strftime", lambda _: "20260101-000000")
+    assert [run_folder(None, "log").name for _ in range(2)] == [
+        "log-20260101-000000",
+        "log-20260101-000000-2",
+    ]
 
 
 def test_settings_and_topics(imp, room, tmp_path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tests.sources.bags import ROS1, some
+from tests.sources.bags import ROS1, ROS2, bag, scan, some
 from tests.sources.logs import (
     WRITERS,
     dat_line,
@@ -93,6 +93,38 @@ def test_other_files_are_refused_in_one_line(tmp_path: Path, content: bytes) -> 
     path.write_bytes(content)
     with pytest.raises(SourceError, match=r"^.*file: no known log format; readable are [^\n]*$"):
         recognise(path)
+
+
+def test_a_file_that_begins_with_zeros_says_why(tmp_path: Path) -> None:
+    """As a recorder leaves it that goes on behind what another program cut off."""
+    path = tmp_path / "file.mcap"
+    path.write_bytes(bytes(5000) + b"\x06 and more")
+    with pytest.raises(SourceError, match="begins with zeros: cut while it was written"):
+        recognise(path)
+
+
+@pytest.mark.parametrize("as_folder", [False, True])
+def test_an_mcap_with_a_hole_is_told(tmp_path: Path, as_folder: bool) -> None:
+    """Nothing is compressed and nothing has a checksum, as `ros2 bag record` writes by default."""
+    folder = bag(tmp_path / "mcap", *[("/scan", scan(ROS2, n=50))] * 40)
+    file = next(folder.glob("*.mcap"))
+    content = bytearray(file.read_bytes())
+    middle = content.index(b"\x05", len(content) // 3)  # a message
+    content[middle : middle + 999] = bytes(999)
+    file.write_bytes(content)
+    found, source = read(folder if as_folder else file)
+    assert len(found) < 40
+    assert set(source.problems.counts) & {"missing messages", "damaged file"}
+
+
+def test_a_folder_with_an_mcap_that_lacks_its_end_is_told(tmp_path: Path) -> None:
+    folder = bag(tmp_path / "mcap", *[("/scan", scan(ROS2, n=50_000))] * 40)
+    file = next(folder.glob("*.mcap"))
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2])
+    found, source = read(folder)
+    assert 10 < len(found) < 40
+    assert set(source.problems.counts) >= {"cut file"}
 
 
 def test_nothing_is_refused_in_one_line(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from impslam.evaluation.landmark_files import landmarks_path, read_true_landmark
 from impslam.observers.base import Observer, Outcome
 from impslam.observers.recorder import Recorder
 from impslam.observers.report import Report
-from impslam.paths import unused
+from impslam.paths import make_folder
 from impslam.pipeline import run
 from impslam.sources.base import Source, recognise
 from impslam.types import TrueLandmark
@@ -73,7 +73,7 @@ def execute(
     """
     if folder.resolve().is_relative_to(source.path.resolve()):
         raise ConfigError(f"{folder}: is within the log, which would change it; give another -o")
-    created = not folder.exists()
+    empty = not folder.exists() or not any(folder.iterdir())
     _clear(folder)
     try:
         with display(quiet) as shown:
@@ -83,7 +83,7 @@ def execute(
             return player(config, source, [Bar(source, shown), recorder, report, *more])
     except ImpError:
         _clear(folder)
-        if created and folder.is_dir() and not any(folder.iterdir()):
+        if empty and folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
         raise
 
@@ -111,7 +111,7 @@ def run_folder(wanted: Path | None, name: str, also: Iterable[str] = ()) -> Path
         If the path is a file, or a folder that holds anything else.
     """
     if wanted is None:
-        return unused(Path("runs"), f"{name}-{time.strftime('%Y%m%d-%H%M%S')}")
+        return make_folder(Path("runs"), f"{name}-{time.strftime('%Y%m%d-%H%M%S')}")
     if wanted.exists() and not wanted.is_dir():
         raise ConfigError(f"{wanted}: is a file; give -o a folder")
     strange = {p.name for p in wanted.iterdir()} - FILES - set(also) if wanted.exists() else set()

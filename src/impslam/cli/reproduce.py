@@ -17,6 +17,7 @@ from impslam.cli.console import Common
 from impslam.cli.progress import display
 from impslam.component import near_miss
 from impslam.errors import ConfigError
+from impslam.paths import make_folder
 
 if TYPE_CHECKING:
     from impslam.studies.report import Section, Study
@@ -126,7 +127,7 @@ def _folder(wanted: Path | None) -> Path:
     from impslam.studies.report import NUMBERS
 
     if wanted is None:
-        return Path("runs") / f"reproduce-{time.strftime('%Y%m%d-%H%M%S')}"
+        return make_folder(Path("runs"), f"reproduce-{time.strftime('%Y%m%d-%H%M%S')}")
     if wanted.exists() and not wanted.is_dir():
         raise ConfigError(f"{wanted}: is a file; give -o a folder")
     if wanted.exists() and any(wanted.iterdir()) and not (wanted / NUMBERS).exists():

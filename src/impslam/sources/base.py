@@ -193,6 +193,13 @@ def recognise(path: Path) -> type[Source]:
         cls = find("source", name)
         if issubclass(cls, Source) and cls.recognises(path):
             return cls
+    zeros = "; it begins with zeros: cut while it was written, or lost by the disk"
     raise SourceError(
         f"{path}: no known log format; readable are {', '.join(known)} (see `imp list`)"
+        + (zeros if path.is_file() and _begins_with_zeros(path) else "")
     )
+
+
+def _begins_with_zeros(path: Path) -> bool:
+    with path.open("rb") as file:
+        return not any(file.read(16))

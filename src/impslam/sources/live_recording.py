@@ -27,6 +27,10 @@ _CHECKED: dict[int, int] = {zstd.CompressionParameter.checksum_flag: 1}
 _sync_data = getattr(os, "fdatasync", os.fsync)  # not everywhere; its size is part of the data
 
 
+class TakenError(SourceError):
+    """A log of this name exists already."""
+
+
 class LiveMcapWriter(McapWriter):
     """Writes a log that grows under its final name; all that was written is safe after `sync`.
 
@@ -45,6 +49,7 @@ class LiveMcapWriter(McapWriter):
     def __init__(self, path: Path, preset: str, begin: float) -> None:
         super().__init__(path, preset)
         self._clock = nanoseconds(begin)
+        self._synced = 0
 
     def __enter__(self) -> Self:
         """Begin the log in a hidden folder and move it to its place once it can be opened."""
@@ -91,6 +96,7 @@ class LiveMcapWriter(McapWriter):
             self._storage.close_chunk()
         self._file.flush()
         _sync_data(self._file.fileno())
+        self._synced = self._file.tell()
 
     @property
     def size(self) -> int:
@@ -99,9 +105,10 @@ class LiveMcapWriter(McapWriter):
 
     @property
     def in_place(self) -> bool:
-        """Whether the log is still where it was begun; one that was deleted goes on unseen."""
+        """Whether the log is where it was begun, and whole; one that was deleted goes on unseen."""
         try:
-            return os.path.samestat(self._path.stat(), os.fstat(self._file.fileno()))
+            there, ours = self._path.stat(), os.fstat(self._file.fileno())
+            return os.path.samestat(there, ours) and there.st_size >= self._synced
         except FileNotFoundError:
             return False
 
@@ -119,7 +126,7 @@ class LiveMcapWriter(McapWriter):
         try:
             self._path.open("xb").close()  # so that nothing is ever overwritten
         except FileExistsError:
-            raise SourceError(f"{self._path}: exists already; choose another name") from None
+            raise TakenError(f"{self._path}: exists already; choose another name") from None
         self._storage.path.replace(self._path)
         if sys.platform != "win32":
             folder = os.open(self._path.parent, os.O_RDONLY)

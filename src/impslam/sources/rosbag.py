@@ -267,9 +267,11 @@ class RosBag(Source):
                 self._problems.add(kind, f"{self.path}: {said}")
 
     def _raw(self, bag: Bag, used: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-        """Yield the data in use; a damaged log ends early, which is a problem."""
+        """Yield the data in use; a damaged log ends early or has gaps, which is a problem."""
+        number = 0
         try:
-            yield from bag.messages(used) if used else ()
+            for number, record in enumerate(bag.messages(used) if used else (), 1):  # noqa: B007
+                yield record
         except SourceError:
             raise
         except Exception as error:  # rosbags raises anything on damaged data
@@ -277,6 +279,13 @@ class RosBag(Source):
                 "damaged file",
                 f"{self.path}: ends after {self._position} messages ({one_line(error)}); "
                 "what precedes is used; copy it again or repair it",
+            )
+            return
+        if number < (told := sum(connection.msgcount for connection in used)):
+            self._problems.add(
+                "missing messages",
+                f"{self.path}: holds {number} of the {told} messages that its index tells of: another "
+                "program cut or overwrote it; the others are used; copy it again",
             )
 
     def _convert(self, topic: str, message: RosMessage, log_time: int) -> Message:

@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -400,7 +401,18 @@ def test_a_failing_disk_ends_the_recording_and_nothing_else(
     recorder.stop()
 
 
-@pytest.mark.parametrize("how", ["file deleted", "folder deleted", "file moved"])
+def test_robots_may_begin_a_log_in_the_same_second(tmp_path: Path, monkeypatch) -> None:
+    """All find the name free; who makes it has it, and the others take the next."""
+    monkeypatch.setattr(time, "strftime", lambda _: "20260101-000000")
+    recorders = [LogRecorder(tmp_path, "imp", 0, lambda *_: None) for _ in range(8)]
+    with ThreadPoolExecutor(8) as pool:
+        paths = list(pool.map(lambda recorder: recorder.start(), recorders))
+    numbers = ["", *(f"-{number}" for number in range(2, 9))]
+    assert {path.name for path in paths} == {f"20260101-000000{n}.mcap" for n in numbers}
+    assert all(ended_well(recorder) for recorder in recorders)
+
+
+@pytest.mark.parametrize("how", ["file deleted", "folder deleted", "file moved", "file cut"])
 def test_a_log_that_vanishes_ends_the_recording(
     recorder: LogRecorder, tmp_path: Path, how: str
 ) -> None:
@@ -409,9 +421,11 @@ def test_a_log_that_vanishes_ends_the_recording(
         path.unlink()
     elif how == "folder deleted":
         shutil.rmtree(path.parent)
+    elif how == "file cut":
+        os.truncate(path, 100)
     else:
         path.rename(tmp_path / "elsewhere.mcap")
-    assert "was moved or deleted while it was written" in ended(recorder).error
+    assert "was moved, deleted or cut while it was written" in ended(recorder).error
     assert recorder.start().is_file()  # the folder is made anew
     assert ended_well(recorder)
 

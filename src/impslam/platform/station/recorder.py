@@ -8,14 +8,16 @@ import shutil
 import threading
 import time
 import unicodedata
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from impslam.errors import ImpError
-from impslam.paths import unused
+from impslam.paths import numbered
 from impslam.platform.devices.base import Reading
 from impslam.platform.station.recorder_thread import Recording, RecordingError, disk_error
+from impslam.sources.live_recording import TakenError
 
 LONGEST_NAME = 60  # letters; file systems allow 255 bytes with date, number and suffix
 FRESH = 1.0  # s between looks at how much of the disk is free
@@ -164,14 +166,17 @@ class LogRecorder:
                     f"{self._folder}: less than the reserve of {self._floor / 1e6:.0f} MB is free "
                     "on the disk; delete logs and empty the recycle bin"
                 )
-            return Recording(self._new_path(name), self._preset, self._room, self._tell)
+            for path in self._paths(name):
+                with suppress(TakenError):  # another recorder of this folder was as fast
+                    return Recording(path, self._preset, self._room, self._tell)
+            raise AssertionError("names never end")
         except OSError as error:
             raise disk_error(self._folder, error) from None
 
-    def _new_path(self, name: str | None) -> Path:
+    def _paths(self, name: str | None) -> Iterator[Path]:
         stem = time.strftime("%Y%m%d-%H%M%S")
         stem += f"-{said}" if (said := file_name(name or "")) else ""
-        return unused(self._folder, stem, ".mcap")
+        return numbered(self._folder, stem, ".mcap")
 
     def _room(self) -> int:
         """Return the bytes that may still be written; 0 if the folder cannot be asked."""

@@ -135,9 +135,9 @@ class Recording:
         while not self._stopping.is_set():
             due = max(due + PERIOD, time.monotonic())
             self._stopping.wait(due - time.monotonic())
+            if not self._writer.in_place:  # before more is written behind what was cut off
+                raise RecordingError(f"{self.path}: was moved, deleted or cut while it was written")
             self._write_waiting()
-            if not self._writer.in_place:
-                raise RecordingError(f"{self.path}: was moved or deleted while it was written")
             if self._room() <= 0:
                 self.error = (
                     f"{self.path}: the disk is full up to its reserve; " + FIXES[errno.ENOSPC]

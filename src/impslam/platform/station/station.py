@@ -15,7 +15,7 @@ import tomli_w
 from impslam.config import Config, load, presets
 from impslam.errors import ImpError
 from impslam.observers.live_view import LiveView
-from impslam.paths import unused
+from impslam.paths import make_folder
 from impslam.platform.devices.base import Device, DriveDevice, Health, Reading, event, now
 from impslam.platform.station.helm import Helm
 from impslam.platform.station.mapper import LiveMapper, MapperStatus
@@ -103,7 +103,11 @@ class Station:
     def save_map(self) -> Path:
         """Write the map as it is now into a run folder of its own; mapping goes on."""
         with self._saving:  # two people may press at the same time
-            folder = unused(self.folder / "maps", time.strftime("map-%Y%m%d-%H%M%S"))
+            maps = self.folder / "maps"
+            try:
+                folder = make_folder(maps, time.strftime("map-%Y%m%d-%H%M%S"))
+            except OSError as error:
+                raise ImpError(f"{maps}: cannot be written ({error.strerror}); check it") from None
             try:
                 return self.mapper.save(folder)
             except ImpError:  # half a map is none, and takes room on a disk that has none

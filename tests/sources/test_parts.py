@@ -1,14 +1,17 @@
 """Columns of several layouts are joined and cut, in order; stamps are checked across the cuts."""
 
+import heapq
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from impslam import columns
 from impslam.columns import Columns
-from impslam.sources.parts import Piece, cut
+from impslam.sources.parts import Piece, cut, turns
 from impslam.sources.stamps import StampCheck
 from impslam.types import OdometryPose
 
@@ -92,3 +95,16 @@ def test_a_full_batch_does_not_wait_for_the_next_message() -> None:
 
     next(columns.batches(log(), 1))
     assert read == [0]
+
+
+@given(st.lists(st.lists(st.integers(0, 9).map(float), max_size=8), min_size=1, max_size=4))
+def test_files_are_merged_as_by_heapq(stamps: list[list[float]]) -> None:
+    streams = [[(x, i, k) for k, x in enumerate(each)] for i, each in enumerate(stamps)]
+    expected = list(heapq.merge(*streams, key=lambda row: row[0]))
+    found = turns(*(np.array(each, float) for each in stamps))
+    assert [
+        (stamps[i][k], i, k)
+        for _, i, k in sorted(
+            (o, i, k) for i, order in enumerate(found) for k, o in enumerate(order)
+        )
+    ] == expected

@@ -13,10 +13,8 @@ Both are in metres, seconds and radians, the GPS in a local plane; it tells no h
 
 from __future__ import annotations
 
-import heapq
 import math
 from collections.abc import Callable, Iterator
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -24,13 +22,23 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import PrivateAttr
 
+from impslam.columns import Columns
 from impslam.component import register
 from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Stream
 from impslam.sources.matlab import MatlabSource, column, read_variables, same_length
-from impslam.sources.parts import Located
+from impslam.sources.parts import Located, Piece, single, turns
 from impslam.sources.text import beam_angles, beam_times, finite
-from impslam.types import Array, Detections, LaserScan, Message, Steering, TrueLandmark, TruePose
+from impslam.types import (
+    Array,
+    Detections,
+    Ints,
+    LaserScan,
+    Message,
+    Steering,
+    TrueLandmark,
+    TruePose,
+)
 
 STEP = math.radians(0.5)  # between beams, from right to left
 RIGHT = math.radians(-90.0)  # the first beam
@@ -148,26 +156,43 @@ class Park(MatlabSource):
             self._fixes = np.column_stack((milliseconds / 1000.0, east, north))
         return len(self._wheels) + len(self._trees) + len(self._fixes)
 
-    def _messages(self) -> Iterator[Located]:
-        self._done = 0
-        # Streams are not sorted; merging only says whose turn it is, the motion up to a scan first.
-        yield from heapq.merge(
-            self._read("wheels", self._wheels, _steering),
-            self._read("GPS", self._fixes, _fix),
-            self._read("trees", self._trees, _trees),
-            key=attrgetter("message.stamp"),
-        )
+    def _parts(self, rows: int) -> Iterator[list[Piece]]:
+        """Yield all rows, which are in memory; the motion up to a scan goes first."""
+        del rows
+        self._done = self._count
+        wheels, fixes = self._sound("wheels", self._wheels), self._sound("GPS", self._fixes)
+        trees = list(self._tree_messages())
+        seen = np.array([tree.message.stamp for tree in trees])
+        orders = turns(self._wheels[wheels, 0], self._fixes[fixes, 0], seen)
+        stamp, speed, angle = self._wheels[wheels].T.copy()
+        motion = {"stamp": stamp, "speed": speed, "angle": angle}
+        places = self._fixes[fixes]
+        poses = np.column_stack((places[:, 1:], np.full(len(places), math.nan)))
+        fix = {"stamp": places[:, 0].copy(), "pose": poses}
+        part = [
+            Piece.of(Columns("wheels", Steering, orders[0], motion, {}), wheels + 1),
+            Piece.of(Columns("GPS", TruePose, orders[1], fix, {}), fixes + 1, checked=False),
+            *(single(*tree) for tree in zip(trees, orders[2].tolist(), strict=True)),
+        ]
+        yield [piece for piece in part if len(piece.columns)]
 
-    def _read(self, stream: str, rows: Any, make: Callable[..., Message]) -> Iterator[Located]:
-        for number, row in enumerate(rows, 1):
-            self._done += 1
+    def _sound(self, stream: str, rows: Array) -> Ints:
+        """Return which rows are finite, and explain the others."""
+        good = np.isfinite(rows.sum(axis=1))
+        what = "stamp, speed or steering" if stream == "wheels" else "stamp or position"
+        for k in np.flatnonzero(~good):
+            self._reject(stream, int(k) + 1, f"{what} is not finite")
+        return np.flatnonzero(good)
+
+    def _tree_messages(self) -> Iterator[Located]:
+        for number, (stamp, cell) in enumerate(self._trees, 1):
             try:
-                message = make(*row)
+                yield Located(_trees(stamp, cell), number, "trees")
             except MessageError as error:
-                where = f"{self.path}:{number}: {stream}"
-                self._problems.add(f"malformed {stream}", f"{where}: {error}; dropped")
-            else:
-                yield Located(message, number, stream, checked=stream != NAMES[GPS])
+                self._reject("trees", number, error)
+
+    def _reject(self, stream: str, number: int, why: object) -> None:
+        self._problems.add(f"malformed {stream}", f"{self.path}:{number}: {stream}: {why}; dropped")
 
     def _close(self) -> None:
         self._wheels = self._fixes = np.empty((0, 3))

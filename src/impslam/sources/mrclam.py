@@ -15,21 +15,21 @@ them is left out. Barcodes that nobody has were misread.
 
 from __future__ import annotations
 
-import heapq
 import re
-from collections.abc import Callable, Iterator
-from operator import attrgetter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
+from impslam.columns import Columns
 from impslam.component import parameter, register
 from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Stream
-from impslam.sources.parts import Located
+from impslam.sources.parts import Located, Piece, single, turns
+from impslam.sources.tables import Lines
 from impslam.sources.text import TextSource, head, numbers
-from impslam.types import Array, Detections, Message, TrueLandmark, TruePose, Velocity
+from impslam.types import Array, Detections, Ints, TrueLandmark, TruePose, Velocity
 
 ROBOTS = 5  # the first subjects
 PICTURE = 0.02  # s; rows nearer than this are of one picture, a tenth of the camera's period
@@ -75,40 +75,43 @@ class Mrclam(TextSource):
         there = own if own[2].is_file() else own[:2]
         return [*there, _split(self.path)[0] / "Barcodes.dat"]
 
-    def _messages(self) -> Iterator[Located]:
+    def _parts(self, rows: int) -> Iterator[list[Piece]]:
+        """Yield all rows: the files are some MB, and are merged by their stamps."""
+        del rows
         odometry, measurement, *truth, barcodes = self._files()
-        subjects = {int(row[1]): int(row[0]) for _, row in self._rows(barcodes, 2)}
-        streams = [
-            self._read(odometry, 3, lambda row: Velocity(*row.tolist())),
-            self._pictures(measurement, subjects),  # unwatched: often nothing is in view
-            *(self._read(path, 4, lambda row: TruePose(float(row[0]), row[1:])) for path in truth),
-        ]
-        # Lines are not sorted within a file; merging only says whose turn it is.
-        yield from heapq.merge(*streams, key=attrgetter("message.stamp"))
-
-    def _read(
-        self, path: Path, columns: int, convert: Callable[[Array], Message]
-    ) -> Iterator[Located]:
-        for number, row in self._rows(path, columns):
-            yield Located(convert(row), number, path.name)
+        subjects = {int(row[1]): int(row[0]) for row in self._table(barcodes, 2)[1]}
+        wheels = self._table(odometry, 3)
+        pictures = list(self._pictures(measurement, subjects))
+        tracked = self._table(truth[0], 4) if truth else (np.empty(0, np.int64), np.empty((0, 4)))
+        seen = np.array([picture.message.stamp for picture in pictures])
+        orders = turns(wheels[1][:, 0], seen, tracked[1][:, 0])
+        part = [single(*picture) for picture in zip(pictures, orders[1].tolist(), strict=True)]
+        stamp, speed, turn_rate = wheels[1].T.copy()
+        motion = {"stamp": stamp, "speed": speed, "turn_rate": turn_rate}
+        part.append(Piece.of(Columns(odometry.name, Velocity, orders[0], motion, {}), wheels[0]))
+        for path in truth:
+            poses = {"stamp": tracked[1][:, 0].copy(), "pose": tracked[1][:, 1:].copy()}
+            columns = Columns(path.name, TruePose, orders[2], poses, {})
+            part.append(Piece.of(columns, tracked[0]))
+        yield [piece for piece in part if len(piece.columns)]
 
     def _pictures(self, path: Path, subjects: dict[int, int]) -> Iterator[Located]:
         """Yield the landmarks in each picture that shows any."""
         seen: list[Array] = []
         first = 0
-        for number, row in self._rows(path, 4):
+        for number, row in zip(*self._table(path, 4), strict=True):
             label = self._landmark(path, number, row, subjects)
             if label is None:
                 continue
             row[1] = label
             if seen and not 0.0 <= row[0] - seen[0][0] < PICTURE:
-                yield Located(_detections(np.array(seen)), first, path.name, checked=False)
+                yield Located(_detections(np.array(seen)), int(first), path.name, checked=False)
                 seen = []
             if not seen:
                 first = number
             seen.append(row)
         if seen:
-            yield Located(_detections(np.array(seen)), first, path.name, checked=False)
+            yield Located(_detections(np.array(seen)), int(first), path.name, checked=False)
 
     def _landmark(
         self, path: Path, number: int, row: Array, subjects: dict[int, int]
@@ -123,19 +126,29 @@ class Mrclam(TextSource):
             )
         return None if subject is None or subject <= ROBOTS else subject
 
-    def _rows(self, path: Path, columns: int) -> Iterator[tuple[int, Array]]:
-        for number, line in self._lines(path):
-            if line.startswith(b"#") or not line.strip():
-                continue
-            try:
-                yield number, _row(line, columns)
-            except (ValueError, MessageError) as error:
-                self._reject(f"{path.stem} line", path, number, error)
+    def _table(self, path: Path, columns: int) -> tuple[Ints, Array]:
+        """Return the sound rows of a file, (m,) line numbers and (m, columns)."""
+        places, tables = [np.empty(0, np.int64)], [np.empty((0, columns))]
+        for first, block in self._blocks(path):
+            lines = Lines(block)
+            values, good = lines.table(np.arange(len(lines)), 0, columns, 0)
+            good &= (np.abs(values) < _LARGEST).all(axis=1)
+            for k in np.flatnonzero(~good).tolist():
+                line = lines.line(k)
+                if line.startswith(b"#") or not line.strip():
+                    continue
+                try:
+                    values[k], good[k] = _row(line, columns), True
+                except (ValueError, MessageError) as error:
+                    self._reject(f"{path.stem} line", path, first + k, error)
+            places.append(first + np.flatnonzero(good))
+            tables.append(values[good])
+        return np.concatenate(places), np.concatenate(tables)
 
     def true_landmarks(self) -> list[TrueLandmark]:
         """Return the surveyed landmarks, in the frame of the motion capture."""
         path = _split(self.path)[0] / "Landmark_Groundtruth.dat"
-        rows = [row for _, row in self._rows(path, 5)] if path.is_file() else []
+        rows = self._table(path, 5)[1] if path.is_file() else np.empty((0, 5))
         self._open.pop(path, None)  # no part of the log, whose bytes are counted
         return [TrueLandmark(str(int(row[0])), "point", row[1:3], {}) for row in rows]
 

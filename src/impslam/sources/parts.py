@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.columns import Batch, Columns, batch, batches, same_layout
-from impslam.types import Ints, Mask, Message
+from impslam.types import Array, Ints, Mask, Message
 
 
 class Located(NamedTuple):
@@ -75,6 +75,19 @@ def gather(messages: Iterable[Located], rows: int) -> Iterator[list[Piece]]:
             del known[: len(columns)]
             part.append(Piece(columns, places[:, 0], places[:, 1] > 0))
         yield part
+
+
+def turns(*stamps: Array) -> list[Ints]:
+    """Return the places in the log of the rows of streams that come in files of their own.
+
+    Rows are not sorted within a stream, as stamps may run backwards there: the stamps say which
+    stream's turn it is, the first one's where they are equal (what `heapq.merge` does).
+    """
+    keys = np.concatenate([np.maximum.accumulate(each) for each in stamps])
+    which = np.concatenate([np.full(len(each), i) for i, each in enumerate(stamps)])
+    order = np.empty(len(keys), np.int64)
+    order[np.lexsort((which, keys))] = np.arange(len(keys))
+    return np.split(order, np.cumsum([len(each) for each in stamps])[:-1])
 
 
 def cut(parts: Sequence[Columns], rows: int) -> Iterator[Batch]:

@@ -40,6 +40,8 @@ def named() -> list[str]:
 
 def is_of_a_config(key: str) -> bool:
     table, *_, last = key.split(".")
+    if (SOURCE / key.replace(".", "/")).with_suffix(".py").exists():  # a module
+        return False
     return table in Config.model_fields and last not in FILES and table != "robot"
 
 

@@ -69,6 +69,13 @@ def test_a_log_does_not_choose_which_code_runs(imp, tmp_path, monkeypatch, comma
     assert Path("ran").exists()
 
 
+@pytest.mark.parametrize(
+    "words", [["run", "b\udcff"], ["inspect", "b\udcff"], ["run", "a", "--set", "robot=\udcff"]]
+)
+def test_names_that_are_not_utf_8(imp, words) -> None:
+    fails(imp(*words), "is not UTF-8; rename it")
+
+
 def test_unknown_preset(imp, room) -> None:
     fails(imp("run", room, "-c", "imq"), "imq", "did you mean 'imp'?")
     fails(imp("config", "defalt"), "defalt", "did you mean 'default'?")

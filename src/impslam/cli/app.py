@@ -50,6 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
     try:
+        _check(words)
         _call(words)
         sys.stdout.flush()
     except BrokenPipeError:
@@ -72,6 +73,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             UNEXPECTED, error, f"error: {what}; run again with --debug and report it", debug
         )
     return OK
+
+
+def _check(words: list[str]) -> None:
+    """Refuse names that cannot be written down: they stand in reports and summaries."""
+    for word in words:
+        if not word.isascii() and "\\udc" in (said := ascii(word)):
+            raise ImpError(f"{said[:100]}: is not UTF-8; rename it")
 
 
 def _call(words: list[str]) -> None:

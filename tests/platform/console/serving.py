@@ -74,7 +74,7 @@ class Running:
 
     @property
     def origin(self) -> str:
-        scheme = "https" if self.server.gate.secure else "http"
+        scheme = "https" if self.server.authenticator.secure else "http"
         return f"{scheme}://127.0.0.1:{self.port}"
 
     def client(self, **options: Any) -> httpx.Client:

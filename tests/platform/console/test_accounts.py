@@ -7,7 +7,12 @@ import pytest
 
 from impslam.platform.console import accounts as module
 from impslam.platform.console.accounts import Accounts, AccountsError, write_private
-from impslam.platform.console.gate import KNOWN_LIFE, LINK_LIFE, Gate, Refused
+from impslam.platform.console.authenticator import (
+    KNOWN_LIFE,
+    LINK_LIFE,
+    Authenticator,
+    LoginRefused,
+)
 from impslam.platform.console.refusals import FIRST, LINES, MOST, WINDOW, Refusals, shown
 from impslam.platform.console.session import EACH, IDLE, LIFE, Session, Sessions
 from impslam.platform.console.session import MOST as MOST_SESSIONS
@@ -333,27 +338,27 @@ class TestRefusals:
     def test_the_first_at_once_the_rest_as_a_count(self, clock, caplog):
         refusals = Refusals(clock)
         for k in range(1000):
-            refusals.tell("10.0.0.1", "login", f"try {k}")
+            refusals.record("10.0.0.1", "login", f"try {k}")
         assert len(caplog.records) == FIRST
         assert self.told(caplog)[0] == "refused 10.0.0.1: login (try 0)"
         clock.moment += WINDOW
         refusals.flush()
         assert self.told(caplog)[-1] == "refused 10.0.0.1: login: 995 more in 60 s"
-        refusals.tell("10.0.0.1", "login")
+        refusals.record("10.0.0.1", "login")
         assert self.told(caplog)[-1] == "refused 10.0.0.1: login"
 
     def test_kinds_and_addresses_are_counted_apart(self, clock, caplog):
         refusals = Refusals(clock)
         for _ in range(100):
-            refusals.tell("10.0.0.1", "login")
-        refusals.tell("10.0.0.1", "a foreign host")
-        refusals.tell("10.0.0.2", "login")
+            refusals.record("10.0.0.1", "login")
+        refusals.record("10.0.0.1", "a foreign host")
+        refusals.record("10.0.0.2", "login")
         assert len(caplog.records) == FIRST + 2
 
     def test_nothing_is_told_twice_and_nothing_is_lost_at_the_end(self, clock, caplog):
         refusals = Refusals(clock)
         for _ in range(FIRST + 1):
-            refusals.tell("10.0.0.1", "login")
+            refusals.record("10.0.0.1", "login")
         refusals.flush()
         assert len(caplog.records) == FIRST
         refusals.flush(everything=True)
@@ -364,7 +369,7 @@ class TestRefusals:
     def test_many_addresses_do_not_fill_the_log(self, clock, caplog):
         refusals = Refusals(clock)
         for k in range(100_000):
-            refusals.tell(f"10.{k >> 16}.{k >> 8 & 255}.{k & 255}", "login")
+            refusals.record(f"10.{k >> 16}.{k >> 8 & 255}.{k & 255}", "login")
         assert len(caplog.records) == LINES
         refusals.flush(everything=True)
         assert len(caplog.records) == LINES + 1
@@ -375,7 +380,7 @@ class TestRefusals:
         refusals = Refusals(clock)
         for k in range(60_000):
             clock.moment += 0.01
-            refusals.tell(f"10.0.{k % 9}.{k % 250}", f"kind {k % 31}")
+            refusals.record(f"10.0.{k % 9}.{k % 250}", f"kind {k % 31}")
             refusals.admit(f"10.0.{k % 9}.{k % 250}", "logs in as watcher")
             if k % 100 == 0:
                 refusals.flush()
@@ -398,9 +403,9 @@ class TestGate:
         return "asyncio"
 
     @pytest.fixture
-    def gate(self, accounts, clock, caplog):
+    def authenticator(self, accounts, clock, caplog):
         caplog.set_level(logging.INFO)
-        return Gate(accounts, secure=True, clock=clock)
+        return Authenticator(accounts, secure=True, clock=clock)
 
     @pytest.fixture
     def shown(self):
@@ -408,80 +413,82 @@ class TestGate:
 
     @pytest.fixture
     def linked(self, tmp_path, clock, shown):
-        return Gate(Accounts(tmp_path / "none"), secure=False, show=shown.append, clock=clock)
+        return Authenticator(
+            Accounts(tmp_path / "none"), secure=False, show=shown.append, clock=clock
+        )
 
-    async def test_logins_are_told_and_passwords_never(self, gate, caplog):
-        _, session = await gate.enter("10.0.0.1", WATCH)
+    async def test_logins_are_told_and_passwords_never(self, authenticator, caplog):
+        _, session = await authenticator.enter("10.0.0.1", WATCH)
         assert not session.may_drive
-        with pytest.raises(Refused, match="not a password"):
-            await gate.enter("10.0.0.1", "guessed-password")
+        with pytest.raises(LoginRefused, match="not a password"):
+            await authenticator.enter("10.0.0.1", "guessed-password")
         assert "10.0.0.1 logs in as watcher (watcher 1, by a password)" in caplog.text
         assert "refused 10.0.0.1: login (a wrong password)" in caplog.text
         assert WATCH not in caplog.text
         assert "guessed" not in caplog.text
 
     async def test_who_waits_costs_no_hash_and_is_refused_with_the_right_one_too(
-        self, gate, monkeypatch
+        self, authenticator, monkeypatch
     ):
         hashes = []
-        real = gate.accounts.right
+        real = authenticator.accounts.right
         monkeypatch.setattr(
-            gate.accounts, "right", lambda password: hashes.append(1) or real(password)
+            authenticator.accounts, "right", lambda password: hashes.append(1) or real(password)
         )
         for _ in range(100):
-            with pytest.raises(Refused):
-                await gate.enter("10.0.0.1", "guessed-password")
-        with pytest.raises(Refused, match="Too many") as told:
-            await gate.enter("10.0.0.1", DRIVE)
+            with pytest.raises(LoginRefused):
+                await authenticator.enter("10.0.0.1", "guessed-password")
+        with pytest.raises(LoginRefused, match="Too many") as told:
+            await authenticator.enter("10.0.0.1", DRIVE)
         assert told.value.wait > 0.0
         assert len(hashes) == FREE
-        assert (await gate.enter("10.0.0.2", DRIVE))[1].may_drive
+        assert (await authenticator.enter("10.0.0.2", DRIVE))[1].may_drive
 
-    async def test_right_logins_keep_nobody_out(self, gate, monkeypatch, caplog):
+    async def test_right_logins_keep_nobody_out(self, authenticator, monkeypatch, caplog):
         """However often somebody logs in who may watch, the driver gets in from that address too."""
         hashes = []
-        real = gate.accounts.right
+        real = authenticator.accounts.right
         monkeypatch.setattr(
-            gate.accounts, "right", lambda password: hashes.append(1) or real(password)
+            authenticator.accounts, "right", lambda password: hashes.append(1) or real(password)
         )
         for _ in range(300):
-            assert not (await gate.enter("10.0.0.1", WATCH))[1].may_drive
+            assert not (await authenticator.enter("10.0.0.1", WATCH))[1].may_drive
         assert len(hashes) == 1
         assert len(caplog.records) <= FIRST
-        assert (await gate.enter("10.0.0.1", DRIVE))[1].may_drive
-        assert (await gate.enter("10.0.0.2", DRIVE))[1].may_drive
+        assert (await authenticator.enter("10.0.0.1", DRIVE))[1].may_drive
+        assert (await authenticator.enter("10.0.0.2", DRIVE))[1].may_drive
 
-    async def test_a_remembered_password_ends_with_the_file(self, gate):
-        await gate.enter("10.0.0.1", WATCH)
-        gate.accounts.set("watch", "another password")  # the gate has not swept yet
-        with pytest.raises(Refused, match="not a password"):
-            await gate.enter("10.0.0.1", WATCH)
+    async def test_a_remembered_password_ends_with_the_file(self, authenticator):
+        await authenticator.enter("10.0.0.1", WATCH)
+        authenticator.accounts.set("watch", "another password")  # the gate has not swept yet
+        with pytest.raises(LoginRefused, match="not a password"):
+            await authenticator.enter("10.0.0.1", WATCH)
 
-    async def test_a_new_password_ends_every_session(self, gate, caplog):
-        token, session = await gate.enter("10.0.0.1", DRIVE)
-        gate.sweep()
+    async def test_a_new_password_ends_every_session(self, authenticator, caplog):
+        token, session = await authenticator.enter("10.0.0.1", DRIVE)
+        authenticator.sweep()
         assert session.alive()
-        gate.accounts.set("watch", "another password")
-        gate.sweep()
+        authenticator.accounts.set("watch", "another password")
+        authenticator.sweep()
         assert not session.alive()
-        assert gate.sessions.find(token) is None
+        assert authenticator.sessions.find(token) is None
         assert "passwords have changed" in caplog.text
 
-    async def test_a_file_that_others_can_read_lets_nobody_in(self, gate, caplog):
-        gate.accounts.path.chmod(0o644)
-        with pytest.raises(Refused, match="its log says why"):
-            await gate.enter("10.0.0.1", DRIVE)
+    async def test_a_file_that_others_can_read_lets_nobody_in(self, authenticator, caplog):
+        authenticator.accounts.path.chmod(0o644)
+        with pytest.raises(LoginRefused, match="its log says why"):
+            await authenticator.enter("10.0.0.1", DRIVE)
         assert "chmod 600" in caplog.text
-        assert not gate.open_by_link()
+        assert not authenticator.open_by_link()
 
     def test_a_link_is_good_once(self, linked, shown):
         linked.offer_link()
         token = shown[0].partition("token=")[2]
-        with pytest.raises(Refused):
+        with pytest.raises(LoginRefused):
             linked.redeem("127.0.0.1", token[:-1])
         _, session = linked.redeem("127.0.0.1", token)
         assert session.may_drive
-        with pytest.raises(Refused, match="used before"):
+        with pytest.raises(LoginRefused, match="used before"):
             linked.redeem("127.0.0.1", token)
 
     def test_a_link_is_good_for_ten_minutes_and_then_another_is_shown(self, linked, shown, clock):
@@ -489,7 +496,7 @@ class TestGate:
         linked.offer_link()
         assert len(shown) == 1
         clock.moment += LINK_LIFE
-        with pytest.raises(Refused):
+        with pytest.raises(LoginRefused):
             linked.redeem("127.0.0.1", shown[0].partition("token=")[2])
         linked.offer_link()
         assert len(shown) == 2
@@ -500,46 +507,46 @@ class TestGate:
     def test_a_link_ends_when_a_password_is_set(self, linked, shown):
         linked.offer_link()
         linked.accounts.set("drive", DRIVE)
-        with pytest.raises(Refused):
+        with pytest.raises(LoginRefused):
             linked.redeem("127.0.0.1", shown[0].partition("token=")[2])
 
     def basic(self, user, password):
         return "Basic " + base64.b64encode(f"{user}:{password}".encode()).decode()
 
     async def test_a_script_has_user_and_password_and_costs_one_hash(
-        self, gate, clock, monkeypatch
+        self, authenticator, clock, monkeypatch
     ):
         hashes = []
-        real = gate.accounts.right
+        real = authenticator.accounts.right
         monkeypatch.setattr(
-            gate.accounts, "right", lambda password: hashes.append(1) or real(password)
+            authenticator.accounts, "right", lambda password: hashes.append(1) or real(password)
         )
         for _ in range(10):
-            session = await gate.basic("10.0.0.1", self.basic("drive", DRIVE))
+            session = await authenticator.basic("10.0.0.1", self.basic("drive", DRIVE))
             assert session is not None
             assert not session.may_drive  # it fetches, nothing else
         assert len(hashes) == 1
         clock.moment += KNOWN_LIFE
-        await gate.basic("10.0.0.1", self.basic("drive", DRIVE))
+        await authenticator.basic("10.0.0.1", self.basic("drive", DRIVE))
         assert len(hashes) == 2
-        gate.accounts.set("drive", "another password")
-        gate.sweep()
-        assert await gate.basic("10.0.0.1", self.basic("drive", DRIVE)) is None
+        authenticator.accounts.set("drive", "another password")
+        authenticator.sweep()
+        assert await authenticator.basic("10.0.0.1", self.basic("drive", DRIVE)) is None
 
     @pytest.mark.parametrize(
         "header",
         ["Basic", "Basic !", "Basic AAAA", "Bearer x", "Basic " + "/" * 4000, "Basic w4M6", ""],
     )
-    async def test_odd_headers_let_nobody_in(self, gate, header):
-        assert await gate.basic("10.0.0.1", header) is None
+    async def test_odd_headers_let_nobody_in(self, authenticator, header):
+        assert await authenticator.basic("10.0.0.1", header) is None
 
-    async def test_the_user_is_the_right(self, gate):
-        assert await gate.basic("10.0.0.1", self.basic("watch", DRIVE)) is None
-        assert await gate.basic("10.0.0.1", self.basic("watch", WATCH)) is not None
+    async def test_the_user_is_the_right(self, authenticator):
+        assert await authenticator.basic("10.0.0.1", self.basic("watch", DRIVE)) is None
+        assert await authenticator.basic("10.0.0.1", self.basic("watch", WATCH)) is not None
 
-    async def test_scripts_are_throttled_as_logins_are(self, gate):
+    async def test_scripts_are_throttled_as_logins_are(self, authenticator):
         for k in range(FREE):
-            await gate.basic("10.0.0.1", self.basic("drive", f"guess-{k}"))
-        assert await gate.basic("10.0.0.1", self.basic("drive", DRIVE)) is None
-        with pytest.raises(Refused, match="Too many"):
-            await gate.enter("10.0.0.1", DRIVE)
+            await authenticator.basic("10.0.0.1", self.basic("drive", f"guess-{k}"))
+        assert await authenticator.basic("10.0.0.1", self.basic("drive", DRIVE)) is None
+        with pytest.raises(LoginRefused, match="Too many"):
+            await authenticator.enter("10.0.0.1", DRIVE)

@@ -12,7 +12,7 @@ import zipfile
 import pytest
 from tests.platform.console.serving import DRIVE, PICTURE, WATCH, serving
 
-from impslam.platform.console.downloads import AsOfNow
+from impslam.platform.console.downloads import FixedLengthFileResponse
 from impslam.platform.console.throttle import FORGET
 from impslam.platform.station.store import StoredLog
 
@@ -219,7 +219,7 @@ class TestAsOfNow:
             return {"type": "http.disconnect"}
 
         scope = {"type": "http", "method": "GET", "headers": [], "asgi": {"spec_version": "2.4"}}
-        await AsOfNow(path, stat_result=found)(scope, receive, send)
+        await FixedLengthFileResponse(path, stat_result=found)(scope, receive, send)
         assert b"".join(message.get("body", b"") for message in sent) == CONTENT
         assert [message.get("more_body") for message in sent][-1] is False
         assert all(message["more_body"] for message in sent[1:-1])

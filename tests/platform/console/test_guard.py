@@ -4,11 +4,11 @@ import asyncio
 
 import pytest
 
-from impslam.platform.console import guard, line
+from impslam.platform.console import connection, guard
 from impslam.platform.console.accounts import Accounts
-from impslam.platform.console.asked import plain
-from impslam.platform.console.gate import Gate
+from impslam.platform.console.authenticator import Authenticator
 from impslam.platform.console.guard import Guard
+from impslam.platform.console.request import plain
 from impslam.platform.console.routes import SOCKET
 
 pytestmark = pytest.mark.anyio
@@ -22,14 +22,14 @@ def anyio_backend():
 
 
 @pytest.fixture
-def gate(tmp_path):
-    return Gate(Accounts(tmp_path / "accounts.json"), secure=False)
+def authenticator(tmp_path):
+    return Authenticator(Accounts(tmp_path / "accounts.json"), secure=False)
 
 
 @pytest.fixture
-def cookie(gate):
-    token, session = gate.sessions.begin("drive")
-    return (b"cookie", f"{gate.cookie}={token}".encode()), session
+def cookie(authenticator):
+    token, session = authenticator.sessions.begin("drive")
+    return (b"cookie", f"{authenticator.cookie}={token}".encode()), session
 
 
 def scope(*headers, kind="http", method="GET", path=None):
@@ -49,7 +49,7 @@ def scope(*headers, kind="http", method="GET", path=None):
     }
 
 
-async def ask(guarded, asked, messages=({"type": "http.request", "body": b""},)):
+async def ask(guarded, request, messages=({"type": "http.request", "body": b""},)):
     """Send messages, and then nothing; return what is answered."""
     left, sent = list(messages), []
 
@@ -61,11 +61,11 @@ async def ask(guarded, asked, messages=({"type": "http.request", "body": b""},))
     async def send(message):
         sent.append(message)
 
-    await guarded(asked, receive, send)
+    await guarded(request, receive, send)
     return sent
 
 
-async def test_the_app_sees_the_session_and_the_whole_body(gate, cookie):
+async def test_the_app_sees_the_session_and_the_whole_body(authenticator, cookie):
     seen = []
 
     async def app(scope, receive, send):
@@ -73,41 +73,41 @@ async def test_the_app_sees_the_session_and_the_whole_body(gate, cookie):
         await send({"type": "http.response.start", "status": 204, "headers": [(b"Server", b"x")]})
         await send({"type": "http.response.body"})
 
-    asked = scope(HOST, ORIGIN, cookie[0], (b"x-forwarded-for", b"1.2.3.4"), method="POST")
+    request = scope(HOST, ORIGIN, cookie[0], (b"x-forwarded-for", b"1.2.3.4"), method="POST")
     parts = [
         {"type": "http.request", "body": b"one ", "more_body": True},
         {"type": "http.request", "body": b"two"},
     ]
-    sent = await ask(Guard(app, gate, ["Robot."]), asked, parts)
+    sent = await ask(Guard(app, authenticator, ["Robot."]), request, parts)
     state, headers, message = seen[0]
     assert state == {"kept": 1, "session": cookie[1]}
-    assert asked["state"] == {"kept": 1}
+    assert request["state"] == {"kept": 1}
     assert b"x-forwarded-for" not in headers
     assert message == {"type": "http.request", "body": b"one two", "more_body": False}
     assert b"server" not in dict(sent[0]["headers"])
     assert dict(sent[0]["headers"])[b"cache-control"] == b"no-store"
 
 
-async def test_who_leaves_in_the_middle_of_a_body_does_not_reach_the_app(gate, cookie):
+async def test_who_leaves_in_the_middle_of_a_body_does_not_reach_the_app(authenticator, cookie):
     async def app(*_):
         pytest.fail("reached")
 
     parts = [{"type": "http.request", "body": b"x", "more_body": True}, {"type": "http.disconnect"}]
-    asked = scope(HOST, ORIGIN, cookie[0], method="POST")
-    assert await ask(Guard(app, gate, ["robot"]), asked, parts) == []
+    request = scope(HOST, ORIGIN, cookie[0], method="POST")
+    assert await ask(Guard(app, authenticator, ["robot"]), request, parts) == []
 
 
-async def test_the_start_of_the_app_is_left_alone(gate):
+async def test_the_start_of_the_app_is_left_alone(authenticator):
     seen = []
 
     async def app(scope, receive, send):
         seen.append(scope)
 
-    await ask(Guard(app, gate, []), {"type": "lifespan"})
+    await ask(Guard(app, authenticator, []), {"type": "lifespan"})
     assert seen == [{"type": "lifespan"}]
 
 
-async def test_a_download_breaks_off_when_its_session_ends(gate, cookie, caplog):
+async def test_a_download_breaks_off_when_its_session_ends(authenticator, cookie, caplog):
     parts = []
 
     async def app(scope, receive, send):
@@ -118,13 +118,15 @@ async def test_a_download_breaks_off_when_its_session_ends(gate, cookie, caplog)
             await send({"type": "http.response.body", "body": b"x", "more_body": True})
             parts.append(k)
 
-    sent = await ask(Guard(app, gate, ["robot"]), scope(HOST, cookie[0]))
+    sent = await ask(Guard(app, authenticator, ["robot"]), scope(HOST, cookie[0]))
     assert parts == [0, 1]
     assert len(sent) == 3
     assert "the rest after its session ended" in caplog.text
 
 
-async def test_an_app_that_goes_on_after_the_cut_is_ended(gate, cookie, monkeypatch, caplog):
+async def test_an_app_that_goes_on_after_the_cut_is_ended(
+    authenticator, cookie, monkeypatch, caplog
+):
     monkeypatch.setattr(guard, "LOOK", 0.01)
     monkeypatch.setattr(guard, "GRACE", 0.05)
     ended = asyncio.Event()
@@ -140,14 +142,16 @@ async def test_an_app_that_goes_on_after_the_cut_is_ended(gate, cookie, monkeypa
         finally:
             ended.set()
 
-    asked = scope(HOST, ORIGIN, cookie[0], kind="websocket")
-    sent = await ask(Guard(app, gate, ["robot"]), asked, [{"type": "websocket.connect"}])
+    request = scope(HOST, ORIGIN, cookie[0], kind="websocket")
+    sent = await ask(Guard(app, authenticator, ["robot"]), request, [{"type": "websocket.connect"}])
     await asyncio.wait_for(ended.wait(), 5.0)
     assert [message["type"] for message in sent][-1] == "websocket.close"
     assert "an open socket whose session has ended" in caplog.text
 
 
-async def test_a_socket_that_takes_nothing_does_not_hold_the_guard(gate, cookie, monkeypatch):
+async def test_a_socket_that_takes_nothing_does_not_hold_the_guard(
+    authenticator, cookie, monkeypatch
+):
     monkeypatch.setattr(guard, "LOOK", 0.01)
     monkeypatch.setattr(guard, "GRACE", 0.05)
     never = asyncio.get_running_loop().create_future
@@ -162,16 +166,16 @@ async def test_a_socket_that_takes_nothing_does_not_hold_the_guard(gate, cookie,
     async def send(message):
         await never()
 
-    asked = scope(HOST, ORIGIN, cookie[0], kind="websocket")
-    guarded = Guard(app, gate, ["robot"])
-    await asyncio.wait_for(guarded(asked, receive, send), 5.0)
+    request = scope(HOST, ORIGIN, cookie[0], kind="websocket")
+    guarded = Guard(app, authenticator, ["robot"])
+    await asyncio.wait_for(guarded(request, receive, send), 5.0)
 
 
-async def test_a_socket_that_is_not_read_is_cut(gate, cookie, monkeypatch, caplog):
+async def test_a_socket_that_is_not_read_is_cut(authenticator, cookie, monkeypatch, caplog):
     """Else what waits for it would fill the memory."""
     monkeypatch.setattr(guard, "LOOK", 0.01)
     monkeypatch.setattr(guard, "GRACE", 0.05)
-    monkeypatch.setattr(line, "STUCK", 0.05)
+    monkeypatch.setattr(connection, "STUCK", 0.05)
     never = asyncio.get_running_loop().create_future
 
     async def app(scope, receive, send):
@@ -180,12 +184,12 @@ async def test_a_socket_that_is_not_read_is_cut(gate, cookie, monkeypatch, caplo
     async def send(message):
         await never()
 
-    asked = scope(HOST, ORIGIN, cookie[0], kind="websocket")
-    await asyncio.wait_for(Guard(app, gate, ["robot"])(asked, never, send), 5.0)
+    request = scope(HOST, ORIGIN, cookie[0], kind="websocket")
+    await asyncio.wait_for(Guard(app, authenticator, ["robot"])(request, never, send), 5.0)
     assert "a socket that takes nothing" in caplog.text
 
 
-async def test_no_message_passes_after_the_end(gate, cookie, monkeypatch):
+async def test_no_message_passes_after_the_end(authenticator, cookie, monkeypatch):
     monkeypatch.setattr(guard, "LOOK", 0.01)
     got = []
 
@@ -196,20 +200,20 @@ async def test_no_message_passes_after_the_end(gate, cookie, monkeypatch):
             cookie[1].end()
 
     messages = [{"type": "websocket.connect"}, *[{"type": "websocket.receive", "text": "go"}] * 3]
-    asked = scope(HOST, ORIGIN, cookie[0], kind="websocket")
-    await ask(Guard(app, gate, ["robot"]), asked, messages)
+    request = scope(HOST, ORIGIN, cookie[0], kind="websocket")
+    await ask(Guard(app, authenticator, ["robot"]), request, messages)
     assert got == ["websocket.connect", "websocket.disconnect"]
 
 
-async def test_what_goes_wrong_in_the_app_is_not_swallowed(gate, cookie):
+async def test_what_goes_wrong_in_the_app_is_not_swallowed(authenticator, cookie):
     async def app(scope, receive, send):
         raise LookupError("a bug")
 
-    asked = scope(HOST, ORIGIN, cookie[0], kind="websocket")
+    request = scope(HOST, ORIGIN, cookie[0], kind="websocket")
     with pytest.raises(LookupError):
-        await ask(Guard(app, gate, ["robot"]), asked)
+        await ask(Guard(app, authenticator, ["robot"]), request)
     with pytest.raises(LookupError):
-        await ask(Guard(app, gate, ["robot"]), scope(HOST, cookie[0]))
+        await ask(Guard(app, authenticator, ["robot"]), scope(HOST, cookie[0]))
 
 
 @pytest.mark.parametrize(
@@ -225,13 +229,15 @@ async def test_what_goes_wrong_in_the_app_is_not_swallowed(gate, cookie):
         (b"robot.local", "10.0.0.5", 421),
     ],
 )
-async def test_the_address_of_the_connection_is_no_foreign_host(gate, cookie, host, server, status):
+async def test_the_address_of_the_connection_is_no_foreign_host(
+    authenticator, cookie, host, server, status
+):
     async def app(scope, receive, send):
         await send({"type": "http.response.start", "status": 200, "headers": []})
         await send({"type": "http.response.body"})
 
-    asked = scope((b"host", host), cookie[0]) | {"server": (server, 8080)}
-    sent = await ask(Guard(app, gate, ["robot"]), asked)
+    request = scope((b"host", host), cookie[0]) | {"server": (server, 8080)}
+    sent = await ask(Guard(app, authenticator, ["robot"]), request)
     assert sent[0]["status"] == status
 
 

@@ -12,7 +12,7 @@ from tests.platform.console.serving import WATCH, serving
 from tests.platform.console.test_security import opened, soon
 
 from impslam.platform.console import page
-from impslam.platform.console.line import MESSAGES
+from impslam.platform.console.connection import MESSAGES
 from impslam.platform.console.model import Model
 from impslam.platform.console.refusals import FIRST, Refusals
 from impslam.platform.console.session import Sessions
@@ -58,7 +58,7 @@ def test_whatever_a_watcher_sends_to_the_page_raises_nothing(tmp_path, replay, c
 def test_refused_commands_of_a_watcher_do_not_fill_the_log(caplog):
     caplog.set_level("INFO")
     refusals = Refusals()
-    sessions = Sessions(report=refusals.tell)
+    sessions = Sessions(report=refusals.record)
     _, session = sessions.begin("watch", "10.0.0.9")
     for _ in range(1000):
         session.refused("log in with the drive password\nimp: warning: forged")

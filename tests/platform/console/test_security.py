@@ -38,12 +38,17 @@ def served(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def calm(served):
     """Every test begins with nothing counted and nobody waiting."""
-    served.server.gate.refusals.flush(everything=True)
+    served.server.authenticator.refusals.flush(everything=True)
     served.clock.ahead += FORGET
 
 
 def cookie(client):
     return "; ".join(f"{name}={value}" for name, value in client.cookies.items())
+
+
+def session_of(served, client):
+    authenticator = served.server.authenticator
+    return authenticator.sessions.find(client.cookies[authenticator.cookie])
 
 
 @contextlib.contextmanager
@@ -167,7 +172,7 @@ class TestWithoutLogin:
 
     @pytest.mark.parametrize("value", ["", "x", "A" * 43, "\u00e9", '"', "a=b; c", "\\"])
     def test_a_guessed_cookie_is_none(self, served, value, caplog):
-        name = served.server.gate.cookie
+        name = served.server.authenticator.cookie
         headers = {"cookie": f"{name}={value}".encode()}
         with served.client() as client:
             assert client.get("/camera.jpg", headers=headers).status_code == 401
@@ -244,17 +249,21 @@ class TestSessions:
 
     def test_a_socket_that_says_nothing_is_cut_as_well(self, served, caplog):
         with served.logged_in() as client, opened(served, client):
-            served.server.gate.sessions.find(client.cookies[served.server.gate.cookie]).end()
+            served.server.authenticator.sessions.find(
+                client.cookies[served.server.authenticator.cookie]
+            ).end()
             soon(lambda: "an open socket whose session has ended" in caplog.text)
 
     def test_a_new_password_ends_all(self, served):
         with served.logged_in() as client:
-            served.server.gate.accounts.set("watch", WATCH)
+            served.server.authenticator.accounts.set("watch", WATCH)
             soon(lambda: client.get("/camera.jpg").status_code == 401)
 
     def test_an_open_page_counts_as_use(self, served):
         with served.logged_in() as client, opened(served, client) as line:
-            session = served.server.gate.sessions.find(client.cookies[served.server.gate.cookie])
+            session = served.server.authenticator.sessions.find(
+                client.cookies[served.server.authenticator.cookie]
+            )
             for _ in range(3):
                 used = session.used
                 served.clock.ahead += IDLE * 0.6
@@ -750,7 +759,7 @@ class TestGuessing:
         """All but a few are refused before a hash, and another address gets in meanwhile."""
         counts = {401: 0, 429: 0}
         hashes = []
-        accounts = served.server.gate.accounts
+        accounts = served.server.authenticator.accounts
         real = accounts.right
         accounts.right = lambda password: hashes.append(password) or real(password)
         try:
@@ -777,7 +786,7 @@ class TestGuessing:
         assert FREE <= counts[401] <= 8
         assert counts[401] + counts[429] == 1000
         assert spent < 60.0
-        served.server.gate.refusals.flush(everything=True)
+        served.server.authenticator.refusals.flush(everything=True)
         assert "refused 127.0.0.1: login (a wrong password)" in caplog.text
         [told] = re.findall(r"refused 127\.0\.0\.1: login: (\d+) more in", caplog.text)
         assert int(told) + 5 == 1001

@@ -1,4 +1,4 @@
-"""The server as a whole: where it listens, by which papers, and how it ends."""
+"""The server as a whole: where it listens, with which certificate, and how it ends."""
 
 import signal
 import socket
@@ -14,7 +14,7 @@ from websockets.sync.client import connect
 from impslam.errors import ImpError
 from impslam.platform.console.accounts import Accounts
 from impslam.platform.console.server import ServerSettings, listening, prepared
-from impslam.platform.console.tls import own_papers
+from impslam.platform.console.tls import own_certificate
 
 CHILD = """
 import sys
@@ -107,9 +107,9 @@ class TestLink:
 @pytest.fixture(scope="module")
 def secured(tmp_path_factory):
     folder = tmp_path_factory.mktemp("robot")
-    papers = own_papers(folder / "papers", ["localhost"], ["127.0.0.1"])
-    trust = ssl.create_default_context(cafile=papers.certificate)
-    given = {"certificate": papers.certificate, "key": papers.key}
+    pem = own_certificate(folder / "certificate", ["localhost"], ["127.0.0.1"])
+    trust = ssl.create_default_context(cafile=pem.certificate)
+    given = {"certificate": pem.certificate, "key": pem.key}
     with serving(folder, verify=trust, **given) as served:
         served.trust = trust
         yield served
@@ -169,10 +169,10 @@ class TestTls:
 
 
 class TestBeyondLoopback:
-    def test_it_is_on_tls_with_papers_of_its_own(self, tmp_path):
+    def test_it_is_on_tls_with_a_certificate_of_its_own(self, tmp_path):
         with serving(tmp_path, host="0.0.0.0", names=("robot.example",), verify=False) as served:
             assert served.told[0] == f"the page is at https://robot.example:{served.port}"
-            assert served.server.gate.secure
+            assert served.server.authenticator.secure
             assert (tmp_path / "accounts" / "certificate.pem").exists()
             with served.client() as client:
                 for host, status in {

@@ -12,30 +12,30 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from impslam.errors import ImpError
 from impslam.platform.console import hosts, tls
-from impslam.platform.console.tls import LIFE, CertificateError, Papers, own_papers
+from impslam.platform.console.tls import LIFE, CertificateError, CertificateFiles, own_certificate
 
 NAMES, ADDRESSES = ("robot", "robot.local"), ("10.0.0.5", "fd00::5")
 
 
 @pytest.fixture
-def papers(tmp_path):
-    return own_papers(tmp_path / "new", NAMES, ADDRESSES)
+def pem(tmp_path):
+    return own_certificate(tmp_path / "new", NAMES, ADDRESSES)
 
 
-def read(papers):
-    return x509.load_pem_x509_certificate(papers.certificate.read_bytes())
+def read(pem):
+    return x509.load_pem_x509_certificate(pem.certificate.read_bytes())
 
 
-def names(papers):
-    found = read(papers).extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+def names(pem):
+    found = read(pem).extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     addresses = [str(address) for address in found.get_values_for_type(x509.IPAddress)]
     return {*found.get_values_for_type(x509.DNSName), *addresses}
 
 
 class TestOwnPapers:
-    def test_it_is_for_the_names_and_addresses_and_nothing_else(self, papers):
-        found = read(papers)
-        assert names(papers) == {*NAMES, *ADDRESSES}
+    def test_it_is_for_the_names_and_addresses_and_nothing_else(self, pem):
+        found = read(pem)
+        assert names(pem) == {*NAMES, *ADDRESSES}
         key = found.public_key()
         assert isinstance(key, ec.EllipticCurvePublicKey)
         assert key.curve.name == "secp256r1"
@@ -44,76 +44,76 @@ class TestOwnPapers:
         basic = found.extensions.get_extension_for_class(x509.BasicConstraints)
         assert not basic.value.ca
 
-    def test_the_key_is_private(self, papers):
-        assert stat.S_IMODE(papers.key.stat().st_mode) == 0o600
+    def test_the_key_is_private(self, pem):
+        assert stat.S_IMODE(pem.key.stat().st_mode) == 0o600
 
-    def test_it_is_kept(self, papers):
-        before = papers.certificate.read_bytes()
-        assert own_papers(papers.key.parent, NAMES[:1], ADDRESSES[::-1]) == papers
-        assert papers.certificate.read_bytes() == before
+    def test_it_is_kept(self, pem):
+        before = pem.certificate.read_bytes()
+        assert own_certificate(pem.key.parent, NAMES[:1], ADDRESSES[::-1]) == pem
+        assert pem.certificate.read_bytes() == before
 
-    def test_a_new_address_renews_it_and_going_back_does_not(self, papers):
-        own_papers(papers.key.parent, NAMES, ("192.168.1.7",))
-        assert names(papers) == {*NAMES, *ADDRESSES, "192.168.1.7"}
-        before = papers.fingerprint()
-        own_papers(papers.key.parent, NAMES, ADDRESSES)
-        assert papers.fingerprint() == before
+    def test_a_new_address_renews_it_and_going_back_does_not(self, pem):
+        own_certificate(pem.key.parent, NAMES, ("192.168.1.7",))
+        assert names(pem) == {*NAMES, *ADDRESSES, "192.168.1.7"}
+        before = pem.fingerprint()
+        own_certificate(pem.key.parent, NAMES, ADDRESSES)
+        assert pem.fingerprint() == before
 
-    def test_it_does_not_grow_for_ever(self, papers):
+    def test_it_does_not_grow_for_ever(self, pem):
         for k in range(tls.MOST_NAMES + 3):
-            own_papers(papers.key.parent, NAMES, (f"10.0.1.{k}",))
-        assert len(names(papers)) <= tls.MOST_NAMES
-        assert {*NAMES, f"10.0.1.{tls.MOST_NAMES + 2}"} <= names(papers)
+            own_certificate(pem.key.parent, NAMES, (f"10.0.1.{k}",))
+        assert len(names(pem)) <= tls.MOST_NAMES
+        assert {*NAMES, f"10.0.1.{tls.MOST_NAMES + 2}"} <= names(pem)
 
     @pytest.mark.parametrize("days", [800, 10_000, -5])
     def test_it_is_renewed_before_its_end_and_where_the_clock_was_wrong(
-        self, papers, monkeypatch, days
+        self, pem, monkeypatch, days
     ):
-        before = papers.fingerprint()
+        before = pem.fingerprint()
         moment = datetime.datetime.now(datetime.UTC) + datetime.timedelta(days=days)
         monkeypatch.setattr(tls, "_now", lambda: moment)
-        own_papers(papers.key.parent, NAMES, ADDRESSES)
-        assert papers.fingerprint() != before
-        assert read(papers).not_valid_before_utc < moment < read(papers).not_valid_after_utc
+        own_certificate(pem.key.parent, NAMES, ADDRESSES)
+        assert pem.fingerprint() != before
+        assert read(pem).not_valid_before_utc < moment < read(pem).not_valid_after_utc
 
     @pytest.mark.parametrize("broken", ["certificate", "key"])
     @pytest.mark.parametrize("content", [None, b"", b"nonsense"])
-    def test_what_is_broken_is_made_anew(self, papers, broken, content):
-        before = papers.fingerprint()
-        path = getattr(papers, broken)
+    def test_what_is_broken_is_made_anew(self, pem, broken, content):
+        before = pem.fingerprint()
+        path = getattr(pem, broken)
         path.unlink()
         if content is not None:
             path.write_bytes(content)
-        own_papers(papers.key.parent, NAMES, ADDRESSES)
-        papers.context()
-        assert papers.fingerprint() != before
+        own_certificate(pem.key.parent, NAMES, ADDRESSES)
+        pem.context()
+        assert pem.fingerprint() != before
 
     def test_a_folder_that_cannot_be_written_is_told(self, tmp_path):
         (tmp_path / "file").write_text("")
         with pytest.raises(CertificateError, match="make it yours"):
-            own_papers(tmp_path / "file", NAMES, ADDRESSES)
+            own_certificate(tmp_path / "file", NAMES, ADDRESSES)
 
-    def test_the_fingerprint_is_what_other_tools_show(self, papers):
+    def test_the_fingerprint_is_what_other_tools_show(self, pem):
         shown = subprocess.run(
-            ["openssl", "x509", "-noout", "-fingerprint", "-sha256", "-in", papers.certificate],
+            ["openssl", "x509", "-noout", "-fingerprint", "-sha256", "-in", pem.certificate],
             capture_output=True,
             text=True,
             check=True,
         ).stdout
-        assert shown.strip().partition("=")[2] == papers.fingerprint()
+        assert shown.strip().partition("=")[2] == pem.fingerprint()
 
 
 class TestGivenPapers:
     @pytest.mark.parametrize("swap", ["certificate", "key", "both", "missing", "encrypted"])
-    def test_what_does_not_serve_is_told_in_one_line(self, papers, tmp_path, swap):
-        other = own_papers(tmp_path / "other", NAMES, ADDRESSES)
+    def test_what_does_not_serve_is_told_in_one_line(self, pem, tmp_path, swap):
+        other = own_certificate(tmp_path / "other", NAMES, ADDRESSES)
         nonsense = tmp_path / "nonsense.pem"
         nonsense.write_text("nonsense")
         encrypted = tmp_path / "encrypted.pem"
         subprocess.run(
             [
                 *["openssl", "ec", "-aes128", "-passout", "pass:secret", "-in"],
-                papers.key,
+                pem.key,
                 "-out",
                 encrypted,
             ],
@@ -121,11 +121,11 @@ class TestGivenPapers:
             check=True,
         )
         given = {
-            "certificate": Papers(nonsense, papers.key),
-            "key": Papers(papers.certificate, other.key),
-            "both": Papers(papers.key, papers.certificate),
-            "missing": Papers(tmp_path / "none", papers.key),
-            "encrypted": Papers(papers.certificate, encrypted),
+            "certificate": CertificateFiles(nonsense, pem.key),
+            "key": CertificateFiles(pem.certificate, other.key),
+            "both": CertificateFiles(pem.key, pem.certificate),
+            "missing": CertificateFiles(tmp_path / "none", pem.key),
+            "encrypted": CertificateFiles(pem.certificate, encrypted),
         }[swap]
         with pytest.raises(CertificateError, match="give a PEM certificate") as told:
             given.context()
@@ -141,14 +141,14 @@ class TestGivenPapers:
         ],
     )
     @pytest.mark.filterwarnings("ignore:ssl.TLSVersion.TLSv1:DeprecationWarning")
-    def test_old_versions_are_not_spoken(self, papers, version, fits):
+    def test_old_versions_are_not_spoken(self, pem, version, fits):
         client = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-        client.load_verify_locations(papers.certificate)
+        client.load_verify_locations(pem.certificate)
         client.set_ciphers("ALL:@SECLEVEL=0")  # else it is the client that refuses
         client.minimum_version = client.maximum_version = version
         near, far = socket.socketpair()
         with near, far:
-            answer = threading.Thread(target=_serve, args=(papers.context(), far))
+            answer = threading.Thread(target=_serve, args=(pem.context(), far))
             answer.start()
             try:
                 with client.wrap_socket(near, server_hostname="robot.local") as line:

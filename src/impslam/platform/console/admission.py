@@ -13,7 +13,7 @@ from collections import Counter
 
 from starlette.types import Message, Send
 
-from impslam.platform.console.asked import Asked
+from impslam.platform.console.request import IncomingRequest
 from impslam.platform.console.session import Session
 
 EACH = (
@@ -80,14 +80,14 @@ class Admission:
     def __init__(self) -> None:
         self._strangers, self._watchers, self._files = Lane(), Lane(), Lane()
 
-    async def turn(self, asked: Asked, session: Session | None) -> Turn | None:
+    async def turn(self, request: IncomingRequest, session: Session | None) -> Turn | None:
         """Wait until a request may be worked on; return None where it may not."""
         if session is None:
-            return await self._strangers.turn(asked.address)
+            return await self._strangers.turn(request.address)
         if session.may_drive:
             return Turn(None)
-        lane = self._files if asked.by_script else self._watchers
-        return await lane.turn(f"{asked.address} {session.id}")
+        lane = self._files if request.by_script else self._watchers
+        return await lane.turn(f"{request.address} {session.id}")
 
 
 class Sockets:

@@ -27,7 +27,7 @@ from starlette.routing import Route
 from starlette.types import Message, Receive, Scope, Send
 
 from impslam.errors import ImpError
-from impslam.platform.console.gate import Gate
+from impslam.platform.console.authenticator import Authenticator
 from impslam.platform.console.login import address
 from impslam.platform.station.station import Station
 
@@ -36,22 +36,22 @@ IN_MEMORY = 8 << 20  # bytes of a zip that need no disk
 _TYPES: Final = {"jpeg": "image/jpeg", "png": "image/png"}
 
 
-def routes(gate: Gate, station: Station | None) -> Sequence[Route]:
+def routes(authenticator: Authenticator, station: Station | None) -> Sequence[Route]:
     """Return `/logs`, `/logs/NAME`, `/logs/NAME.sha256`, `/maps`, `/maps/NAME.zip`, `/camera.jpg`."""
     if station is None:
         return []
-    shelf = _Shelf(gate, station)
+    endpoints = _FileEndpoints(authenticator, station)
     return [
-        Route("/logs", shelf.logs),
-        Route("/logs/{name}.sha256", shelf.digest),
-        Route("/logs/{name}", shelf.log),
-        Route("/maps", shelf.maps),
-        Route("/maps/{name}.zip", shelf.map),
-        Route("/camera.jpg", shelf.picture),
+        Route("/logs", endpoints.logs),
+        Route("/logs/{name}.sha256", endpoints.digest),
+        Route("/logs/{name}", endpoints.log),
+        Route("/maps", endpoints.maps),
+        Route("/maps/{name}.zip", endpoints.map),
+        Route("/camera.jpg", endpoints.picture),
     ]
 
 
-class AsOfNow(FileResponse):
+class FixedLengthFileResponse(FileResponse):
     """A file as large as it was when asked for, though it grows while it is sent."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -79,11 +79,11 @@ class _Sent(Exception):  # no error: all that was promised is sent
     """Ends the reading of a file that goes on."""
 
 
-class _Shelf:
+class _FileEndpoints:
     """Answers requests for files; every name is one that a listing gave, or it is refused."""
 
-    def __init__(self, gate: Gate, station: Station) -> None:
-        self._gate, self._station = gate, station
+    def __init__(self, authenticator: Authenticator, station: Station) -> None:
+        self._authenticator, self._station = authenticator, station
 
     def logs(self, _: Request) -> Response:
         rows = [asdict(log) for log in self._station.store.logs()]
@@ -94,7 +94,7 @@ class _Shelf:
         if path is None:
             return self._none(request)
         found = await run_in_threadpool(path.stat)
-        return AsOfNow(
+        return FixedLengthFileResponse(
             path, media_type="application/octet-stream", filename=path.name, stat_result=found
         )
 
@@ -147,7 +147,9 @@ class _Shelf:
         return {path.name: path for path in folders if path.is_dir() and not path.is_symlink()}
 
     def _none(self, request: Request) -> Response:
-        self._gate.refusals.tell(address(request), "a file that is not there", request.url.path)
+        self._authenticator.refusals.record(
+            address(request), "a file that is not there", request.url.path
+        )
         return PlainTextResponse("no such file\n", 404)
 
 

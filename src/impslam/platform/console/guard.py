@@ -1,6 +1,6 @@
 """The guard: stands before the whole app, and lets nothing through that it has not looked at.
 
-Every request and every socket is asked for its size, the host it believes to talk to (else a name
+Every request and every socket is checked for its size, the host it believes to talk to (else a name
 that is bound to the robot's address would make it a page of its own: DNS rebinding), the page it
 comes from (else any page in the same browser could use the robot), and its session. What passes
 carries the session as `request.state.session`.
@@ -19,13 +19,19 @@ from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from impslam.platform.console.admission import Admission, Sockets
-from impslam.platform.console.asked import Asked, Refusal, host, origin, shape
-from impslam.platform.console.gate import Gate
-from impslam.platform.console.line import Ended, Line, read, replayed, while_alive
+from impslam.platform.console.authenticator import Authenticator
+from impslam.platform.console.connection import (
+    SessionEnded,
+    SocketConnection,
+    read,
+    replayed,
+    while_alive,
+)
 from impslam.platform.console.messages import opening
 from impslam.platform.console.pages import room
+from impslam.platform.console.request import IncomingRequest, Refusal, host, origin, shape
 from impslam.platform.console.routes import PAGE, route
-from impslam.platform.console.sealed import Sealed
+from impslam.platform.console.security_headers import SecurityHeaders
 from impslam.platform.console.session import Session
 
 BODY = 64 * 1024  # bytes of a request's body, and of a socket's message
@@ -36,7 +42,7 @@ LOOK = 0.25  # s between two looks whether an open socket's session still holds
 
 BUSY = Refusal(503, "too many requests at once")
 
-_CLAIMS = re.compile(rb"x-forwarded-.*|forwarded|x-real-ip|x-original-.*")
+_FORWARDED = re.compile(rb"x-forwarded-.*|forwarded|x-real-ip|x-original-.*")
 
 
 class Guard:
@@ -45,7 +51,7 @@ class Guard:
     Parameters
     ----------
     app : what is guarded
-    gate : knows the sessions
+    authenticator : knows the sessions
     names : host names that this server is reached by, beside the address it is reached at
     clock : s, never stepping back
     """
@@ -53,12 +59,13 @@ class Guard:
     def __init__(
         self,
         app: ASGIApp,
-        gate: Gate,
+        authenticator: Authenticator,
         names: Iterable[str],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.app, self._gate, self._clock = app, gate, clock
+        self.app, self._authenticator, self._clock = app, authenticator, clock
         self._names = frozenset(name.lower().rstrip(".") for name in names)
+        self._refusals = authenticator.refusals
         self._admission, self._sockets = Admission(), Sockets()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -66,93 +73,102 @@ class Guard:
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
             return
-        asked = Asked(scope)
-        send = Sealed(asked, send)
-        refusal = shape(asked) or host(asked, self._names) or origin(asked)
-        session = None if refusal else await self._session(asked)
-        if refusal is None and session is None and not asked.public:
-            refusal = Refusal(401, "no session", f"{asked.method} {asked.path}")
-        refusal = refusal or route(asked)
-        if refusal is None and session is not None and asked.socket:
-            refusal = opening(asked, session)
+        request = IncomingRequest(scope)
+        send = SecurityHeaders(request, send)
+        refusal = shape(request) or host(request, self._names) or origin(request)
+        session = None if refusal else await self._session(request)
+        if refusal is None and session is None and not request.public:
+            refusal = Refusal(401, "no session", f"{request.method} {request.path}")
+        refusal = refusal or route(request)
+        if refusal is None and session is not None and request.socket:
+            refusal = opening(request, session)
         if refusal is not None:
-            await self._refuse(asked, refusal, receive, send)
+            await self._refuse(request, refusal, receive, send)
             return
         scope = _passed(scope, session)
-        if session is None or not asked.socket:
-            await self._request(asked, session, scope, receive, send)
+        if session is None or not request.socket:
+            await self._request(request, session, scope, receive, send)
         elif self._sockets.take(session):
             try:
-                await self._socket(asked, session, scope, receive, send)
+                await self._socket(request, session, scope, receive, send)
             finally:
                 self._sockets.leave(session)
         else:
-            await self._refuse(asked, Refusal(503, "too many sockets"), receive, send)
+            await self._refuse(request, Refusal(503, "too many sockets"), receive, send)
 
-    async def _session(self, asked: Asked) -> Session | None:
-        token = asked.cookie(self._gate.cookie)
-        session = self._gate.sessions.find(token) if token else None
+    async def _session(self, request: IncomingRequest) -> Session | None:
+        token = request.cookie(self._authenticator.cookie)
+        session = self._authenticator.sessions.find(token) if token else None
         if session is not None:
             session.use()
-        elif asked.by_script and (header := asked.header("authorization")):
-            session = await self._gate.basic(asked.address, header)
+        elif request.by_script and (header := request.header("authorization")):
+            session = await self._authenticator.basic(request.address, header)
         return session
 
-    async def _refuse(self, asked: Asked, why: Refusal, receive: Receive, send: Send) -> None:
-        detail = why.detail or f"{asked.method} {asked.path}"
-        if why.status == 401 and asked.cookie(self._gate.cookie):
+    async def _refuse(
+        self, request: IncomingRequest, why: Refusal, receive: Receive, send: Send
+    ) -> None:
+        detail = why.detail or f"{request.method} {request.path}"
+        if why.status == 401 and request.cookie(self._authenticator.cookie):
             why = Refusal(401, "a session that has ended", detail)
-        self._gate.refusals.tell(asked.address, why.what, detail)
-        response = _answer(asked, why)
+        self._refusals.record(request.address, why.what, detail)
+        response = _answer(request, why)
         response.headers["connection"] = "close"  # what it goes on to send is not read
-        await response(asked.scope, receive, send)
+        await response(request.scope, receive, send)
 
     async def _request(
-        self, asked: Asked, session: Session | None, scope: Scope, receive: Receive, send: Send
+        self,
+        request: IncomingRequest,
+        session: Session | None,
+        scope: Scope,
+        receive: Receive,
+        send: Send,
     ) -> None:
         limit = BODY if session is not None else LOGIN_BODY
         try:
             async with asyncio.timeout(BODY_TIME):
-                body = await read(asked, receive, limit)
+                body = await read(request, receive, limit)
         except TimeoutError:
             body = Refusal(408, "a slow body")
         if isinstance(body, Refusal):
-            await self._refuse(asked, body, receive, send)
+            await self._refuse(request, body, receive, send)
             return
         if body is None:
             return
-        turn = await self._admission.turn(asked, session)
+        turn = await self._admission.turn(request, session)
         if turn is None:
-            await self._refuse(asked, BUSY, receive, send)
+            await self._refuse(request, BUSY, receive, send)
             return
         try:
-            if session is not None and asked.path == PAGE and not room(session):
-                await self._refuse(asked, Refusal(503, "too many pages"), receive, send)
+            if session is not None and request.path == PAGE and not room(session):
+                await self._refuse(request, Refusal(503, "too many pages"), receive, send)
                 return
             sent = turn.ended_by(while_alive(session, send))
             await self.app(scope, replayed(body, receive), sent)
-        except Ended:
-            self._gate.refusals.tell(asked.address, "the rest after its session ended", asked.path)
+        except SessionEnded:
+            self._refusals.record(request.address, "the rest after its session ended", request.path)
         finally:
             turn.end()
 
     async def _socket(
-        self, asked: Asked, session: Session, scope: Scope, receive: Receive, send: Send
+        self, request: IncomingRequest, session: Session, scope: Scope, receive: Receive, send: Send
     ) -> None:
         """Pass messages on for as long as the session holds, then close the socket."""
-        turn = await self._admission.turn(asked, session)
+        turn = await self._admission.turn(request, session)
         if turn is None:
-            await self._refuse(asked, BUSY, receive, send)
+            await self._refuse(request, BUSY, receive, send)
             return
-        tell = partial(self._gate.refusals.tell, asked.address)
-        line = Line(session, receive, turn.ended_by(send), tell, self._clock)
-        app = asyncio.ensure_future(self.app(scope, line.receive, line.send))
+        record = partial(self._refusals.record, request.address)
+        connection = SocketConnection(session, receive, turn.ended_by(send), record, self._clock)
+        app = asyncio.ensure_future(self.app(scope, connection.receive, connection.send))
         try:
             while not app.done():
-                if why := line.wrong():
-                    self._gate.refusals.tell(asked.address, why, asked.path)
+                if why := connection.wrong():
+                    self._refusals.record(request.address, why, request.path)
                     with contextlib.suppress(TimeoutError):
-                        await asyncio.wait_for(line.cut(), GRACE)  # who reads nothing gets nothing
+                        await asyncio.wait_for(
+                            connection.cut(), GRACE
+                        )  # who reads nothing gets nothing
                     await asyncio.wait({app}, timeout=GRACE)
                     break
                 await asyncio.wait({app}, timeout=LOOK)
@@ -160,29 +176,29 @@ class Guard:
             turn.end()
             if not app.done():
                 app.cancel()
-        if line.broken:
-            self._gate.refusals.tell(asked.address, "a socket message that is odd, or too large")
+        if connection.broken:
+            self._refusals.record(request.address, "a socket message that is odd, or too large")
         if app.done() and not app.cancelled():
             app.result()
 
 
-def _answer(asked: Asked, why: Refusal) -> Response:
+def _answer(request: IncomingRequest, why: Refusal) -> Response:
     """Return what the client of a refusal gets to see."""
     if why.status != 401:
         headers = {"retry-after": "1"} if why.status == 503 else None
         return PlainTextResponse(f"{why.what}\n", why.status, headers)
-    if asked.socket:
+    if request.socket:
         return PlainTextResponse(f"{why.what}\n", 403)
-    if "text/html" in asked.header("accept"):
+    if "text/html" in request.header("accept"):
         return RedirectResponse("/login", 303)
     response = PlainTextResponse(f"{why.what}\n", 401)
-    if asked.by_script and not asked.header("sec-fetch-mode"):  # browsers have the login page
+    if request.by_script and not request.header("sec-fetch-mode"):  # browsers have the login page
         response.headers["www-authenticate"] = 'Basic realm="logs", charset="UTF-8"'
     return response
 
 
 def _passed(scope: Scope, session: Session | None) -> Scope:
     """Return what the app sees: the session, and nothing of what proxies are said to have seen."""
-    headers = [(name, value) for name, value in scope["headers"] if not _CLAIMS.fullmatch(name)]
+    headers = [(name, value) for name, value in scope["headers"] if not _FORWARDED.fullmatch(name)]
     state = {**scope.get("state", {}), "session": session}
     return {**scope, "headers": headers, "state": state}

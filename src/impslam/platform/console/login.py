@@ -13,7 +13,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from impslam.platform.console.gate import Gate, Refused
+from impslam.platform.console.authenticator import Authenticator, LoginRefused
 
 PATHS = frozenset({"/login", "/login.css"})  # what is served without a session
 POLICY = (
@@ -35,23 +35,23 @@ _ENTER = '<p><a href="/">Open the page</a></p>'
 _GO_ON = '<meta http-equiv="refresh" content="0; url=/" />'
 
 
-def routes(gate: Gate, title: str) -> Sequence[Route]:
+def routes(authenticator: Authenticator, title: str) -> Sequence[Route]:
     """Return `/login`, `/logout` and what the page of the login needs."""
-    desk = _Desk(gate, title)
+    endpoints = _LoginEndpoints(authenticator, title)
     return [
-        Route("/login", desk.form, methods=["GET"]),
-        Route("/login", desk.enter, methods=["POST"]),
-        Route("/login.css", desk.css, methods=["GET"]),
-        Route("/logout", desk.leave, methods=["POST"]),
+        Route("/login", endpoints.form, methods=["GET"]),
+        Route("/login", endpoints.enter, methods=["POST"]),
+        Route("/login.css", endpoints.css, methods=["GET"]),
+        Route("/logout", endpoints.leave, methods=["POST"]),
     ]
 
 
-class _Desk:
+class _LoginEndpoints:
     """Answers requests for the login."""
 
-    def __init__(self, gate: Gate, title: str) -> None:
+    def __init__(self, authenticator: Authenticator, title: str) -> None:
         folder = files("impslam.platform.console")
-        self._gate, self._title = gate, title
+        self._authenticator, self._title = authenticator, title
         self._page = Template(folder.joinpath("login.html").read_text(encoding="utf-8"))
         self._style = folder.joinpath("login.css").read_bytes()
 
@@ -59,9 +59,9 @@ class _Desk:
         token = request.query_params.get("token")
         if request.method == "GET" and token is not None:
             return self._follow(request, token)
-        if not self._gate.open_by_link():
+        if not self._authenticator.open_by_link():
             return self._shown(_FORM)
-        self._gate.offer_link()
+        self._authenticator.offer_link()
         return self._shown(_LINK)
 
     async def enter(self, request: Request) -> Response:
@@ -70,8 +70,10 @@ class _Desk:
         except ValueError:
             return self._shown(_FORM, "That was no login.", status=400)
         try:
-            token, _ = await self._gate.enter(address(request), fields.get("password", [""])[0])
-        except Refused as error:
+            token, _ = await self._authenticator.enter(
+                address(request), fields.get("password", [""])[0]
+            )
+        except LoginRefused as error:
             return self._refused(error)
         return self._admitted(RedirectResponse("/", 303), token)
 
@@ -84,38 +86,45 @@ class _Desk:
 
     def _follow(self, request: Request, token: str) -> Response:
         try:
-            token, _ = self._gate.redeem(address(request), token)
-        except Refused as error:
-            self._gate.offer_link()
+            token, _ = self._authenticator.redeem(address(request), token)
+        except LoginRefused as error:
+            self._authenticator.offer_link()
             return self._refused(error)
         # Not a redirect: the link may have been opened from another site's page, and browsers
         # would withhold the strict cookie from a redirect that began there.
         return self._admitted(self._shown(_ENTER, head=_GO_ON), token)
 
-    def _refused(self, error: Refused) -> Response:
+    def _refused(self, error: LoginRefused) -> Response:
         if error.wait > 0.0:
             seconds = math.ceil(error.wait)
             response = self._shown(_FORM, f"{error} Wait {seconds} s.", status=429)
             response.headers["retry-after"] = str(seconds)
             return response
-        return self._shown(_LINK if self._gate.open_by_link() else _FORM, str(error), status=401)
+        return self._shown(
+            _LINK if self._authenticator.open_by_link() else _FORM, str(error), status=401
+        )
 
     def _shown(self, body: str, message: str = "", head: str = "", status: int = 200) -> Response:
-        told = f'<p class="refused" role="alert">{html.escape(message)}</p>' if message else ""
+        notice = f'<p class="refused" role="alert">{html.escape(message)}</p>' if message else ""
         text = self._page.substitute(
-            title=html.escape(self._title), head=head, message=told, body=body
+            title=html.escape(self._title), head=head, message=notice, body=body
         )
         return HTMLResponse(text, status, {"content-security-policy": POLICY})
 
     def _admitted(self, response: Response, token: str, lasting: int | None = None) -> Response:
         """Hand over the cookie: out of reach of scripts, and never sent along from other sites."""
-        gate = self._gate
+        authenticator = self._authenticator
         response.set_cookie(
-            gate.cookie, token, lasting, secure=gate.secure, httponly=True, samesite="strict"
+            authenticator.cookie,
+            token,
+            lasting,
+            secure=authenticator.secure,
+            httponly=True,
+            samesite="strict",
         )
         return response
 
 
 def address(request: Request) -> str:
-    """Return where a request comes from; what proxies claim is not asked."""
+    """Return where a request comes from; what proxies claim is ignored."""
     return request.client.host if request.client is not None else "unknown"

@@ -15,7 +15,7 @@ from urllib.parse import parse_qsl
 from nicegui import Client, json
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from impslam.platform.console.asked import Asked, Refusal
+from impslam.platform.console.request import IncomingRequest, Refusal
 from impslam.platform.console.session import Session
 
 LONGEST = 8 * 1024  # characters; a click tells some 2000 about itself, all else is below 500
@@ -66,9 +66,9 @@ class _Query(BaseModel):
 _KINDS: dict[str, type[_Message]] = {"handshake": _Handshake, "event": _Event, "ack": _Ack}
 
 
-def opening(asked: Asked, session: Session) -> Refusal | None:
+def opening(request: IncomingRequest, session: Session) -> Refusal | None:
     """Refuse a socket whose address is malformed, or that is for a page of another session."""
-    given = parse_qsl(asked.scope.get("query_string", b"").decode("latin-1"))
+    given = parse_qsl(request.scope.get("query_string", b"").decode("latin-1"))
     fields = dict(given)
     try:
         query = _Query.model_validate(fields)

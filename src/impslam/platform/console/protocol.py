@@ -20,7 +20,7 @@ CONNECTIONS = 256  # in all: sockets and downloads included, each costs some 50 
 PER_ADDRESS = 48  # a browser holds 6 and a socket for each page; several people behind one router
 
 
-class Patient(H11Protocol):
+class LimitedProtocol(H11Protocol):
     """HTTP/1.1 with a time limit for heads, and a limit of connections in all and by address."""
 
     refusals: Refusals
@@ -41,7 +41,7 @@ class Patient(H11Protocol):
         others = [getattr(other, "client", None) for other in self.connections]
         mine = sum(other is not None and other[0] == self._address() for other in others)
         if mine > PER_ADDRESS or len(others) > CONNECTIONS:
-            self._tell("too many connections")
+            self._record("too many connections")
             transport.abort()
         else:
             self._due = self.loop.call_later(HEAD_TIME, self._late)
@@ -61,18 +61,18 @@ class Patient(H11Protocol):
 
     def send_400_response(self, msg: str) -> None:
         """Refuse what is no HTTP, or has too large a head."""
-        self._tell("a request that is none, or too large")
+        self._record("a request that is none, or too large")
         super().send_400_response(msg)
 
     def _address(self) -> str:
         return self.client[0] if self.client else "unknown"
 
-    def _tell(self, what: str) -> None:
-        self.refusals.tell(self._address(), what)
+    def _record(self, what: str) -> None:
+        self.refusals.record(self._address(), what)
 
     def _late(self) -> None:
         self._due = None
-        self._tell("a slow request")
+        self._record("a slow request")
         self.transport.abort()
 
     def _disarm(self) -> None:
@@ -81,6 +81,6 @@ class Patient(H11Protocol):
             self._due = None
 
 
-def protocol(refusals: Refusals) -> type[Patient]:
+def protocol(refusals: Refusals) -> type[LimitedProtocol]:
     """Return the protocol of a server that tells `refusals` what it refuses."""
-    return type("Told", (Patient,), {"refusals": refusals})
+    return type("Protocol", (LimitedProtocol,), {"refusals": refusals})

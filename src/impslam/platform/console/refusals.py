@@ -16,9 +16,9 @@ from impslam.platform.console.throttle import Bucket
 
 log = logging.getLogger(__name__)
 
-FIRST = 5  # of each kind are told one by one
-WINDOW = 60.0  # s, then the rest is told as one count
-MOST = 256  # kinds kept apart; all beyond are told as one
+FIRST = 5  # of each kind are logged one by one
+WINDOW = 60.0  # s, then the rest is logged as one count
+MOST = 256  # kinds kept apart; all beyond are logged as one
 LINES, RATE = 10, 1.0  # lines at once, and a second in the long run
 LONGEST = 120  # characters of what a request said of itself
 
@@ -30,7 +30,7 @@ _OTHERS: _Kind = (logging.WARNING, "refused others: requests")
 class _Count:
     begun: float
     number: int = 0
-    told: int = 0
+    logged: int = 0
 
 
 class Refusals:
@@ -47,7 +47,7 @@ class Refusals:
         self._lines = Bucket(LINES, RATE, clock)
         self._counts: dict[_Kind, _Count] = {}
 
-    def tell(self, address: str, what: str, detail: str = "") -> None:
+    def record(self, address: str, what: str, detail: str = "") -> None:
         """Note one refusal: to whom, what kind, and what it was about (never a secret)."""
         self._note((logging.WARNING, f"refused {address}: {what}"), detail)
 
@@ -62,16 +62,16 @@ class Refusals:
             for kind, count in list(self._counts.items()):
                 if not everything and moment - count.begun < WINDOW:
                     continue
-                more = count.number - count.told
+                more = count.number - count.logged
                 if more > 0 and self._lines.wait() > 0.0:
                     if not everything:
                         continue  # when there is room for a line
                     others, more = others + more, 0
                 del self._counts[kind]
                 if more > 0:
-                    self._tell(kind, more, moment - count.begun)
+                    self._write(kind, more, moment - count.begun)
             if others:
-                self._tell(_OTHERS, others, 0.0)
+                self._write(_OTHERS, others, 0.0)
 
     def _note(self, kind: _Kind, detail: str) -> None:
         with self._lock:
@@ -81,12 +81,12 @@ class Refusals:
             count.number += 1
             if count.number > FIRST or self._lines.wait() > 0.0:
                 return
-            count.told += 1
+            count.logged += 1
         level, what = kind
         log.log(level, "%s%s", what, f" ({shown(detail)})" if detail else "")
 
     @staticmethod
-    def _tell(kind: _Kind, more: int, seconds: float) -> None:
+    def _write(kind: _Kind, more: int, seconds: float) -> None:
         level, what = kind
         log.log(level, "%s: %d more in %.0f s", what, more, seconds)
 

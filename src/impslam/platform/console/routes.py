@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-from impslam.platform.console.asked import Asked, Refusal
+from impslam.platform.console.request import IncomingRequest, Refusal
 
 PAGE = "/"
 SOCKET = "/_nicegui_ws/socket.io/"
@@ -29,12 +29,12 @@ _SERVED = tuple(
 )
 
 
-def route(asked: Asked) -> Refusal | None:
+def route(request: IncomingRequest) -> Refusal | None:
     """Refuse a path that is not served, and a method that its path does not take."""
-    what = f"{asked.method} {asked.path}"
-    if asked.socket:
-        return None if asked.path == SOCKET else Refusal(404, "a path", what)
-    methods = next((taken for path, taken in _SERVED if path.fullmatch(asked.path)), None)
+    what = f"{request.method} {request.path}"
+    if request.socket:
+        return None if request.path == SOCKET else Refusal(404, "a path", what)
+    methods = next((taken for path, taken in _SERVED if path.fullmatch(request.path)), None)
     if methods is None:
         return Refusal(404, "a path", what)
-    return None if asked.method in methods else Refusal(405, "a method", what)
+    return None if request.method in methods else Refusal(405, "a method", what)

@@ -23,22 +23,22 @@ from starlette.responses import PlainTextResponse, Response
 from impslam.errors import ImpError
 from impslam.platform.console import downloads, hosts, login
 from impslam.platform.console.accounts import Accounts
-from impslam.platform.console.asked import HEADERS
-from impslam.platform.console.gate import Gate
+from impslam.platform.console.authenticator import Authenticator
 from impslam.platform.console.guard import BODY, Guard
 from impslam.platform.console.model import Model
 from impslam.platform.console.protocol import protocol
-from impslam.platform.console.tls import Papers, own_papers
+from impslam.platform.console.request import HEADERS
+from impslam.platform.console.tls import CertificateFiles, own_certificate
 
 GRACE = 1  # s for open requests to end when the server stops; sockets are closed at once
 IDLE = 15  # s a connection stays open without a request
 
-Tell = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
 class ServerSettings:
-    """Where the page is served, and by which papers.
+    """Where the page is served, and with which certificate.
 
     Attributes
     ----------
@@ -62,16 +62,20 @@ class Server(uvicorn.Server):
 
     Attributes
     ----------
-    gate : who may
+    authenticator : who may
     address : where the page is, as in `https://robot.local:8080`
     beat : called ten times a second while it lives
     """
 
     def __init__(
-        self, config: uvicorn.Config, gate: Gate, address: str, ready: Callable[[], None]
+        self,
+        config: uvicorn.Config,
+        authenticator: Authenticator,
+        address: str,
+        ready: Callable[[], None],
     ) -> None:
         super().__init__(config)
-        self.gate, self.address, self._ready = gate, address, ready
+        self.authenticator, self.address, self._ready = authenticator, address, ready
         self.beat: Callable[[], None] = lambda: None
 
     def stop(self) -> None:
@@ -86,16 +90,16 @@ class Server(uvicorn.Server):
         self._ready()
 
     async def on_tick(self, counter: int) -> bool:
-        """Look after the gate once a second; called ten times a second."""
+        """Look for new passwords and write counts once a second; called ten times a second."""
         self.beat()
         if counter % 10 == 0:
-            self.gate.sweep()
+            self.authenticator.sweep()
         return await super().on_tick(counter)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End every session, and with them every socket."""
-        self.gate.close()
-        self.gate.refusals.flush(everything=True)
+        self.authenticator.close()
+        self.authenticator.refusals.flush(everything=True)
         gc.unfreeze()
         await super().shutdown(sockets)
 
@@ -127,7 +131,7 @@ def serve(
     model: Model,
     settings: ServerSettings,
     *,
-    ready: Tell = lambda line: None,
+    ready: Report = lambda line: None,
     beat: Callable[[], None] = lambda: None,
     listener: socket.socket | None = None,
 ) -> None:
@@ -136,7 +140,7 @@ def serve(
     Parameters
     ----------
     model : what the page shows
-    settings : where, and by which papers
+    settings : where, and with which certificate
     ready : called once with each line that a user should see when the page can be opened: its
         address, the one-time link where no password is set, the certificate's fingerprint
     beat : called ten times a second while the server lives, for a watchdog
@@ -159,31 +163,31 @@ def prepared(
     model: Model,
     settings: ServerSettings,
     listener: socket.socket,
-    ready: Tell,
+    ready: Report,
     build: Callable[[Model], None],
     clock: Callable[[], float] = time.monotonic,
 ) -> Server:
     """Return the server of the page that `build` makes, for a socket that listens; see `serve`."""
-    near, accounts = allowed(settings)
-    papers = _papers(settings, accounts, near=near)
-    address = _address(settings, listener, secure=papers is not None, near=near)
-    gate = Gate(
+    local_only, accounts = allowed(settings)
+    pem = _pem(settings, accounts, local_only=local_only)
+    address = _address(settings, listener, secure=pem is not None, local_only=local_only)
+    authenticator = Authenticator(
         accounts,
-        secure=papers is not None,
+        secure=pem is not None,
         show=lambda path: ready(f"open {address}{path}"),
         clock=clock,
     )
 
-    def tell() -> None:
+    def announce() -> None:
         ready(f"the page is at {address}")
-        if papers is not None:
-            ready(f"SHA-256 of its certificate: {papers.fingerprint()}")
-        if near:
-            gate.offer_link()
+        if pem is not None:
+            ready(f"SHA-256 of its certificate: {pem.fingerprint()}")
+        if local_only:
+            authenticator.offer_link()
 
-    names = {*hosts.LOOPBACK, *settings.names, *(() if near else hosts.names())}
-    guard = Guard(_app(model, gate, build), gate, names, clock)
-    return Server(_config(guard, gate, papers), gate, address, tell)
+    names = {*hosts.LOOPBACK, *settings.names, *(() if local_only else hosts.names())}
+    guard = Guard(_app(model, authenticator, build), authenticator, names, clock)
+    return Server(_config(guard, authenticator, pem), authenticator, address, announce)
 
 
 def listening(settings: ServerSettings) -> socket.socket:
@@ -216,20 +220,20 @@ def allowed(settings: ServerSettings) -> tuple[bool, Accounts]:
     ImpError
         Where others are to be served and no password to drive is set.
     """
-    near, accounts = hosts.loopback(settings.host), Accounts(settings.accounts)
-    if not near and "drive" not in accounts.rights():
+    local_only, accounts = hosts.loopback(settings.host), Accounts(settings.accounts)
+    if not local_only and "drive" not in accounts.rights():
         raise ImpError(
             f"host {settings.host}: beyond this computer nobody is served until a password to "
             "drive is set; `imp robot password` sets one, --host 127.0.0.1 serves here alone"
         )
-    return near, accounts
+    return local_only, accounts
 
 
-def _app(model: Model, gate: Gate, build: Callable[[Model], None]) -> FastAPI:
+def _app(model: Model, authenticator: Authenticator, build: Callable[[Model], None]) -> FastAPI:
     """Return the page with login and downloads; the guard is not yet before it."""
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
-    app.router.routes += login.routes(gate, model.title)
-    app.router.routes += downloads.routes(gate, model.station)
+    app.router.routes += login.routes(authenticator, model.title)
+    app.router.routes += downloads.routes(authenticator, model.station)
     build(model)
     core.app.middleware_stack = None  # a server before this one, in a test, has used it up
     core.app.user_middleware.clear()
@@ -250,11 +254,13 @@ async def _not_found(_: Request, __: Exception) -> Response:
     return PlainTextResponse("not found\n", 404)
 
 
-def _config(guard: Guard, gate: Gate, papers: Papers | None) -> uvicorn.Config:
-    context = papers.context() if papers is not None else None
+def _config(
+    guard: Guard, authenticator: Authenticator, pem: CertificateFiles | None
+) -> uvicorn.Config:
+    context = pem.context() if pem is not None else None
     return uvicorn.Config(
         guard,
-        http=protocol(gate.refusals),
+        http=protocol(authenticator.refusals),
         ws="websockets-sansio",
         ws_max_size=BODY,
         ws_per_message_deflate=False,  # what is sent is small or a picture; saves 300 kB a socket
@@ -271,22 +277,26 @@ def _config(guard: Guard, gate: Gate, papers: Papers | None) -> uvicorn.Config:
     )
 
 
-def _papers(settings: ServerSettings, accounts: Accounts, *, near: bool) -> Papers | None:
+def _pem(
+    settings: ServerSettings, accounts: Accounts, *, local_only: bool
+) -> CertificateFiles | None:
     """Return the certificate that is given or made, None where loopback needs none."""
     if (settings.certificate is None) != (settings.key is None):
         raise ImpError("a certificate needs its key, and a key its certificate: give both")
     if settings.certificate is not None and settings.key is not None:
-        return Papers(settings.certificate, settings.key)
-    if near:
+        return CertificateFiles(settings.certificate, settings.key)
+    if local_only:
         return None
     names = (*hosts.names(), *settings.names)
-    return own_papers(accounts.path.parent, names, hosts.addresses())
+    return own_certificate(accounts.path.parent, names, hosts.addresses())
 
 
-def _address(settings: ServerSettings, listener: socket.socket, *, secure: bool, near: bool) -> str:
+def _address(
+    settings: ServerSettings, listener: socket.socket, *, secure: bool, local_only: bool
+) -> str:
     """Return the address to type in: the first given name, else one of this computer."""
     anywhere = settings.host in {"0.0.0.0", "::"}  # noqa: S104  # compared, not listened on
-    if settings.names and not near:
+    if settings.names and not local_only:
         host = settings.names[0]
     else:
         host = f"{hosts.names()[1]}.local" if anywhere else settings.host

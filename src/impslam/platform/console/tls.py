@@ -32,7 +32,7 @@ class CertificateError(ImpError):
 
 
 @dataclass(frozen=True, slots=True)
-class Papers:
+class CertificateFiles:
     """A certificate and its key, PEM files."""
 
     certificate: Path
@@ -64,7 +64,9 @@ class Papers:
         return context
 
 
-def own_papers(folder: Path, names: Sequence[str], addresses: Sequence[str]) -> Papers:
+def own_certificate(
+    folder: Path, names: Sequence[str], addresses: Sequence[str]
+) -> CertificateFiles:
     """Return a certificate for names and addresses, made anew where the kept one does not do.
 
     It is renewed when it ends soon and when it lacks a name or an address. The new one keeps the
@@ -76,25 +78,25 @@ def own_papers(folder: Path, names: Sequence[str], addresses: Sequence[str]) -> 
     CertificateError
         If it cannot be kept in `folder`.
     """
-    papers = Papers(folder / "certificate.pem", folder / "key.pem")
+    pem = CertificateFiles(folder / "certificate.pem", folder / "key.pem")
     wanted = _alternatives(names, addresses)
-    kept = _kept(papers)
+    kept = _kept(pem)
     moment = _now()
     if kept is not None:
         covered = _covered(kept)
         lasts = kept.not_valid_before_utc <= moment < kept.not_valid_after_utc - RENEW
         if lasts and set(wanted) <= set(covered):
-            return papers
+            return pem
         wanted = list(dict.fromkeys([*wanted, *covered]))[:MOST_NAMES]
     try:
-        _make(papers, wanted, moment)
+        _make(pem, wanted, moment)
     except OSError as error:
         raise CertificateError(f"{folder}: {_reason(error)}; make it yours to write") from None
-    return papers
+    return pem
 
 
 def _make(
-    papers: Papers, alternatives: Sequence[x509.GeneralName], moment: datetime.datetime
+    pem: CertificateFiles, alternatives: Sequence[x509.GeneralName], moment: datetime.datetime
 ) -> None:
     """Write a P-256 key and a certificate that it signs itself (RFC 5280; names by RFC 6125)."""
     key = ec.generate_private_key(ec.SECP256R1())
@@ -118,15 +120,15 @@ def _make(
         serialization.PrivateFormat.PKCS8,
         serialization.NoEncryption(),
     )
-    write_private(papers.key, secret)
-    write_private(papers.certificate, certificate.public_bytes(serialization.Encoding.PEM))
+    write_private(pem.key, secret)
+    write_private(pem.certificate, certificate.public_bytes(serialization.Encoding.PEM))
 
 
-def _kept(papers: Papers) -> x509.Certificate | None:
+def _kept(pem: CertificateFiles) -> x509.Certificate | None:
     """Return the certificate that is there, None where it or its key does not serve."""
     try:
-        papers.context()
-        return _read(papers.certificate)
+        pem.context()
+        return _read(pem.certificate)
     except CertificateError:
         return None
 

@@ -46,22 +46,22 @@ class Viewer:
     def do(self, work: Callable[[], object], *, driving: bool = True) -> bool:
         """Do at once what takes no time; tell the user if it is refused or fails."""
         if reason := self.refused(driving=driving):
-            return self._tell(reason)
+            return self._notify(reason)
         try:
             work()
         except ImpError as error:
-            return self._tell(str(error))
+            return self._notify(str(error))
         return True
 
     async def run(self, work: Callable[[], T]) -> T | None:
         """Do in a thread what may take time; tell the user if it is refused or fails."""
         if reason := self.refused():
-            self._tell(reason)
+            self._notify(reason)
             return None
         try:
             return await run.io_bound(work)
         except ImpError as error:
-            self._tell(str(error))
+            self._notify(str(error))
         return None
 
     async def confirm(self, question: str, act: str) -> bool:
@@ -77,7 +77,7 @@ class Viewer:
             dialog.delete()
         return bool(answer)
 
-    def _tell(self, text: str) -> bool:
+    def _notify(self, text: str) -> bool:
         self.session.refused(text)
         with self.client:  # the button that was pressed may be gone by now
             ui.notify(text, type="negative", position="bottom", timeout=6000, multi_line=True)

@@ -7,7 +7,7 @@ from typing import Final
 
 from starlette.types import Message, Send
 
-from impslam.platform.console.asked import HOST, Asked
+from impslam.platform.console.request import HOST, IncomingRequest
 
 PAGE_POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "
@@ -25,11 +25,11 @@ _HEADERS: Final = {
 }
 
 
-class Sealed:
+class SecurityHeaders:
     """Puts the headers on every answer that keep browsers from doing more than they should."""
 
-    def __init__(self, asked: Asked, send: Send) -> None:
-        self._asked, self._send = asked, send
+    def __init__(self, request: IncomingRequest, send: Send) -> None:
+        self._request, self._send = request, send
 
     async def __call__(self, message: Message) -> None:
         """Pass a message on, with the headers where it has any."""
@@ -43,7 +43,7 @@ class Sealed:
         ours = dict(_HEADERS)
         if b"content-security-policy" not in names:
             ours[b"content-security-policy"] = self._policy().encode("latin-1")
-        if not self._asked.path.startswith("/_nicegui/") or b"cache-control" not in names:
+        if not self._request.path.startswith("/_nicegui/") or b"cache-control" not in names:
             ours[b"cache-control"] = b"no-store"
         kept = [
             (name, value)
@@ -54,6 +54,6 @@ class Sealed:
 
     def _policy(self) -> str:
         # 'self' does not cover sockets in older browsers; the host was looked at before.
-        match = HOST.fullmatch(self._asked.header("host"))
-        socket = f"ws{self._asked.origin[4:]}" if match else ""
+        match = HOST.fullmatch(self._request.header("host"))
+        socket = f"ws{self._request.origin[4:]}" if match else ""
         return PAGE_POLICY.format(socket=socket)

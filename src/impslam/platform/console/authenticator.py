@@ -1,4 +1,4 @@
-"""The gate: passwords and one-time links become sessions here, and nowhere else."""
+"""Authentication: passwords and one-time links become sessions here, and nowhere else."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LINK_PAUSE = 60.0  # s between two links that are made because somebody asks for
 KNOWN_LIFE = 300.0  # s that a right password costs no hash again: logins, downloads that resume
 
 
-class Refused(ImpError):
+class LoginRefused(ImpError):
     """A login that is not let in; `wait` is how many s until the next try is looked at."""
 
     def __init__(self, message: str, wait: float = 0.0) -> None:
@@ -33,8 +33,8 @@ class Refused(ImpError):
         self.wait = wait
 
 
-class Gate:
-    """Lets in who has a password, or, where none is set, who holds the link from the terminal.
+class Authenticator:
+    """Begins a session for a password or, where none is set, for the link from the terminal.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Gate:
     ) -> None:
         self.accounts, self.secure = accounts, secure
         self.refusals = Refusals(clock)
-        self.sessions = Sessions(clock, self.refusals.tell)
+        self.sessions = Sessions(clock, self.refusals.record)
         self._throttle = Throttle(clock)
         self._show, self._clock = show, clock
         self._link: tuple[bytes, float] | None = None
@@ -98,8 +98,8 @@ class Gate:
         link, moment = self._link, self._clock()
         known = link is not None and hmac.compare_digest(link[0], digest(token))
         if link is None or not known or moment >= link[1] or not self.open_by_link():
-            self.refusals.tell(address, "a link that does not hold")
-            raise Refused("This link was used before, or is too old.")
+            self.refusals.record(address, "a link that does not hold")
+            raise LoginRefused("This link was used before, or is too old.")
         self._link = None
         return self._begin(address, "drive", "a link")
 
@@ -117,17 +117,17 @@ class Gate:
     async def basic(self, address: str, header: str) -> Session | None:
         """Return a session for one request that carries a user (the right) and its password.
 
-        Nothing is returned where that is not so; it is told in the log.
+        Nothing is returned where that is not so; the log says why.
         """
         user, password = _user(header)
         try:
             right = self._remembered(password) or await self._right(
                 address, password, "basic login"
             )
-        except Refused:
+        except LoginRefused:
             return None
         if right != user:
-            self.refusals.tell(address, "basic login", "a wrong user")
+            self.refusals.record(address, "basic login", "a wrong user")
             return None
         return Session(f"basic-{right}", f"{user}'s script", may_drive=False, clock=self._clock)
 
@@ -149,12 +149,12 @@ class Gate:
     async def _right(self, address: str, password: str, what: str) -> Right:
         wait = self._throttle.wait(address)
         if wait > 0.0:
-            self.refusals.tell(address, what, "too many tries")
-            raise Refused("Too many tries.", wait)
+            self.refusals.record(address, what, "too many tries")
+            raise LoginRefused("Too many tries.", wait)
         right = self._remembered(password) or await self._hashed(password)
         if right is None:
-            self.refusals.tell(address, what, "a wrong password")
-            raise Refused("This is not a password of this robot.")
+            self.refusals.record(address, what, "a wrong password")
+            raise LoginRefused("This is not a password of this robot.")
         self._throttle.forgive(address, wholly=right == "drive")
         return right
 
@@ -165,7 +165,7 @@ class Gate:
                 right = await asyncio.to_thread(self.accounts.right, password[: LONGEST + 1])
         except AccountsError as error:
             log.error("%s", error)  # noqa: TRY400  # what to do is in the message
-            raise Refused("The robot cannot read its passwords; its log says why.") from None
+            raise LoginRefused("The robot cannot read its passwords; its log says why.") from None
         if right is not None and version == self.accounts.version():
             self._known[self._key(password)] = right, self._clock() + KNOWN_LIFE
         return right

@@ -24,14 +24,14 @@ _HIDDEN = re.compile(rb"%(?:2f|5c|00)", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why a request goes no further: the status it gets, and what the log is told."""
+    """Why a request goes no further: the status of the answer, and what is logged."""
 
     status: int
     what: str
     detail: str = ""
 
 
-class Asked:
+class IncomingRequest:
     """One request or socket, as it presents itself."""
 
     def __init__(self, scope: Scope) -> None:
@@ -87,45 +87,45 @@ class Asked:
             return ""
 
 
-def shape(asked: Asked) -> Refusal | None:
+def shape(request: IncomingRequest) -> Refusal | None:
     """Refuse what is larger or odder than anything the page sends."""
-    if len(asked.target) > TARGET:
-        return Refusal(414, "a long target", f"{len(asked.target)} bytes")
-    if asked.size > HEADERS:
-        return Refusal(431, "large headers", f"{asked.size} bytes")
-    if _ODD.search(asked.path) or _HIDDEN.search(asked.target.partition(b"?")[0]):
-        return Refusal(400, "an odd path", asked.target.partition(b"?")[0].decode("latin-1"))
-    if asked.method not in METHODS:
-        return Refusal(405, "a method", asked.method)
+    if len(request.target) > TARGET:
+        return Refusal(414, "a long target", f"{len(request.target)} bytes")
+    if request.size > HEADERS:
+        return Refusal(431, "large headers", f"{request.size} bytes")
+    if _ODD.search(request.path) or _HIDDEN.search(request.target.partition(b"?")[0]):
+        return Refusal(400, "an odd path", request.target.partition(b"?")[0].decode("latin-1"))
+    if request.method not in METHODS:
+        return Refusal(405, "a method", request.method)
     return None
 
 
-def host(asked: Asked, names: Collection[str]) -> Refusal | None:
+def host(request: IncomingRequest, names: Collection[str]) -> Refusal | None:
     """Refuse who believes to talk to another host (an address cannot be bound anew)."""
-    found = asked.headers("host")
+    found = request.headers("host")
     match = HOST.fullmatch(found[0]) if len(found) == 1 else None
     if match is None:
         return Refusal(400, "no host", ", ".join(found))
     named = match[1].lower().rstrip(".").strip("[]")
-    server = asked.scope.get("server")
+    server = request.scope.get("server")
     if named in names or (server and plain(named) == plain(server[0])):
         return None
     return Refusal(421, "a foreign host", found[0])
 
 
-def origin(asked: Asked) -> Refusal | None:
+def origin(request: IncomingRequest) -> Refusal | None:
     """Refuse what pages of others send; what changes something has to say where it comes from.
 
     Cookies do not tell ports apart, so that a page on another port of the same host counts as
     foreign here, whatever `SameSite` says. Only a link may lead here from anywhere.
     """
-    origins, site = asked.headers("origin"), asked.header("sec-fetch-site")
-    if any(origin.lower() != asked.origin for origin in origins) or len(origins) > 1:
+    origins, site = request.headers("origin"), request.header("sec-fetch-site")
+    if any(origin.lower() != request.origin for origin in origins) or len(origins) > 1:
         return Refusal(403, "a foreign origin", ", ".join(origins))
-    if asked.changes and not origins:
+    if request.changes and not origins:
         return Refusal(403, "no origin")
-    link = asked.header("sec-fetch-mode") == "navigate" and not asked.changes
-    framed = asked.header("sec-fetch-dest") in {"iframe", "frame", "embed", "object"}
+    link = request.header("sec-fetch-mode") == "navigate" and not request.changes
+    framed = request.header("sec-fetch-dest") in {"iframe", "frame", "embed", "object"}
     if site not in {"", "same-origin", "none"} and (framed or not link):
         return Refusal(403, "a foreign origin", site)
     return None

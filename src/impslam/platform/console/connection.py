@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 from starlette.types import Message, Receive, Send
 
-from impslam.platform.console.asked import Asked, Refusal
 from impslam.platform.console.messages import Inbox
+from impslam.platform.console.request import IncomingRequest, Refusal
 from impslam.platform.console.session import Session
 from impslam.platform.console.throttle import Bucket
 
@@ -18,14 +18,14 @@ STUCK = 10.0  # s that a browser may take nothing; what waits for it fills the m
 UNREADABLE = frozenset({1002, 1003, 1007, 1009})  # codes of closing, RFC 6455 sec. 7.4.1
 
 
-class Line:
+class SocketConnection:
     """One open socket: checks and counts its messages, and can be cut from outside.
 
     Parameters
     ----------
     session : whose socket it is
     receive, send : the socket
-    tell : called with why a message is dropped
+    record : called with why a message is dropped
     clock : s, never stepping back
     """
 
@@ -34,11 +34,11 @@ class Line:
         session: Session,
         receive: Receive,
         send: Send,
-        tell: Callable[[str], None],
+        record: Callable[[str], None],
         clock: Callable[[], float],
     ) -> None:
         self._session, self._receive, self._send = session, receive, send
-        self._tell, self._clock = tell, clock
+        self._record, self._clock = record, clock
         self._inbox = Inbox(session)
         self._bucket = Bucket(MESSAGES, RATE if session.may_drive else WATCHER_RATE, clock)
         self._cut = asyncio.Event()
@@ -67,7 +67,7 @@ class Line:
                 return {"type": "websocket.disconnect", "code": 1008}
             self._session.use()
             if why := self._inbox.refused(message.get("text")):
-                self._tell(why)
+                self._record(why)
             else:
                 return message
 
@@ -100,14 +100,14 @@ class Line:
             cut.cancel()
 
 
-class Ended(OSError):
+class SessionEnded(OSError):
     """A session that ended while its answer was being sent."""
 
 
-async def read(asked: Asked, receive: Receive, limit: int) -> bytes | Refusal | None:
+async def read(request: IncomingRequest, receive: Receive, limit: int) -> bytes | Refusal | None:
     """Return the whole body, None where the client has gone; it is small, so it is read first."""
-    too_large = Refusal(413, "a large body", f"{asked.path}: more than {limit} bytes")
-    if int(asked.header("content-length") or "0") > limit:  # the server saw that it is a number
+    too_large = Refusal(413, "a large body", f"{request.path}: more than {limit} bytes")
+    if int(request.header("content-length") or "0") > limit:  # the server saw that it is a number
         return too_large
     parts = bytearray()
     while True:
@@ -139,7 +139,7 @@ def while_alive(session: Session | None, send: Send) -> Send:
     async def checked(message: Message) -> None:
         if message["type"] == "http.response.body" and message.get("more_body"):
             if not session.alive():
-                raise Ended
+                raise SessionEnded
             session.use()
         await send(message)
 

@@ -165,6 +165,13 @@ class TestWithoutLogin:
         assert status(served) == 403
         assert "no session (GET /_nicegui_ws/socket.io/)" in caplog.text
 
+    def test_refused_sockets_do_not_fill_the_log(self, served, caplog):
+        for _ in range(20):
+            assert status(served) == 403
+        time.sleep(0.05)  # the server goes on after its answer
+        assert {record.name for record in caplog.records} == {refusals.__name__}
+        assert len(caplog.records) == refusals.FIRST
+
     def test_a_socket_may_not_go_to_the_public_paths_either(self, served):
         with pytest.raises(InvalidStatus) as refused:
             connect(f"ws://127.0.0.1:{served.port}/login", origin=served.origin, proxy=None).close()

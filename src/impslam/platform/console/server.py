@@ -254,10 +254,16 @@ async def _not_found(_: Request, __: Exception) -> Response:
     return PlainTextResponse("not found\n", 404)
 
 
+def _handshake_answered(record: logging.LogRecord) -> bool:
+    """Drop uvicorn's complaint about each socket that was refused by an HTTP answer, as ASGI allows."""
+    return "without completing handshake" not in record.getMessage()
+
+
 def _config(
     guard: Guard, authenticator: Authenticator, pem: CertificateFiles | None
 ) -> uvicorn.Config:
     context = pem.context() if pem is not None else None
+    logging.getLogger("uvicorn.error").addFilter(_handshake_answered)  # refusals are logged already
     return uvicorn.Config(
         guard,
         http=protocol(authenticator.refusals),

@@ -14,7 +14,7 @@ from typing import Any, cast
 
 import httpx
 from fastapi import Request
-from nicegui import ui
+from nicegui import Client, ui
 
 from impslam.platform.console.accounts import Accounts, write_private
 from impslam.platform.console.model import Model
@@ -129,6 +129,7 @@ def serving(
             server.stop()
             thread.join(10.0)
             assert not thread.is_alive()
+            Client.instances.clear()  # nicegui gives its pages up in the loop that has ended
 
 
 def raw(port: int, data: bytes, *, wait: float = 5.0) -> bytes:

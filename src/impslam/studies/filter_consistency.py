@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -38,8 +38,7 @@ CHECK_EVERY = 40
 """Steps from one check point to the next: a batch optimum costs as much as 30 steps of a filter."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Curves:
+class Curves(NamedTuple):
     """One estimator's means over the runs, by step: (steps,) each, NaN where it was not asked.
 
     `nees` is the pose's, `position` the RMSE in m, `heading` in rad; `nees_landmarks` and `nis` at check
@@ -57,8 +56,7 @@ class Curves:
 Interval: TypeAlias = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class Intervals:
+class Intervals(NamedTuple):
     """The 95 % intervals of some figures of a row, by the bootstrap over runs."""
 
     nees: Interval
@@ -86,10 +84,10 @@ class FilterResult:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterStudy:
-    """What came out: a row and curves for each filter, the batch optimum last.
+    """A row and curves for each filter, the batch optimum last.
 
-    `first_turn` is the mean square of the first heading error over its variance: luck, which every
-    estimator's NEES has in common.
+    `first_turn` is the mean square of the first step's heading error over its standard deviation. It
+    scatters from study to study, and shifts the NEES of every estimator alike.
     """
 
     setting: Setting
@@ -132,7 +130,7 @@ def consistency_study(
         curves[name] = _curves(squares[:, i].mean(axis=0))
     for i, (name, curve) in enumerate(curves.items()):
         spread = _spread(squares[:, i, :3], np.random.default_rng([seed, runs]))
-        rows.append(_row(name, curve, curves[BATCH], runs, spread))
+        rows.append(_result(name, curve, curves[BATCH], runs, spread))
     return FilterStudy(setting, runs, seed, first_turn, tuple(rows), curves)
 
 
@@ -146,24 +144,24 @@ def _label(table: Mapping[str, Any]) -> str:
     return f"{table['kind']} ({given})" if given else str(table["kind"])
 
 
-def _row(name: str, curve: Curves, batch: Curves, runs: int, spread: Intervals) -> FilterResult:
+def _result(name: str, curve: Curves, batch: Curves, runs: int, spread: Intervals) -> FilterResult:
     check, asked = np.isfinite(batch.nees), np.isfinite(curve.nees)
-    position, heading = (
-        (_rms(a[asked]), _rms(a[check]) / _rms(b[check]))
-        for a, b in ((curve.position, batch.position), (curve.heading, batch.heading))
-    )
+
+    def ratio(values: Array, best: Array) -> float:
+        return _rms(values[check]) / _rms(best[check])
+
     return FilterResult(
         name,
-        float(curve.nees[asked].mean()),
-        share_within(curve.nees[asked], runs, 3),
-        float(curve.nees_landmarks[check].mean()),
-        float(curve.nis[check].mean()),
-        position[0],
-        heading[0],
-        position[1],
-        heading[1],
-        _rms(curve.apart[check]),
-        spread,
+        nees=float(curve.nees[asked].mean()),
+        in_band=share_within(curve.nees[asked], runs, 3),
+        nees_landmarks=float(curve.nees_landmarks[check].mean()),
+        nis=float(curve.nis[check].mean()),
+        position=_rms(curve.position[asked]),
+        heading=_rms(curve.heading[asked]),
+        position_ratio=ratio(curve.position, batch.position),
+        heading_ratio=ratio(curve.heading, batch.heading),
+        apart=_rms(curve.apart[check]),
+        spread=spread,
     )
 
 

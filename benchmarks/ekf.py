@@ -5,7 +5,8 @@
 
 What bounds a large filter is the traffic of its covariance P through memory: a correction reads and
 writes half of P once. The floor is measured beside each step, in the same process: the time to copy
-as many bytes as the lower triangle of P has. Ratios to it say more than milliseconds do.
+as many bytes as the lower triangle of P has. Ratios to it say more than milliseconds do. Times are of the
+processor: what else runs on the machine does not count.
 """
 # ruff: noqa: E402  threads are limited before numpy is imported
 
@@ -60,16 +61,16 @@ def stages(kind: str, size: int) -> Array:
     times = []
     for k in range(WARM + STEPS):
         motion = Increment(0.1 * k, np.array([0.02, 0.0, 0.01]), 1e-5 * np.eye(3), 0.1)
-        begin = time.perf_counter()
+        begin = time.process_time()
         belief.predict(motion)
-        predicted = time.perf_counter()
+        predicted = time.process_time()
         near = places[rng.choice(size, min(SEEN, size), replace=False)]
         seen = _seen(transform(inverse(belief.pose), near) + rng.normal(0.0, 0.01, near.shape))
-        asked = time.perf_counter()
+        asked = time.process_time()
         choice = belief.associate(seen, association)
-        answered = time.perf_counter()
+        answered = time.process_time()
         belief.correct(seen, choice.matches)
-        times.append((predicted - begin, answered - asked, time.perf_counter() - answered))
+        times.append((predicted - begin, answered - asked, time.process_time() - answered))
     return np.asarray(1e3 * np.median(times[WARM:], axis=0))
 
 
@@ -87,9 +88,9 @@ def floor(n: int) -> float:
 def _median(work: Callable[[], None]) -> float:
     times = []
     for _ in range(WARM + STEPS):
-        begin = time.perf_counter()
+        begin = time.process_time()
         work()
-        times.append(time.perf_counter() - begin)
+        times.append(time.process_time() - begin)
     return float(np.median(times[WARM:]))
 
 

@@ -99,7 +99,7 @@ class Slam:
         rate = increment.covariance / increment.duration
         blurred = []
         for o in observations:
-            J = self._models[o.kind].z_D_motion(o.z)
+            J = self._models[o.kind].z_D_motion(o.z[None])[0]
             blurred.append(replace(o, R=o.R + abs(o.delay) * J @ rate @ J.T) if o.delay else o)
         return tuple(blurred)
 

@@ -21,7 +21,8 @@ def enumerate_all(belief, seen):
     for group in belief.hypothesise(seen):
         inside = (group.distance2 <= chi2.ppf(GATE, 2)) & group.possible
         options += [
-            [group.match(a, k) for k in np.flatnonzero(inside[a])] for a in range(len(seen))
+            group.matches(np.flatnonzero(inside & (group.observations == i)).tolist())
+            for i in range(len(seen))
         ]
     best = (0, 0.0)
     for chosen in itertools.product(*([None, *some] for some in options)):
@@ -154,12 +155,14 @@ def test_the_joint_covariance_is_that_of_the_dense_formula():
     made = {match.observation: match for match in belief.associate(seen, Nearest()).matches}
     some = [made[i] for i in (3, 0, 2, 1)]
     innovation, S = belief.joint(seen, some)
-    rows, _, R = belief._stack(seen, some)
-    H = np.zeros((len(innovation), belief.state_size))
-    for r in range(len(H)):
-        H[r, :3] = rows.h_pose[r]
-        size = rows.dims[r]
-        H[r, rows.offsets[r] : rows.offsets[r] + size] = rows.h_m[r, :size]
+    H, R = np.zeros((8, belief.state_size)), np.zeros((8, 8))
+    for i, match in enumerate(some):
+        here, kind = slice(2 * i, 2 * i + 2), seen[match.observation].kind
+        table = belief._atlas.table(kind)
+        columns = table.columns[table.ids.tolist().index(match.landmark)]
+        there = table.model.predict(belief.pose, belief.belief.mean[columns][None])
+        H[here, :3], H[here, columns] = there.z_D_pose[0], there.z_D_m[0]
+        R[here, here] = seen[match.observation].R
     np.testing.assert_allclose(S, H @ belief.belief.covariance @ H.T + R, atol=1e-12)
     for i, match in enumerate(some):
         here = slice(2 * i, 2 * i + 2)

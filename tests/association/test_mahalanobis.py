@@ -50,8 +50,9 @@ def test_one_to_one_equals_enumeration(seed):
                 descend(a + 1, free - {k}, count + 1, total + cost[a, k])
 
     descend(0, frozenset(range(4)), 0, 0.0)
-    chosen = one_to_one(cost, allowed)
-    assert all(allowed[pair] for pair in chosen)
+    a, k = np.nonzero(allowed)
+    chosen = [(int(a[p]), int(k[p])) for p in one_to_one(a, k, cost[a, k])]
+    assert all(len(set(side)) == len(chosen) for side in zip(*chosen, strict=True))
     assert (-len(chosen), sum(cost[pair] for pair in chosen)) == pytest.approx(best)
 
 

@@ -165,7 +165,9 @@ def test_the_filter_withstands_a_wrong_match():
         ids = belief.extend(seen, 0.0)
         belief.predict(Increment(1.0, np.zeros(3), np.diag([0.02, 0.02, 0.02]) ** 2))
         scores = belief.hypothesise(off)[0]
-        matches: list[Match] = [scores.match(i, int(ids[i])) for i in range(6)]
+        matches: list[Match] = [
+            m for m in scores.matches(range(36)) if m.landmark == ids[m.observation]
+        ]
         belief.correct(off, matches)
         errors[name] = np.hypot(*belief.pose[:2])
     assert errors["huber"] < 0.5 * errors["ekf"]

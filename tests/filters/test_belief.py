@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from impslam.filters.belief import POSE, GaussianBelief, Rows
+from impslam.filters.belief import POSE, GaussianBelief
+from impslam.filters.update import Rows, gain, innovation_covariance, solve
 
 
 def random_belief(rng, landmarks=70):
@@ -19,28 +20,48 @@ def random_belief(rng, landmarks=70):
 
 
 def random_rows(rng, n, offsets, dims, some):
-    rows, H = Rows(2 * len(some), 3), np.zeros((2 * len(some), n))
+    """Return H by rows and dense, each landmark seen with two numbers, R, and the entries."""
+    count = 2 * len(some)
+    H, R, entries = np.zeros((count, n)), np.zeros((count, count)), [0, 1, 2]
+    slots, blocks = np.zeros(count, np.int64), np.repeat(np.arange(0, count, 2), 2)
+    h_pose, h_m, noise = rng.normal(size=(count, 3)), np.zeros((count, 3)), np.zeros((count, 2))
     for i, k in enumerate(some):
-        for r in (2 * i, 2 * i + 1):
-            rows.offsets[r], rows.dims[r] = offsets[k], dims[k]
-            rows.h_pose[r], rows.h_m[r, : dims[k]] = rng.normal(size=3), rng.normal(size=dims[k])
-            H[r, :POSE] = rows.h_pose[r]
-            H[r, offsets[k] : offsets[k] + dims[k]] = rows.h_m[r, : dims[k]]
-    return rows, H
+        two = slice(2 * i, 2 * i + 2)
+        A = rng.normal(size=(2, 2))
+        noise[two] = R[two, two] = A @ A.T + np.eye(2)
+        slots[two] = len(entries)
+        entries += range(offsets[k], offsets[k] + dims[k])
+        h_m[two, : dims[k]] = rng.normal(size=(2, dims[k]))
+        H[two, :POSE], H[two, offsets[k] : offsets[k] + dims[k]] = h_pose[two], h_m[two, : dims[k]]
+    return Rows(slots, blocks, noise, h_pose, h_m), H, R, np.array(entries)
 
 
-def test_update_is_the_kalman_update(rng):
-    belief, P, offsets, dims = random_belief(rng)
-    rows, H = random_rows(rng, belief.n, offsets, dims, [5, 0, 69, 33])
-    R, innovation = np.diag(rng.uniform(0.1, 1.0, len(H))), rng.normal(size=len(H))
+@pytest.mark.parametrize("landmarks", [70, 150])  # one panel of P, and several
+def test_update_is_the_kalman_update(rng, landmarks):
+    belief, P, offsets, dims = random_belief(rng, landmarks)
+    rows, H, R, entries = random_rows(rng, belief.n, offsets, dims, [5, 0, 69, 33])
+    innovation, before = rng.normal(size=len(H)), rng.normal(size=belief.n)
     S = H @ P @ H.T + R
     K = P @ H.T @ np.linalg.inv(S)
-    gain = belief.gain(rows, R)
-    np.testing.assert_allclose(gain.step(innovation), K @ innovation, atol=1e-10)
-    delta = rng.normal(size=belief.n)
-    np.testing.assert_allclose(rows.apply(delta), H @ delta, atol=1e-10)
-    belief.shrink(gain)
+    np.testing.assert_allclose(innovation_covariance(rows, belief.among(entries))[0], S, atol=1e-10)
+    U, y, step, sound = solve(rows, belief.among(entries), innovation, before[entries])
+    assert sound
+    expected = K @ (innovation + H @ before)
+    np.testing.assert_allclose(step, expected[entries], atol=1e-10)
+    of_seen = belief.rows_of(entries)
+    np.testing.assert_allclose(of_seen[:, : belief.n], P[entries], atol=1e-12)
+    W_T = gain(rows, of_seen, U)
+    np.testing.assert_allclose((y @ W_T)[: belief.n], expected, atol=1e-10)
+    belief.subtract(W_T, W_T)
     np.testing.assert_allclose(belief.covariance, P - K @ H @ P, atol=1e-10)
+
+
+@pytest.mark.parametrize("value", [-100.0, np.nan, np.inf])
+def test_what_has_no_factor_has_no_step(rng, value):
+    belief, _, offsets, dims = random_belief(rng)
+    rows, _, _, entries = random_rows(rng, belief.n, offsets, dims, [5, 0, 69, 33])
+    rows.noise[3, 1] = value
+    assert not solve(rows, belief.among(entries), np.zeros(8), np.zeros(len(entries)))[-1]
 
 
 def test_innovation_blocks_are_h_p_ht(rng):

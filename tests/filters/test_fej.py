@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.filters.test_filters import step
-from tests.filters.worlds import MODELS, drive, observe
+from tests.filters.worlds import MODELS, drive, observe, step
 
 from impslam.filters.ekf import Ekf
 from impslam.filters.fej import FirstEstimatesEkf

@@ -2,12 +2,12 @@
 
 import numpy as np
 from scipy.optimize import minimize
-from tests.filters.test_filters import step
-from tests.filters.worlds import CYLINDERS, MODELS, drive, observe
+from tests.filters.worlds import CYLINDERS, MODELS, drive, observe, step
 
 from impslam.filters.ekf import Ekf
 from impslam.filters.fej import FirstEstimatesEkf
 from impslam.filters.oc import ObservabilityConstrainedEkf, unobserving
+from impslam.filters.scene import Sight
 from impslam.filters.symmetry import pose_D_motion
 
 START_SIGMA = 0.3
@@ -55,11 +55,12 @@ def test_it_stays_nearer_to_the_newest_jacobians_than_first_estimates_do():
     for pose, increment in drive(60, rng):
         step(belief, increment, observe(pose, rng))
     belief.predict(increment)
-    table = belief._atlas.table("cylinder")
-    places = np.arange(len(CYLINDERS))
+    table, places = belief._atlas.table("cylinder"), np.arange(len(CYLINDERS))
+    states = table.states(belief.belief.mean)
+    sight = Sight(table, places, np.zeros((len(places), 2)), belief.pose, states)
 
     def jacobian(cls):
-        there = cls._expect(belief, table, places)
+        there = cls._expect(belief, sight, belief.pose, states)
         return np.concatenate([there.z_D_pose, there.z_D_m], axis=2)
 
     newest = jacobian(Ekf)

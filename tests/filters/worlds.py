@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from impslam.association.known import Known
 from impslam.geometry.se2 import compose, inverse, transform
 from impslam.landmarks.point import Corner, Cylinder
 from impslam.landmarks.wall import Wall
@@ -48,3 +49,13 @@ def drive(steps, rng=None):
         pose = compose(pose, d)
         felt = d if rng is None else d + rng.multivariate_normal(np.zeros(3), Q)
         yield pose, Increment(float(k + 1), felt, Q, 1.0)
+
+
+def step(belief, increment, observations):
+    """Take in a motion and a scan, associated by labels; return the choice."""
+    belief.predict(increment)
+    choice = belief.associate(observations, Known())
+    belief.correct(observations, choice.matches)
+    belief.note(observations, choice.matches, increment.stamp)
+    belief.extend([observations[i] for i in choice.new], increment.stamp)
+    return choice

@@ -107,15 +107,17 @@ def test_a_batch_is_its_poses_one_by_one(ab):
         for function in (inverse, inverse_jacobian, exp, log):
             assert np.array_equal(function(a)[index], function(one))
         np.testing.assert_allclose(rotation(a[..., 2])[index], rotation(float(one[2])), atol=1e-15)
-        everywhere = np.broadcast_to(points, (*a.shape[:-1], 5, 2))
-        assert np.array_equal(transform(a, everywhere)[index], transform(one, points))
-        assert np.array_equal(transform(a, everywhere[..., 0, :])[index], transform(one, points[0]))
+        assert np.array_equal(transform(a, points)[index], transform(one, points))
+        own = b[..., None, :2] + points
+        assert np.array_equal(transform(a, own)[index], transform(one, own[index]))
+        assert np.array_equal(transform(one, own)[index], transform(one, own[index]))
 
 
 @given(batches(2))
 def test_transform_is_the_action_of_compose(ab):
-    a, b = np.broadcast_arrays(*ab)
-    np.testing.assert_allclose(transform(a, b[..., :2]), compose(a, b)[..., :2], atol=1e-9)
+    a, b = (x.copy() for x in np.broadcast_arrays(*ab))
+    moved = transform(a, b[..., None, :2])[..., 0, :]
+    np.testing.assert_allclose(moved, compose(a, b)[..., :2], atol=1e-9)
 
 
 def test_one_pose_moves_points_of_any_shape(rng):

@@ -1,44 +1,47 @@
-"""One-to-one choice from a table of costs, shared by the associations."""
+"""One-to-one choice among costs, shared by the associations."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from operator import attrgetter
 
 import numpy as np
 
 from impslam.association.base import Assignment, Hypotheses
-from impslam.types import Array, Mask, Match, Observation
+from impslam.types import Array, Ints, Mask, Match, Observation
 
 _FORBIDDEN = 1e9
 
 
-def one_to_one(cost: Array, allowed: Mask) -> list[tuple[int, int]]:
-    """Return pairs (row, column) of least total cost with as many allowed pairs as possible."""
-    a, k = (places.tolist() for places in allowed.nonzero())
-    if len(set(a)) == len(set(k)) == len(a):  # nobody competes
-        return list(zip(a, k, strict=True))
+def one_to_one(rows: Ints, columns: Ints, cost: Array) -> list[int]:
+    """Return which pairs (row, column) to take: each row and column once, as many as possible.
+
+    Of as many, those of least total cost; pairs that are not listed are not allowed.
+    """
+    if len(set(rows.tolist())) == len(set(columns.tolist())) == len(rows):  # nobody competes
+        return list(range(len(rows)))
     from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  0.2 s that few runs need
 
-    rows, columns = np.unique(a), np.unique(k)
-    table = np.where(allowed, cost, _FORBIDDEN)[np.ix_(rows, columns)]
+    _, a = np.unique(rows, return_inverse=True)
+    _, k = np.unique(columns, return_inverse=True)
+    table = np.full((a.max() + 1, k.max() + 1), _FORBIDDEN)
+    place = np.zeros(table.shape, np.int64)
+    table[a, k], place[a, k] = cost, np.arange(len(rows))
     chosen = linear_sum_assignment(table)
-    return [
-        (int(rows[a]), int(columns[k]))
-        for a, k in zip(*chosen, strict=True)
-        if table[a, k] < _FORBIDDEN
-    ]
+    return [int(p) for p in place[chosen][table[chosen] < _FORBIDDEN]]
 
 
 def collect(
     observations: tuple[Observation, ...],
-    chosen: Iterable[tuple[Hypotheses, list[tuple[int, int]], Mask]],
+    chosen: Iterable[tuple[Hypotheses, Sequence[int], Mask]],
 ) -> Assignment:
-    """Assemble matches; `near` (a,) marks observations too close to a landmark to be new."""
+    """Assemble matches from chosen pairs; `near` (p,) marks pairs too close for the seen to be new."""
     matches: list[Match] = []
     taken: set[int] = set()
     for group, pairs, near in chosen:
-        matches.extend(group.match(a, k) for a, k in pairs)
-        taken.update(int(i) for i in group.observations[near])
+        if pairs:
+            matches += group.matches(pairs)
+        taken.update(group.observations[near].tolist())
     taken.update(match.observation for match in matches)
     new = tuple(i for i in range(len(observations)) if i not in taken)
-    return Assignment(tuple(sorted(matches, key=lambda match: match.observation)), new)
+    return Assignment(tuple(sorted(matches, key=attrgetter("observation"))), new)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,23 +17,28 @@ Joint: TypeAlias = Callable[[Sequence[Observation], Sequence[Match]], tuple[Arra
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypotheses:
-    """Every pairing of a observations with k landmarks of one kind, scored.
+    """The p pairings of a observations with landmarks of one kind that are worth judging, scored.
+
+    They stand in the order of the observations, then of the landmarks. Left out are only pairings
+    beyond the gate that the association asked for.
 
     Attributes
     ----------
     kind : of landmark
-    observations : (a,) indices into the list that was asked about
-    landmarks : (k,) ids
-    labels : (k,) labels that sensors read off the landmarks, -1 where there is none
-    innovation : (a, k, dim_z)
-    S : (a, k, dim_z, dim_z), covariance of the innovation
-    distance2 : (a, k), squared Mahalanobis distance
-    log_det : (a, k), log determinant of S
-    apart : returns the thesis's distance (a, k) m and angle (a, k) rad in map, when asked
-    possible : (a, k), false where extents rule the pairing out
+    asked : (a,) indices of all observations of the kind into the list that was asked about
+    observations : (p,) such an index
+    landmarks : (p,) ids
+    labels : (p,) labels that sensors read off the landmarks, -1 where there is none
+    innovation : (p, dim_z)
+    S : (p, dim_z, dim_z), covariance of the innovation
+    distance2 : (p,), squared Mahalanobis distance
+    log_det : (p,), log determinant of S
+    apart : returns the thesis's distance (p,) m and angle (p,) rad in map, when asked
+    possible : (p,), false where extents rule the pairing out
     """
 
     kind: str
+    asked: Ints
     observations: Ints
     landmarks: Ints
     labels: Ints
@@ -43,15 +49,12 @@ class Hypotheses:
     apart: Callable[[], tuple[Array, Array]]
     possible: Mask
 
-    def match(self, a: int, k: int) -> Match:
-        """Return the pairing of the a-th observation and k-th landmark here."""
-        return Match(
-            int(self.observations[a]),
-            int(self.landmarks[k]),
-            self.innovation[a, k],
-            self.S[a, k],
-            float(self.distance2[a, k]),
-        )
+    def matches(self, pairs: Sequence[int]) -> list[Match]:
+        """Return some of the p pairings."""
+        innovation, S = self.innovation, self.S
+        asked, landmarks = self.observations.tolist(), self.landmarks.tolist()
+        distance2 = self.distance2.tolist()
+        return [Match(asked[p], landmarks[p], innovation[p], S[p], distance2[p]) for p in pairs]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +72,11 @@ class Association(Component):
     """Chooses among hypotheses."""
 
     role: ClassVar[str] = "association"
+
+    def reach(self, dof: int) -> float:
+        """Return the squared Mahalanobis distance beyond which no pairing matters here."""
+        del dof
+        return math.inf
 
     @abstractmethod
     def assign(

@@ -26,11 +26,10 @@ T = TypeVar("T", np.int64, np.float64)
 
 
 class _Pair(NamedTuple):
-    """The a-th observation and k-th landmark of a group, d^2 + log det S, and log det R."""
+    """The p-th pair of a group, its d^2 + log det S, and log det R."""
 
     group: int
-    a: int
-    k: int
+    p: int
     cost: float
     noise: float
 
@@ -76,15 +75,19 @@ class Jcbb(Association):
         ge=1,
     )
 
+    def reach(self, dof: int) -> float:
+        """Return the wider gate; see `Association.reach`."""
+        return quantile(max(self.gate, self.new_gate), dof)
+
     def assign(
         self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
     ) -> Assignment:
         """Match the most pairs that are jointly compatible; of as many, the likeliest."""
-        chosen: list[list[tuple[int, int]]] = [[] for _ in hypotheses]
+        chosen: list[list[int]] = [[] for _ in hypotheses]
         options = self._options(observations, hypotheses)
         if options:
             for pair in self._search(observations, hypotheses, options, joint):
-                chosen[pair.group].append((pair.a, pair.k))
+                chosen[pair.group].append(pair.p)
         near = [self._near(group) for group in hypotheses]
         return collect(observations, zip(hypotheses, chosen, near, strict=True))
 
@@ -98,11 +101,13 @@ class Jcbb(Association):
         options: dict[int, list[_Pair]] = {}
         for g, group in enumerate(hypotheses):
             limit = quantile(self.gate, group.innovation.shape[-1])
-            a, k = np.nonzero((group.distance2 <= limit) & group.possible)
-            noise = np.linalg.slogdet(np.array([observations[i].R for i in group.observations]))[1]
-            costs = (group.distance2 + group.log_det)[a, k].tolist()
-            asked, noises = group.observations[a].tolist(), noise[a].tolist()
-            for i, *pair in zip(asked, a.tolist(), k.tolist(), costs, noises, strict=True):
+            pairs = np.flatnonzero((group.distance2 <= limit) & group.possible)
+            if not len(pairs):
+                continue
+            asked = group.observations[pairs].tolist()
+            noise = np.linalg.slogdet(np.array([observations[i].R for i in asked]))[1].tolist()
+            costs = (group.distance2 + group.log_det)[pairs].tolist()
+            for i, *pair in zip(asked, pairs.tolist(), costs, noise, strict=True):
                 options.setdefault(i, []).append(_Pair(g, *pair))
         return sorted(options.values(), key=lambda some: (len(some), min(p.cost for p in some)))
 
@@ -114,7 +119,7 @@ class Jcbb(Association):
         joint: Joint,
     ) -> list[_Pair]:
         pairs = [pair for some in options for pair in some]
-        matches = [hypotheses[pair.group].match(pair.a, pair.k) for pair in pairs]
+        matches = [hypotheses[pair.group].matches([pair.p])[0] for pair in pairs]
         innovation, S = joint(observations, matches)
         dims = np.array([len(match.innovation) for match in matches])
         groups = _starts(np.array([len(some) for some in options]))
@@ -132,4 +137,4 @@ class Jcbb(Association):
 
     def _near(self, group: Hypotheses) -> Mask:
         limit = quantile(self.new_gate, group.innovation.shape[-1])
-        return np.asarray(((group.distance2 < limit) & group.possible).any(axis=1))
+        return np.asarray((group.distance2 < limit) & group.possible)

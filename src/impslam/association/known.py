@@ -38,16 +38,17 @@ class Known(Association):
 
     def _choose(
         self, observations: tuple[Observation, ...], group: Hypotheses
-    ) -> tuple[list[tuple[int, int]], Mask]:
-        known = {int(label): k for k, label in enumerate(group.labels) if label >= 0}
+    ) -> tuple[list[int], Mask]:
+        read = [observations[i].label for i in group.observations.tolist()]
+        labels = np.array([-1 if label is None else label for label in read], np.int64)
+        borne = (labels >= 0) & (labels == group.labels)
+        newest = {int(group.labels[p]): int(group.landmarks[p]) for p in np.flatnonzero(borne)}
         best: dict[int, int] = {}  # a label that is read twice belongs to the nearer
-        taken = np.zeros(len(group.observations), np.bool_)
-        for a, i in enumerate(group.observations):
-            label = observations[i].label
-            k = None if label is None else known.get(label)
-            taken[a] = label is None or k is not None
-            if k is not None:
-                rival = best.get(k, a)
-                best[k] = min(a, rival, key=lambda b: (group.distance2[b, k], b))
+        for p in np.flatnonzero(borne).tolist():
+            k = int(group.landmarks[p])
+            if newest[int(labels[p])] == k:  # of several that bear it
+                rival = best.get(k, p)
+                best[k] = min(p, rival, key=lambda q: (group.distance2[q], q))
         limit = quantile(self.gate, group.innovation.shape[-1])
-        return [(a, k) for k, a in best.items() if group.distance2[a, k] <= limit], taken
+        taken = borne | (labels < 0)
+        return [p for p in best.values() if group.distance2[p] <= limit], taken

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from impslam.association.assignment import collect, one_to_one
 from impslam.association.base import Assignment, Association, Hypotheses, Joint
 from impslam.association.gates import quantile
@@ -44,6 +42,10 @@ class Mahalanobis(Association):
         gt=0,
     )
 
+    def reach(self, dof: int) -> float:
+        """Return the wider gate; see `Association.reach`."""
+        return quantile(max(self.gate, self.new_gate), dof)
+
     def assign(
         self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
     ) -> Assignment:
@@ -51,11 +53,13 @@ class Mahalanobis(Association):
         del joint
         return collect(observations, ((group, *self._choose(group)) for group in hypotheses))
 
-    def _choose(self, group: Hypotheses) -> tuple[list[tuple[int, int]], Mask]:
+    def _choose(self, group: Hypotheses) -> tuple[list[int], Mask]:
         dim = group.innovation.shape[-1]
         # -2 log of the odds that this is the landmark, against that it is another like it.
         cost = group.distance2 + group.log_det + dim * math.log(2.0 * math.pi)
         cost += 2.0 * math.log(self.density)
         allowed = (group.distance2 < quantile(self.gate, dim)) & group.possible & (cost < 0.0)
         near = (group.distance2 < quantile(self.new_gate, dim)) & group.possible & (cost < _DOUBT)
-        return one_to_one(cost, allowed), np.asarray(near.any(axis=1))
+        pairs = allowed.nonzero()[0]
+        best = one_to_one(group.observations[pairs], group.landmarks[pairs], cost[pairs])
+        return pairs[best].tolist(), near

@@ -33,14 +33,17 @@ class Nearest(Association):
         del joint
         return collect(observations, ((group, *self._choose(group)) for group in hypotheses))
 
-    def _choose(self, group: Hypotheses) -> tuple[list[tuple[int, int]], Mask]:
+    def _choose(self, group: Hypotheses) -> tuple[list[int], Mask]:
         metres, radians = group.apart()
-        allowed = (metres < self.max_distance) & (radians < self.max_angle)
-        cost = np.where(allowed, metres, np.inf)
-        nearest = cost.argmin(axis=1) if cost.shape[1] else np.zeros(len(cost), np.intp)
+        allowed = np.asarray((metres < self.max_distance) & (radians < self.max_angle))
+        nearest: dict[int, int] = {}  # pairs, by observation, then by landmark
         best: dict[int, int] = {}
-        for a in np.flatnonzero(allowed.any(axis=1)):
-            k = int(nearest[a])
-            if k not in best or cost[a, k] < cost[best[k], k]:
-                best[k] = int(a)
-        return [(a, k) for k, a in best.items()], np.asarray(allowed.any(axis=1))
+        for p in np.flatnonzero(allowed).tolist():
+            rival = nearest.setdefault(int(group.observations[p]), p)
+            if metres[p] < metres[rival]:
+                nearest[int(group.observations[p])] = p
+        for p in nearest.values():
+            rival = best.setdefault(int(group.landmarks[p]), p)
+            if metres[p] < metres[rival]:
+                best[int(group.landmarks[p])] = p
+        return list(best.values()), allowed

@@ -11,6 +11,13 @@ from impslam.filters.belief import GaussianBelief
 from impslam.landmarks.base import LandmarkModel
 from impslam.types import Array, Ints, Landmark, Match, Observation
 
+_NOWHERE = np.zeros((2, 2))
+
+
+def end_points(observations: Sequence[Observation]) -> Array:
+    """Return where in base_link observations begin and end (k, 2, 2), m; 0 for those of points."""
+    return np.array([_NOWHERE if o.end_points is None else o.end_points for o in observations])
+
 
 class Table:
     """The landmarks of one kind, in columns of length k; ids ascend."""
@@ -106,7 +113,7 @@ class Atlas:
         """Enter a new landmark; return its id."""
         table = self.table(observation.kind)
         number, self._next_id = self._next_id, self._next_id + 1
-        extent = table.model.extents(pose, m[None], [observation])[0, 0]
+        extent = table.model.extents(pose, m[None], end_points([observation]))[0]
         label = -1 if observation.label is None else observation.label
         table.append((number, label, offset), extent, stamp)
         table.attributes[number] = dict(observation.attributes)
@@ -137,8 +144,8 @@ class Atlas:
         """Widen extents, count, stamp and average the attributes of matched landmarks."""
         for table, places, which in self.of(matches):
             seen = [observations[matches[i].observation] for i in which]
-            extents = table.model.extents(pose, table.states(mean, places), seen)
-            own, known = extents.diagonal().T, table.extents[places]  # (matches, 2)
+            own = table.model.extents(pose, table.states(mean, places), end_points(seen))
+            known = table.extents[places]
             known[:, 0] = np.minimum(known[:, 0], own[:, 0])
             known[:, 1] = np.maximum(known[:, 1], own[:, 1])
             table.extents[places] = known
@@ -155,7 +162,7 @@ class Atlas:
         tables = [table for table in self._tables.values() if len(table.ids)]
         if not tables:
             return np.empty(0, np.int64), np.empty((0, 2, 2))
-        ends = [table.model.outlines(table.states(mean), table.extents) for table in tables]
+        ends = [table.model.outline(table.states(mean), table.extents) for table in tables]
         return np.concatenate([table.ids for table in tables]), np.concatenate(ends)
 
     def landmarks(self, belief: GaussianBelief) -> tuple[Landmark, ...]:
@@ -163,7 +170,7 @@ class Atlas:
         found = []
         for kind, table in self._tables.items():
             states = table.states(belief.mean)
-            outlines = table.model.outlines(states, table.extents)
+            outlines = table.model.outline(states, table.extents)
             for k, number in enumerate(table.ids):
                 report = table.model.report(states[k])
                 P = belief.block(int(table.offsets[k]), table.model.dim)

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
-from typing import ClassVar, Self
+from collections.abc import Callable, Mapping, Sequence
+from typing import ClassVar, Self, TypeAlias
 
 from impslam.association.base import Assignment, Association, Hypotheses
 from impslam.component import Component
 from impslam.landmarks.base import LandmarkModel
 from impslam.types import Array, Increment, Ints, Landmark, Match, Observation
+
+Reach: TypeAlias = Callable[[int], float]
+
+
+def everything(dof: int) -> float:
+    """Return no bound: the `Reach` that leaves nothing out."""
+    del dof
+    return math.inf
 
 
 class Filter(Component):
@@ -34,8 +43,13 @@ class Filter(Component):
         """Undo the last `predict`, to the bit; nothing else may have changed the belief since."""
 
     @abstractmethod
-    def hypothesise(self, observations: Sequence[Observation]) -> list[Hypotheses]:
-        """Score every observation against every landmark of its kind."""
+    def hypothesise(
+        self, observations: Sequence[Observation], reach: Reach = everything
+    ) -> list[Hypotheses]:
+        """Score the pairings of observations with landmarks of their kind.
+
+        `reach` gives for degrees of freedom a squared Mahalanobis distance; what is beyond may be left out.
+        """
 
     @abstractmethod
     def joint(
@@ -51,7 +65,8 @@ class Filter(Component):
         self, observations: tuple[Observation, ...], association: Association
     ) -> Assignment:
         """Return which observation is which landmark; a filter of many beliefs asks for each."""
-        return association.assign(observations, self.hypothesise(observations), self.joint)
+        hypotheses = self.hypothesise(observations, association.reach)
+        return association.assign(observations, hypotheses, self.joint)
 
     @abstractmethod
     def correct(self, observations: Sequence[Observation], matches: Sequence[Match]) -> None:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from impslam.errors import NumericalError
-from impslam.filters.blas import dpotrf, dsyrk, dtrsm, dtrsv
+from impslam.filters.blas import subtract_product
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
 
 POSE = 3
+_ODD = 8  # more, for columns a power of two apart would share a few lines of the cache
 _BLOCK = 64  # P grows in steps of this; more would be updated in vain at every scan
 
 
@@ -30,7 +30,7 @@ def _gather(P: Array, o: int, block: Array) -> None:
 
 
 @kernel
-def _innovation_blocks(P: Array, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
+def innovation_blocks(P: Array, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
     """Return H P H^T (k, dz, dz) of k landmarks, each measured alone."""
     k, dz, dm = z_D_m.shape
     size = POSE + dm
@@ -54,63 +54,30 @@ def _innovation_blocks(P: Array, offsets: Ints, z_D_pose: Array, z_D_m: Array) -
 
 
 @kernel
-def _cross(P: Array, n: int, offsets: Ints, dims: Ints, h_pose: Array, h_m: Array) -> Array:
-    """Return (P H^T)^T (rows, len(P)): row r measures the pose and the landmark at offsets[r]."""
-    rows = len(offsets)
-    out = np.zeros((rows, len(P)))
-    for r in range(rows):
-        line = out[r]
-        for c in range(POSE + dims[r]):
-            column = c if c < POSE else offsets[r] + c - POSE
-            h = h_pose[r, c] if c < POSE else h_m[r, c - POSE]
-            if h == 0.0:
-                continue
-            for i in range(column):
-                line[i] += h * P[column, i]
-            for i in range(column, n):
-                line[i] += h * P[i, column]
+def _among(P: Array, entries: Ints) -> Array:
+    """Return P[entries][:, entries] (q, q) from the lower triangle."""
+    q = len(entries)
+    out = np.empty((q, q))
+    for a in range(q):
+        for b in range(a + 1):
+            i, j = max(entries[a], entries[b]), min(entries[a], entries[b])
+            out[a, b] = out[b, a] = P[i, j]
     return out
 
 
 @kernel
-def _measure(cross: Array, offsets: Ints, dims: Ints, h_pose: Array, h_m: Array) -> Array:
-    """Return H (P H^T) (rows, rows), exactly symmetric."""
-    rows = len(offsets)
-    S = np.empty((rows, rows))
-    for a in range(rows):
-        for b in range(a + 1):
-            total = 0.0
-            for c in range(POSE):
-                total += h_pose[a, c] * cross[b, c]
-            for c in range(dims[a]):
-                total += h_m[a, c] * cross[b, offsets[a] + c]
-            S[a, b] = S[b, a] = total
-    return S
-
-
-@kernel
-def _sandwich(P: Array, offsets: Ints, dims: Ints, h_pose: Array, h_m: Array) -> Array:
-    """Return H P H^T (rows, rows) from the entries of P that H touches, whatever the size of P."""
-    rows, size = len(offsets), POSE + h_m.shape[1]
-    h, places = np.zeros((rows, size)), np.zeros((rows, size), np.int64)
-    used = np.zeros(rows, np.int64)
-    for a in range(rows):
-        for c in range(POSE + dims[a]):
-            value = h_pose[a, c] if c < POSE else h_m[a, c - POSE]
-            if value != 0.0:
-                h[a, used[a]] = value
-                places[a, used[a]] = c if c < POSE else offsets[a] + c - POSE
-                used[a] += 1
-    out = np.empty((rows, rows))
-    for a in range(rows):
-        for b in range(a + 1):
-            total = 0.0
-            for c in range(used[a]):
-                i = places[a, c]
-                for d in range(used[b]):
-                    j = places[b, d]
-                    total += h[a, c] * h[b, d] * (P[i, j] if i >= j else P[j, i])
-            out[a, b] = out[b, a] = total
+def _rows_of(P: Array, n: int, entries: Ints) -> Array:
+    """Return P[entries] (q, len(P)) from the lower triangle, zero beyond n."""
+    q = len(entries)
+    out = np.zeros((q, len(P)))
+    for i in range(n):  # column by column, as P lies in memory
+        for a in range(q):
+            if entries[a] > i:
+                out[a, i] = P[entries[a], i]
+    for a in range(q):
+        column = entries[a]
+        for i in range(column, n):
+            out[a, i] = P[i, column]
     return out
 
 
@@ -146,82 +113,13 @@ def _rotate_pose(P: Array, n: int, fx: float, fy: float) -> None:
     P[2, 1] += fy * tt
 
 
-@kernel
-def _put_rows(
-    rows: tuple[Ints, Ints, Array, Array],
-    starts: Ints,
-    offsets: Ints,
-    z_D_pose: Array,
-    z_D_m: Array,
-) -> None:
-    (row_offsets, row_dims, h_pose, h_m), (k, dz, dim) = rows, z_D_m.shape
-    for i in range(k):
-        for a in range(dz):
-            row = starts[i] + a
-            row_offsets[row], row_dims[row] = offsets[i], dim
-            for b in range(POSE):
-                h_pose[row, b] = z_D_pose[i, a, b]
-            for b in range(dim):
-                h_m[row, b] = z_D_m[i, a, b]
-
-
-@kernel
-def put_blocks(vector: Array, matrix: Array, starts: Ints, parts: Array, blocks: Array) -> None:
-    """Write parts (k, d) and, on the diagonal, blocks (k, d, d) to the rows from `starts` (k,) on."""
-    for i in range(len(starts)):
-        for a in range(parts.shape[1]):
-            vector[starts[i] + a] = parts[i, a]
-            for b in range(parts.shape[1]):
-                matrix[starts[i] + a, starts[i] + b] = blocks[i, a, b]
-
-
-class Rows:
-    """The stacked sparse measurement Jacobian H of a scan: each row sees the pose and a landmark.
-
-    offsets, dims : (rows,) where the landmark stands in the state, and its size
-    h_pose, h_m : (rows, 3) and (rows, largest dim)
-    """
-
-    __slots__ = ("dims", "h_m", "h_pose", "offsets")
-
-    def __init__(self, rows: int, largest: int) -> None:
-        self.offsets = np.zeros(rows, np.int64)
-        self.dims = np.zeros(rows, np.int64)
-        self.h_pose = np.zeros((rows, POSE))
-        self.h_m = np.zeros((rows, largest))
-
-    def put(self, starts: Ints, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> None:
-        """Enter measurements of k landmarks at some offsets, in the rows from `starts` (k,) on."""
-        rows = self.offsets, self.dims, self.h_pose, self.h_m
-        _put_rows(rows, starts, offsets, z_D_pose, z_D_m)
-
-    def apply(self, delta: Array) -> Array:
-        """Return H delta (rows,)."""
-        columns = self.offsets[:, None] + np.arange(self.h_m.shape[1])
-        landmarks = np.where(self.h_m != 0.0, delta[np.minimum(columns, len(delta) - 1)], 0.0)
-        return np.asarray(self.h_pose @ delta[:POSE] + (self.h_m * landmarks).sum(axis=1))
-
-
-class Gain:
-    """The Kalman gain in square-root form: S = L L^T, W = P H^T L^-T, K = W L^-1."""
-
-    __slots__ = ("L", "W", "n")
-
-    def __init__(self, L: Array, W: Array, n: int) -> None:
-        self.L, self.W, self.n = L, W, n
-
-    def step(self, innovation: Array) -> Array:
-        """Return K innovation (n,)."""
-        return np.asarray((self.W @ dtrsv(self.L, innovation, lower=1))[: self.n])
-
-
 class GaussianBelief:
     """Mean and covariance of [pose, landmark, landmark, ...]; knows sizes, not kinds."""
 
     def __init__(self, pose: Array, covariance: Array) -> None:
         self.n = POSE
-        self.mean = np.zeros(_BLOCK)
-        self.P = np.zeros((_BLOCK, _BLOCK), order="F")
+        self.mean = np.zeros(_BLOCK + _ODD)
+        self.P = np.zeros((_BLOCK + _ODD, _BLOCK + _ODD), order="F")
         self.mean[:POSE] = pose
         self.P[:POSE, :POSE] = covariance
 
@@ -245,7 +143,7 @@ class GaussianBelief:
 
     def pose_entries(self) -> tuple[Array, Array]:
         """Return copies of all that `move` changes: the pose (3,) and P's first columns (n, 3)."""
-        return self.mean[:POSE].copy(), self.P[: self.n, :POSE].copy()
+        return self.mean[:POSE].copy(), self.P[: self.n, :POSE].copy(order="F")
 
     def restore(self, entries: tuple[Array, Array]) -> None:
         """Put back what `pose_entries` returned."""
@@ -253,33 +151,19 @@ class GaussianBelief:
 
     def innovation_blocks(self, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
         """Return H P H^T (k, dz, dz) of k landmarks, each measured alone."""
-        return _innovation_blocks(self.P, offsets, z_D_pose, z_D_m)
+        return innovation_blocks(self.P, offsets, z_D_pose, z_D_m)
 
-    def measured(self, rows: Rows) -> Array:
-        """Return H P H^T (rows, rows) of measurements that need no correction yet."""
-        return _sandwich(self.P, rows.offsets, rows.dims, rows.h_pose, rows.h_m)
+    def among(self, entries: Ints) -> Array:
+        """Return P[entries][:, entries] (q, q)."""
+        return _among(self.P, entries)
 
-    def gain(self, rows: Rows, R: Array) -> Gain:
-        """Return the gain of a batch of measurements with noise R (rows, rows).
+    def rows_of(self, entries: Ints) -> Array:
+        """Return P[entries] (q, len(P)): contiguous copies of a few rows, zero beyond n."""
+        return _rows_of(self.P, self.n, entries)
 
-        Raises
-        ------
-        NumericalError
-            If the innovations' covariance is not positive definite.
-        """
-        shape = rows.offsets, rows.dims, rows.h_pose, rows.h_m
-        cross = _cross(self.P, self.n, *shape)
-        L, info = dpotrf(_measure(cross, *shape) + R, lower=1, clean=1)
-        if info or not np.isfinite(L).all():
-            raise NumericalError(
-                "the innovations' covariance is not positive definite: check the noise of the "
-                "sensors and of the odometry (sigma, bias, ...)"
-            )
-        return Gain(L, dtrsm(1.0, L, cross.T, side=1, lower=1, trans_a=1, overwrite_b=1), self.n)
-
-    def shrink(self, gain: Gain) -> None:
-        """Correct P by the measurements behind a gain: P - W W^T, symmetric by construction."""
-        self.P = dsyrk(-1.0, gain.W, beta=1.0, c=self.P, lower=1, overwrite_c=1)
+    def subtract(self, left: Array, right: Array) -> None:
+        """Subtract a symmetric product left^T right from P; both (k, len(P))."""
+        subtract_product(self.P, self.n, left, right)
 
     def extend(self, m: Array, m_D_pose: Array, noise: Array) -> int:
         """Append a landmark that depends on the pose and on noise (dim, dim); return its offset."""
@@ -306,7 +190,7 @@ class GaussianBelief:
             self._resize(n)
 
     def _resize(self, n: int) -> None:
-        size = -(-n // _BLOCK) * _BLOCK
+        size = -(-n // _BLOCK) * _BLOCK + _ODD
         mean, P = np.zeros(size), np.zeros((size, size), order="F")
         mean[: self.n] = self.mean[: self.n]
         P[: self.n, : self.n] = self.P[: self.n, : self.n]

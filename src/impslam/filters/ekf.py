@@ -30,9 +30,11 @@ from impslam.association.base import Hypotheses
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
 from impslam.filters.atlas import Atlas, Table
-from impslam.filters.base import Filter
-from impslam.filters.belief import POSE, GaussianBelief, Rows, put_blocks
+from impslam.filters.base import Filter, Reach, everything
+from impslam.filters.belief import POSE, GaussianBelief
+from impslam.filters.scene import Scene, Sight, stacked
 from impslam.filters.scoring import score
+from impslam.filters.update import Rows, gain, innovation_covariance, solve
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose
 from impslam.landmarks.base import Initial, LandmarkModel, Prediction
@@ -81,10 +83,12 @@ class Ekf(Filter):
         """Undo the last prediction; see `Filter.take_back`."""
         self._belief.restore(self._before)
 
-    def hypothesise(self, observations: Sequence[Observation]) -> list[Hypotheses]:
-        """Score every observation against every landmark of its kind."""
+    def hypothesise(
+        self, observations: Sequence[Observation], reach: Reach = everything
+    ) -> list[Hypotheses]:
+        """Score the pairings of observations with landmarks of their kind, within a gate."""
         return [
-            score(self._belief, table, observations, indices)
+            score(self._belief, table, observations, indices, reach(table.model.dim_z))
             for table, indices in self._atlas.by_kind(observations)
         ]
 
@@ -92,29 +96,47 @@ class Ekf(Filter):
         self, observations: Sequence[Observation], pairs: Sequence[Match]
     ) -> tuple[Array, Array]:
         """Return innovation and S = H P H^T + R of all pairs, correlations between them included."""
-        rows, innovation, R = self._stack(observations, pairs)
-        return innovation, self._belief.measured(rows) + R
+        scene = self._scene(observations, pairs)
+        rows, innovation = self._linearise(scene, scene.pose, scene.states)
+        S, _ = innovation_covariance(rows, self._belief.among(scene.entries))
+        return innovation[scene.order], S[np.ix_(scene.order, scene.order)]
 
     def correct(self, observations: Sequence[Observation], matches: Sequence[Match]) -> None:
-        """Take all matches of a scan in, in one batch (thesis Eq. 2.27-2.29)."""
+        """Take all matches of a scan in, in one batch (thesis Eq. 2.27-2.29).
+
+        The linearisations need P among the pose and the matched landmarks only. Once they have
+        settled the gain goes to the whole state.
+        """
         if not matches:
             return
         belief = self._belief
-        observations = self._doubted(observations, matches)
-        prior, delta = belief.mean.copy(), np.zeros(belief.n)
-        try:
-            for _ in range(self.iterations):
-                rows, innovation, R = self._stack(observations, matches)
-                gain = belief.gain(rows, R)
-                moved = delta[2]
-                delta = gain.step(innovation + rows.apply(delta) if delta.any() else innovation)
-                self._retract(prior, delta)
-                if abs(delta[2] - moved) < self.tolerance:
-                    break
-        except NumericalError:
-            belief.mean = prior
-            raise
-        belief.shrink(gain)
+        scene = self._scene(self._doubted(observations, matches), matches)
+        P, pose, states = belief.among(scene.entries), scene.pose, scene.states
+        step = np.zeros(len(scene.entries))
+        for _ in range(self.iterations):
+            rows, innovation = self._linearise(scene, pose, states)
+            U, y, moved, sound = solve(rows, P, innovation, step)
+            if not sound:
+                raise NumericalError(
+                    "the innovations' covariance is not positive definite: check the noise of the "
+                    "sensors and of the odometry (sigma, bias, ...)"
+                )
+            turned, step = abs(moved[2] - step[2]), moved
+            if turned < self.tolerance:
+                break
+            pose, states = scene.moved(step)
+        of_seen = belief.rows_of(scene.entries)
+        W_T = gain(rows, of_seen, U)
+        self._finish(W_T, y @ W_T, of_seen[:POSE])
+
+    def _finish(self, W_T: Array, step: Array, of_pose: Array) -> None:
+        """Move the mean by a step (size,) and correct the covariance by W^T (rows, size).
+
+        `of_pose` (3, size) are P's rows of the pose before the correction; size is that of P.
+        """
+        del of_pose
+        self._retract(step)
+        self._belief.subtract(W_T, W_T)
 
     def extend(self, observations: Sequence[Observation], stamp: float) -> tuple[int, ...]:
         """Add landmarks with their full cross-covariance to pose and map."""
@@ -166,25 +188,20 @@ class Ekf(Filter):
         """Number of scalars in the belief."""
         return self._belief.n
 
-    def _stack(
-        self, observations: Sequence[Observation], matches: Sequence[Match]
-    ) -> tuple[Rows, Array, Array]:
-        """Return H (sparse), the innovation (rows,) and R (rows, rows), in the order of the matches."""
-        groups = list(self._atlas.of(matches))
-        sizes = np.zeros(len(matches), np.int64)
-        for table, _, which in groups:
-            sizes[which] = table.model.dim_z
-        starts, total = np.cumsum(sizes) - sizes, int(sizes.sum())
-        rows = Rows(total, max(table.model.dim for table, _, _ in groups))
-        innovation, R = np.empty(total), np.zeros((total, total))
-        for table, places, which in groups:
-            model, seen = table.model, [observations[matches[i].observation] for i in which]
-            prediction = self._expect(table, places)
-            here = starts[which]
-            rows.put(here, table.offsets[places], prediction.z_D_pose, prediction.z_D_m)
-            residual = model.residual(np.array([o.z for o in seen]), prediction.z)
-            put_blocks(innovation, R, here, residual, np.array([o.R for o in seen]))
-        return rows, innovation, R
+    def _scene(self, observations: Sequence[Observation], matches: Sequence[Match]) -> Scene:
+        """Return what is seen of which landmarks, kind by kind."""
+        return Scene(self._belief.mean, self._atlas.of(matches), observations, matches)
+
+    def _linearise(self, scene: Scene, pose: Array, states: list[Array]) -> tuple[Rows, Array]:
+        """Return H at some estimates of the pose (3,) and of each kind's landmarks, and nu."""
+        residuals, h_pose, h_m = [], [], []
+        for sight, m in zip(scene.sights, states, strict=True):
+            prediction = self._expect(sight, pose, m)
+            residuals.append(sight.table.model.residual(sight.z, prediction.z).ravel())
+            h_pose.append(prediction.z_D_pose.reshape(-1, POSE))
+            h_m.append(prediction.z_D_m.reshape(len(h_pose[-1]), -1))
+        rows = Rows(scene.slots, scene.blocks, scene.noise, stacked(h_pose), stacked(h_m))
+        return rows, stacked(residuals)
 
     def _doubted(
         self, observations: Sequence[Observation], matches: Sequence[Match]
@@ -204,20 +221,25 @@ class Ekf(Filter):
             wider[match.observation] = replace(seen, R=self.repeats * max(1.0, doubt) * seen.R)
         return wider
 
-    def _expect(self, table: Table, places: Ints) -> Prediction:
-        """Return how landmarks should be seen now; Jacobians at the newest estimates."""
-        return table.model.predict(self.pose, table.states(self._belief.mean, places))
+    def _expect(self, sight: Sight, pose: Array, states: Array) -> Prediction:
+        """Return how landmarks are seen from estimates of a correction; Jacobians at the same."""
+        return sight.table.model.predict(pose, states)
 
     def _initialise(self, table: Table, observation: Observation) -> Initial:
         """Return the landmark an observation begins; Jacobians at the newest estimate."""
         return table.model.initialise(self.pose, observation)
 
-    def _retract(self, prior: Array, step: Array) -> None:
-        """Set the mean to a prior moved by a step in the perturbations of pose and landmarks."""
-        mean = self._belief.mean
-        mean[:POSE] = prior[:POSE] + step[:POSE]
+    def _retract(self, step: Array) -> list[tuple[Table, Array, Array]]:
+        """Move the mean by a step in the perturbations of pose and landmarks.
+
+        Return of each kind the states (k, dim) before and after.
+        """
+        mean, moved = self._belief.mean, []
+        mean[:POSE] += step[:POSE]
         mean[2] = wrap(float(mean[2]))
         for table in self._atlas.tables():
             if len(table.ids):
-                columns = table.columns
-                mean[columns] = table.model.retract(prior[columns], step[columns])
+                before = table.states(mean)
+                mean[table.columns] = after = table.model.retract(before, table.states(step))
+                moved.append((table, before, after))
+        return moved

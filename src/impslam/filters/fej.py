@@ -26,10 +26,11 @@ from impslam.component import register
 from impslam.filters.atlas import Table
 from impslam.filters.belief import POSE
 from impslam.filters.ekf import Ekf
+from impslam.filters.scene import Sight
 from impslam.filters.symmetry import pose_D_motion
 from impslam.geometry.se2 import compose, rotation
 from impslam.landmarks.base import Initial, LandmarkModel, Prediction
-from impslam.types import Array, Increment, Ints, Observation
+from impslam.types import Array, Increment, Observation
 
 
 @register("fej")
@@ -76,9 +77,10 @@ class FirstEstimatesEkf(Ekf):
             self._belief.keep(stays)
             self._first = self._first[stays]
 
-    def _expect(self, table: Table, places: Ints) -> Prediction:
-        now = super()._expect(table, places)
-        first = table.model.predict(self._first[:POSE], table.states(self._first, places))
+    def _expect(self, sight: Sight, pose: Array, states: Array) -> Prediction:
+        now = super()._expect(sight, pose, states)
+        table = sight.table
+        first = table.model.predict(self._first[:POSE], table.states(self._first, sight.places))
         return replace(now, z_D_pose=first.z_D_pose, z_D_m=first.z_D_m)
 
     def _initialise(self, table: Table, observation: Observation) -> Initial:

@@ -22,13 +22,13 @@ from dataclasses import replace
 import numpy as np
 
 from impslam.component import register
-from impslam.filters.atlas import Table
 from impslam.filters.belief import POSE
 from impslam.filters.ekf import Ekf
 from impslam.filters.fej import FirstEstimatesEkf
+from impslam.filters.scene import Sight
 from impslam.filters.symmetry import pose_D_motion
 from impslam.landmarks.base import Prediction
-from impslam.types import Array, Ints
+from impslam.types import Array
 
 
 def unobserving(J: Array, N: Array) -> Array:
@@ -41,10 +41,10 @@ def unobserving(J: Array, N: Array) -> Array:
 class ObservabilityConstrainedEkf(FirstEstimatesEkf):
     """The EKF with Jacobians changed least so that what nothing observes stays unobserved."""
 
-    def _expect(self, table: Table, places: Ints) -> Prediction:
-        now = Ekf._expect(self, table, places)
-        first = table.states(self._first, places)
-        pose = np.broadcast_to(pose_D_motion(self._first[:POSE]), (len(places), POSE, 3))
-        N = np.concatenate([pose, table.model.m_D_motion(first)], axis=1)
+    def _expect(self, sight: Sight, pose: Array, states: Array) -> Prediction:
+        now = Ekf._expect(self, sight, pose, states)
+        first = sight.table.states(self._first, sight.places)
+        of_pose = np.broadcast_to(pose_D_motion(self._first[:POSE]), (len(first), POSE, 3))
+        N = np.concatenate([of_pose, sight.table.model.m_D_motion(first)], axis=1)
         J = unobserving(np.concatenate([now.z_D_pose, now.z_D_m], axis=2), N)
         return replace(now, z_D_pose=J[..., :POSE], z_D_m=J[..., POSE:])

@@ -37,35 +37,81 @@ turn: P + 3/4 (J c) (J c)^T with c = cov(place, theta), since E[theta^4] = 3 var
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from pydantic import PrivateAttr
 
 from impslam.component import parameter, register
-from impslam.filters.belief import POSE, GaussianBelief, Rows
-from impslam.filters.blas import dsyr2
+from impslam.filters.belief import POSE
 from impslam.filters.ekf import Ekf
-from impslam.filters.symmetry import pose_D_motion, state_D_motion
-from impslam.types import Array, Landmark, Match, Observation
+from impslam.filters.scene import Sight
+from impslam.filters.symmetry import pose_D_motion
+from impslam.geometry.kernels import kernel
+from impslam.landmarks.base import LandmarkModel, Prediction
+from impslam.types import Array, Ints, Landmark
 
 
-def shear(belief: GaussianBelief, A: Array, xi_D_pose: Array) -> None:
-    """Change P to that of delta + A xi, in place.
+@kernel
+def _put_change(A_T: Array, offsets: Ints, m_D_motion: Array) -> None:
+    """Enter how m_D_motion (2, k, dim, 3) of landmarks has changed into A^T (3, size)."""
+    _, k, dim, _ = m_D_motion.shape
+    for i in range(k):
+        for c in range(dim):
+            for x in range(3):
+                A_T[x, offsets[i] + c] = m_D_motion[1, i, c, x] - m_D_motion[0, i, c, x]
 
-    A is (n, k), and xi = xi_D_pose delta_pose with xi_D_pose (k, 3).
+
+@kernel
+def _add_product(out: Array, A: Array, B: Array) -> None:
+    """Add A B to out, row by row, for a small A."""
+    for i in range(len(A)):
+        for k in range(len(B)):
+            a = A[i, k]
+            for j in range(B.shape[1]):
+                out[i, j] += a * B[k, j]
+
+
+@kernel
+def factors(W_T: Array, A_T: Array, xi_D_pose: Array, of_pose: Array) -> tuple[Array, Array]:
+    """Return L and R (rows + 2 k, n): P - L^T R is P - W W^T, carried on to delta + A xi.
+
+    A^T is (k, n), xi = xi_D_pose delta_pose with xi_D_pose (k, 3); `of_pose` (3, n) are P's first rows.
+    The change is A b^T + b A^T with b = cov(delta, xi) + 1/2 A cov(xi), after P - W W^T.
     """
-    n, P = belief.n, belief.P
-    pose = belief.pose_covariance()
-    with_xi = np.concatenate([pose, P[POSE:n, :POSE]]) @ xi_D_pose.T  # cov(delta, xi)
-    of_xi = xi_D_pose @ pose @ xi_D_pose.T
-    left, right = np.zeros((2, A.shape[1], len(P)))
-    left[:, :n], right[:, :n] = A.T, (with_xi + 0.5 * A @ of_xi).T
-    # Rank two by rank two: a third of dsyr2k's time for one column, the same for three.
-    for a, b in zip(left, right, strict=True):
-        P = dsyr2(1.0, a, b, lower=1, a=P, overwrite_a=1)
-    belief.P = P
+    (rows, n), k = W_T.shape, len(A_T)
+    after, b, of_xi = of_pose.copy(), np.zeros((k, n)), np.zeros((k, k))
+    _add_product(after, -W_T[:, :POSE].T, W_T)
+    _add_product(b, xi_D_pose, after)
+    _add_product(of_xi, 0.5 * b[:, :POSE], xi_D_pose.T)
+    _add_product(b, of_xi, A_T)
+    L, R = np.empty((rows + 2 * k, n)), np.empty((rows + 2 * k, n))
+    L[:rows], L[rows : rows + k], L[rows + k :] = W_T, A_T, b
+    R[:rows], R[rows : rows + k], R[rows + k :] = W_T, -b, -A_T
+    return L, R
+
+
+@kernel
+def _carried_back(z_D_pose: Array, z_D_m: Array, A_pose: Array, A_m: Array, xi: Array) -> Array:
+    """Return z_D_pose + (z_D_pose A_pose + z_D_m A_m) xi, (k, dim_z, 3)."""
+    k, dz, dim = z_D_m.shape
+    out, row = z_D_pose.copy(), np.empty(POSE)
+    for i in range(k):
+        for a in range(dz):
+            for x in range(POSE):
+                row[x] = 0.0
+                for p in range(POSE):
+                    row[x] += z_D_pose[i, a, p] * A_pose[p, x]
+                for p in range(dim):
+                    row[x] += z_D_m[i, a, p] * A_m[1, i, p, x] - z_D_m[i, a, p] * A_m[0, i, p, x]
+            for p in range(POSE):
+                for x in range(POSE):
+                    out[i, a, p] += row[x] * xi[x, p]
+    return out
+
+
+def _of_both(model: LandmarkModel, old: Array, new: Array) -> Array:
+    """Return m_D_motion (2, k, dim, 3) of landmarks at two states (k, dim)."""
+    return model.m_D_motion(np.concatenate([old, new])).reshape(2, *old.shape, 3)
 
 
 def _arc(with_heading: Array) -> Array:
@@ -86,21 +132,16 @@ class RightInvariantEkf(Ekf):
     iterations: int = parameter(
         4, "1", "linearisations of a correction at most; the second brings it to millimetres", ge=1
     )
-    _prior: tuple[Array, Array] | None = PrivateAttr(default=None)
-    """While correcting: G (n, 3) of the state before, and xi_D_pose there, the inverse of G's pose."""
 
-    def correct(self, observations: Sequence[Observation], matches: Sequence[Match]) -> None:
-        """Take all matches in, and carry the covariance over to the new state."""
-        if not matches:
-            return
-        self._prior = state_D_motion(self._belief, self._atlas), pose_D_motion(-self.pose)
-        try:
-            super().correct(observations, matches)
-            A, xi_D_pose = self._since_prior()
-        finally:
-            self._prior = None
-        changed = A.any(axis=0)  # points alone leave only the heading's column
-        shear(self._belief, A[:, changed], xi_D_pose[changed])
+    def _finish(self, W_T: Array, step: Array, of_pose: Array) -> None:
+        """Correct, and carry the covariance over to the new state in the same pass over P."""
+        before, A_T = self.pose, np.zeros_like(of_pose)
+        for table, old, new in self._retract(step):
+            _put_change(A_T, table.offsets, _of_both(table.model, old, new))
+        A_T[:, :POSE] = (pose_D_motion(self.pose) - pose_D_motion(before)).T
+        changed = A_T.any(axis=1)  # points alone leave only the heading's
+        xi_D_pose = pose_D_motion(-before)[changed]
+        self._belief.subtract(*factors(W_T, A_T[changed], xi_D_pose, of_pose))
 
     @property
     def covariance(self) -> Array:
@@ -123,19 +164,12 @@ class RightInvariantEkf(Ekf):
             for m in super().landmarks()
         )
 
-    def _since_prior(self) -> tuple[Array, Array]:
-        """Return A (n, 3) and xi_D_pose (3, 3): perturbations now are those before plus A xi."""
-        assert self._prior is not None
-        before, xi_D_pose = self._prior
-        return state_D_motion(self._belief, self._atlas) - before, xi_D_pose
-
-    def _stack(
-        self, observations: Sequence[Observation], matches: Sequence[Match]
-    ) -> tuple[Rows, Array, Array]:
-        """Return `Ekf._stack`, H in the perturbations before the correction that P speaks of."""
-        rows, innovation, R = super()._stack(observations, matches)
-        if self._prior is not None:
-            A, xi_D_pose = self._since_prior()
-            H_A = np.array([rows.apply(a) for a in A.T]).T
-            rows.h_pose += H_A @ xi_D_pose
-        return rows, innovation, R
+    def _expect(self, sight: Sight, pose: Array, states: Array) -> Prediction:
+        """Return what is seen; Jacobians in the perturbations before the correction, P's own."""
+        now = super()._expect(sight, pose, states)
+        if pose is sight.pose:
+            return now
+        A_pose = pose_D_motion(pose) - pose_D_motion(sight.pose)
+        A_m = _of_both(sight.table.model, sight.states, states)
+        back = pose_D_motion(-sight.pose)
+        return replace(now, z_D_pose=_carried_back(now.z_D_pose, now.z_D_m, A_pose, A_m, back))

@@ -4,85 +4,174 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
+from typing import TypeAlias
 
 import numpy as np
 
 from impslam.association.base import Hypotheses
-from impslam.filters.atlas import Table
-from impslam.filters.belief import GaussianBelief
+from impslam.filters.atlas import Table, end_points
+from impslam.filters.belief import POSE, GaussianBelief, innovation_blocks
+from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
+from impslam.landmarks.base import LandmarkModel
 from impslam.types import Array, Ints, Mask, Observation
+
+Known: TypeAlias = tuple[Array, Array, Array]
+"""z (k, dz), z_D_pose (k, dz, 3) and z_D_m (k, dz, dim) of all landmarks."""
 
 
 @kernel
-def _distances(innovation: Array, HPH: Array, R: Array) -> tuple[Array, Array, Array]:
-    """Return S (a, k, dz, dz), nu^T S^-1 nu (a, k) and log det S (a, k) by Cholesky."""
-    a, k, dz = innovation.shape
-    S = np.empty((a, k, dz, dz))
-    distance2, log_det = np.empty((a, k)), np.empty((a, k))
-    L, y = np.zeros((dz, dz)), np.empty(dz)
-    for i in range(a):
-        for j in range(k):
-            total, root = 0.0, 1.0  # root: that of det S
-            for p in range(dz):
-                value = innovation[i, j, p]
-                for q in range(p + 1):
-                    entry = HPH[j, p, q] + R[i, p, q]
-                    S[i, j, p, q] = S[i, j, q, p] = entry
-                    for r in range(q):
-                        entry -= L[p, r] * L[q, r]
-                    L[p, q] = math.sqrt(max(entry, 1e-300)) if p == q else entry / L[q, q]
+def _spread(P: Array, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
+    """Return a bound (k,) on the trace of each landmark's H P H^T, from few entries of P.
+
+    With H = [H_pose, H_m] and any positive semidefinite P, H P H^T is at most twice
+    H_pose P_pose H_pose^T + H_m P_m H_m^T, and the trace of the latter at most |H_m|^2 tr P_m.
+    """
+    k, dz, dim = z_D_m.shape
+    out = np.empty(k)
+    for i in range(k):
+        of_pose, square, trace = 0.0, 0.0, 0.0
+        for a in range(dz):
+            for p in range(POSE):
+                of_pose += z_D_pose[i, a, p] ** 2 * P[p, p]
                 for q in range(p):
-                    value -= L[p, q] * y[q]
-                y[p] = value / L[p, p]
-                total += y[p] * y[p]
-                root *= L[p, p]
-            distance2[i, j], log_det[i, j] = total, 2.0 * math.log(root)
-    return S, distance2, log_det
+                    of_pose += 2.0 * z_D_pose[i, a, p] * z_D_pose[i, a, q] * P[p, q]
+            for p in range(dim):
+                square += z_D_m[i, a, p] ** 2
+        for p in range(dim):
+            trace += P[offsets[i] + p, offsets[i] + p]
+        out[i] = 2.0 * (of_pose + square * trace)
+    return out
+
+
+@kernel
+def _near(
+    z: Array, known: Array, spread: Array, R: Array, angles: Mask, gate: float
+) -> tuple[Ints, Ints, Ints]:
+    """Return the pairs that may be in the gate: observations (p,) and landmarks (p,), and the latter once.
+
+    Landmarks are numbered among those `used` (u,). nu^T S^-1 nu is at least |nu|^2 / tr S, so that
+    pairs with |nu|^2 beyond gate tr S are out.
+    """
+    (a, dz), k = z.shape, len(known)
+    first, second = np.empty(a * k, np.int64), np.empty(a * k, np.int64)
+    number, count = np.full(k, -1), 0
+    for i in range(a):
+        noise = 0.0
+        for p in range(dz):
+            noise += R[i, p, p]
+        for j in range(k):
+            apart = 0.0
+            for p in range(dz):
+                value = z[i, p] - known[j, p]
+                if angles[p]:
+                    value = wrap_in_kernel(value)
+                apart += value * value
+            if gate == math.inf or not apart > gate * (spread[j] + noise):
+                first[count], second[count] = i, j
+                number[j] = 0
+                count += 1
+    places = np.flatnonzero(number == 0)
+    for used in range(len(places)):
+        number[places[used]] = used
+    for n in range(count):
+        second[n] = number[second[n]]
+    return first[:count].copy(), second[:count].copy(), places
+
+
+@kernel
+def _distances(
+    pairs: tuple[Ints, Ints], z: Array, known: Array, HPH: Array, R: Array, angles: Mask
+) -> tuple[Array, Array, Array, Array]:
+    """Return nu (p, dz), S (p, dz, dz), nu^T S^-1 nu (p,) and log det S (p,) of pairs, by Cholesky."""
+    count, dz = len(pairs[0]), z.shape[1]
+    nu, S = np.empty((count, dz)), np.empty((count, dz, dz))
+    distance2, log_det = np.empty(count), np.empty(count)
+    L, y = np.zeros((dz, dz)), np.empty(dz)
+    for n in range(count):
+        i, j = pairs[0][n], pairs[1][n]
+        total, root = 0.0, 1.0  # root: that of det S
+        for p in range(dz):
+            value = z[i, p] - known[j, p]
+            if angles[p]:
+                value = wrap_in_kernel(value)
+            nu[n, p] = value
+            for q in range(p + 1):
+                entry = HPH[j, p, q] + R[i, p, q]
+                S[n, p, q] = S[n, q, p] = entry
+                for r in range(q):
+                    entry -= L[p, r] * L[q, r]
+                L[p, q] = math.sqrt(max(entry, 1e-300)) if p == q else entry / L[q, q]
+            for q in range(p):
+                value -= L[p, q] * y[q]
+            y[p] = value / L[p, p]
+            total += y[p] * y[p]
+            root *= L[p, p]
+        distance2[n], log_det[n] = total, 2.0 * math.log(root)
+    return nu, S, distance2, log_det
+
+
+@kernel
+def _scored(
+    P: Array, offsets: Ints, seen: tuple[Array, Array], known: Known, angles: Mask, gate: float
+) -> tuple[Ints, Ints, tuple[Array, Array, Array, Array]]:
+    """Return observations (p,) and landmarks (p,) of the pairs in the gate, and their scores."""
+    (z, R), (predicted, z_D_pose, z_D_m) = seen, known
+    spread = _spread(P, offsets, z_D_pose, z_D_m)
+    a, k, places = _near(z, predicted, spread, R, angles, gate)
+    HPH = innovation_blocks(P, offsets[places], z_D_pose[places], z_D_m[places])
+    return a, places[k], _distances((a, k), z, predicted[places], HPH, R, angles)
 
 
 def score(
-    belief: GaussianBelief, table: Table, observations: Sequence[Observation], indices: Ints
+    belief: GaussianBelief,
+    table: Table,
+    observations: Sequence[Observation],
+    indices: Ints,
+    gate: float,
 ) -> Hypotheses:
-    """Return all pairings of the observations at `indices` with the landmarks of a table."""
-    model, pose = table.model, belief.mean[:3].copy()
-    states = table.states(belief.mean)
-    asked = [observations[i] for i in indices]
-    prediction = model.predict(pose, states)
-    z, R = np.array([o.z for o in asked]), np.array([o.R for o in asked])
-    innovation = model.residual(z[:, None], prediction.z[None])
-    HPH = belief.innovation_blocks(table.offsets, prediction.z_D_pose, prediction.z_D_m)
-    S, distance2, log_det = _distances(innovation, HPH, R)
+    """Return the pairings of the observations at `indices` with a table's landmarks in a gate.
+
+    All landmarks are predicted, for that is cheap; P is read for those near enough.
+    """
+    model, pose = table.model, belief.mean[:POSE].copy()
+    states, asked = table.states(belief.mean), [observations[i] for i in indices.tolist()]
+    z = np.concatenate([o.z for o in asked]).reshape(len(asked), -1)
+    R = np.concatenate([o.R for o in asked]).reshape(*z.shape, -1)
+    seen = model.predict(pose, states)
+    known = seen.z, seen.z_D_pose, seen.z_D_m
+    angles = angle_mask(type(model))
+    a, rows, scores = _scored(belief.P, table.offsets, (z, R), known, angles, gate)
+    m = states[rows]
 
     def apart() -> tuple[Array, Array]:
-        metres, radians = zip(*(model.distance(pose, states, o) for o in asked), strict=True)
-        return np.array(metres), np.array(radians)
+        return model.distance(m, model.invert(pose, z)[a])
 
-    return Hypotheses(
-        asked[0].kind,
-        indices,
-        table.ids,
-        table.labels,
-        innovation,
-        S,
-        distance2,
-        log_det,
-        apart,
-        _possible(belief, table, asked, states),
-    )
+    possible = np.ones(len(a), np.bool_)
+    if model.has_extent:
+        possible = _possible(belief, table, end_points(asked)[a], rows, m)
+    ids, labels = table.ids[rows], table.labels[rows]
+    return Hypotheses(asked[0].kind, indices, indices[a], ids, labels, *scores, apart, possible)
 
 
-def _possible(
-    belief: GaussianBelief, table: Table, asked: list[Observation], states: Array
-) -> Mask:
-    """Tell (a, k) which pairings the extents allow, within two standard deviations along them."""
-    pose = belief.mean[:3]
-    seen = table.model.extents(pose, states, asked)
-    overlap = table.model.overlap(pose, states, table.extents, seen)
-    if overlap is None:
-        return np.ones(seen.shape[:2], np.bool_)
+@cache
+def angle_mask(model: type[LandmarkModel]) -> Mask:
+    """Tell which components of a kind's z are angles, (dim_z,)."""
+    mask = np.zeros(model.dim_z, np.bool_)
+    mask[list(model.z_angles)] = True
+    return mask
+
+
+def _possible(belief: GaussianBelief, table: Table, ends: Array, rows: Ints, m: Array) -> Mask:
+    """Tell (p,) which pairings the extents allow, within two standard deviations along them.
+
+    `ends` (p, 2, 2) are the observations' end points, `rows` (p,) and m (p, dim) the landmarks.
+    """
+    model, pose = table.model, belief.mean[:POSE]
+    overlap = model.overlap(pose, m, table.extents[rows], model.extents(pose, m, ends))
     variance = belief.innovation_blocks(
-        table.offsets, overlap.gap_D_pose[:, None], overlap.gap_D_m[:, None]
+        table.offsets[rows], overlap.gap_D_pose[:, None], overlap.gap_D_m[:, None]
     )[:, 0, 0]
     limit = overlap.allowed + 2.0 * np.sqrt(np.maximum(variance, 0.0))
     return np.asarray(overlap.gap <= limit, dtype=np.bool_)

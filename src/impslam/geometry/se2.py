@@ -74,16 +74,17 @@ def between(T_a_b: Array, T_a_c: Array) -> Array:
 def transform(T_a_b: Array, points_in_b: Array) -> Array:
     """Return points given in frame b as points in frame a.
 
-    One pose (3,) moves points of any shape (..., 2). Poses (*b, 3) move points (*b, ..., 2), those at
-    the same place in their leading axes, to which the poses broadcast.
+    One pose (3,) moves points of any shape (..., 2). Poses (..., 3) move k points each, (..., k, 2),
+    and the leading axes broadcast.
     """
     points = np.ascontiguousarray(points_in_b, dtype=np.float64)
-    lead = T_a_b.ndim - 1
-    if lead:
-        T_a_b = np.broadcast_to(T_a_b, (*points.shape[:lead], 3))
-    poses, _ = _flat(T_a_b)
-    rows = points.reshape(len(poses), math.prod(points.shape[lead:-1]), 2)
-    return _transform(poses, rows).reshape(points.shape)
+    if T_a_b.ndim == 1:
+        return _transform(T_a_b.reshape(1, 3), points.reshape(1, -1, 2)).reshape(points.shape)
+    k = points.shape[-2]
+    lead = np.broadcast_shapes(T_a_b.shape[:-1], points.shape[:-2])
+    poses, _ = _flat(np.broadcast_to(T_a_b, (*lead, 3)))
+    points = np.ascontiguousarray(np.broadcast_to(points, (*lead, k, 2)))
+    return _transform(poses, points.reshape(len(poses), k, 2)).reshape(*lead, k, 2)
 
 
 def exp(twist: Array) -> Array:

@@ -1,9 +1,12 @@
-"""The role of a landmark model: local blocks only; the filter alone knows where they go.
+"""The role of a landmark model: how one kind of landmark is seen, and where it lies.
 
-Shapes: k landmarks of the kind at once, `dim` the size of one landmark's state, `dim_z` that of an
-observation, a observations. The pose is `T_map_base` [x, y, theta], perturbed by addition. A
-landmark's state m is perturbed by its own `retract`; every `m_D_...` and `..._D_m` is taken in that
-perturbation.
+A kind needs three methods: `observe`, its inverse `invert`, and `outline`. Everything else follows
+from them; a kind overrides what it knows better or faster (Jacobians in closed form, for example).
+Models give local blocks only; the filter alone knows where they go.
+
+Shapes: poses are `T_map_base` (..., 3), perturbed by addition. k landmarks of the kind at once,
+m (..., k, dim), are perturbed by `retract`; every `m_D_...` and `..._D_m` is taken in that
+perturbation. Observations are z (..., k, dim_z) in base_link. Leading axes broadcast.
 """
 
 from __future__ import annotations
@@ -15,12 +18,15 @@ from typing import ClassVar
 import numpy as np
 
 from impslam.component import Component
+from impslam.geometry.angles import wrap
 from impslam.types import Array, Observation
+
+_STEP = 1e-5  # m, rad: of central differences; their error is then some 1e-10 of the values
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """z (k, dim_z) and its Jacobians z_D_pose (k, dim_z, 3), z_D_m (k, dim_z, dim)."""
+    """z (..., k, dim_z) and its Jacobians z_D_pose (..., k, dim_z, 3), z_D_m (..., k, dim_z, dim)."""
 
     z: Array
     z_D_pose: Array
@@ -43,9 +49,9 @@ class Initial:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Overlap:
-    """How far a observations and k landmarks lie apart along the landmarks.
+    """How far p landmarks and what is seen of them lie apart along the landmarks.
 
-    `gap` (a, k) m is negative where they overlap; `gap_D_pose` (k, 3) and `gap_D_m` (k, dim) are the
+    `gap` (p,) m is negative where they overlap; `gap_D_pose` (p, 3) and `gap_D_m` (p, dim) are the
     Jacobians of the place along the landmark; `allowed` is the gap that still makes one landmark, m.
     """
 
@@ -65,70 +71,113 @@ class Report:
 
 
 class LandmarkModel(Component):
-    """Measurement model, inverse model and reported form of one kind of landmark."""
+    """Measurement model, inverse model and outline of one kind of landmark."""
 
     role: ClassVar[str] = "landmark"
     dim: ClassVar[int]
     dim_z: ClassVar[int]
-    is_place: ClassVar[bool] = False
-    """m begins with a place [x, y] in map: it swings on an arc as a heading errs."""
+    z_angles: ClassVar[tuple[int, ...]] = ()
+    """Which components of z are angles."""
+    is_place: ClassVar[bool] = True
+    """m begins with a place [x, y] in map, perturbed by addition: it swings as a heading errs."""
+    has_extent: ClassVar[bool] = False
+    """It is seen in pieces, which must overlap to be one: `extents` and `overlap` say where."""
+    values: ClassVar[tuple[str, ...]] = ()
+    """Names of what m holds after the place, for reports."""
 
     @abstractmethod
+    def observe(self, pose: Array, m: Array) -> Array:
+        """Return how landmarks m (..., k, dim) are seen from poses (..., 3): z (..., k, dim_z)."""
+
+    @abstractmethod
+    def invert(self, pose: Array, z: Array) -> Array:
+        """Return the landmarks (..., k, dim) that are seen as z (..., k, dim_z) from poses (..., 3)."""
+
+    @abstractmethod
+    def outline(self, m: Array, extents: Array) -> Array:
+        """Return the landmarks' visible ends in map, (..., k, 2, 2); twice the place of a point.
+
+        `extents` (..., k, 2), m, are where along itself each landmark has been seen.
+        """
+
     def predict(self, pose: Array, m: Array) -> Prediction:
-        """Return how landmarks m (k, dim) would be observed from a pose (3,)."""
+        """Return `observe` with its Jacobians; by default central differences, all in one call."""
+        n = 3 + self.dim
+        steps = np.concatenate([np.zeros((1, n)), _STEP * np.eye(n), -_STEP * np.eye(n)])
+        lead = np.broadcast_shapes(pose.shape[:-1], m.shape[:-2])
+        ones = (1,) * len(lead)
+        poses = np.broadcast_to(pose, (*lead, 3)) + steps[:, :3].reshape(-1, *ones, 3)
+        moved = np.broadcast_to(m, (len(steps), *lead, *m.shape[-2:]))
+        deltas = np.broadcast_to(steps[:, 3:].reshape(-1, *ones, 1, self.dim), moved.shape)
+        z = self.observe(poses, self.retract(moved, deltas))
+        slopes = self.residual(z[1 : n + 1], z[n + 1 :]) / (2.0 * _STEP)
+        D = np.moveaxis(slopes, 0, -1)
+        return Prediction(z[0], D[..., :3], D[..., 3:])
 
-    @abstractmethod
     def residual(self, z: Array, predicted: Array) -> Array:
         """Return observed minus predicted, angles wrapped; broadcasts over leading axes."""
+        difference = z - predicted
+        for i in self.z_angles:
+            difference[..., i] = wrap(difference[..., i])
+        return difference
 
-    @abstractmethod
     def initialise(self, pose: Array, observation: Observation) -> Initial:
-        """Return the landmark that would be observed like this from a pose (3,)."""
+        """Return the landmark that is seen like this from a pose (3,).
 
-    @abstractmethod
+        With z = h(pose, m) and h's Jacobian by m square, dm = z_D_m^-1 (dz - z_D_pose dpose). A kind
+        that one observation does not fix (dim > dim_z) says here what remains open.
+        """
+        m = self.invert(pose, observation.z[None])
+        prediction = self.predict(pose, m)
+        m_D_z = np.linalg.inv(prediction.z_D_m[0])
+        m_D_pose = -m_D_z @ prediction.z_D_pose[0]
+        return Initial(m[0], m_D_pose, m_D_z, np.zeros((self.dim, self.dim)))
+
     def z_D_motion(self, z: Array) -> Array:
-        """Return (dim_z, 3): how an observation changes as base_link moves by [dx, dy, dtheta]."""
+        """Return (k, dim_z, 3): how observations z (k, dim_z) change as base_link moves a little.
 
-    @abstractmethod
+        By [dx, dy, dtheta] from where it is: `z_D_pose` at the origin.
+        """
+        origin = np.zeros(3)
+        return self.predict(origin, self.invert(origin, z)).z_D_pose
+
     def retract(self, m: Array, delta: Array) -> Array:
-        """Return landmarks m (k, dim) moved by perturbations delta (k, dim)."""
+        """Return landmarks m (..., k, dim) moved by perturbations delta (..., k, dim)."""
+        return m + delta
 
-    @abstractmethod
     def m_D_motion(self, m: Array) -> Array:
         """Return how landmarks m (k, dim) change as the whole map moves rigidly by a little.
 
         (k, dim, 3), by a motion [x, y, theta] about the map origin. No observation tells anything of
         such a motion of map and robot together; filters that care for consistency need to know it.
+        For a robot at the origin the motion is that of its pose, and z stays.
         """
+        prediction = self.predict(np.zeros(3), m)
+        return np.asarray(-np.linalg.solve(prediction.z_D_m, prediction.z_D_pose), np.float64)
 
-    @abstractmethod
     def report(self, m: Array) -> Report:
         """Return one landmark (dim,) in the form users read."""
+        values = dict(zip(self.values, m[2:].tolist(), strict=True))
+        return Report(m[:2].copy(), values, np.eye(2, self.dim))
 
-    @abstractmethod
-    def distance(self, pose: Array, m: Array, observation: Observation) -> tuple[Array, Array]:
-        """Return (k,) metres and (k,) rad between landmarks and an observation, in map.
+    def distance(self, m: Array, seen: Array) -> tuple[Array, Array]:
+        """Return (p,) metres and (p,) rad between landmarks m and seen ones (p, dim), in map.
 
         This is what the thesis associates by (4.1.4, 5.2.2): points by their distance, with angle
         0; walls by the distance of the feet of their normals and the angle of intersection.
         """
+        apart = m - seen
+        return np.hypot(apart[:, 0], apart[:, 1]), np.zeros(len(m))
 
-    def extents(self, pose: Array, m: Array, observations: list[Observation]) -> Array:
-        """Return (a, k, 2), where along each landmark each observation begins and ends, m.
+    def extents(self, pose: Array, m: Array, ends: Array) -> Array:
+        """Return (p, 2), where along each landmark (p, dim) what is seen of it begins and ends, m.
 
-        The default is that of a point: no extent.
+        `ends` (p, 2, 2) are the observations' end points in base_link. The default is that of a
+        point: no extent.
         """
-        del pose
-        return np.zeros((len(observations), len(m), 2))
+        del pose, ends
+        return np.zeros((len(m), 2))
 
-    def overlap(self, pose: Array, m: Array, extents: Array, seen: Array) -> Overlap | None:
-        """Return how landmarks of known `extents` (k, 2) overlap what is `seen` (a, k, 2).
-
-        None for kinds without extent.
-        """
-        del pose, m, extents, seen
-        return None
-
-    @abstractmethod
-    def outlines(self, m: Array, extents: Array) -> Array:
-        """Return (k, 2, 2): the landmarks' visible ends in map; twice the place of a point."""
+    def overlap(self, pose: Array, m: Array, known: Array, seen: Array) -> Overlap:
+        """Return how landmarks m (p, dim) of `known` extents (p, 2) overlap what is `seen` (p, 2)."""
+        raise NotImplementedError(f"{type(self).__name__} has no extent")

@@ -18,24 +18,27 @@ import numpy as np
 
 from impslam.component import register
 from impslam.geometry.kernels import kernel
-from impslam.geometry.se2 import rotation, transform
-from impslam.landmarks.base import Initial, LandmarkModel, Prediction, Report
+from impslam.geometry.se2 import inverse, rotation, transform
+from impslam.landmarks.base import Initial, LandmarkModel, Prediction
+from impslam.landmarks.batch import batched
 from impslam.types import Array, Observation
 
 
 @kernel
-def _predict(pose: Array, m: Array) -> tuple[Array, Array, Array]:
-    """Return z (k, 2), z_D_pose (k, 2, 3) and z_D_m (k, 2, 2)."""
-    n = len(m)
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    z, z_D_pose, z_D_m = np.empty((n, 2)), np.empty((n, 2, 3)), np.empty((n, 2, 2))
-    for k in range(n):
-        dx, dy = m[k, 0] - pose[0], m[k, 1] - pose[1]
-        x, y = c * dx + s * dy, c * dy - s * dx
-        z[k, 0], z[k, 1] = x, y
-        z_D_m[k, 0, 0], z_D_m[k, 0, 1], z_D_m[k, 1, 0], z_D_m[k, 1, 1] = c, s, -s, c
-        z_D_pose[k, 0, 0], z_D_pose[k, 0, 1], z_D_pose[k, 0, 2] = -c, -s, y
-        z_D_pose[k, 1, 0], z_D_pose[k, 1, 1], z_D_pose[k, 1, 2] = s, -c, -x
+def _predict(poses: Array, m: Array) -> tuple[Array, Array, Array]:
+    """Return z (b, k, 2), z_D_pose (b, k, 2, 3) and z_D_m (b, k, 2, 2)."""
+    b, n, _ = m.shape
+    z, z_D_pose, z_D_m = np.empty((b, n, 2)), np.empty((b, n, 2, 3)), np.empty((b, n, 2, 2))
+    for i in range(b):
+        c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
+        for k in range(n):
+            dx, dy = m[i, k, 0] - poses[i, 0], m[i, k, 1] - poses[i, 1]
+            x, y = c * dx + s * dy, c * dy - s * dx
+            z[i, k, 0], z[i, k, 1] = x, y
+            by_m, by_pose = z_D_m[i, k], z_D_pose[i, k]
+            by_m[0, 0], by_m[0, 1], by_m[1, 0], by_m[1, 1] = c, s, -s, c
+            by_pose[0, 0], by_pose[0, 1], by_pose[0, 2] = -c, -s, y
+            by_pose[1, 0], by_pose[1, 1], by_pose[1, 2] = s, -c, -x
     return z, z_D_pose, z_D_m
 
 
@@ -45,50 +48,36 @@ class Point(LandmarkModel):
 
     dim: ClassVar[int] = 2
     dim_z: ClassVar[int] = 2
-    is_place: ClassVar[bool] = True
+
+    def observe(self, pose: Array, m: Array) -> Array:
+        """Return the points in base_link; see `LandmarkModel.observe`."""
+        return transform(inverse(pose), m)
+
+    def invert(self, pose: Array, z: Array) -> Array:
+        """Return the points in map (thesis Eq. 4.1)."""
+        return transform(pose, z)
+
+    def outline(self, m: Array, extents: Array) -> Array:
+        """Return each point twice."""
+        del extents
+        return np.stack([m, m], axis=-2)
 
     def predict(self, pose: Array, m: Array) -> Prediction:
-        """Return the points in base_link; see `LandmarkModel.predict`."""
-        return Prediction(*_predict(pose, m))
-
-    def residual(self, z: Array, predicted: Array) -> Array:
-        """Return observed minus predicted."""
-        return z - predicted
+        """Return `observe` with its Jacobians in closed form."""
+        return batched(_predict, pose, m)
 
     def initialise(self, pose: Array, observation: Observation) -> Initial:
-        """Return the point in map (thesis Eq. 4.1)."""
+        """Return the point in map and its Jacobians in closed form."""
         m = transform(pose, observation.z)
         m_D_pose = np.array([[1.0, 0.0, pose[1] - m[1]], [0.0, 1.0, m[0] - pose[0]]])
-        return Initial(m, m_D_pose, rotation(pose[2]), np.zeros((2, 2)))
-
-    def z_D_motion(self, z: Array) -> Array:
-        """Return how a point seen at z moves as base_link does."""
-        return np.array([[-1.0, 0.0, z[1]], [0.0, -1.0, -z[0]]])
-
-    def retract(self, m: Array, delta: Array) -> Array:
-        """Return m + delta."""
-        return m + delta
+        return Initial(m, m_D_pose, rotation(float(pose[2])), np.zeros((2, 2)))
 
     def m_D_motion(self, m: Array) -> Array:
         """Return [I, (-y, x)]; see `LandmarkModel.m_D_motion`."""
-        out = np.zeros((len(m), self.dim, 3))  # whatever a kind adds to the place stays as it is
+        out = np.zeros((len(m), 2, 3))
         out[:, 0, 0] = out[:, 1, 1] = 1.0
         out[:, 0, 2], out[:, 1, 2] = -m[:, 1], m[:, 0]
         return out
-
-    def report(self, m: Array) -> Report:
-        """Return the point itself."""
-        return Report(m.copy(), {}, np.eye(2))
-
-    def distance(self, pose: Array, m: Array, observation: Observation) -> tuple[Array, Array]:
-        """Return the Euclidean distances in map (thesis 4.1.4)."""
-        apart = m - transform(pose, observation.z)
-        return np.hypot(apart[:, 0], apart[:, 1]), np.zeros(len(m))
-
-    def outlines(self, m: Array, extents: Array) -> Array:
-        """Return each point twice."""
-        del extents
-        return np.stack([m, m], axis=1)
 
 
 @register("cylinder")

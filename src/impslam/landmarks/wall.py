@@ -30,38 +30,38 @@ import numpy as np
 from impslam.component import parameter, register
 from impslam.geometry.angles import wrap, wrap_in_kernel
 from impslam.geometry.kernels import kernel
-from impslam.geometry.se2 import transform
+from impslam.geometry.se2 import compose, transform
 from impslam.landmarks.base import Initial, LandmarkModel, Overlap, Prediction, Report
+from impslam.landmarks.batch import batched
 from impslam.types import Array, Observation
-
-_NOWHERE = np.zeros((2, 2))
 
 
 @kernel
-def _predict(pose: Array, m: Array) -> tuple[Array, Array, Array]:
-    """Return z (k, 2), z_D_pose (k, 2, 3) and z_D_m (k, 2, 3)."""
-    n = len(m)
-    z, z_D_pose, z_D_m = np.empty((n, 2)), np.zeros((n, 2, 3)), np.zeros((n, 2, 3))
-    for k in range(n):
-        c, s = math.cos(m[k, 2]), math.sin(m[k, 2])
-        dx, dy = m[k, 0] - pose[0], m[k, 1] - pose[1]
-        z[k, 0] = c * dx + s * dy
-        z[k, 1] = wrap_in_kernel(m[k, 2] - pose[2])
-        z_D_pose[k, 0, 0], z_D_pose[k, 0, 1], z_D_pose[k, 1, 2] = -c, -s, -1.0
-        z_D_m[k, 0, 0], z_D_m[k, 0, 2], z_D_m[k, 1, 2] = 1.0, c * dy - s * dx, 1.0
+def _predict(poses: Array, m: Array) -> tuple[Array, Array, Array]:
+    """Return z (b, k, 2), z_D_pose (b, k, 2, 3) and z_D_m (b, k, 2, 3)."""
+    b, n, _ = m.shape
+    z, z_D_pose, z_D_m = np.empty((b, n, 2)), np.zeros((b, n, 2, 3)), np.zeros((b, n, 2, 3))
+    for i in range(b):
+        for k in range(n):
+            c, s = math.cos(m[i, k, 2]), math.sin(m[i, k, 2])
+            dx, dy = m[i, k, 0] - poses[i, 0], m[i, k, 1] - poses[i, 1]
+            z[i, k, 0] = c * dx + s * dy
+            z[i, k, 1] = wrap_in_kernel(m[i, k, 2] - poses[i, 2])
+            by_m, by_pose = z_D_m[i, k], z_D_pose[i, k]
+            by_pose[0, 0], by_pose[0, 1], by_pose[1, 2] = -c, -s, -1.0
+            by_m[0, 0], by_m[0, 2], by_m[1, 2] = 1.0, c * dy - s * dx, 1.0
     return z, z_D_pose, z_D_m
 
 
 @kernel
 def _extents(m: Array, ends: Array) -> Array:
-    """Return (a, k, 2) where along walls m (k, 3) the ends (a, 2, 2), in map, lie, in order."""
-    out = np.empty((len(ends), len(m), 2))
-    for k in range(len(m)):
-        tx, ty = -math.sin(m[k, 2]), math.cos(m[k, 2])
-        for a in range(len(ends)):
-            one = (ends[a, 0, 0] - m[k, 0]) * tx + (ends[a, 0, 1] - m[k, 1]) * ty
-            two = (ends[a, 1, 0] - m[k, 0]) * tx + (ends[a, 1, 1] - m[k, 1]) * ty
-            out[a, k, 0], out[a, k, 1] = min(one, two), max(one, two)
+    """Return (p, 2) where along walls m (p, 3) the ends (p, 2, 2), in map, lie, in order."""
+    out = np.empty((len(m), 2))
+    for p in range(len(m)):
+        tx, ty = -math.sin(m[p, 2]), math.cos(m[p, 2])
+        one = (ends[p, 0, 0] - m[p, 0]) * tx + (ends[p, 0, 1] - m[p, 1]) * ty
+        two = (ends[p, 1, 0] - m[p, 0]) * tx + (ends[p, 1, 1] - m[p, 1]) * ty
+        out[p, 0], out[p, 1] = min(one, two), max(one, two)
     return out
 
 
@@ -71,6 +71,9 @@ class Wall(LandmarkModel):
 
     dim: ClassVar[int] = 3
     dim_z: ClassVar[int] = 2
+    z_angles: ClassVar[tuple[int, ...]] = (1,)
+    has_extent: ClassVar[bool] = True
+    is_place: ClassVar[bool] = False  # the frame's place, perturbed in its own axes
 
     max_gap: float = parameter(
         1.0,
@@ -79,15 +82,22 @@ class Wall(LandmarkModel):
         ge=0,
     )
 
-    def predict(self, pose: Array, m: Array) -> Prediction:
-        """Return signed distances and directions of the walls; see `LandmarkModel.predict`."""
-        return Prediction(*_predict(pose, m))
+    def observe(self, pose: Array, m: Array) -> Array:
+        """Return signed distances and directions of the walls; see `LandmarkModel.observe`."""
+        x, y, theta = np.moveaxis(pose[..., None, :], -1, 0)
+        c, s = np.cos(m[..., 2]), np.sin(m[..., 2])
+        rho = c * (m[..., 0] - x) + s * (m[..., 1] - y)
+        return np.stack([rho, wrap(m[..., 2] - theta)], axis=-1)
 
-    def residual(self, z: Array, predicted: Array) -> Array:
-        """Return observed minus predicted, the angle wrapped."""
-        difference = z - predicted
-        difference[..., 1] = wrap(difference[..., 1])
-        return difference
+    def invert(self, pose: Array, z: Array) -> Array:
+        """Return the walls with their frames at the feet of the normals from base_link."""
+        rho, alpha = z[..., 0], z[..., 1]
+        foot = np.stack([rho * np.cos(alpha), rho * np.sin(alpha), alpha], axis=-1)
+        return compose(pose[..., None, :], foot)
+
+    def predict(self, pose: Array, m: Array) -> Prediction:
+        """Return `observe` with its Jacobians in closed form."""
+        return batched(_predict, pose, m)
 
     def initialise(self, pose: Array, observation: Observation) -> Initial:
         """Return the wall with its frame at the middle of what was seen (thesis Algorithm 2)."""
@@ -106,17 +116,13 @@ class Wall(LandmarkModel):
         slack = np.diag([0.0, spacing**2 / 12.0 + 1e-6, 0.0])
         return Initial(m, m_D_pose, m_D_z, slack)
 
-    def z_D_motion(self, z: Array) -> Array:
-        """Return how a wall seen as z moves as base_link does."""
-        return np.array([[-math.cos(z[1]), -math.sin(z[1]), 0.0], [0.0, 0.0, -1.0]])
-
     def retract(self, m: Array, delta: Array) -> Array:
         """Move the frames in their own axes."""
-        c, s = np.cos(m[:, 2]), np.sin(m[:, 2])
+        c, s = np.cos(m[..., 2]), np.sin(m[..., 2])
         moved = np.empty_like(m)
-        moved[:, 0] = m[:, 0] + c * delta[:, 0] - s * delta[:, 1]
-        moved[:, 1] = m[:, 1] + s * delta[:, 0] + c * delta[:, 1]
-        moved[:, 2] = wrap(m[:, 2] + delta[:, 2])
+        moved[..., 0] = m[..., 0] + c * delta[..., 0] - s * delta[..., 1]
+        moved[..., 1] = m[..., 1] + s * delta[..., 0] + c * delta[..., 1]
+        moved[..., 2] = wrap(m[..., 2] + delta[..., 2])
         return moved
 
     def m_D_motion(self, m: Array) -> Array:
@@ -139,23 +145,22 @@ class Wall(LandmarkModel):
         foot = np.array([distance * c, distance * s])
         return Report(foot, {"r": sign * distance, "alpha": alpha}, values_D_m)
 
-    def distance(self, pose: Array, m: Array, observation: Observation) -> tuple[Array, Array]:
+    def distance(self, m: Array, seen: Array) -> tuple[Array, Array]:
         """Return distances of feet and angles of intersection in map (thesis 5.2.2)."""
-        seen = self.initialise(pose, observation).m
-        c, s = np.cos(m[:, 2]), np.sin(m[:, 2])
-        r = c * m[:, 0] + s * m[:, 1]
-        foot = self.report(seen).position
-        angle = np.abs(wrap(m[:, 2] - seen[2]))
-        return np.hypot(r * c - foot[0], r * s - foot[1]), np.minimum(angle, np.pi - angle)
+        feet = []
+        for walls in (m, seen):
+            c, s = np.cos(walls[:, 2]), np.sin(walls[:, 2])
+            feet.append((c * walls[:, 0] + s * walls[:, 1]) * np.stack([c, s]))
+        angle = np.abs(wrap(m[:, 2] - seen[:, 2]))
+        return np.hypot(*(feet[0] - feet[1])), np.minimum(angle, np.pi - angle)
 
-    def extents(self, pose: Array, m: Array, observations: list[Observation]) -> Array:
-        """Return where along each wall each observed piece begins and ends, from the frame, m."""
-        ends = [_NOWHERE if o.end_points is None else o.end_points for o in observations]
-        return _extents(m, transform(pose, np.array(ends).reshape(-1, 2, 2)))
+    def extents(self, pose: Array, m: Array, ends: Array) -> Array:
+        """Return where along each wall its observed piece begins and ends, from the frame, m."""
+        return _extents(m, transform(pose, ends))
 
-    def overlap(self, pose: Array, m: Array, extents: Array, seen: Array) -> Overlap:
+    def overlap(self, pose: Array, m: Array, known: Array, seen: Array) -> Overlap:
         """Return the gaps between known and seen pieces; see `LandmarkModel.overlap`."""
-        gap = np.maximum(seen[..., 0] - extents[:, 1], extents[:, 0] - seen[..., 1])
+        gap = np.maximum(seen[:, 0] - known[:, 1], known[:, 0] - seen[:, 1])
         c, s = np.cos(m[:, 2]), np.sin(m[:, 2])
         gap_D_pose = np.empty((len(m), 3))
         gap_D_pose[:, 0], gap_D_pose[:, 1] = -s, c
@@ -164,9 +169,9 @@ class Wall(LandmarkModel):
         gap_D_m[:, 1] = -1.0
         return Overlap(gap, gap_D_pose, gap_D_m, self.max_gap)
 
-    def outlines(self, m: Array, extents: Array) -> Array:
+    def outline(self, m: Array, extents: Array) -> Array:
         """Return the walls' two ends in map."""
-        out = np.empty((len(m), 2, 2))
-        out[:, :, 0] = m[:, 0, None] - extents * np.sin(m[:, 2, None])
-        out[:, :, 1] = m[:, 1, None] + extents * np.cos(m[:, 2, None])
+        out = np.empty((*m.shape[:-1], 2, 2))
+        out[..., 0] = m[..., 0, None] - extents * np.sin(m[..., 2, None])
+        out[..., 1] = m[..., 1, None] + extents * np.cos(m[..., 2, None])
         return out

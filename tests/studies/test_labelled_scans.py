@@ -19,7 +19,7 @@ from impslam.studies.labelled_scans import (
     labelled_scans,
     take,
 )
-from impslam.studies.passers_by import passing
+from impslam.studies.passers_by import SPEED, passing, walker
 
 STILL = Condition("exact", Lidar.perfect(), driving=False, people=0)
 MOVING = Condition("exact, driving", Lidar.perfect(), driving=True, people=2)
@@ -177,3 +177,12 @@ def test_noise_and_the_shared_error_are_as_told():
     assert np.sqrt(np.mean(np.square(means))) == pytest.approx(lidar.bias_sigma, rel=0.35)
     assert labelled.bias == lidar.bias_sigma
     assert STANDING.lidar.bias_sigma == 0.0
+
+
+def test_people_who_come_by_at_the_beginning_start_with_the_run():
+    """Not a rounding error after it, which no world accepts."""
+    for time in np.linspace(0.01, 0.8, 80):
+        person = walker(np.zeros(2), float(time), 0.3)
+        assert person.start == 0.0
+        assert np.hypot(*person.waypoints[0]) == pytest.approx(SPEED * time)
+    assert walker(np.zeros(2), 3.0, 0.3).start == pytest.approx(3.0 - 1.0 / SPEED)

@@ -31,7 +31,7 @@ def passing(
         free = _free_way(scene, sight, time, away + CLEARANCE)
         place = pose[:2] + away * np.array([math.cos(bearing), math.sin(bearing)])
         if free and scene.clearance(place, time) > CLEARANCE:
-            people.append(_walker(place, time, rng.uniform(-math.pi, math.pi)))
+            people.append(walker(place, time, rng.uniform(-math.pi, math.pi)))
     return tuple(people)
 
 
@@ -41,10 +41,10 @@ def _free_way(scene: Scene, sight: Array, time: float, length: float) -> bool:
     return bool(np.isinf(ranges[0]))
 
 
-def _walker(place: Array, time: float, heading: float) -> Person:
+def walker(place: Array, time: float, heading: float) -> Person:
     """Return someone who comes by a place at a time."""
     walked = min(1.0, SPEED * time)  # less where the run has only just begun
     step = np.array([math.cos(heading), math.sin(heading)])
     (x0, y0), (x1, y1) = (place - walked * step).tolist(), (place + step).tolist()
-    start = max(time - walked / SPEED, 0.0)
+    start = time - walked / SPEED if walked < SPEED * time else 0.0
     return Person(waypoints=((x0, y0), (x1, y1)), start=start, speed=SPEED)

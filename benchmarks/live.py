@@ -26,8 +26,8 @@ for _library in ("OPENBLAS", "MKL", "OMP"):  # one core
 import numpy as np
 
 from impslam.config import load
+from impslam.map import Keyframe, PathRows, Revision, Track
 from impslam.observers.live_view import LiveView
-from impslam.pipeline import Pipeline
 from impslam.platform.devices.base import now
 from impslam.platform.station.mapper import LiveMapper
 from impslam.simulation.simulate import simulate
@@ -42,7 +42,6 @@ from impslam.types import (
     MagneticField,
     Message,
     Observation,
-    StepResult,
     WheelAngles,
 )
 
@@ -56,8 +55,15 @@ class Timed(LiveView):
         super().__init__()
         self.latencies: list[tuple[float, float]] = []
 
-    def step(self, result: StepResult) -> None:
-        super().step(result)
+    def follow(self, track: Track, path: PathRows) -> None:
+        super().follow(track, path)
+        self._note()
+
+    def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
+        super().revise(keyframe, revision, path)
+        self._note()
+
+    def _note(self) -> None:
         self.latencies.append((now(), now() - self.snapshot().arrived))
 
 
@@ -165,14 +171,14 @@ def map_live(seconds: float) -> None:
 
 def read_landmarks() -> None:
     for count in (10, 100, 1000):
-        pipeline = Pipeline(load("imp"))
+        estimator = load("imp").make_estimator()
         places = np.random.default_rng(0).uniform(0.0, 100.0, (count, 2))
         seen = [Observation("cylinder", place, np.eye(2) * 1e-4) for place in places]
-        pipeline.slam.filter.extend(seen, 0.0)
+        estimator._filter.extend(seen, 0.0)
         times = []
         for _ in range(30):
             begin = time.perf_counter()
-            pipeline.slam.landmarks()
+            estimator.landmarks()
             times.append(time.perf_counter() - begin)
         tell(f"reading {count} landmarks", np.array(times))
 

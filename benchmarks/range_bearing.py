@@ -27,13 +27,14 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.real_logs import Run  # noqa: E402  found from the root of the project
 
-from impslam.cli.job import plan  # noqa: E402
 from impslam.evaluation.run_files import RecordedRun  # noqa: E402
 from impslam.evaluation.scores import Consistency, score_path  # noqa: E402
 from impslam.evaluation.trajectory import align, associate, ate  # noqa: E402
 from impslam.geometry.se2 import transform  # noqa: E402
-from impslam.pipeline import run  # noqa: E402
-from impslam.types import Array, Landmark, StepResult, TrueLandmark, TruePose  # noqa: E402
+from impslam.map import Keyframe, PathRows, Revision  # noqa: E402
+from impslam.open_log import open_log  # noqa: E402
+from impslam.run import map_log  # noqa: E402
+from impslam.types import Array, Landmark, TrueLandmark, TruePose  # noqa: E402
 
 GATE = 0.5
 """m: an estimate further off than this from what it was taken for is false."""
@@ -46,18 +47,16 @@ CLUSTERS = "association.new_gate=0.9"
 class Labelled(Run):
     """A run, and which labels the observations of each landmark carried."""
 
-    covariances: list[Array] = field(default_factory=list)
     truth_path: list[Array] = field(default_factory=list)
     votes: dict[int, Counter[int]] = field(default_factory=dict)
     observations: int = 0
 
-    def step(self, result: StepResult) -> None:
-        """Keep the pose and its covariance, and count labels."""
-        super().step(result)
-        self.covariances.append(result.covariance)
-        self.observations += len(result.observations)
-        for match in result.matches:
-            label = result.observations[match.observation].label
+    def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
+        """Count labels."""
+        super().revise(keyframe, revision, path)
+        self.observations += len(keyframe.observations)
+        for match in revision.matches:
+            label = keyframe.observations[match.observation].label
             if label is not None:
                 self.votes.setdefault(match.landmark, Counter())[label] += 1
 
@@ -114,9 +113,9 @@ HEADER = (
 
 def drive(log: Path, settings: Sequence[str] = ()) -> tuple[Labelled, list[TrueLandmark]]:
     """Map a log with the preset that fits it; return also the surveyed landmarks."""
-    config, source = plan(log, None, settings)
+    config, source = open_log(log, None, settings)
     seen = Labelled()
-    run(config, source, [seen])
+    map_log(config, source, [seen])
     return seen, source.true_landmarks()
 
 
@@ -136,10 +135,11 @@ def score(seen: Labelled, truth: Sequence[TrueLandmark]) -> Row:
     path, odometry, consistency, T = math.nan, math.nan, None, None
     if seen.truth_path:
         true = np.array(seen.truth_path)
-        record = RecordedRun(np.array(seen.path), np.array(seen.covariances))
+        assert seen.known is not None
+        record = RecordedRun(seen.path, seen.known.rows().covariances)
         scored = score_path(record, true, "fit", 1.0)
         path, consistency, T = scored.aligned.rmse, scored.consistency, scored.T_truth_map
-        odometry = ate(associate(np.array(seen.wheels), true)).rmse
+        odometry = ate(associate(seen.wheels, true)).rmse
     best, doubles = _judged(seen)
     places = {mark.name: mark.position for mark in truth}
     known = [(best[name].position, places[name]) for name in places if name in best]

@@ -12,46 +12,67 @@ from pathlib import Path
 
 import numpy as np
 
-from impslam.cli.job import execute, plan
+from impslam.cli.job import execute
 from impslam.columns import messages
-from impslam.config import load
 from impslam.evaluation.landmarks import LandmarkScore, score_landmarks
 from impslam.evaluation.relations import RelationErrors, read_relations, relation_errors
 from impslam.evaluation.trajectory import Statistics, align, associate, ate
 from impslam.geometry.se2 import inverse, transform
+from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer, Outcome
-from impslam.pipeline import Pipeline, run
+from impslam.open_log import open_log
+from impslam.run import Run as Course
+from impslam.run import map_log
 from impslam.sources.base import recognise
-from impslam.types import Array, Landmark, OdometryPose, StepResult, TrueLandmark
+from impslam.types import Array, Landmark, OdometryPose, TrueLandmark
 
 
 @dataclass
 class Run(Observer):
-    """What scoring needs of a run; poses as rows of stamp, x, y, theta."""
+    """What scoring needs of a run; poses as rows (n, 4) of stamp, x, y, theta."""
 
-    path: list[Array] = field(default_factory=list)
-    wheels: list[Array] = field(default_factory=list)
-    covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    walls: list[list[Array]] = field(default_factory=list)
+    walls: dict[int, list[Array]] = field(default_factory=dict)
+    known: Map | None = None
     outcome: Outcome | None = None
+    scans: int = 0
 
-    def step(self, result: StepResult) -> None:
-        """Keep the poses, and the ends of the walls seen, in map."""
-        self.path.append(np.array([result.stamp, *result.pose]))
-        self.wheels.append(np.array([result.stamp, *result.odometry]))
-        self.covariance = result.covariance
-        ends = [o.end_points for o in result.observations if o.end_points is not None]
-        self.walls.append([transform(result.scan_pose, e) for e in ends])
+    def follow(self, track: Track, path: PathRows) -> None:
+        """Count the scans."""
+        self.scans += len(path.stamps)
 
-    def finish(self, outcome: Outcome) -> None:
-        """Keep the outcome."""
-        self.outcome = outcome
+    def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
+        """Keep the ends of the walls seen, in map, by the number of the scan."""
+        ends = [o.end_points for o in keyframe.observations if o.end_points is not None]
+        self.walls[self.scans] = [transform(revision.poses[-1], e) for e in ends]
+        self.scans += 1
+
+    def finish(self, known: Map, outcome: Outcome) -> None:
+        """Keep the map and the outcome."""
+        self.known, self.outcome = known, outcome
+
+    @property
+    def path(self) -> Array:
+        """The path (n, 4)."""
+        assert self.known is not None
+        return self.known.path()
+
+    @property
+    def wheels(self) -> Array:
+        """Dead reckoning (n, 4)."""
+        assert self.known is not None
+        return self.known.odometry()
+
+    @property
+    def covariance(self) -> Array:
+        """(3, 3) of the last pose."""
+        assert self.known is not None
+        return self.known.rows().covariances[-1]
 
     @property
     def landmarks(self) -> tuple[Landmark, ...]:
         """The final map."""
-        assert self.outcome is not None
-        return self.outcome.landmarks
+        assert self.known is not None
+        return self.known.landmarks
 
     @property
     def speed(self) -> float:
@@ -64,10 +85,10 @@ def run_log(
     log: Path, base: str | None = None, settings: Sequence[str] = (), folder: Path | None = None
 ) -> Run:
     """Map a log with the preset that fits it, or another one; write a run folder if given one."""
-    config, source = plan(log, base, settings)
+    config, source = open_log(log, base, settings)
     seen = Run()
     if folder is None:
-        run(config, source, [seen])
+        map_log(config, source, [seen])
     else:
         execute(config, source, folder, quiet=True, more=[seen])
     return seen
@@ -75,12 +96,13 @@ def run_log(
 
 def final_covariance(log: Path) -> Array:
     """Return the joint covariance of pose and map at the end of a log."""
-    kind = recognise(log)
-    with kind(path=log) as source:
-        pipeline = Pipeline(load(source.preset))
-        for _ in pipeline.play(messages(source.batches())):
-            pass
-    covariance: Array = pipeline.slam.filter.belief.covariance  # type: ignore[attr-defined]  # EKF's
+    config, source = open_log(log)
+    course = Course(config)
+    with source:
+        for batch in source.batches():
+            course.feed(batch)
+    course.flush()
+    covariance: Array = course.estimator._filter.belief.covariance  # type: ignore[attr-defined]  # EKF's
     return covariance
 
 
@@ -103,13 +125,13 @@ class Score:
 
 def score(seen: Run, truth: Array, centres: Array) -> Score:
     """Score a run against true poses (n, 4) and the true centres (k, 2) of cylinders."""
-    pairs = associate(np.array(seen.path), truth)
+    pairs = associate(seen.path, truth)
     T_map_truth = align(pairs.truth[:, :2], pairs.estimate[:, :2])
     known = [
         TrueLandmark(f"cylinder {i}", "cylinder", place, {})
         for i, place in enumerate(transform(T_map_truth, centres), 1)
     ]
-    alone = associate(np.array(seen.wheels), truth).moved(inverse(T_map_truth))
+    alone = associate(seen.wheels, truth).moved(inverse(T_map_truth))
     return Score(ate(pairs), ate(alone, aligned=False), score_landmarks(seen.landmarks, known))
 
 
@@ -141,7 +163,7 @@ def relations(
     """Map a log of the SLAM benchmarking suite; return also its errors and those of odometry."""
     seen = run_log(data / name / f"{name}.log", folder=folder)
     known = read_relations(data / name / f"{name}.relations")
-    path, wheels = np.array(seen.path), np.array(seen.wheels)
+    path, wheels = seen.path, seen.wheels
     return seen, relation_errors(path, known), relation_errors(wheels, known)
 
 
@@ -159,8 +181,9 @@ def lap_offsets(seen: Run, first: int, second: int) -> Array:
     For each wall of the second lap, the median over all walls of the first lap that run beside it,
     each taken in the middle of the stretch that both show: the nearest would flatter.
     """
-    before = np.array([w for walls in seen.walls[:first] for w in walls if _length(w) > LONG])
-    after = [w for walls in seen.walls[second:] for w in walls if _length(w) > LONG]
+    long = [(k, w) for k, walls in seen.walls.items() for w in walls if _length(w) > LONG]
+    before = np.array([wall for k, wall in long if k < first])
+    after = [wall for k, wall in long if k >= second]
     offsets = [_apart(wall, before) for wall in after]
     return np.abs(np.array([offset for offset in offsets if offset is not None]))
 

@@ -111,9 +111,9 @@ def test_later_settings_win():
 
 def test_a_part_is_swapped_by_one_line():
     config = load("imp", ["filter.kind=riekf", "association.kind=jcbb"])
-    slam = config.make_slam()
-    assert isinstance(slam.filter, RightInvariantEkf)
-    assert slam.association.name == "jcbb"
+    estimator = config.make_estimator()
+    assert isinstance(estimator._filter, RightInvariantEkf)
+    assert estimator._association.name == "jcbb"
 
 
 def test_none_takes_a_part_out():

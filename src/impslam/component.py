@@ -38,14 +38,15 @@ _ROLES: dict[str, dict[str, type[Component]]] = {}
 _PACKAGES = {
     "association": "impslam.association",
     "device": "impslam.platform.devices",
+    "estimator": "impslam.estimators",
     "extractor": "impslam.extractors",
     "filter": "impslam.filters",
     "landmark": "impslam.landmarks",
     "lifecycle": "impslam.lifecycle",
-    "matcher": "impslam.matching",
     "odometry": "impslam.odometry",
     "sensor": "impslam.sensors",
     "source": "impslam.sources",
+    "tracker": "impslam.tracking",
 }
 """Where the components of each role live: each is imported when it is first asked for."""
 _REGISTRATION = re.compile(r'^@register\("([^"]+)"\)', re.MULTILINE)

@@ -17,7 +17,6 @@ import numpy as np
 from pydantic import FiniteFloat, ValidationError
 
 from impslam import toml
-from impslam.association.base import Association
 from impslam.component import (
     build,
     components,
@@ -28,14 +27,12 @@ from impslam.component import (
     shorten,
 )
 from impslam.errors import ConfigError
-from impslam.filters.base import Filter
+from impslam.estimators.base import Estimator
 from impslam.landmarks.base import LandmarkModel
-from impslam.lifecycle.base import Lifecycle
-from impslam.matching.base import Matcher
 from impslam.parameters import Parameters
 from impslam.paths import is_file
 from impslam.robot import Robot
-from impslam.slam import Slam
+from impslam.tracking.base import KeyframeGate, Tracker
 
 Table = dict[str, Any]
 
@@ -44,29 +41,6 @@ class Grid(Parameters):
     """The occupancy grid that a run writes."""
 
     resolution: float = parameter(0.05, "m", "side of a cell", ge=0.001, le=10)
-
-
-class Keyframes(Parameters):
-    """Which scans are searched for landmarks: those after some motion, or after some time.
-
-    Scans from one place repeat their errors (the surface's brightness, the mount, the lidar's own
-    bias); taken for independent they make the belief surer than it may be. Between keyframes the
-    pose is dead-reckoned.
-    """
-
-    distance: float = parameter(
-        0.12,
-        "m",
-        "a keyframe after this way: errors of surfaces repeat over a few decimetres; inf: never",
-        special="inf",
-        ge=0,
-    )
-    angle: float = parameter(
-        0.06, "rad", "or after this turn: beams fall elsewhere; inf: never", special="inf", ge=0
-    )
-    seconds: float = parameter(
-        0.5, "s", "or after this time, moving or not; inf: never", special="inf", ge=0
-    )
 
 
 class Config(Parameters):
@@ -83,14 +57,15 @@ class Config(Parameters):
     source: Table = parameter({}, "", "parameters of the log reader (topics by role)")
     odometry: Table = parameter(..., "", "how motion is felt")
     sensors: dict[str, Table] = parameter(..., "", "what sees, by name")
-    matcher: Table | None = parameter(
-        None, "", "how scans refine the motion between them, if at all"
-    )
+    tracker: Table = parameter({"kind": "odometry"}, "", "how motion is followed between keyframes")
+    estimator: Table = parameter({"kind": "landmarks"}, "", "what makes the map")
     landmarks: dict[str, Table] = parameter({}, "", "parameters of landmark models, by kind")
     association: Table = parameter(..., "", "which observation is which landmark")
     lifecycle: Table = parameter(..., "", "when landmarks come and go")
     filter: Table = parameter(..., "", "the belief")
-    keyframes: Keyframes = parameter(Keyframes(), "", "which scans are searched for landmarks")
+    keyframes: KeyframeGate = parameter(
+        KeyframeGate(), "", "which scans are searched for landmarks"
+    )
     grid: Grid = parameter(Grid(), "", "the occupancy grid")
 
     def make_robot(self) -> Robot:
@@ -101,17 +76,18 @@ class Config(Parameters):
             {name: build("sensor", t, f"sensors.{name}") for name, t in self.sensors.items()},
         )
 
-    def make_matcher(self) -> Matcher | None:
-        """Return the scan matcher, or None where the config has none."""
-        matcher: Matcher | None = None if self.matcher is None else build("matcher", self.matcher)
-        return matcher
+    def make_tracker(self) -> Tracker:
+        """Return the tracker, ready for the first sweep."""
+        tracker: Tracker = build("tracker", self.tracker)
+        tracker.start(np.array(self.start), self.keyframes)
+        return tracker
 
-    def make_slam(self) -> Slam:
-        """Return the estimator, ready for its first step."""
-        belief: Filter = build("filter", self.filter)
-        association: Association = build("association", self.association)
-        lifecycle: Lifecycle = build("lifecycle", self.lifecycle)
-        return Slam(belief, association, lifecycle, self.make_models(), np.array(self.start))
+    def make_estimator(self) -> Estimator:
+        """Return the estimator, ready for its first keyframe."""
+        estimator: Estimator = build("estimator", self.estimator)
+        parts = {role: build(role, getattr(self, role)) for role in estimator.parts}
+        estimator.start(np.array(self.start), models=self.make_models(), **parts)
+        return estimator
 
     def make_models(self) -> dict[str, LandmarkModel]:
         """Return every known landmark model by the kind it is for."""
@@ -126,9 +102,7 @@ class Config(Parameters):
 
     def resolved(self) -> Table:
         """Return every parameter with its value, defaults included; it loads to the same run."""
-        table = self.model_dump(
-            mode="json", exclude={"odometry", "sensors", "landmarks", "matcher"}
-        )
+        table = self.model_dump(mode="json", exclude={"odometry", "sensors", "landmarks"})
         table["odometry"] = _full("odometry", self.odometry)
         table["sensors"] = {}
         for name, sensor in self.sensors.items():
@@ -138,9 +112,7 @@ class Config(Parameters):
                     key: _full("extractor", value) for key, value in sensor["extractors"].items()
                 }
             table["sensors"][name] = full
-        if self.matcher is not None:
-            table["matcher"] = _full("matcher", self.matcher)
-        for role in ("association", "lifecycle", "filter"):
+        for role in ("tracker", "estimator", "association", "lifecycle", "filter"):
             table[role] = _full(role, getattr(self, role))
         table["landmarks"] = {
             kind: model.model_dump(mode="json", exclude_none=True)
@@ -292,8 +264,8 @@ def load(base: str | Path | Table = "default", settings: Sequence[str] = ()) -> 
     except ValidationError as error:
         raise ConfigError(explain(error, "", Config.model_fields)) from None
     config.make_robot()
-    config.make_matcher()
-    config.make_slam()
+    config.make_tracker()
+    config.make_estimator()
     return config
 
 

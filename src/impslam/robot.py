@@ -4,7 +4,7 @@ Proprioceptive sensing is one odometry; exteroceptive sensors carry the extracto
 landmarks in their data. A sensor or an extractor is added by a table in the config, not by code.
 
 Batches of a log go in; sweeps come out, each with the motion since the one before. How a log is cut
-into batches changes nothing: see `odometry.synchroniser`.
+into batches changes nothing: see `impslam.odometry.synchroniser`.
 """
 
 from __future__ import annotations

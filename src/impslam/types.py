@@ -390,28 +390,3 @@ class TrueLandmark:
     position: Array
     parameters: Mapping[str, float]
     end_points: Array | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StepResult:
-    """What one scan did: immutable, for observers.
-
-    `pose` (3,) is `T_map_base` at `stamp` and `covariance` (3, 3) its own; `odometry` (3,) is dead
-    reckoning from the same start. `scan_pose` (3,) is where the scan was taken: it differs from
-    `pose` for a sensor that stamps late. `new` and `removed` are landmark ids; `born` are the indices
-    of the observations that the new ones began with. `contradicted` tells that scans show another
-    motion than odometry; the pose then follows the scans.
-    """
-
-    stamp: float
-    pose: Array
-    covariance: Array
-    odometry: Array
-    scan_pose: Array
-    scan: Scan | None
-    observations: tuple[Observation, ...]
-    matches: tuple[Match, ...]
-    new: tuple[int, ...]
-    removed: tuple[int, ...]
-    born: tuple[int, ...] = ()
-    contradicted: bool = False

@@ -13,7 +13,7 @@ from impslam.cli import console
 from impslam.cli.comparison import Cell, short_names, show
 from impslam.evaluation.trajectory import move
 from impslam.evaluation.tum import PATH_COLUMNS, read_tum, write_tum
-from impslam.mapping.files import write_landmarks
+from impslam.maps.files import write_landmarks
 from impslam.types import Landmark
 
 

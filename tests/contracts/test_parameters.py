@@ -9,15 +9,16 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from impslam.component import build, components, roles
-from impslam.config import Grid, Keyframes, load
+from impslam.config import Grid, load
 from impslam.errors import ConfigError
 from impslam.platform.station.robot_file import RobotFile
 from impslam.simulation.robot import Lidar, WheelEncoders
+from impslam.tracking.base import KeyframeGate
 
 NEEDED = {"port": "/dev/null", "path": "a.log", "label": "x"}
 NOT_FINITE = [math.nan, math.inf, -math.inf]
 EXTREME = [1e300, -1e300, 1e-300, -1e-300]
-MODELS: list[type[BaseModel]] = [Grid, Keyframes, RobotFile, Lidar, WheelEncoders]
+MODELS: list[type[BaseModel]] = [Grid, KeyframeGate, RobotFile, Lidar, WheelEncoders]
 
 
 def numbers(cls: type[BaseModel], *above: str) -> Iterator[tuple[tuple[str, ...], FieldInfo]]:

@@ -9,22 +9,23 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.observers.runs import make_landmarks, make_outcome, make_results, make_scan
+from tests.observers.runs import Scripted, make_landmarks, make_outcome, make_results
 
 from impslam.geometry.se2 import transform
-from impslam.mapping.files import FREE, OCCUPIED, UNKNOWN, map_image
+from impslam.maps.files import FREE, OCCUPIED, UNKNOWN, map_image
 from impslam.observers import live_view as module
-from impslam.observers.grid_mapper import GridMapper
+from impslam.observers.base import Observer
 from impslam.observers.live_view import LiveView
 from impslam.observers.thin_path import ThinPath
-from impslam.trust import Trust
-from impslam.types import StepResult, TruePose
+from impslam.observers.trust import Trust
+from impslam.types import TruePose
 
 
 def begun(landmarks=make_landmarks):
-    view, mapper = LiveView(), GridMapper()
-    view.begin(landmarks, mapper.grid)
-    return view, mapper
+    view = LiveView()
+    run = Scripted(view, landmarks=landmarks)
+    view.begin(run)
+    return view, run
 
 
 def wait_until(true, seconds=10.0):
@@ -45,16 +46,15 @@ def test_before_the_first_scan_there_is_nothing():
 
 
 def test_a_snapshot_is_that_of_the_newest_scan():
-    view, mapper = begun()
+    view, run = begun()
     versions = [view.snapshot().version]
     for i, result in enumerate(make_results(20)):
-        mapper.step(result)
         view.truth(TruePose(result.stamp, np.full(3, float(i))))
-        view.step(result)
+        run.step(result)
         shown = view.snapshot()
         assert (shown.stamp, shown.scans) == (result.stamp, i + 1)
         for name in ("pose", "covariance", "odometry"):
-            np.testing.assert_array_equal(getattr(shown, name), getattr(result, name))
+            np.testing.assert_allclose(getattr(shown, name), getattr(result, name), atol=1e-12)
         np.testing.assert_allclose(shown.path[-1], result.pose[:2], atol=1e-6)
         np.testing.assert_array_equal(shown.truth, np.full(3, i))
         versions.append(shown.version)
@@ -63,55 +63,55 @@ def test_a_snapshot_is_that_of_the_newest_scan():
 
 
 def test_a_snapshot_does_not_change_any_more():
-    view, mapper = begun()
+    view, run = begun()
     results = list(make_results(40))
     for result in results[:10]:
-        view.step(result)
+        run.step(result)
     shown = view.snapshot()
     path, points = shown.path.copy(), shown.points.copy()
     for result in results[10:]:
-        mapper.step(result)
-        view.step(result)
+        run.step(result)
     np.testing.assert_array_equal(shown.path, path)
     np.testing.assert_array_equal(shown.points, points)
     assert shown.scans == 10
 
 
 def test_points_are_the_valid_beams_ends_where_the_scan_was_taken():
-    view, _ = begun()
+    view, run = begun()
     result = list(make_results(3))[2]
     pose = np.array([1.0, -2.0, 0.7])
     valid = np.arange(len(result.scan.valid)) % 3 == 0
-    view.step(replace(result, scan_pose=pose, scan=replace(result.scan, valid=valid)))
+    seen = replace(result, pose=pose, scan=replace(result.scan, valid=valid))
     expected = transform(pose, result.scan.points[valid])
-    assert view.snapshot().points.dtype == np.float32
-    np.testing.assert_allclose(view.snapshot().points, expected, atol=1e-5)
-    view.step(replace(result, scan=None))
+    for keyframe in (True, False):
+        run.step(seen, keyframe=keyframe)
+        assert view.snapshot().points.dtype == np.float32
+        np.testing.assert_allclose(view.snapshot().points, expected, atol=1e-5)
+    run.step(replace(result, scan=None))
     assert view.snapshot().points.shape == (0, 2)
 
 
 def test_arrival_is_that_of_the_very_scan():
-    view, _ = begun()
+    view, run = begun()
     results = list(make_results(6))
     for i, result in enumerate(results):
         view.expect(result.stamp, 100.0 + i)
-    view.step(results[0])
+    run.step(results[0])
     assert view.snapshot().arrived == 100.0
-    view.step(results[3])  # two were refused
+    run.step(results[3])  # two were refused
     assert view.snapshot().arrived == 103.0
-    view.step(results[5])
+    run.step(results[5])
     assert view.snapshot().arrived == 105.0
-    view.step(results[5])  # nobody told
+    run.step(results[5])  # nobody told
     assert np.isnan(view.snapshot().arrived)
 
 
 def test_a_new_map_begins_empty_and_keeps_counting():
-    view, mapper = begun()
+    view, run = begun()
     for result in make_results(5):
-        mapper.step(result)
-        view.step(result)
+        run.step(result)
     before = view.snapshot()
-    view.begin(tuple, GridMapper().grid)
+    view.begin(Scripted())
     after = view.snapshot()
     assert (after.scans, after.landmarks, after.grid, after.truth) == (0, (), None, None)
     assert after.version > before.version
@@ -120,7 +120,7 @@ def test_a_new_map_begins_empty_and_keeps_counting():
 
 def test_readers_see_whole_snapshots_only():
     """The path's end is the pose, whoever looks whenever."""
-    view, _ = begun()
+    view, run = begun()
     torn, seen, stop = [], set(), threading.Event()
 
     def look():
@@ -134,7 +134,7 @@ def test_readers_see_whole_snapshots_only():
     for thread in threads:
         thread.start()
     for result in make_results(300):
-        view.step(result)
+        run.step(result)
     stop.set()
     for thread in threads:
         thread.join()
@@ -154,11 +154,11 @@ def test_landmarks_are_read_at_a_bounded_rate_and_only_when_they_may_have_change
         reads.append(clock[0])
         return make_landmarks()
 
-    view, _ = begun(read)
+    _, run = begun(read)
     results = list(make_results(101))
     for i, result in enumerate(results):  # 8 Hz, the last half between keyframes
         clock[0] = 1.0 + 0.125 * i
-        view.step(result if i < 50 else replace(result, observations=()))
+        run.step(result, keyframe=i < 50)
     assert reads == [1.0 + 0.25 * i for i in range(26)]  # the last keyframe too, once it is due
 
 
@@ -171,32 +171,31 @@ def test_a_map_that_is_slow_to_read_is_read_less_often(monkeypatch):
         reads.append(clock[0])
         return make_landmarks()
 
-    view, _ = begun(read)
+    _, run = begun(read)
     for i, result in enumerate(make_results(100)):
         clock[0] = max(clock[0], 1.0 + 0.1 * i)
-        view.step(result)
+        run.step(result)
     assert 9 <= len(reads) <= 11  # a twentieth of 10 s
 
 
 def test_at_the_end_the_whole_map_is_shown():
-    view, mapper = begun(tuple)
+    view, run = begun(tuple)
     for result in make_results(5):
-        mapper.step(result)
-        view.step(result)
-    outcome = make_outcome()
-    view.finish(outcome)
+        run.step(result)
+    run.landmarks = make_landmarks
+    known = run.map()
+    view.finish(known, make_outcome())
     shown = view.snapshot()
     assert shown.finished
-    assert shown.landmarks == outcome.landmarks
-    np.testing.assert_array_equal(decoded(shown.grid)[1], map_image(mapper.grid).pixels)
+    assert shown.landmarks == known.landmarks
+    np.testing.assert_array_equal(decoded(shown.grid)[1], map_image(known.grid()).pixels)
 
 
 def test_a_refresh_shows_what_is_there():
     marks = []
-    view, mapper = begun(lambda: tuple(marks))
+    view, run = begun(lambda: tuple(marks))
     for result in make_results(3):
-        mapper.step(result)
-        view.step(result)
+        run.step(result)
     marks.extend(make_landmarks())
     view.refresh()
     assert len(view.snapshot().landmarks) == 2
@@ -216,13 +215,12 @@ def decoded(picture):
 
 
 def test_the_grid_is_a_picture_with_its_place():
-    view, mapper = begun()
+    view, run = begun()
     for result in make_results(30):
-        mapper.step(result)
-        view.step(result)
+        run.step(result)
     view.refresh()
     shown = view.snapshot().grid
-    image = map_image(mapper.grid)
+    image = map_image(run.map().grid())
     opacity, greys = decoded(shown)
     np.testing.assert_array_equal(greys, image.pixels)
     assert set(np.unique(opacity)) == {0, 255}
@@ -239,14 +237,13 @@ def test_the_grid_is_a_picture_with_its_place():
 def test_the_grid_is_painted_once_a_second_and_new_versions_are_new_pictures(monkeypatch):
     clock = [100.0]
     monkeypatch.setattr(module.time, "monotonic", lambda: clock[0])
-    view, mapper = begun()
+    view, run = begun()
     versions, pictures = [], {}
     results = list(make_results(50))
     for i in range(80):
         clock[0] += 0.1
         result = results[min(i, 49)]  # it stands in the end
-        mapper.step(result)
-        view.step(result)
+        run.step(result)
         view._painter.join()
         grid = view.snapshot().grid
         if grid is not None:
@@ -264,25 +261,47 @@ def test_a_picture_of_the_map_before_is_not_shown(monkeypatch):
         gate.wait(10.0)
         return paint(grid, version)
 
-    view, mapper = begun()
+    view, run = begun()
     monkeypatch.setattr(module, "paint", late)
     for result in make_results(3):
-        mapper.step(result)
-        view.step(result)
-    other = GridMapper()
-    view.begin(tuple, other.grid)
+        run.step(result)
+    other = Scripted(view)
+    view.begin(other)
     gate.set()
     view._painter.join()
     gate.clear()  # the new map's first picture is late as well
-    view.step(next(make_results(1)))
+    other.step(replace(next(make_results(1)), scan=None))
     assert view.snapshot().grid is None
     gate.set()
     view._painter.join()
-    view.step(next(make_results(1)))
+    other.step(replace(next(make_results(1)), scan=None))
     assert view.snapshot().grid.size == (1, 1)  # nothing is known of it
 
 
 # --------------------------------------------------------------------------- lost
+
+
+class Words(Observer):
+    """What `Trust` says after each scan."""
+
+    def __init__(self):
+        self.said, self._trust = [], Trust()
+
+    def follow(self, track, path):
+        self._trust.follow(track, path)
+        self.said.append(self._trust.health.at_end)
+
+    def revise(self, keyframe, revision, path):
+        self._trust.revise(keyframe, revision, path)
+        self.said.append(self._trust.health.at_end)
+
+
+def said(*results, keyframe=True):
+    words = Words()
+    run = Scripted(words)
+    for i, result in enumerate(results):
+        run.step(result, keyframe=keyframe or i == 0)
+    return words.said
 
 
 def still(sigma, matched=True, seen=True):
@@ -293,34 +312,29 @@ def still(sigma, matched=True, seen=True):
 
 
 def test_a_robot_that_recognises_landmarks_is_not_lost_however_far_it_went():
-    trust = Trust()
-    assert {trust.step(still(0.01 * i)) for i in range(500)} == {""}
+    assert set(said(*(still(0.01 * i) for i in range(500)))) == {""}
 
 
-def test_a_robot_that_recognises_nothing_says_so_once_it_matters():
-    trust = Trust()
-    trust.step(still(3.0))
-    words = [
-        trust.step(
-            replace(still(np.hypot(3.0, 0.01 * i), matched=False), pose=np.array([0.1 * i, 0, 0]))
-        )
+@pytest.mark.parametrize("keyframe", [True, False])
+def test_a_robot_that_recognises_nothing_says_so_once_it_matters(keyframe):
+    drive = [
+        replace(still(np.hypot(3.0, 0.01 * i), matched=False), pose=np.array([0.1 * i, 0, 0]))
         for i in range(1, 40)
     ]
+    words = said(still(3.0), *drive, keyframe=keyframe)[1:]
     assert words[24] == ""
     assert "no known landmark for" in words[25]
     assert "unsure by 0.3 m" in words[26]
-    assert trust.step(still(5.0)) == ""
+    assert said(still(3.0), *drive, still(5.0))[-1] == ""
 
 
 def test_a_standing_robot_without_landmarks_is_not_lost():
-    trust = Trust()
-    assert {trust.step(still(0.1, matched=False)) for _ in range(100)} == {""}
+    assert set(said(*(still(0.1, matched=False) for _ in range(100)))) == {""}
 
 
 def test_a_blind_lidar_and_a_broken_estimate_are_told():
-    trust = Trust()
-    assert "sees nothing" in trust.step(still(0.1, matched=False, seen=False))
-    assert "no number" in trust.step(still(np.nan))
+    assert "sees nothing" in said(still(0.1, matched=False, seen=False))[0]
+    assert "no number" in said(still(np.nan))[0]
 
 
 # --------------------------------------------------------------------------- the path
@@ -392,12 +406,8 @@ def test_a_pose_that_is_no_number_is_left_out_of_the_path():
 
 
 def test_a_result_without_numbers_does_not_break_the_view():
-    view, _ = begun()
-    nan = np.full(3, np.nan)
-    view.step(
-        StepResult(
-            1.0, nan, np.full((3, 3), np.nan), nan, nan, make_scan(1.0, np.zeros(3)),
-            (), (), (), (),
-        )
-    )  # fmt: skip
+    view, run = begun()
+    run.step(
+        replace(next(make_results(1)), pose=np.full(3, np.nan), covariance=np.full((3, 3), np.nan))
+    )
     assert "no number" in view.snapshot().lost

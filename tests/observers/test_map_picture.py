@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from impslam.evaluation.colours import INK, PATH, POINT, SEEN, TRUTH, UNSEEN, WALL
-from impslam.mapping.files import FREE, OCCUPIED, UNKNOWN, MapImage
+from impslam.maps.files import FREE, OCCUPIED, UNKNOWN, MapImage
 from impslam.observers.canvas import Canvas, colour
 from impslam.observers.map_picture import Scene, map_png
 from impslam.types import Landmark

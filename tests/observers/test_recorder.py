@@ -10,13 +10,15 @@ from tests.observers import runs
 from impslam.errors import ImpError
 from impslam.evaluation.landmark_files import read_true_landmarks
 from impslam.evaluation.tum import read_tum
-from impslam.mapping.files import FREE, OCCUPIED, read_landmarks, read_map
+from impslam.map import Map
+from impslam.maps.files import FREE, OCCUPIED, read_landmarks, read_map
 from impslam.observers.recorder import Recorder
 from impslam.types import TrueLandmark
 
 PROMISED = {
     *("trajectory.tum", "odometry.tum", "trajectory.csv", "landmarks.csv"),
-    *("map.pgm", "map.yaml", "summary.json", "config.toml"),
+    *("map.pgm", "map.yaml", "summary.json", "config.toml", "trajectory.live.tum", "map.imp"),
+    *("report.html", "report.png"),
 }
 
 
@@ -76,7 +78,7 @@ def test_the_same_run_gives_the_same_bytes_but_for_times(tmp_path):
     for name, seconds in (("a", 1.0), ("b", 2.0)):
         outcome = runs.make_outcome(wall_seconds=seconds)
         runs.play([Recorder(tmp_path / name)], outcome=outcome)
-    for name in PROMISED - {"summary.json"}:
+    for name in PROMISED - {"summary.json", "report.html"}:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     a, b = (json.loads((tmp_path / n / "summary.json").read_text()) for n in "ab")
     assert a.pop("time") != b.pop("time")
@@ -84,10 +86,19 @@ def test_the_same_run_gives_the_same_bytes_but_for_times(tmp_path):
 
 
 def test_a_run_that_is_cut_short_leaves_its_path(tmp_path):
-    recorder = Recorder(tmp_path)
+    run = runs.Scripted(Recorder(tmp_path))
     for result in runs.make_results(250):
-        recorder.step(result)
-    assert len(read_tum(tmp_path / "trajectory.tum")) == 200
+        run.step(result)
+    assert len(read_tum(tmp_path / "trajectory.live.tum")) == 200
+
+
+def test_the_map_comes_back_whole(tmp_path):
+    saved = runs.play([Recorder(tmp_path)])
+    known = Map.load(tmp_path / "map.imp")
+    np.testing.assert_array_equal(known.path(), saved.path())
+    live = read_tum(tmp_path / "trajectory.live.tum")
+    np.testing.assert_allclose(known.live_path(), live, atol=1e-8)
+    assert [mark.id for mark in known.landmarks] == [7, 8]
 
 
 def test_an_old_run_is_overwritten(folder):
@@ -101,11 +112,11 @@ def test_truth_is_kept_where_there_is_one(tmp_path):
 
 
 def test_a_run_without_scans_landmarks_or_time(tmp_path):
-    nothing = {"landmarks": (), "stages": {"slam": np.empty(0)}, "wall_seconds": 0.0}
-    Recorder(tmp_path).finish(runs.make_outcome(**nothing))
+    nothing = {"stages": {"estimate": np.empty(0)}, "wall_seconds": 0.0}
+    Recorder(tmp_path).finish(runs.Scripted().map(), runs.make_outcome(**nothing))
     facts = json.loads((tmp_path / "summary.json").read_text())
     assert facts["time"]["real_time_factor"] is None
-    assert facts["time"]["stages_ms"]["slam"]["mean"] is None
+    assert facts["time"]["stages_ms"]["estimate"]["mean"] is None
 
 
 def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
@@ -124,7 +135,7 @@ def test_a_truth_without_a_heading_is_kept_as_such(tmp_path):
 
 def test_true_landmarks_are_kept_where_there_are_any(tmp_path):
     known = [TrueLandmark("a", "cylinder", np.array([1.0, 2.0]), {"radius": 0.1})]
-    runs.play([Recorder(tmp_path, true_landmarks=known)])
+    runs.play([Recorder(tmp_path, known)])
     (back,) = read_true_landmarks(tmp_path / "truth.landmarks.csv")
     assert (back.name, back.kind, back.parameters["radius"]) == ("a", "cylinder", 0.1)
     np.testing.assert_array_equal(back.position, known[0].position)

@@ -1,7 +1,7 @@
 """The report is one page that needs nothing else, for any run."""
 
 import re
-import time
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -13,7 +13,7 @@ from impslam.observers.base import Dropped
 from impslam.observers.history import History
 from impslam.observers.page import Line, chart
 from impslam.observers.recorder import Recorder
-from impslam.observers.report import Report
+from impslam.observers.run_folder import write_run
 from impslam.observers.sections import duration
 from impslam.types import TrueLandmark, TruePose
 
@@ -46,8 +46,8 @@ def true_landmarks():
     ]
 
 
-def write(folder, n=50, truth=None, outcome=None, **options):
-    runs.play([Report(folder, **options)], n, truth, outcome)
+def write(folder, n=50, truth=None, outcome=None, true_landmarks=(), landmarks=None):
+    runs.play([Recorder(folder, true_landmarks)], n, truth, outcome, landmarks)
     assert (folder / "report.png").read_bytes().startswith(b"\x89PNG")
     text = (folder / "report.html").read_text()
     checker = Balanced()
@@ -57,7 +57,7 @@ def write(folder, n=50, truth=None, outcome=None, **options):
 
 
 def test_the_page_needs_no_network(tmp_path):
-    text = write(tmp_path, truth=runs.make_truth(), truth_landmarks=true_landmarks())
+    text = write(tmp_path, truth=runs.make_truth(), true_landmarks=true_landmarks())
     assert not re.search(r"https?://|<script|<link|@import|url\(", text)
     assert 'src="data:image/png;base64,' in text
     assert 'name="viewport"' in text
@@ -76,7 +76,7 @@ def test_what_a_log_says_cannot_become_part_of_the_page(tmp_path):
 
 
 def test_errors_are_shown_where_the_truth_is_known(tmp_path):
-    text = write(tmp_path, truth=runs.make_truth(), truth_landmarks=true_landmarks())
+    text = write(tmp_path, truth=runs.make_truth(), true_landmarks=true_landmarks())
     assert "Errors against the truth" in text
     assert "2 of 3 found, 0 false, 0 double" in text
     assert "missing" in text
@@ -97,17 +97,9 @@ def test_a_truth_of_another_time_is_left_out(tmp_path):
 
 @pytest.mark.parametrize("n", [0, 1, 2])
 def test_a_run_of_hardly_any_scans_has_a_page(tmp_path, n):
-    nothing = {"landmarks": (), "stages": {"slam": np.empty(0)}, "wall_seconds": 0.0, "counts": {}}
+    nothing = {"stages": {"estimate": np.empty(0)}, "wall_seconds": 0.0, "counts": {}}
     outcome = runs.make_outcome(n, **nothing)
-    assert "No landmark" in write(tmp_path, n, runs.make_truth(), outcome)
-
-
-def test_the_grid_of_a_recorder_can_be_shared(tmp_path):
-    recorder = Recorder(tmp_path)
-    runs.play([recorder, Report(tmp_path, recorder.grid)])
-    shared = (tmp_path / "report.png").read_bytes()
-    write(tmp_path)
-    assert (tmp_path / "report.png").read_bytes() == shared
+    assert "No landmark" in write(tmp_path, n, runs.make_truth(), outcome, landmarks=())
 
 
 def test_everything_used_is_said(tmp_path):
@@ -117,27 +109,25 @@ def test_everything_used_is_said(tmp_path):
     assert "kind 2" in write(tmp_path, outcome=runs.make_outcome(dropped=many))
 
 
-def test_a_long_run_is_written_soon_and_small(tmp_path):
-    report = Report(tmp_path)
-    results = list(runs.make_results(200))
+def test_a_long_run_is_written_small(tmp_path):
+    run, results = runs.Scripted(), list(runs.make_results(200))
     for i in range(14000):
-        result = results[i % 200]
-        moved = type(result)(0.1 * i, *(getattr(result, f) for f in result.__slots__[1:]))
-        report._history.step(moved)
-    begin = time.perf_counter()
-    report.finish(runs.make_outcome())
-    assert time.perf_counter() - begin < 6.0  # 3 s on a quiet core
+        result = replace(results[i % 200], stamp=0.1 * i, scan=None)
+        run.step(result, keyframe=i % 10 == 0)
+    write_run(tmp_path, run.map(), runs.make_outcome())
     assert (tmp_path / "report.html").stat().st_size < 2e6
 
 
-def test_history_keeps_what_it_saw():
-    history = History()
-    results = list(runs.make_results(5))
-    runs.play([history], 5)
-    np.testing.assert_array_equal(history.covariances, [r.covariance for r in results])
+def test_history_is_the_map_beside_the_truth():
+    known, results = runs.play([], 5), list(runs.make_results(5))
+    history = History(known, np.empty((0, 4)))
+    np.testing.assert_allclose(history.covariances, [r.covariance for r in results], atol=1e-15)
     np.testing.assert_array_equal(history.odometry[:, 1:], [r.odometry for r in results])
-    np.testing.assert_allclose(history.sigmas[3], np.sqrt(np.diag(results[3].covariance)))
-    assert history.matches[3].tolist() == [1.0, results[3].matches[0].distance2, 2.0]
+    np.testing.assert_allclose(
+        history.sigmas[3], np.sqrt(np.diag(results[3].covariance)), atol=1e-12
+    )
+    nis = results[2].matches[0].distance2
+    assert known.keyframes.innovations[2].tolist() == [1.0, nis, 2.0]
 
 
 @pytest.mark.parametrize("values", [[0.0, 0.0], [np.nan, np.nan], [1e-9, 2e-9], [-5.0, np.nan]])
@@ -169,7 +159,7 @@ def test_a_truth_of_positions_is_laid_where_it_fits_and_tells_no_nees(tmp_path):
 def test_true_landmarks_are_told_in_the_frame_of_the_truth(tmp_path):
     frame = np.array([40.0, -7.0, 2.0])
     known = moved(frame, true_landmarks())
-    text = write(tmp_path, truth=runs.make_truth(frame=frame), truth_landmarks=known)
+    text = write(tmp_path, truth=runs.make_truth(frame=frame), true_landmarks=known)
     assert "2 of 3 found, 0 false, 0 double" in text
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from impslam.evaluation.json_values import json_values
+from impslam.map import PathRows
 from impslam.simulation.world import load_world
 from impslam.studies import arena
 from impslam.studies.arena_experiment import (
@@ -33,7 +34,7 @@ from impslam.studies.arena_tables import (
 from impslam.studies.job import Job
 from impslam.studies.map_plot import ARENA, draw_maps
 from impslam.studies.sweep import Run, Variant, path_metrics, sweep
-from impslam.types import Landmark, StepResult
+from impslam.types import Landmark
 
 POINTS, LINES, BOTH = (Experiment.load(name) for name in ("points", "lines", "both"))
 DETECTED = {experiment.name: experiment.printed for experiment in (POINTS, LINES, BOTH)}
@@ -113,10 +114,6 @@ def mark(true, by=0.0, number=0, kind=None):
     return Landmark(number, kind or true.kind, place, values, 1e-4 * np.eye(2), None, 9, 0.0, 1.0)
 
 
-def step(pose):
-    return StepResult(0.0, pose, np.eye(3), pose + 0.5, pose, None, (), (), (), ())
-
-
 def run(seed=0, by=0.0, without=(), more=(), end=0.0):
     """Return a run at rest, `end` off along x, whose map is off by so much."""
     path = np.zeros((5, 3)) + np.array([end, 0.0, 0.0])
@@ -127,7 +124,8 @@ def run(seed=0, by=0.0, without=(), more=(), end=0.0):
         seed,
         [],
         np.zeros((5, 3)),
-        [step(pose) for pose in path],
+        PathRows(np.zeros(5), path, np.tile(np.eye(3), (5, 1, 1)), path + 0.5),
+        [],
         (*marks, *more),
         [],
     )

@@ -26,7 +26,7 @@ from impslam.studies.consistency_arena import (
 from impslam.studies.filter_consistency import BATCH, consistency_study
 from impslam.studies.job import Job
 from impslam.studies.sweep import sweep
-from impslam.types import Landmark, Match, Observation, StepResult
+from impslam.types import Landmark, Match, Observation
 
 
 @pytest.fixture(scope="module")
@@ -148,6 +148,5 @@ def test_nis_is_over_its_dimension_and_by_kind():
         Match(0, 2, np.zeros(2), np.eye(2), 1.0),
         Match(1, 3, np.zeros(1), np.eye(1), 0.5),
     )
-    pose, P = np.zeros(3), np.eye(3)
-    step = StepResult(0.0, pose, P, pose, pose, None, seen, matches, (), ())
-    assert nis_by_kind([step]) == {"wall": 1.0, "x": 0.5}
+    pairs = [(seen[match.observation], match) for match in matches]
+    assert nis_by_kind(pairs) == {"wall": 1.0, "x": 0.5}

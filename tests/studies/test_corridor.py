@@ -8,6 +8,7 @@ import pytest
 
 from impslam.evaluation.json_values import json_values
 from impslam.geometry.se2 import inverse, transform
+from impslam.map import PathRows
 from impslam.simulation.robot import Lidar
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import parse_world
@@ -34,7 +35,7 @@ from impslam.studies.corridor_truth import CorridorTruth, Verdict, false_landmar
 from impslam.studies.job import Job
 from impslam.studies.map_plot import CORRIDOR, draw_maps
 from impslam.studies.sweep import ROBOT, Run, map_run, path_metrics, sweep
-from impslam.types import Landmark, Observation, StepResult
+from impslam.types import Landmark, Observation
 
 ROOM = """
 [robot]
@@ -216,13 +217,9 @@ def test_walls_are_counted():
 def run_that_ends(off):
     """Return a straight run of 100 m whose path is off by so much all the way."""
     truth = np.column_stack((np.linspace(0, 100, 11), np.zeros(11), np.zeros(11)))
-    steps = [
-        StepResult(
-            0.0, pose + np.array((0.0, off, 0.0)), np.eye(3), pose + 5.0, pose, None, (), (), (), ()
-        )
-        for pose in truth
-    ]
-    return Run(corridor_world(), VARIANTS[0], 0, [], truth, steps, (), [])
+    path = truth + np.array((0.0, off, 0.0))
+    rows = PathRows(np.zeros(11), path, np.tile(np.eye(3), (11, 1, 1)), truth + 5.0)
+    return Run(corridor_world(), VARIANTS[0], 0, [], truth, rows, [], (), [])
 
 
 def test_a_path_holds_until_it_is_off_for_the_first_time():

@@ -13,13 +13,15 @@ from numba.core import event
 
 from impslam.cli import console
 from impslam.cli.ending import EndOfRun
-from impslam.cli.job import execute, plan, run_folder
+from impslam.cli.job import execute, run_folder
 from impslam.cli.progress import display
 from impslam.cli.simulate import truth_path, write_log
 from impslam.evaluation.landmark_files import landmarks_path
 from impslam.evaluation.landmarks import corners, score_landmarks
 from impslam.geometry.angles import wrap
+from impslam.map import Map
 from impslam.observers.base import Outcome
+from impslam.open_log import open_log
 from impslam.simulation.world import load_world
 from impslam.types import Array, Landmark, TrueLandmark
 
@@ -43,12 +45,12 @@ def map_arena(
         console.say(f"{scans} scans and the wheels' turns are in {log}; mapping them ...")
     start = list(map(float, world.robot.start))
     with clock("map and report"):
-        chosen, source = plan(log, config, [f"start={start}", f"seed={seed}", *settings])
-        outcome = execute(chosen, source, folder, quiet, [end], world.landmarks())
+        chosen, source = open_log(log, config, [f"start={start}", f"seed={seed}", *settings])
+        known = execute(chosen, source, folder, quiet, [end], world.landmarks())
     if not quiet:
-        _show_landmarks(world.landmarks(), outcome)
+        _show_landmarks(world.landmarks(), known)
         _show_end(end)
-        _show_times(clock, outcome)
+        _show_times(clock, end.outcome)
         console.say(f"report: {folder / 'report.html'}")
 
 
@@ -72,11 +74,11 @@ class Clock:
         self.compiling += seconds
 
 
-def _show_landmarks(truth: list[TrueLandmark], outcome: Outcome) -> None:
+def _show_landmarks(truth: list[TrueLandmark], known: Map) -> None:
     """Print every true landmark beside the map's; of corners, which walls imply, those found."""
-    score = score_landmarks(outcome.landmarks, [*truth, *corners(truth)])
+    score = score_landmarks(known.landmarks, [*truth, *corners(truth)])
     found = {error.name: error for error in score.found}
-    marks = {mark.id: mark for mark in outcome.landmarks}
+    marks = {mark.id: mark for mark in known.landmarks}
     rows = []
     for true in [*truth, *(corner for corner in corners(truth) if corner.name in found)]:
         estimate, errors = ("missed", ""), ("-", "")
@@ -117,13 +119,12 @@ def _coordinates(pose: Array) -> tuple[str, str, str]:
     return f"{pose[0]:.3f}", f"{pose[1]:.3f}", f"{math.degrees(pose[2]):.2f}"
 
 
-def _show_times(clock: Clock, outcome: Outcome) -> None:
+def _show_times(clock: Clock, outcome: Outcome | None) -> None:
     """Say where the time went."""
     parts = [f"{name} {seconds:.1f} s" for name, seconds in clock.parts.items()]
     if clock.compiling > FELT:
         parts.append(f"compile {clock.compiling:.1f} s (once; the next run has it ready)")
-    stages = {name: 1000 * float(np.median(times)) for name, times in outcome.stages.items()}
     console.say("time: " + ", ".join(parts))
-    console.say(
-        "median per scan: " + ", ".join(f"{name} {ms:.2f} ms" for name, ms in stages.items())
-    )
+    if outcome is not None:
+        stages = {name: 1000 * float(np.median(times)) for name, times in outcome.stages.items()}
+        console.say("median: " + ", ".join(f"{name} {ms:.2f} ms" for name, ms in stages.items()))

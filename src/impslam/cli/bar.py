@@ -6,9 +6,9 @@ import time
 from typing import Any
 
 from impslam.cli.progress import PERIOD
+from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer, Outcome
 from impslam.sources.base import Source
-from impslam.types import StepResult
 
 
 class Bar(Observer):
@@ -22,9 +22,17 @@ class Bar(Observer):
         if display is not None:
             self._task = display.add_task("starting (the very first run compiles)", total=None)
 
-    def step(self, result: StepResult) -> None:
+    def follow(self, track: Track, path: PathRows) -> None:
         """Move on."""
-        del result
+        del track, path
+        self._move()
+
+    def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
+        """Move on."""
+        del keyframe, revision, path
+        self._move()
+
+    def _move(self) -> None:
         if self._display is None or time.monotonic() < self._due:
             return
         self._due = time.monotonic() + PERIOD
@@ -35,8 +43,8 @@ class Bar(Observer):
             completed=self._source.position,
         )
 
-    def finish(self, outcome: Outcome) -> None:
+    def finish(self, known: Map, outcome: Outcome) -> None:
         """Say what comes after the last scan."""
-        del outcome
+        del known, outcome
         if self._display is not None:
             self._display.update(self._task, description="writing the report")

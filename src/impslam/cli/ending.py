@@ -2,31 +2,36 @@
 
 from __future__ import annotations
 
-import math
+from impslam.map import Map
+from impslam.observers.base import Outcome
+from impslam.observers.recorder import Truth
+from impslam.types import Array
 
-from impslam.observers.base import Observer
-from impslam.types import Array, StepResult, TruePose
 
+class EndOfRun(Truth):
+    """Keeps the map, and tells the last pose and the true one at its stamp."""
 
-class EndOfRun(Observer):
-    """Keeps the last pose, and the true pose at its stamp."""
+    known: Map | None = None
+    outcome: Outcome | None = None
 
-    def __init__(self) -> None:
-        self.pose: Array | None = None
-        self.odometry: Array | None = None
-        self._stamp = math.nan
-        self._truth: dict[float, Array] = {}
+    def finish(self, known: Map, outcome: Outcome) -> None:
+        """Keep the map."""
+        self.known, self.outcome = known, outcome
 
-    def truth(self, pose: TruePose) -> None:
-        """Keep the true poses since the last scan."""
-        self._truth[pose.stamp] = pose.pose
+    @property
+    def pose(self) -> Array | None:
+        """The last pose (3,), None before the end of the run."""
+        return None if self.known is None else self.known.path()[-1, 1:]
 
-    def step(self, result: StepResult) -> None:
-        """Move on."""
-        self.pose, self.odometry, self._stamp = result.pose, result.odometry, result.stamp
-        self._truth = {t: pose for t, pose in self._truth.items() if t >= result.stamp}
+    @property
+    def odometry(self) -> Array | None:
+        """The last pose (3,) by dead reckoning."""
+        return None if self.known is None else self.known.odometry_poses[-1]
 
     @property
     def true(self) -> Array | None:
         """The true pose (3,) at the last scan's stamp, if the log tells it."""
-        return self._truth.get(self._stamp)
+        if self.known is None:
+            return None
+        at = self.path[self.path[:, 0] == self.known.stamps[-1]]
+        return at[-1, 1:] if len(at) else None

@@ -32,10 +32,11 @@ def inspect(
     log
         A file or folder; its format is recognised from its content.
     """
-    from impslam.cli.job import plan, topic_settings
+    from impslam.cli.job import topic_settings
     from impslam.cli.survey import Survey
+    from impslam.open_log import open_log
 
-    chosen, source = plan(log, config, [*settings, *topic_settings(topics)])
+    chosen, source = open_log(log, config, [*settings, *topic_settings(topics)])
     survey = Survey(chosen.make_robot())
     with source, display(common is not None and common.quiet) as shown:
         streams, preset = source.streams(), source.preset

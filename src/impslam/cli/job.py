@@ -6,46 +6,26 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from impslam.cli.bar import Bar
 from impslam.cli.progress import display
-from impslam.component import explain
-from impslam.config import Config, carried, load, load_plugins
+from impslam.config import Config
 from impslam.errors import ConfigError, ImpError
 from impslam.evaluation.landmark_files import landmarks_path, read_true_landmarks
-from impslam.observers.base import Observer, Outcome
+from impslam.map import Map
+from impslam.observers.base import Observer
 from impslam.observers.recorder import Recorder
-from impslam.observers.report import Report
 from impslam.paths import make_folder
-from impslam.pipeline import run
-from impslam.sources.base import Source, recognise
+from impslam.run import map_log
+from impslam.sources.base import Source
 from impslam.types import TrueLandmark
 
 FILES = frozenset(
     {"trajectory.tum", "odometry.tum", "trajectory.csv", "landmarks.csv", "map.pgm", "map.yaml"}
+    | {"map.imp", "trajectory.live.tum"}
     | {"report.html", "report.png", "summary.json", "config.toml", "truth.tum"}
     | {"truth.landmarks.csv"}
 )
 """What a run writes; only these are ever overwritten or removed."""
-
-
-def plan(log: Path, base: str | None, settings: Sequence[str]) -> tuple[Config, Source]:
-    """Return the config and the source of a run; without a base, the preset that fits the log."""
-    load_plugins(base or "default", settings)  # the log's reader may be among them
-    kind = recognise(log)
-    if base is None:
-        with kind(path=log) as source:
-            config = load(carried(source.preset, log), settings)
-    else:
-        config = load(base, settings)
-    if "path" in config.source:
-        raise ConfigError("source.path is not a parameter; the log is named on the command line")
-    try:
-        return config, kind(path=log, **config.source)
-    except ValidationError as error:
-        known = set(kind.model_fields) - {"path"}
-        raise ConfigError(explain(error, f"source ({kind.name})", known)) from None
 
 
 def topic_settings(topics: Sequence[str]) -> list[str]:
@@ -64,8 +44,8 @@ def execute(
     quiet: bool,
     more: Iterable[Observer] = (),
     known: Sequence[TrueLandmark] = (),
-    player: Callable[[Config, Source, list[Observer]], Outcome] = run,
-) -> Outcome:
+    player: Callable[[Config, Source, list[Observer]], Map] = map_log,
+) -> Map:
     """Run a log, write the run folder, and show how far it has come.
 
     `known` are the true landmarks, for scoring alone, where neither the source nor a file beside it
@@ -78,9 +58,7 @@ def execute(
     try:
         with display(quiet) as shown:
             known = known or source.true_landmarks() or _surveyed(source.path)
-            recorder = Recorder(folder, config.grid.resolution, known)
-            report = Report(folder, recorder.grid, known)
-            return player(config, source, [Bar(source, shown), recorder, report, *more])
+            return player(config, source, [Bar(source, shown), Recorder(folder, known), *more])
     except ImpError:
         _clear(folder)
         if empty and folder.is_dir() and not any(folder.iterdir()):

@@ -11,7 +11,8 @@ from impslam.errors import ConfigError, LeftError
 
 if TYPE_CHECKING:
     from impslam.config import Config
-    from impslam.observers.base import Observer, Outcome
+    from impslam.map import Map
+    from impslam.observers.base import Observer
     from impslam.sources.base import Source
 
 WEB = ("nicegui", "cryptography")
@@ -28,8 +29,8 @@ def need_web() -> None:
 
 def replay(
     config: Config, source: Source, observers: Iterable[Observer], *, port: int, quiet: bool
-) -> Outcome:
-    """Play a log on the page until it is left with Ctrl-C; return what the run was.
+) -> Map:
+    """Play a log on the page until it is left with Ctrl-C; return the map.
 
     Raises
     ------
@@ -54,7 +55,7 @@ def replay(
             )
         finally:
             player.stop()
-    outcome = player.wait(0.0)
-    if outcome is None:
+    known = player.wait(0.0)
+    if known is None:
         raise LeftError(f"{source.path}: left before its end; nothing is written")
-    return outcome
+    return known

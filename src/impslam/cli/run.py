@@ -14,6 +14,7 @@ from impslam.cli import console
 from impslam.cli.console import Base, Common, Flag, Seed, Settings, Topics
 
 if TYPE_CHECKING:
+    from impslam.map import Map
     from impslam.observers.base import Outcome
 
 
@@ -55,35 +56,36 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     output
         The folder to write to. Default: runs/LOG-DATE-TIME.
     """
-    from impslam.cli.job import execute, plan, run_folder, topic_settings
+    from impslam.cli.ending import EndOfRun
+    from impslam.cli.job import execute, run_folder, topic_settings
     from impslam.cli.replay import replay
-    from impslam.observers.summary import Distance
-    from impslam.pipeline import run as pipeline_run
+    from impslam.open_log import open_log
+    from impslam.run import map_log
 
     changes = [*settings, *topic_settings(topics), *(() if seed is None else (f"seed={seed}",))]
-    chosen, source = plan(log, config, changes)
+    chosen, source = open_log(log, config, changes)
     folder = run_folder(output, log.resolve().name.split(".")[0] or "log")
     quiet = common is not None and common.quiet
-    distance = Distance()
+    end = EndOfRun()
     page = page or Page()
-    player = partial(replay, port=page.port, quiet=quiet) if page.live else pipeline_run
-    outcome = execute(chosen, source, folder, quiet or page.live, [distance], player=player)
-    if not quiet:
-        show(outcome, distance.path, folder, at_once=not page.live)
+    player = partial(replay, port=page.port, quiet=quiet) if page.live else map_log
+    known = execute(chosen, source, folder, quiet or page.live, [end], player=player)
+    if not quiet and end.outcome is not None:
+        show(known, end.outcome, folder, at_once=not page.live)
 
 
-def show(outcome: Outcome, length: float, folder: Path, *, at_once: bool = True) -> None:
+def show(known: Map, outcome: Outcome, folder: Path, *, at_once: bool = True) -> None:
     """Print what a run was, and where it is; its speed says something where nobody paused it."""
-    from impslam.observers.summary import real_time_factor
+    from impslam.observers.summary import length, real_time_factor
 
     counts, seconds = outcome.counts, outcome.log_seconds
-    kinds = Counter(landmark.kind for landmark in outcome.landmarks)
+    kinds = Counter(landmark.kind for landmark in known.landmarks)
     found = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())) or "none"
     console.show_facts(
         {
             "log": str(outcome.log),
             "scans": f"{counts['steps']} used",
-            "path": f"{length:.2f} m in {seconds:.1f} s",
+            "path": f"{length(known.path()):.2f} m in {seconds:.1f} s",
             "landmarks": found,
             "time": f"{outcome.wall_seconds:.1f} s"
             + (f", {real_time_factor(outcome):.0f} times real time" if at_once else ""),

@@ -10,7 +10,7 @@ import numpy as np
 from impslam.errors import ImpError
 from impslam.evaluation.landmark_files import TRUE_LANDMARKS, read_true_landmarks
 from impslam.evaluation.tum import PATH_COLUMNS, TRUTH, read_numbers, read_tum
-from impslam.mapping.files import read_landmarks
+from impslam.maps.files import read_landmarks
 from impslam.types import Array, Landmark, TrueLandmark
 
 SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)

@@ -21,17 +21,25 @@ PATH_COLUMNS = "stamp,x,y,theta,xx,xy,xt,yy,yt,tt"
 """Columns of trajectory.csv: m, rad, s; xx to tt are the pose covariance's distinct entries."""
 
 
-def tum_row(stamp: float, pose: Array) -> str:
-    """Return the line of a planar pose; nanoseconds and nanometres, so nothing is lost."""
-    half = 0.5 * pose[2]
-    known = math.isfinite(half)
-    turn = f"{math.sin(half):.12f} {math.cos(half):.12f}" if known else "0 0"
-    return f"{stamp:.9f} {pose[0]:.9f} {pose[1]:.9f} 0 0 0 {turn}\n"
+_ROW = "%.9f %.9f %.9f 0 0 0 %.12f %.12f\n"
+
+
+def tum_rows(stamps: Array, poses: Array) -> str:
+    """Return the lines of planar poses (n, 3) at stamps (n,), s.
+
+    They hold nanoseconds and nanometres, so nothing is lost.
+    """
+    half = 0.5 * poses[:, 2]
+    columns = np.column_stack((stamps, poses[:, :2], np.sin(half), np.cos(half)))
+    if np.isfinite(half).all():
+        return _ROW * len(columns) % tuple(columns.ravel().tolist())
+    rows = (_ROW % tuple(row) for row in columns.tolist())
+    return "".join(row.replace("nan nan", "0 0") for row in rows)
 
 
 def write_tum(path: Path, trajectory: Array) -> None:
     """Write rows (n, 4) of stamp, x, y, theta."""
-    path.write_text("".join(tum_row(row[0], row[1:]) for row in trajectory))
+    path.write_text(tum_rows(trajectory[:, 0], trajectory[:, 1:]), encoding="utf-8")
 
 
 def read_tum(path: Path) -> Array:

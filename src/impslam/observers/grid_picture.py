@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from impslam.mapping.files import FREE, OCCUPIED, map_image
-from impslam.mapping.grid import OccupancyGrid
+from impslam.maps.files import FREE, OCCUPIED, map_image
+from impslam.maps.grid import OccupancyGrid
 from impslam.types import Array
 
 COLOURS: npt.NDArray[np.uint8] = np.zeros((256, 4), np.uint8)
@@ -37,13 +36,6 @@ class GridPicture:
     origin: Array
     resolution: float
     size: tuple[int, int]
-
-
-def frozen(grid: OccupancyGrid) -> OccupancyGrid:
-    """Return the grid as it is now, for another thread; it must not be grown further."""
-    still = copy(grid)
-    still.logodds = grid.logodds.copy()
-    return still
 
 
 def paint(grid: OccupancyGrid, version: int) -> GridPicture:

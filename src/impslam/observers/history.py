@@ -1,74 +1,50 @@
-"""Remembers the numbers of a run that plots need, and nothing else: 160 bytes a scan."""
+"""What the report and the scores need of a run: its path, dead reckoning, innovations and truth."""
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from impslam.observers.base import Observer
-from impslam.types import Array, StepResult, TruePose
-
-WIDTH = 16
-"""stamp, pose 3, odometry 3, covariance 6, matches, NIS, degrees of freedom of the NIS."""
+from impslam.map import Map, PathRows
+from impslam.types import Array
 
 
-class History(Observer):
-    """Keeps the path, its covariance, dead reckoning, matches and innovations, and the truth."""
+@dataclass(frozen=True, eq=False)
+class History:
+    """A map's path beside the truth.
 
-    def __init__(self) -> None:
-        self._rows, self._true = array("d"), array("d")
+    Attributes
+    ----------
+    known : the map
+    true_path : (m, 4) stamp, x, y, theta (NaN if not told); m = 0 where the log has no truth
+    """
 
-    def step(self, result: StepResult) -> None:
-        """Remember a scan."""
-        P = result.covariance
-        spread = (P[0, 0], P[0, 1], P[0, 2], P[1, 1], P[1, 2], P[2, 2])
-        nis = sum(match.distance2 for match in result.matches)
-        dof = sum(len(match.innovation) for match in result.matches)
-        self._rows.extend((result.stamp, *result.pose, *result.odometry, *spread))
-        self._rows.extend((len(result.matches), nis, dof))
+    known: Map
+    true_path: Array
 
-    def truth(self, pose: TruePose) -> None:
-        """Remember a true pose."""
-        self._true.extend((pose.stamp, *pose.pose))
-
-    @property
-    def _table(self) -> Array:
-        return np.array(self._rows, np.float64).reshape(-1, WIDTH)
+    @cached_property
+    def rows(self) -> PathRows:
+        """The path with its covariances."""
+        return self.known.rows()
 
     @property
     def path(self) -> Array:
         """(n, 4) stamp, x, y, theta."""
-        return self._table[:, :4]
+        return np.column_stack((self.rows.stamps, self.rows.poses))
 
     @property
     def odometry(self) -> Array:
         """(n, 4) stamp, x, y, theta."""
-        return self._table[:, [0, 4, 5, 6]]
-
-    @property
-    def true_path(self) -> Array:
-        """(m, 4) stamp, x, y, theta (NaN if not told); m = 0 where the log has no truth."""
-        return np.array(self._true, np.float64).reshape(-1, 4)
+        return self.known.odometry()
 
     @property
     def covariances(self) -> Array:
         """(n, 3, 3) of the poses."""
-        return self._table[:, [7, 8, 9, 8, 10, 11, 9, 11, 12]].reshape(-1, 3, 3)
+        return self.rows.covariances
 
     @property
     def sigmas(self) -> Array:
         """(n, 3) m, m, rad: standard deviations of the poses."""
-        return np.sqrt(np.maximum(self._table[:, [7, 10, 12]], 0.0))
-
-    def results(self) -> Iterator[StepResult]:
-        """Yield the poses again, as results without scans, observations and matches."""
-        for row, P in zip(self._table, self.covariances, strict=True):
-            pose = row[1:4]
-            yield StepResult(row[0], pose, P, row[4:7], pose, None, (), (), (), ())
-
-    @property
-    def matches(self) -> Array:
-        """(n, 3) matches, NIS and its degrees of freedom of each scan."""
-        return self._table[:, 13:]
+        return np.sqrt(np.maximum(np.diagonal(self.covariances, axis1=1, axis2=2), 0.0))

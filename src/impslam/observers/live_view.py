@@ -5,18 +5,20 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
-from impslam.geometry.se2 import transform
-from impslam.mapping.grid import OccupancyGrid
+from impslam.geometry.se2 import inverse, transform
+from impslam.map import Keyframe, Keyframes, Map, PathRows, Revision, Track
+from impslam.map_builder import valid_points
+from impslam.maps.grid import OccupancyGrid
 from impslam.observers.base import Observer, Outcome
-from impslam.observers.grid_picture import GridPicture, frozen, paint
+from impslam.observers.grid_picture import GridPicture, paint
 from impslam.observers.thin_path import Points, ThinPath
-from impslam.trust import Trust
-from impslam.types import Array, Landmark, StepResult, TruePose
+from impslam.observers.trust import Trust
+from impslam.types import Array, Landmark, Scan, TruePose
 
 __all__ = ["GridPicture", "LiveView", "Snapshot"]
 
@@ -81,8 +83,14 @@ def _empty(version: int, run: int) -> Snapshot:
     )  # fmt: skip
 
 
-def _no_landmarks() -> tuple[Landmark, ...]:
-    return ()
+class Growing(Protocol):
+    """A run whose map grows."""
+
+    def map(self) -> Map:
+        """Return the map by now."""
+
+    def keyframes(self) -> Keyframes:
+        """Return its keyframes, which costs less."""
 
 
 class LiveView(Observer):
@@ -96,18 +104,18 @@ class LiveView(Observer):
         self._shown = _empty(0, 0)
         self._painter: threading.Thread | None = None
         self._picture: tuple[int, GridPicture] | None = None  # of which run
-        self._forget(_no_landmarks, OccupancyGrid())
+        self._forget(None, 0.05)
 
-    def _forget(self, landmarks: Callable[[], tuple[Landmark, ...]], grid: OccupancyGrid) -> None:
-        self._landmarks, self._grid = landmarks, grid
+    def _forget(self, run: Growing | None, resolution: float) -> None:
+        self._run, self._grid = run, OccupancyGrid(resolution)
         self._path, self._trust = ThinPath(), Trust()
         self._expected: deque[tuple[float, float]] = deque(maxlen=EXPECTED)
         self._truth: Array | None = None
         self._stale, self._map_due, self._grid_due = False, 0.0, 0.0
 
-    def begin(self, landmarks: Callable[[], tuple[Landmark, ...]], grid: OccupancyGrid) -> None:
-        """Begin a new map: `landmarks` gives it, `grid` is the one that grows along with it."""
-        self._forget(landmarks, grid)
+    def begin(self, run: Growing, resolution: float = 0.05) -> None:
+        """Begin a new map, that of a run; `resolution` is a side of its grid's cells, m."""
+        self._forget(run, resolution)
         self._shown = _empty(self._shown.version + 1, self._shown.run + 1)
 
     def expect(self, stamp: float, arrived: float) -> None:
@@ -118,38 +126,52 @@ class LiveView(Observer):
         """Return the state by now; it takes no time, and never waits."""
         return self._shown
 
-    def step(self, result: StepResult) -> None:
-        """Show a scan's result."""
-        before = self._shown
-        self._path.add(float(result.pose[0]), float(result.pose[1]))
+    def follow(self, track: Track, path: PathRows) -> None:
+        """Show the newest sweep of a track."""
+        row = track.rows.stop - 1
+        points = _points(track.sweeps.scan(row), track.sweeps.T_middle_stamp[row])
+        self._trust.follow(track, path)
+        self._show(path, points)
+
+    def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
+        """Show a keyframe and what it has taught."""
+        self._stale = True
+        points = _points(keyframe.scan, keyframe.T_keyframe_stamp)
+        self._trust.revise(keyframe, revision, path)
+        self._show(path, points)
+
+    def _show(self, path: PathRows, points: Points) -> None:
+        before, stamp = self._shown, float(path.stamps[-1])
+        for x, y, _ in path.poses.tolist():
+            self._path.add(x, y)
         self._shown = Snapshot(
             before.version + 1,
             before.run,
-            result.stamp,
-            before.scans + 1,
-            result.pose,
-            result.covariance,
-            result.odometry,
+            stamp,
+            before.scans + len(path.stamps),
+            path.poses[-1],
+            path.covariances[-1],
+            path.odometry[-1],
             self._path.points,
-            self._map(result),
-            _points_in_map(result),
+            self._map(),
+            _moved(path.poses[-1], points),
             self._picture_now(),
-            self._trust.step(result),
-            self._arrival(result.stamp),
+            self._trust.health.at_end,
+            self._arrival(stamp),
             self._truth,
             finished=False,
         )
 
-    def carry(self, result: StepResult, silent: float) -> None:
+    def carry(self, path: PathRows, silent: float) -> None:
         """Show where dead reckoning says that the robot is after so many s without a scan."""
         nothing = np.empty((0, 2), np.float32)
         self._shown = replace(
             self._shown,
             version=self._shown.version + 1,
-            stamp=result.stamp,
-            pose=result.pose,
-            covariance=result.covariance,
-            odometry=result.odometry,
+            stamp=float(path.stamps[-1]),
+            pose=path.poses[-1],
+            covariance=path.covariances[-1],
+            odometry=path.odometry[-1],
             points=nothing,
             lost=f"no usable scan for {max(silent, 1.0):.0f} s; the pose is dead-reckoned",
             arrived=float("nan"),
@@ -161,29 +183,30 @@ class LiveView(Observer):
 
     def refresh(self) -> None:
         """Show landmarks and grid as they are by now, for a run that pauses."""
-        self._complete(self._landmarks(), finished=False)
+        if self._run is not None:
+            self._complete(self._run.map(), finished=False)
 
-    def finish(self, outcome: Outcome) -> None:
+    def finish(self, known: Map, outcome: Outcome) -> None:
         """Show the map as it is at the end."""
-        self._complete(outcome.landmarks, finished=True)
+        del outcome
+        self._complete(known, finished=True)
 
-    def _complete(self, landmarks: tuple[Landmark, ...], finished: bool) -> None:
+    def _complete(self, known: Map, finished: bool) -> None:
         if self._painter is not None:
             self._painter.join()
-        self._paint(frozen(self._grid), self._shown.run)
+        self._paint(known.keyframes, self._grid, self._shown.run)
         shown, grid = self._shown, self._painted()
         version = shown.version + 1
         self._shown = replace(
-            shown, version=version, landmarks=landmarks, grid=grid, finished=finished
+            shown, version=version, landmarks=known.landmarks, grid=grid, finished=finished
         )
 
-    def _map(self, result: StepResult) -> tuple[Landmark, ...]:
+    def _map(self) -> tuple[Landmark, ...]:
         """Return the landmarks, read anew if they may have changed and it is time."""
-        self._stale |= bool(result.observations or result.new or result.removed)
         begin = time.monotonic()
-        if not self._stale or begin < self._map_due:
+        if not self._stale or begin < self._map_due or self._run is None:
             return self._shown.landmarks
-        landmarks = self._landmarks()
+        landmarks = self._run.map().landmarks
         took = time.monotonic() - begin
         self._stale, self._map_due = False, begin + max(LANDMARKS, took / SHARE)
         return landmarks
@@ -192,10 +215,11 @@ class LiveView(Observer):
         """Return the newest picture of the grid; have the next one made if it is time."""
         run, moment = self._shown.run, time.monotonic()
         idle = self._painter is None or not self._painter.is_alive()
-        if idle and moment >= self._grid_due:
+        if idle and moment >= self._grid_due and self._run is not None:
             self._grid_due = moment + GRID
+            keyframes = self._run.keyframes()
             self._painter = threading.Thread(
-                target=self._paint, args=(frozen(self._grid), run), name="grid", daemon=True
+                target=self._paint, args=(keyframes, self._grid, run), name="grid", daemon=True
             )
             self._painter.start()
         return self._painted()
@@ -205,7 +229,8 @@ class LiveView(Observer):
         made = self._picture
         return made[1] if made is not None and made[0] == self._shown.run else None
 
-    def _paint(self, grid: OccupancyGrid, run: int) -> None:
+    def _paint(self, keyframes: Keyframes, grid: OccupancyGrid, run: int) -> None:
+        keyframes.draw(grid)
         before = self._picture
         picture = paint(grid, 1 if before is None else before[1].version + 1)
         if before is None or before[0] != run or not _same(before[1], picture):
@@ -220,11 +245,15 @@ class LiveView(Observer):
         return float("nan")
 
 
-def _points_in_map(result: StepResult) -> Points:
-    scan = result.scan
+def _points(scan: Scan | None, T_middle_stamp: Array) -> Points:
+    """Return where the valid beams ended, in base_link at the scan's stamp."""
     if scan is None:
         return np.empty((0, 2), np.float32)
-    return transform(result.scan_pose, scan.points[scan.valid]).astype(np.float32)
+    return _moved(inverse(T_middle_stamp), valid_points(scan))
+
+
+def _moved(T: Array, points: Points) -> Points:
+    return transform(T, points.astype(np.float64)).astype(np.float32)
 
 
 def _same(a: GridPicture, b: GridPicture) -> bool:

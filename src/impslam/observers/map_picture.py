@@ -9,7 +9,7 @@ import numpy as np
 
 from impslam.evaluation import colours
 from impslam.evaluation.colours import INK, ODOMETRY, PATH, POINT, SIGMAS, TRUTH, WALL
-from impslam.mapping.files import FREE, OCCUPIED, MapImage
+from impslam.maps.files import FREE, OCCUPIED, MapImage
 from impslam.observers.canvas import Canvas, Picture, colour, png
 from impslam.observers.map_frame import CIRCLE, SQUARE, Frame, Key
 from impslam.types import Array, Landmark

@@ -1,27 +1,38 @@
-"""Writes the run folder: the same names always, and the same bytes for the same run but for times."""
+"""Writes the run folder: the live path while it is driven, the rest at the end."""
 
 from __future__ import annotations
 
-import json
+from array import array
 from collections.abc import Sequence
 from pathlib import Path
 
-from impslam.errors import ImpError
-from impslam.evaluation.landmark_files import TRUE_LANDMARKS, write_true_landmarks
-from impslam.mapping.files import map_image, write_landmarks, write_map
-from impslam.mapping.grid import OccupancyGrid
+import numpy as np
+
+from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer, Outcome
-from impslam.observers.grid_mapper import GridMapper
-from impslam.observers.summary import Distance, config_toml, summarise
+from impslam.observers.run_folder import make_run_folder, write_run
 from impslam.observers.trajectory import TrajectoryWriter
-from impslam.types import StepResult, TrueLandmark, TruePose
+from impslam.types import Array, TrueLandmark, TruePose
 
 
-class Recorder(Observer):
-    """Writes a run into a folder, which is made if need be.
+class Truth(Observer):
+    """Keeps the true path."""
 
-    The path is written while it is driven; the map, landmarks.csv, summary.json and config.toml at
-    the end, and truth.landmarks.csv where there are true landmarks. `grid` is one to go on with.
+    def __init__(self) -> None:
+        self._rows = array("d")
+
+    def truth(self, pose: TruePose) -> None:
+        """Keep a true pose."""
+        self._rows.extend((pose.stamp, *pose.pose))
+
+    @property
+    def path(self) -> Array:
+        """(m, 4) stamp, x, y, theta (NaN if not told); m = 0 where the log has no truth."""
+        return np.array(self._rows, np.float64).reshape(-1, 4)
+
+
+class Recorder(Truth):
+    """Writes a run into a folder, which is made if need be; `known` are the true landmarks.
 
     Raises
     ------
@@ -29,50 +40,26 @@ class Recorder(Observer):
         If the folder cannot be written to.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        resolution: float = 0.05,
-        true_landmarks: Sequence[TrueLandmark] = (),
-        grid: OccupancyGrid | None = None,
-    ) -> None:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ImpError(
-                f"{folder}: cannot be made ({error.strerror}); choose another -o"
-            ) from None
-        self._folder, self._known = folder, true_landmarks
-        self._path, self._mapper, self._distance = (
-            TrajectoryWriter(folder),
-            GridMapper(resolution),
-            Distance(),
-        )
-        if grid is not None:
-            self._mapper.grid = grid
+    def __init__(self, folder: Path, known: Sequence[TrueLandmark] = ()) -> None:
+        super().__init__()
+        make_run_folder(folder)
+        self._folder, self._known = folder, known
+        self._live = TrajectoryWriter(folder)
 
-    @property
-    def grid(self) -> OccupancyGrid:
-        """The grid as it is by now, for observers that show it."""
-        return self._mapper.grid
+    def follow(self, track: Track, path: PathRows) -> None:
+        """Write the live path."""
+        self._live.follow(track, path)
 
-    def step(self, result: StepResult) -> None:
-        """Record one scan."""
-        for part in (self._path, self._mapper, self._distance):
-            part.step(result)
+    def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
+        """Write the live path."""
+        self._live.revise(keyframe, revision, path)
 
     def truth(self, pose: TruePose) -> None:
-        """Record a true pose."""
-        self._path.truth(pose)
+        """Write a true pose."""
+        super().truth(pose)
+        self._live.truth(pose)
 
-    def finish(self, outcome: Outcome) -> None:
+    def finish(self, known: Map, outcome: Outcome) -> None:
         """Write what is known only at the end."""
-        folder, grid = self._folder, self._mapper.grid
-        self._path.finish(outcome)
-        write_map(folder, map_image(grid))
-        write_landmarks(folder / "landmarks.csv", outcome.landmarks)
-        if self._known:
-            write_true_landmarks(folder / TRUE_LANDMARKS, self._known)
-        facts = summarise(outcome, self._distance, grid.refused)
-        (folder / "summary.json").write_text(json.dumps(facts, indent=2, ensure_ascii=False) + "\n")
-        (folder / "config.toml").write_text(config_toml(outcome.config), encoding="utf-8")
+        self._live.finish(known, outcome)
+        write_run(self._folder, known, outcome, self.path, self._known)

@@ -8,11 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from impslam.mapping.files import MapImage, map_image
-from impslam.mapping.grid import OccupancyGrid
+from impslam.maps.files import MapImage
 from impslam.observers import accuracy
-from impslam.observers.base import Observer, Outcome
-from impslam.observers.grid_mapper import GridMapper
+from impslam.observers.base import Outcome
 from impslam.observers.history import History
 from impslam.observers.map_picture import Scene, map_png
 from impslam.observers.page import page, section
@@ -25,62 +23,34 @@ from impslam.observers.sections import (
     stages,
     uncertainty,
 )
-from impslam.types import Landmark, StepResult, TrueLandmark, TruePose
+from impslam.types import Landmark, TrueLandmark
 
 
-class Report(Observer):
-    """Draws the run and tells what came of it.
-
-    Parameters
-    ----------
-    folder : where report.html and report.png go; it must exist when the run ends
-    grid : the grid that another observer builds along the run; without one the report builds it
-    truth_landmarks : what is really there, in the truth's frame, where that is known
-    history : of the scans before, where the report begins in the middle of a run
-    """
-
-    def __init__(
-        self,
-        folder: Path,
-        grid: OccupancyGrid | None = None,
-        truth_landmarks: Sequence[TrueLandmark] = (),
-        history: History | None = None,
-    ) -> None:
-        self._folder, self._known = folder, truth_landmarks
-        self._history = History() if history is None else history
-        self._mapper = GridMapper() if grid is None else None
-        self._grid = grid if self._mapper is None else self._mapper.grid
-
-    def step(self, result: StepResult) -> None:
-        """Remember a scan."""
-        self._history.step(result)
-        if self._mapper is not None:
-            self._mapper.step(result)
-
-    def truth(self, pose: TruePose) -> None:
-        """Remember a true pose."""
-        self._history.truth(pose)
-
-    def finish(self, outcome: Outcome) -> None:
-        """Write the page and the picture."""
-        assert self._grid is not None
-        history = self._history
-        laid = accuracy.laid_in_map(history)
-        truth = np.zeros((0, 2)) if laid is None else laid.pairs.truth[:, :2]
-        picture = draw(map_image(self._grid), history, truth, outcome.landmarks)
-        (self._folder / "report.png").write_bytes(picture)
-        sections = [
-            heading(outcome, history),
-            section("Map", _image(picture), note=MAP_NOTE),
-            accuracy.section_of(laid, history, outcome.landmarks, self._known),
-            uncertainty(history),
-            landmark_table(outcome.landmarks),
-            matching(history),
-            '<div class="columns">' + stages(outcome) + dropped(outcome) + "</div>",
-            details(outcome),
-        ]
-        text = page(f"{outcome.log.name} · impslam", sections)
-        (self._folder / "report.html").write_text(text, encoding="utf-8")
+def write_report(
+    folder: Path,
+    history: History,
+    outcome: Outcome,
+    image: MapImage,
+    true_landmarks: Sequence[TrueLandmark] = (),
+) -> None:
+    """Write the page and the picture into a folder; `true_landmarks` are in the truth's frame."""
+    landmarks = history.known.landmarks
+    laid = accuracy.laid_in_map(history)
+    truth = np.zeros((0, 2)) if laid is None else laid.pairs.truth[:, :2]
+    picture = draw(image, history, truth, landmarks)
+    (folder / "report.png").write_bytes(picture)
+    sections = [
+        heading(outcome, history),
+        section("Map", _image(picture), note=MAP_NOTE),
+        accuracy.section_of(laid, history, landmarks, true_landmarks),
+        uncertainty(history),
+        landmark_table(landmarks),
+        matching(history),
+        '<div class="columns">' + stages(outcome) + dropped(outcome) + "</div>",
+        details(outcome),
+    ]
+    text = page(f"{outcome.log.name} · impslam", sections)
+    (folder / "report.html").write_text(text, encoding="utf-8")
 
 
 MAP_NOTE = (

@@ -11,7 +11,8 @@ import numpy as np
 from impslam.observers.base import Outcome
 from impslam.observers.history import History
 from impslam.observers.page import Line, chart, escape, folded, section, table, tiles
-from impslam.observers.summary import config_toml, real_time_factor, stage_times, versions
+from impslam.observers.summary import config_toml, length, real_time_factor, stage_times
+from impslam.provenance import versions
 from impslam.types import Landmark
 
 ANGLES = {"alpha": "α", "angle": "angle", "heading": "heading"}
@@ -21,10 +22,9 @@ NO_LANDMARKS = "<p>No landmark was found. The path is dead reckoning.</p>"
 
 def heading(outcome: Outcome, history: History) -> str:
     """Return the title and the headline figures."""
-    kinds = Counter(mark.kind for mark in outcome.landmarks)
+    landmarks = history.known.landmarks
+    kinds = Counter(mark.kind for mark in landmarks)
     found = ", ".join(f"{n} {kind}{'s' * (n > 1)}" for kind, n in sorted(kinds.items()))
-    steps = np.diff(history.path[:, 1:3], axis=0)
-    length = float(np.hypot(*steps.T).sum())
     scans = len(history.path)
     speed = real_time_factor(outcome)
     per_scan = 1e3 * outcome.wall_seconds / scans if scans else math.nan
@@ -33,8 +33,8 @@ def heading(outcome: Outcome, history: History) -> str:
     facts = {
         "Scans": (f"{scans:,}", f"{lost:,} problems in the log" if lost else "none dropped"),
         "Duration": (duration(seconds), f"{scans / seconds:.1f} scans/s" if seconds > 0 else ""),
-        "Path": (f"{length:.1f} m", "estimated"),
-        "Landmarks": (str(len(outcome.landmarks)), found),
+        "Path": (f"{length(history.path):.1f} m", "estimated"),
+        "Landmarks": (str(len(landmarks)), found),
         "Speed": (f"{speed:,.0f}×", f"real time, {per_scan:.2f} ms a scan"),
     }
     title = f"<h1>{escape(outcome.log.name)}</h1><p>Mapped by impslam</p>"
@@ -70,9 +70,10 @@ def uncertainty(history: History) -> str:
 
 def matching(history: History) -> str:
     """Return the charts of matches and of normalised innovations."""
-    if len(history.path) < 2:
+    keyframes = history.known.keyframes
+    if len(keyframes) < 2:
         return ""
-    t, (count, nis, dof) = history.path[:, 0], history.matches.T
+    t, (count, nis, dof) = keyframes.stamps, keyframes.innovations.T
     width = max(1, len(t) // 100)
     parts = len(t) // width
     edges = np.arange(parts) * width
@@ -81,7 +82,7 @@ def matching(history: History) -> str:
     mean = np.add.reduceat(count, edges) / np.diff(edges, append=len(t))
     lines = [Line("", ratio, "a"), Line("ideal", np.ones(parts), "bound")]
     charts = (
-        chart("Landmarks matched per scan", t[edges], [Line("", mean, "b")]),
+        chart("Landmarks matched per keyframe", t[edges], [Line("", mean, "b")]),
         chart("NIS per degree of freedom", t[edges], lines),
     )
     note = (

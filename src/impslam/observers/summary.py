@@ -4,39 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import math
-import platform
 from collections import Counter
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
 import tomli_w
 
-from impslam.observers.base import Observer, Outcome
-from impslam.types import Array, StepResult
-
-PACKAGES = ("impslam", "numpy", "numba", "scipy", "opencv-python-headless")
-
-
-class Distance(Observer):
-    """Adds up the length of the path, of the estimate and of dead reckoning, in m."""
-
-    def __init__(self) -> None:
-        self.path = self.odometry = 0.0
-        self._last: StepResult | None = None
-
-    def step(self, result: StepResult) -> None:
-        """Move on."""
-        if self._last is not None:
-            self.path += math.dist(result.pose[:2], self._last.pose[:2])
-            self.odometry += math.dist(result.odometry[:2], self._last.odometry[:2])
-        self._last = result
+from impslam.map import Map
+from impslam.observers.base import Outcome
+from impslam.provenance import versions
+from impslam.types import Array
 
 
-def summarise(outcome: Outcome, distance: Distance, refused: int) -> dict[str, Any]:
+def summarise(outcome: Outcome, known: Map, refused: int) -> dict[str, Any]:
     """Return what summary.json holds. All that differs from run to run stands under "time"."""
-    kinds = Counter(mark.kind for mark in outcome.landmarks)
+    kinds = Counter(mark.kind for mark in known.landmarks)
     return {
         "log": {
             "path": str(outcome.log),
@@ -49,8 +32,8 @@ def summarise(outcome: Outcome, distance: Distance, refused: int) -> dict[str, A
         "landmarks": dict(sorted(kinds.items())),
         "state_size": outcome.state_size,
         "path_length_m": {
-            "slam": _round(distance.path, 6),
-            "odometry": _round(distance.odometry, 6),
+            "slam": _round(length(known.path()), 6),
+            "odometry": _round(length(known.odometry()), 6),
         },
         "health": {
             "doubted_scans": outcome.health.doubted,
@@ -86,15 +69,9 @@ def stage_times(seconds: Array) -> dict[str, float | None]:
     return {name: _round(1e3 * value, 4) for name, value in values.items()}
 
 
-def versions() -> dict[str, str]:
-    """Return the versions of all that a result may depend on."""
-    found = {"python": platform.python_version(), "platform": platform.platform()}
-    for package in PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed as a package"
-    return found
+def length(path: Array) -> float:
+    """Return how long a path (n, 4) of stamp, x, y, theta is, m."""
+    return float(np.hypot(*np.diff(path[:, 1:3], axis=0).T).sum())
 
 
 def config_toml(config: Mapping[str, Any]) -> str:

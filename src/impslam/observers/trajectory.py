@@ -1,14 +1,18 @@
-"""Writes the path while it is driven: memory stays flat, and a run cut short leaves its path."""
+"""Writes the path while it is driven: a run that is cut short leaves its path."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from impslam.errors import ImpError
-from impslam.evaluation.tum import PATH_COLUMNS, TRUTH, tum_row
-from impslam.observers.base import Observer, Outcome
-from impslam.types import StepResult, TruePose
+import numpy as np
 
+from impslam.errors import ImpError
+from impslam.evaluation.tum import TRUTH, tum_rows
+from impslam.map import Keyframe, Map, PathRows, Revision, Track
+from impslam.observers.base import Observer, Outcome
+from impslam.types import TruePose
+
+LIVE = "trajectory.live.tum"
 FLUSH = 100
 """Rows kept back at most: 10 s of a lidar at 10 Hz."""
 
@@ -16,21 +20,24 @@ FLUSH = 100
 class Rows:
     """A text file that grows by rows; it is open only while it is written to."""
 
-    def __init__(self, path: Path, header: str = "") -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
         self._pending: list[str] = []
-        _append(path, header, "w")
+        self._count = 0
+        _append(path, "", "w")
 
-    def add(self, row: str) -> None:
-        """Append a row, line end included."""
-        self._pending.append(row)
-        if len(self._pending) >= FLUSH:
+    def add(self, rows: str, count: int) -> None:
+        """Append so many rows, line ends included."""
+        self._pending.append(rows)
+        self._count += count
+        if self._count >= FLUSH:
             self.flush()
 
     def flush(self) -> None:
         """Write what is pending."""
         _append(self.path, "".join(self._pending), "a")
         self._pending.clear()
+        self._count = 0
 
 
 def _append(path: Path, text: str, mode: str) -> None:
@@ -42,33 +49,32 @@ def _append(path: Path, text: str, mode: str) -> None:
 
 
 class TrajectoryWriter(Observer):
-    """Writes trajectory.tum, odometry.tum, trajectory.csv; truth.tum where the log has a truth."""
+    """Writes trajectory.live.tum, and truth.tum where the log has a truth."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._path = Rows(folder / "trajectory.tum")
-        self._odometry = Rows(folder / "odometry.tum")
-        self._table = Rows(folder / "trajectory.csv", PATH_COLUMNS + "\n")
+        self._path = Rows(folder / LIVE)
         self._truth: Rows | None = None
 
-    def step(self, result: StepResult) -> None:
-        """Append the pose of a scan."""
-        (x, y, theta), P = result.pose, result.covariance
-        self._path.add(tum_row(result.stamp, result.pose))
-        self._odometry.add(tum_row(result.stamp, result.odometry))
-        entries = (P[0, 0], P[0, 1], P[0, 2], P[1, 1], P[1, 2], P[2, 2])
-        spread = ",".join(f"{value:.9e}" for value in entries)
-        self._table.add(f"{result.stamp:.9f},{x:.9f},{y:.9f},{theta:.9f},{spread}\n")
+    def follow(self, track: Track, path: PathRows) -> None:
+        """Append the poses of a track."""
+        del track
+        self._path.add(tum_rows(path.stamps, path.poses), len(path.stamps))
+
+    def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
+        """Append the pose at a keyframe."""
+        del keyframe, revision
+        self._path.add(tum_rows(path.stamps, path.poses), 1)
 
     def truth(self, pose: TruePose) -> None:
         """Append a true pose."""
         if self._truth is None:
             self._truth = Rows(self._folder / TRUTH)
-        self._truth.add(tum_row(pose.stamp, pose.pose))
+        self._truth.add(tum_rows(np.array([pose.stamp]), pose.pose[None]), 1)
 
-    def finish(self, outcome: Outcome) -> None:
+    def finish(self, known: Map, outcome: Outcome) -> None:
         """Write the last rows."""
-        del outcome
-        for rows in (self._path, self._odometry, self._table, self._truth):
+        del known, outcome
+        for rows in (self._path, self._truth):
             if rows is not None:
                 rows.flush()

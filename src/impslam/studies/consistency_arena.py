@@ -19,7 +19,7 @@ from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.studies.arena_experiment import true_landmarks
 from impslam.studies.job import Job
 from impslam.studies.sweep import ROBOT, Row, Run, Variant, by_variant, sweep
-from impslam.types import Array, Landmark, StepResult, TrueLandmark
+from impslam.types import Array, Landmark, Match, Observation, TrueLandmark
 
 FILTERS = ("ekf", "riekf")
 KINDS = ("cylinder", "wall", "corner")
@@ -120,8 +120,8 @@ def arena_consistency(
 
 def consistency_metrics(run: Run) -> Row:
     """Return the pose NEES (n,) by time (n,), and the means by kind of NIS and landmarks' NEES."""
-    stamps = np.array([step.stamp for step in run.steps])
-    nis, landmarks = nis_by_kind(run.steps), landmark_nees(run.landmarks, true_landmarks())
+    stamps = run.rows.stamps
+    nis, landmarks = nis_by_kind(run.matches), landmark_nees(run.landmarks, true_landmarks())
     return {
         "times": stamps - stamps[0],
         "nees_by_time": run.nees,
@@ -130,13 +130,12 @@ def consistency_metrics(run: Run) -> Row:
     }
 
 
-def nis_by_kind(steps: Iterable[StepResult]) -> dict[str, float]:
+def nis_by_kind(matches: Iterable[tuple[Observation, Match]]) -> dict[str, float]:
     """Return the mean over all matches of a kind of their NIS, over its dimension: ideally 1."""
     found: dict[str, list[float]] = {}
-    for step in steps:
-        for match in step.matches:
-            kind = step.observations[match.observation].kind
-            found.setdefault(kind, []).append(match.distance2 / len(match.innovation))
+    for observation, match in matches:
+        ratio = match.distance2 / len(match.innovation)
+        found.setdefault(observation.kind, []).append(ratio)
     return {kind: float(np.mean(values)) for kind, values in found.items()}
 
 

@@ -11,7 +11,7 @@ For example, a gate tuned over ten drives through each of two worlds:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
 from typing import Any, NamedTuple, TypeAlias
@@ -21,12 +21,14 @@ import numpy as np
 from impslam.config import Config, load
 from impslam.errors import ImpError
 from impslam.evaluation.consistency import chi2_bounds, nees, pose_errors
-from impslam.pipeline import Pipeline
+from impslam.map import Keyframe, PathRows, Revision
+from impslam.observers.base import Observer
+from impslam.run import Run as Course
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import World, load_world
 from impslam.studies.job import Job
-from impslam.types import Array, Landmark, Message, Observation, StepResult, TruePose
+from impslam.types import Array, Landmark, Match, Message, Observation, TruePose
 
 Row: TypeAlias = dict[str, Any]
 """A run in the table: world, variant, seed, error (why it failed, or ""), then its metrics."""
@@ -65,8 +67,9 @@ class Run:
     Attributes
     ----------
     messages : what the robot recorded
-    truth : (n, 3) true poses in map at the stamps of the n steps
-    steps : n results, without their scans
+    truth : (n, 3) true poses in map at the stamps of the n scans
+    rows : the path, as each pose was known at the time
+    matches : all observations that were taken for a landmark, and how well they fitted
     landmarks : the map at the end
     promotions : of all landmarks that were ever in the map
     """
@@ -76,19 +79,20 @@ class Run:
     seed: int
     messages: Sequence[Message]
     truth: Array
-    steps: Sequence[StepResult]
+    rows: PathRows
+    matches: Sequence[tuple[Observation, Match]]
     landmarks: tuple[Landmark, ...]
     promotions: Sequence[Promotion]
 
     @cached_property
     def path(self) -> Array:
         """Estimated poses (n, 3) in map."""
-        return np.array([step.pose for step in self.steps])
+        return self.rows.poses
 
     @cached_property
     def odometry(self) -> Array:
         """Poses (n, 3) by dead reckoning, in map."""
-        return np.array([step.odometry for step in self.steps])
+        return self.rows.odometry
 
     @cached_property
     def errors(self) -> Array:
@@ -98,8 +102,7 @@ class Run:
     @cached_property
     def nees(self) -> Array:
         """Normalised errors squared (n,) of the poses."""
-        covariances = np.array([step.covariance for step in self.steps])
-        return nees(pose_errors(self.path, self.truth), covariances)
+        return nees(pose_errors(self.path, self.truth), self.rows.covariances)
 
     @cached_property
     def travelled(self) -> Array:
@@ -109,19 +112,34 @@ class Run:
         )
 
 
+class _Sightings(Observer):
+    """Keeps the matches, and the observations that landmarks were made of."""
+
+    def __init__(self) -> None:
+        self.matches: list[tuple[Observation, Match]] = []
+        self.promotions: list[Promotion] = []
+
+    def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
+        """Keep what a keyframe has taught."""
+        del path
+        seen = keyframe.observations
+        self.matches += [(seen[match.observation], match) for match in revision.matches]
+        self.promotions += [
+            Promotion(number, keyframe.stamp, seen[origin])
+            for number, origin in zip(revision.born, revision.origins, strict=True)
+        ]
+
+
 def map_run(messages: Sequence[Message], world: World, variant: Variant, seed: int) -> Run:
     """Map what the robot recorded."""
-    pipeline = Pipeline(variant.config(world, seed))
+    seen = _Sightings()
+    known = Course(variant.config(world, seed), [seen]).play(messages)
     truth = {m.stamp: m.pose for m in messages if isinstance(m, TruePose)}
-    steps, promotions = [], []
-    for step in pipeline.play(messages):
-        steps.append(replace(step, scan=None))
-        for number, observation in zip(step.new, step.born, strict=True):
-            seen = step.observations[observation]
-            promotions.append(Promotion(number, step.stamp, seen))
-    true = np.array([truth[step.stamp] for step in steps])
-    landmarks = pipeline.slam.landmarks()
-    return Run(world, variant, seed, messages, true, steps, landmarks, promotions)
+    true = np.array([truth[stamp] for stamp in known.stamps.tolist()])
+    marks = known.landmarks
+    return Run(
+        world, variant, seed, messages, true, known.rows(), seen.matches, marks, seen.promotions
+    )
 
 
 def simulate_and_map(world: World, variants: Sequence[Variant], seed: int) -> dict[str, Run]:

@@ -20,13 +20,12 @@ from impslam.errors import ImpError
 from impslam.extractors.base import Extractor
 from impslam.observers.live_view import LiveView
 from impslam.observers.recorder import Recorder
-from impslam.observers.report import Report
-from impslam.pipeline import run
 from impslam.platform.devices.base import now
 from impslam.platform.station import mapper as module
 from impslam.platform.station import warm_up as warm
 from impslam.platform.station.inbox import Inbox
 from impslam.platform.station.mapper import LiveMapper
+from impslam.run import map_log
 from impslam.simulation.world import load_world
 from impslam.types import Climate, DeviceTime, LaserScan, TruePose, WheelAngles
 
@@ -140,8 +139,7 @@ def test_who_waits_at_the_inbox_is_woken():
 def test_a_live_map_is_that_of_the_log(room, tmp_path):
     config = load("imp")
     log, saved = tmp_path / "log", tmp_path / "live"
-    recorder = Recorder(log)
-    outcome = run(config, Played.of(room, tmp_path), [recorder, Report(log, recorder.grid)])
+    of_log = map_log(config, Played.of(room, tmp_path), [Recorder(log)])
     view = LiveView()
     mapper = live(config, view)
     mapper.start()
@@ -150,7 +148,14 @@ def test_a_live_map_is_that_of_the_log(room, tmp_path):
     assert mapper.save(saved) == saved
     assert mapper.status().state == "running"
     mapper.stop()
-    same = {"trajectory.tum", "trajectory.csv", "odometry.tum", "landmarks.csv", "map.pgm"}
+    same = {
+        "trajectory.tum",
+        "trajectory.live.tum",
+        "trajectory.csv",
+        "odometry.tum",
+        "landmarks.csv",
+        "map.pgm",
+    }
     for name in same | {"map.yaml", "config.toml", "report.png"}:
         assert (saved / name).read_bytes() == (log / name).read_bytes(), name
     assert {p.name for p in saved.iterdir()} == {p.name for p in log.iterdir()}
@@ -158,8 +163,8 @@ def test_a_live_map_is_that_of_the_log(room, tmp_path):
     for key in ("counts", "landmarks", "path_length_m", "state_size", "config_sha256", "dropped"):
         assert facts[key] == known[key]
     shown = view.snapshot()
-    assert shown.scans == outcome.counts["steps"]
-    known_ids = {mark.id for mark in outcome.landmarks}
+    assert shown.scans == len(of_log.stamps)
+    known_ids = {mark.id for mark in of_log.landmarks}
     assert len(known_ids & {mark.id for mark in shown.landmarks}) > 4  # it may be 0.2 s older
 
 
@@ -235,7 +240,7 @@ def test_a_robot_whose_lidar_is_silent_is_shown_where_its_wheels_say(tmp_path):
     mapper.stop()
     recorder = Recorder(tmp_path / "log")
     heard = [*messages[:third], *blind, *messages[2 * third :]]
-    run(load("imp"), Played.of(heard, tmp_path), [recorder])
+    map_log(load("imp"), Played.of(heard, tmp_path), [recorder])
     paths = [(tmp_path / name / "trajectory.tum").read_text() for name in ("live", "log")]
     assert paths[0] == paths[1], "looking changes nothing"
 
@@ -270,7 +275,7 @@ def test_what_the_estimator_does_not_understand_is_passed_over(room):
         mapper.put(message)
     hand(mapper, room[:400])
     wait_until(lambda: mapper.status().steps > 3)
-    assert set(mapper._mapping.run.pipeline.counts) == {"WheelAngles", "LaserScan"}
+    assert set(mapper._mapping.run.robot.counts) == {"WheelAngles", "LaserScan"}
     mapper.stop()
 
 
@@ -301,7 +306,7 @@ def test_a_slow_computer_drops_whole_scans_and_stays_near(room, caplog):
         mapper.stop()
         mapper._mapping.thread.join()
     status = mapper.status()
-    left = mapper._mapping.run.pipeline.waiting
+    left = mapper._mapping.run.robot.waiting
     assert status.steps + status.dropped_scans + left == most
     assert left <= 1
     assert 8 <= status.steps <= 35
@@ -309,7 +314,7 @@ def test_a_slow_computer_drops_whole_scans_and_stays_near(room, caplog):
     bound = 3 * period + 2 * seconds + 0.6  # and what a busy machine takes; without drops 2 s
     assert np.nanmax(latency) < bound
     assert np.nanmax(behind) < bound + seconds + period
-    counts = mapper._mapping.run.pipeline.counts
+    counts = mapper._mapping.run.robot.counts
     assert counts["WheelAngles"] == 5 * most + 1
     way = view.snapshot().odometry[0] - 0.0635 * view.snapshot().stamp
     assert abs(way) < 1e-6  # the motion is complete, whatever was dropped
@@ -418,7 +423,7 @@ def test_bad_messages_do_not_end_the_map(room):
         hand(mapper, [spoiled])
     drain(mapper)
     status = mapper.status()
-    left = mapper._mapping.run.pipeline.waiting
+    left = mapper._mapping.run.robot.waiting
     assert status.state == "running"
     assert status.refused > 0
     assert status.steps + status.refused + left == len(scans(room[:500]))

@@ -14,11 +14,10 @@ from impslam.errors import ImpError, SourceError
 from impslam.observers.base import Observer
 from impslam.observers.live_view import LiveView
 from impslam.observers.recorder import Recorder
-from impslam.observers.report import Report
-from impslam.pipeline import run
 from impslam.platform.station import player as module
 from impslam.platform.station.pace import Pace
 from impslam.platform.station.player import Player, play_live
+from impslam.run import map_log
 from impslam.simulation.world import load_world
 from impslam.types import LaserScan
 
@@ -36,11 +35,14 @@ class Moments(Observer):
     def __init__(self):
         self.stamps, self.moments, self.outcome = [], [], None
 
-    def step(self, result):
-        self.stamps.append(result.stamp)
-        self.moments.append(time.monotonic())
+    def follow(self, track, path):
+        self.stamps += path.stamps.tolist()
+        self.moments += [time.monotonic()] * len(path.stamps)
 
-    def finish(self, outcome):
+    def revise(self, keyframe, revision, path):
+        self.follow(None, path)
+
+    def finish(self, known, outcome):
         self.outcome = outcome
 
 
@@ -74,14 +76,13 @@ def shifted(messages, by, begin, end=math.inf):
 def test_a_replay_writes_the_folder_of_a_run(room, tmp_path):
     config = load("imp")
     one, other = tmp_path / "one", tmp_path / "other"
-    recorder = Recorder(one)
-    outcome = run(config, Played.of(room, tmp_path), [recorder, Report(one, recorder.grid)])
-    view, recorder = LiveView(), Recorder(other)
-    playing = player(room, tmp_path, [recorder, Report(other, recorder.grid)], view)
+    known = map_log(config, Played.of(room, tmp_path), [Recorder(one)])
+    view = LiveView()
+    playing = player(room, tmp_path, [Recorder(other)], view)
     assert playing.status().state == "ready"
     playing.set_speed(INF)
     playing.start()
-    assert playing.wait(60.0).counts == outcome.counts
+    assert playing.wait(60.0).about == known.about
     different = {"summary.json", "report.html"}  # times
     assert {p.name for p in one.iterdir()} == {p.name for p in other.iterdir()}
     for path in one.iterdir():
@@ -93,7 +94,7 @@ def test_a_replay_writes_the_folder_of_a_run(room, tmp_path):
     assert status.stamp == shown.stamp == scans(room)[-1].stamp
     assert status.seconds == pytest.approx(status.stamp - scans(room)[0].stamp)
     assert shown.finished
-    assert len(shown.landmarks) == len(outcome.landmarks)
+    assert len(shown.landmarks) == len(known.landmarks)
     assert shown.truth is not None
 
 
@@ -206,12 +207,12 @@ def test_at_a_halt_the_newest_map_is_shown(room, tmp_path):
     playing.start()
     wait_until(lambda: playing.status().steps > 60)
     playing.pause()
-    slam = playing._run.pipeline.slam
+    estimator = playing._run.estimator
 
     def seen(landmarks):
         return {mark.id: mark.observations for mark in landmarks}
 
-    wait_until(lambda: seen(view.snapshot().landmarks) == seen(slam.landmarks()), 5.0)
+    wait_until(lambda: seen(view.snapshot().landmarks) == seen(estimator.landmarks()), 5.0)
     assert max(seen(view.snapshot().landmarks).values()) > 5
     playing.stop()
 
@@ -307,7 +308,7 @@ def test_a_log_that_is_broken_fails_in_one_line(room, tmp_path):
 
 def test_an_observer_that_fails_is_told(room, tmp_path):
     class Broken(Observer):
-        def step(self, result):
+        def revise(self, keyframe, revision, path):
             raise ValueError("two\nlines")
 
     playing = player(room, tmp_path, [Broken()])
@@ -332,7 +333,7 @@ def test_orders_from_many_threads_leave_it_sound(room, tmp_path):
         thread.join()
     playing.set_speed(INF)
     playing.resume()
-    assert playing.wait(60.0).counts["steps"] == len(scans(room))
+    assert len(playing.wait(60.0).stamps) == len(scans(room))
 
 
 def test_stopping_waits_for_a_run_folder_that_is_being_written(room, tmp_path, monkeypatch):
@@ -340,7 +341,7 @@ def test_stopping_waits_for_a_run_folder_that_is_being_written(room, tmp_path, m
     begun = threading.Event()
 
     class Slow(Observer):
-        def finish(self, outcome):
+        def finish(self, known, outcome):
             begun.set()
             time.sleep(0.5)
 

@@ -10,18 +10,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
+from impslam.bookkeeping import about
+from impslam.columns import batch
 from impslam.config import Config
 from impslam.errors import ImpError
-from impslam.observers.grid_mapper import GridMapper
-from impslam.observers.history import History
+from impslam.map import Map
+from impslam.observers.base import Outcome
 from impslam.observers.live_view import LiveView
-from impslam.pipeline import Run
+from impslam.observers.recorder import Truth
+from impslam.observers.run_folder import write_run
 from impslam.platform.devices.base import now
-from impslam.platform.station import map_files
 from impslam.platform.station.inbox import LIMIT, Inbox
-from impslam.platform.station.map_files import Draft, draft
 from impslam.platform.station.warm_up import warm_up
-from impslam.types import Message
+from impslam.run import Run
+from impslam.types import Array, Message
 
 log = logging.getLogger(__name__)
 
@@ -133,9 +135,10 @@ class LiveMapper:
             If nothing is mapped yet, or the folder cannot be written to.
         """
         mapping = self._mapping
-        if mapping is None or mapping.run.steps == 0:
+        if mapping is None or mapping.run.scans == 0:
             raise ImpError("there is no map to save yet; start mapping and wait for a scan")
-        return map_files.write(folder, mapping.draft())
+        known, outcome, truth = mapping.draft()
+        return write_run(folder, known, outcome, truth)
 
     def status(self) -> MapperStatus:
         """Return how mapping is doing; never blocks."""
@@ -153,9 +156,9 @@ class _Mapping:
         before: threading.Thread | None,
     ) -> None:
         self._config, self._view, self._prepare, self._before = config, view, prepare, before
-        self._grid, self._history = GridMapper(config.grid.resolution), History()
-        self.run = Run(config, [self._grid, self._history, view])
-        robot = self.run.pipeline.robot
+        self._truth = Truth()
+        self.run = Run(config, [self._truth, view])
+        robot = self.run.robot
         self._scans = tuple(sensor.consumes for sensor in robot.sensors.values())
         self._wanted = (robot.odometry.consumes, *self._scans)
         self._inbox = Inbox()
@@ -163,7 +166,7 @@ class _Mapping:
         self._door, self._between = threading.Lock(), threading.Lock()
         self._compiled, self._ended, self._failure = False, False, ""
         self._progress = self._news = float("-inf")  # monotonic
-        self._told = 0
+        self._told = self._order = 0
         self._stepped = self._carried = time.monotonic()
         self._newest = self._latency = float("nan")
         self.thread = threading.Thread(target=self._work, name="mapper", daemon=True)
@@ -197,13 +200,14 @@ class _Mapping:
         self._ended = True
         self._inbox.wake()
 
-    def draft(self) -> Draft:
-        """Return a copy of the map as it is between two scans."""
+    def draft(self) -> tuple[Map, Outcome, Array]:
+        """Return the map between two scans, what its run is by now, and the true path."""
         with self._door:
             if not self._between.acquire(timeout=ANSWER):
                 raise ImpError("the estimator has been at one scan for 10 s; stop mapping first")
             try:
-                return draft(self.run.outcome(LIVE, ""), self._history, self._grid.grid)
+                outcome = self.run.outcome(LIVE, "")
+                return self.run.map(about(outcome)), outcome, self._truth.path
             finally:
                 self._between.release()
 
@@ -211,13 +215,13 @@ class _Mapping:
         run, inbox = self.run, self._inbox
         return MapperStatus(
             self.state,
-            run.steps,
+            run.scans,
             inbox.dropped,
             inbox.waiting,
             now() - self._newest,
             self._latency,
             self._failure or self._of_late() or self._without_motion(),
-            run.pipeline.problems.counts.get("scan", 0),
+            run.robot.problems.counts.get("scan", 0),
         )
 
     def _of_late(self) -> str:
@@ -226,10 +230,10 @@ class _Mapping:
 
     def _without_motion(self) -> str:
         """Return what a map lacks where scans come and odometry does not: drives look like stands."""
-        felt = self.run.pipeline.robot.odometry.consumes.__name__
-        if self.run.steps < BLIND or self.run.pipeline.counts.get(felt):
+        wanted = self.run.robot.odometry.consumes.__name__
+        if self.run.scans < BLIND or self.run.robot.counts.get(wanted):
             return ""
-        return f"no {felt} has come, the map is made without odometry; check the autopilot"
+        return f"no {wanted} has come, the map is made without odometry; check the autopilot"
 
     def _dropped(self) -> str:
         return (
@@ -242,7 +246,7 @@ class _Mapping:
         try:
             if self._before is not None:
                 self._before.join()  # it shows its map in the same view
-            self._view.begin(self.run.pipeline.slam.landmarks, self._grid.grid)
+            self._view.begin(self.run, self._config.grid.resolution)
             self._prepare(self._config)
             self._compiled = True
             while self.open:
@@ -267,14 +271,14 @@ class _Mapping:
         with self._door:
             pass
         with self._between:
-            steps = run.steps
-            if not run.pipeline.waiting:
+            before = run.scans
+            if not run.robot.waiting:
                 self._progress = time.monotonic()
             if taken is not None:
                 self._feed(*taken)
             if time.monotonic() - self._progress > PATIENCE and self._inbox.empty:
                 run.flush()
-            if run.steps > steps:
+            if run.scans > before:
                 self._newest = self._view.snapshot().arrived
                 self._latency = now() - self._newest
                 self._progress = self._stepped = time.monotonic()
@@ -285,14 +289,15 @@ class _Mapping:
         silent = moment - self._stepped
         if silent < SILENT or moment - self._carried < CARRY or self._inbox.waiting:
             return
-        if (result := self.run.pipeline.dead_reckoned()) is not None:
-            self._view.carry(result, silent)
+        if (path := self.run.dead_reckoned()) is not None:
+            self._view.carry(path, silent)
             self._carried = moment
 
     def _feed(self, message: Message, arrived: float) -> None:
         if isinstance(message, self._scans):
             self._view.expect(message.stamp, arrived)
-        self.run.feed(message)
+        self.run.feed(batch(type(message).__name__, message, self._order))
+        self._order += 1
 
     def _tell_dropped(self) -> None:
         """Log what was dropped, in a line now and then."""

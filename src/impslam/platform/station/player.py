@@ -7,18 +7,17 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from impslam.columns import messages
+from impslam.columns import Batch
 from impslam.config import Config
 from impslam.errors import ImpError
-from impslam.observers.base import Observer, Outcome
-from impslam.observers.grid_mapper import GridMapper
+from impslam.map import Map
+from impslam.observers.base import Observer
 from impslam.observers.live_view import LiveView
-from impslam.pipeline import Run
 from impslam.platform.devices.base import now
 from impslam.platform.station.pace import Pace
 from impslam.platform.station.warm_up import warm_up
+from impslam.run import Run
 from impslam.sources.base import Source
-from impslam.types import Message
 
 State: TypeAlias = Literal[
     "ready", "compiling", "playing", "paused", "writing", "ended", "stopped", "failed"
@@ -81,12 +80,13 @@ class Player:
         prepare: Callable[[Config], None] = warm_up,
     ) -> None:
         self._config, self._source, self._view, self._prepare = config, source, view, prepare
-        self._grid = GridMapper(config.grid.resolution)
-        self._run = Run(config, [self._grid, view, *observers])
+        self._run = Run(config, [view, *observers])
+        sensors = self._run.robot.sensors.values()
+        self._scans = tuple(sensor.consumes for sensor in sensors)
         self._pace = Pace()
         self._phase: State = "ready"
         self._position: tuple[int, int | None] = 0, None
-        self._outcome: Outcome | None = None
+        self._map: Map | None = None
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._work, name="player", daemon=True)
 
@@ -125,8 +125,8 @@ class Player:
         if self._phase == "writing":  # nothing was left early; half a folder would stay
             self._thread.join(WRITE)
 
-    def wait(self, timeout: float | None = None) -> Outcome | None:
-        """Wait for the end; return what the run was, None if stopped or not yet over.
+    def wait(self, timeout: float | None = None) -> Map | None:
+        """Wait for the end; return the map, None if stopped or not yet over.
 
         Raises
         ------
@@ -136,7 +136,7 @@ class Player:
         self._thread.join(timeout)
         if self._error is not None:
             raise self._error
-        return self._outcome
+        return self._map
 
     def status(self) -> PlayerStatus:
         """Return where the replay is; never blocks."""
@@ -151,14 +151,14 @@ class Player:
             stamp,
             seconds,
             self._pace.speed,
-            self._run.steps,
+            self._run.scans,
             skipped,
             detail,
         )
 
     def _work(self) -> None:
         try:
-            self._view.begin(self._run.pipeline.slam.landmarks, self._grid.grid)
+            self._view.begin(self._run, self._config.grid.resolution)
             self._prepare(self._config)
             self._phase = "playing"
             self._phase = self._play()
@@ -167,29 +167,31 @@ class Player:
 
     def _play(self) -> State:
         with self._source as source:
-            for message in messages(source.batches(1)):
-                if not self._admits(message):
+            for batch in source.batches(rows=1):
+                if not self._admits(batch):
                     return "stopped"
-                steps = self._run.steps
-                self._run.feed(message)
-                if self._run.steps > steps:
-                    self._pace.stepped(self._run.steps - steps)
+                before = self._run.scans
+                self._run.feed(batch)
+                if self._run.scans > before:
+                    self._pace.stepped(self._run.scans - before)
             self._run.flush()
             self._position = source.position, source.total
         self._phase = "writing"
-        self._outcome = self._run.finish(self._source)
+        self._map = self._run.finish(self._source)
         return "ended"
 
-    def _admits(self, message: Message) -> bool:
-        """Wait until it is time for a message; tell whether to go on."""
-        if self._run.pipeline.robot.sensor_for(type(message)) is None:
+    def _admits(self, batch: Batch) -> bool:
+        """Wait until it is time for a row; tell whether to go on."""
+        (columns,) = batch.values()
+        if not issubclass(columns.kind, self._scans):
             return True
+        stamp = float(columns.stamps[0])
         self._position = self._source.position, self._source.total
-        verdict = self._pace.wait(message.stamp)
+        verdict = self._pace.wait(stamp)
         while verdict == "halted":
             self._view.refresh()
-            verdict = self._pace.wait(message.stamp)
-        self._view.expect(message.stamp, now())
+            verdict = self._pace.wait(stamp)
+        self._view.expect(stamp, now())
         return verdict == "go"
 
 

@@ -16,10 +16,10 @@ import tempfile
 import threading
 from pathlib import Path
 
+from impslam.columns import batch
 from impslam.config import Config, load
-from impslam.observers.grid_mapper import GridMapper
 from impslam.observers.summary import config_toml
-from impslam.pipeline import Run
+from impslam.run import Run
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.types import Message, OdometryPose, Steering, TruePose, Velocity
@@ -48,15 +48,17 @@ def warm_up(config: Config) -> None:
 
 def rehearse(config: Config) -> None:
     """Map the beginning of a simulated drive."""
-    run = Run(config, [GridMapper()])
-    kind = run.pipeline.robot.odometry.consumes
-    for message in simulate(load_world(WORLD)):
-        run.feed(_as_felt(message, kind))
-        if run.steps >= SCANS:
-            return
+    run = Run(config)
+    kind = run.robot.odometry.consumes
+    for order, message in enumerate(simulate(load_world(WORLD))):
+        told = _as_odometry(message, kind)
+        run.feed(batch(type(told).__name__, told, order))
+        if run.scans >= SCANS:
+            break
+    run.map().grid()
 
 
-def _as_felt(message: Message, kind: type) -> Message:
+def _as_odometry(message: Message, kind: type) -> Message:
     """Return a true pose as the odometry of a kind would tell it; other messages as they are."""
     if isinstance(message, TruePose):
         if kind is OdometryPose:

@@ -13,18 +13,18 @@ increments compose, and closing loops stays the filter's work.
 from __future__ import annotations
 
 import math
-from copy import copy
 
 import numpy as np
 from pydantic import PrivateAttr
 
+from impslam.columns import Motions, Sweeps
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import between, compose, rotation, transform
-from impslam.matching.base import Matcher
-from impslam.matching.local_map import LocalMap, Surfaces, nearest, normals
 from impslam.noise import MotionNoise
+from impslam.tracking.base import Tracker
+from impslam.tracking.local_map import LocalMap, Surfaces, nearest, normals
 from impslam.types import Array, Increment, Mask, Scan
 
 _TINY = 1e-6  # m, rad: floor of the prior's standard deviations, so that it has an inverse
@@ -148,7 +148,7 @@ def _inverse(A: Array) -> Array:
     except np.linalg.LinAlgError:
         inverse = np.full((3, 3), np.nan)
     if not np.isfinite(inverse).all():
-        raise NumericalError("scan matching: the motion's covariance has no inverse")
+        raise NumericalError("the motion's covariance has no inverse; odometry is used alone")
     return inverse
 
 
@@ -161,7 +161,7 @@ def gap(scan: Scan) -> float:
 
 
 @register("icp")
-class Icp(Matcher):
+class Icp(Tracker):
     """Iterated closest points against the last metres, with odometry as prior."""
 
     sigma: float = parameter(
@@ -189,8 +189,30 @@ class Icp(Matcher):
     _pose: Array = PrivateAttr(default_factory=lambda: np.zeros(3))
     _way: float = PrivateAttr(0.0)
 
-    def refine(self, increment: Increment, scan: Scan) -> Increment:
-        """Return the motion since the previous scan; see `Matcher.refine`."""
+    def refine(self, motions: Motions, sweeps: Sweeps) -> Motions:
+        """Match each sweep against the local map; see `Tracker.refine`."""
+        if sweeps.scans is None:
+            return motions
+        d_pose, covariance = motions.d_pose.copy(), motions.covariance.copy()
+        for k in range(len(sweeps)):
+            try:
+                refined = self.match(motions.row(k), sweeps.scans.row(k))
+            except NumericalError as error:
+                self.problems.add(
+                    "scan matching", f"the scan at {motions.stamps[k]:.3f} s: {error}"
+                )
+                continue
+            d_pose[k], covariance[k] = refined.d_pose, refined.covariance
+        return Motions(motions.stamps, d_pose, covariance, motions.duration)
+
+    def match(self, increment: Increment, scan: Scan) -> Increment:
+        """Return the motion since the scan before, refined by matching; take the scan into the local map.
+
+        Raises
+        ------
+        NumericalError
+            If the scan and the increment admit no solution.
+        """
         points = scan.points[scan.valid]
         directions, flat = normals(points, gap(scan))
         keep = _thin(points, self.spacing)
@@ -199,9 +221,6 @@ class Icp(Matcher):
         self._pose = compose(self._pose, refined.d_pose)
         self._way += math.hypot(refined.d_pose[0], refined.d_pose[1]) + abs(refined.d_pose[2])
         turned = directions @ rotation(self._pose[2]).T
-        self._map = copy(
-            self._map
-        )  # `add` replaces arrays: a copy of the matcher keeps the old ones
         self._map.add(transform(self._pose, points), turned, flat, self._way)
         return refined
 
@@ -221,9 +240,7 @@ class Icp(Matcher):
             guess, prior, points, self._map.surfaces, self.reach, self.sigma, self.iterations
         )
         if not np.isfinite(pose).all():
-            raise NumericalError(
-                "scan matching finds no pose: its normal equations have no solution"
-            )
+            raise NumericalError("the normal equations have no solution; odometry is used alone")
         if paired < self.min_share * len(points):
             return increment
         d_pose = between(self._pose, pose)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.errors import ImpError
-from impslam.mapping.grid import OccupancyGrid
+from impslam.maps.grid import OccupancyGrid
 from impslam.types import Array, Landmark
 
 FREE, UNKNOWN, OCCUPIED = 254, 205, 0

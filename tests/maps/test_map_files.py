@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from impslam.errors import ImpError
-from impslam.mapping.files import (
+from impslam.maps.files import (
     COLUMNS,
     FREE,
     FREE_BELOW,
@@ -18,7 +18,7 @@ from impslam.mapping.files import (
     write_landmarks,
     write_map,
 )
-from impslam.mapping.grid import OccupancyGrid
+from impslam.maps.grid import OccupancyGrid
 from impslam.types import Landmark
 
 

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.recorded import Played
+from tests.steps import Steps
 
 from impslam.cli.simulate import write_log
 from impslam.columns import rows
 from impslam.config import load
 from impslam.geometry.se2 import exp
-from impslam.observers.base import Observer
-from impslam.pipeline import run
+from impslam.run import map_log
 from impslam.simulation.world import load_world
 from impslam.sources.recording import McapWriter
 from impslam.sources.rosbag import RosBag
@@ -23,7 +23,7 @@ PERIOD = 0.02  # s, of odometry
 STEPS = [-3600.0, -30.0, -2.0, 30.0, 3600.0]
 STREAMS = [("odometry",), ("scans",), ("odometry", "scans")]
 PLAIN = [
-    "matcher.kind=none",
+    "tracker.kind=odometry",
     *(f"sensors.lidar.extractors.{name}.kind=none" for name in ("walls", "corners", "cylinders")),
 ]
 
@@ -53,18 +53,16 @@ HELD = ("velocity", "ackermann")
 """Whose motion is a speed times the time between stamps: a clock that is set costs one reading."""
 
 
-class Kept(Observer):
-    """Keeps the poses, the stamps and the outcome."""
+class Kept(Steps):
+    """Compares paths."""
 
-    def __init__(self):
-        self.poses, self.stamps, self.outcome = [], [], None
+    @property
+    def poses(self):
+        return [r.pose for r in self.results]
 
-    def step(self, result):
-        self.poses.append(result.pose)
-        self.stamps.append(result.stamp)
-
-    def finish(self, outcome):
-        self.outcome = outcome
+    @property
+    def stamps(self):
+        return [r.stamp for r in self.results]
 
     @property
     def length(self):
@@ -100,7 +98,7 @@ def set_clock(messages, by, who, at):
 
 def play(messages, config, tmp_path):
     kept = Kept()
-    run(config, Played.of(messages, tmp_path), [kept])
+    map_log(config, Played.of(messages, tmp_path), [kept])
     return kept
 
 
@@ -154,7 +152,7 @@ def test_a_simulated_log_with_stepping_stamps_gives_the_same_path(by, tmp_path):
     paths = []
     for path in (log, stepped):
         kept = Kept()
-        run(load("imp"), RosBag(path=path), [kept])
+        map_log(load("imp"), RosBag(path=path), [kept])
         paths.append(kept)
     plain, kept = paths
     assert kept.length == pytest.approx(plain.length, abs=0.005)

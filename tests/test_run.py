@@ -1,4 +1,4 @@
-"""The pipeline: exact without noise, patient with late odometry, and unmoved by bad messages."""
+"""A run: exact without noise, patient with late odometry, and unmoved by bad messages."""
 
 from dataclasses import replace
 
@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 from tests.numeric import wrapped
 from tests.recorded import Played, perfect
+from tests.steps import Steps, feed
 
 from impslam.config import load
 from impslam.errors import SourceError
 from impslam.geometry.se2 import compose, exp
-from impslam.observers.base import Observer
 from impslam.odometry.synchroniser import MAX_WAIT
-from impslam.pipeline import Gate, Pipeline, run
+from impslam.run import Run, map_log
 from impslam.simulation.world import load_world
 from impslam.types import (
     Image,
-    Increment,
     LaserScan,
     OdometryPose,
     TruePose,
@@ -26,20 +25,8 @@ from impslam.types import (
 EVERY_SCAN = ["keyframes.distance=0", "keyframes.angle=0", "keyframes.seconds=0"]
 
 
-class Kept(Observer):
-    """Keeps all it is shown."""
-
-    def __init__(self):
-        self.results, self.truths, self.outcome = [], {}, None
-
-    def step(self, result):
-        self.results.append(result)
-
-    def truth(self, pose):
-        self.truths[pose.stamp] = pose.pose
-
-    def finish(self, outcome):
-        self.outcome = outcome
+class Kept(Steps):
+    """Tells how good the run was."""
 
     @property
     def worst(self):
@@ -88,7 +75,7 @@ def room():
 def play(messages, tmp_path, settings=()):
     """Run messages without scan matching, whose answer depends on where it starts from."""
     kept = Kept()
-    run(load("imp", ["matcher.kind=none", *settings]), Played.of(messages, tmp_path), [kept])
+    map_log(load("imp", settings), Played.of(messages, tmp_path), [kept])
     return kept
 
 
@@ -106,7 +93,7 @@ def test_a_noiseless_run_is_exact(bare, tmp_path, filter_, settings):
     assert len(kept.results) == len(scans(bare))
     assert kept.worst < 1e-6
     assert kept.dropped == {}
-    feet = [m.position for m in kept.outcome.landmarks if m.kind == "wall"]
+    feet = [m.position for m in kept.known.landmarks if m.kind == "wall"]
     expected = [[0, -0.8], [2.4, 0], [0, 1.8], [-0.6, 0]]
     assert len(feet) == 4
     for foot in expected:
@@ -116,7 +103,7 @@ def test_a_noiseless_run_is_exact(bare, tmp_path, filter_, settings):
 def test_cylinders_are_found_to_a_tenth_of_a_millimetre(room, tmp_path):
     kept = play(room, tmp_path)
     assert kept.worst < 1e-4
-    centres = [m.position for m in kept.outcome.landmarks if m.kind == "cylinder"]
+    centres = [m.position for m in kept.known.landmarks if m.kind == "cylinder"]
     np.testing.assert_allclose(sorted(map(list, centres)), [[0.5, 0.9], [1.9, -0.2]], atol=2e-4)
 
 
@@ -133,14 +120,14 @@ def test_dead_reckoning_is_the_composition_of_the_wheels_increments(bare, tmp_pa
     kept = play(bare, tmp_path, [*none, "sensors.lidar.extractors.cylinders.kind=none"])
     assert kept.worst < 1e-12
     for result in kept.results:
-        np.testing.assert_array_equal(result.pose, result.odometry)
+        np.testing.assert_allclose(result.pose, result.odometry, atol=1e-12)
 
 
 def test_scan_matching_does_not_change_what_odometry_alone_tells(room, tmp_path):
     """The matcher refines the filter's motion; the path by odometry is there to compare with."""
     slipping = [replace(m, left=0.9 * m.left) if isinstance(m, WheelAngles) else m for m in room]
     without = play(slipping, tmp_path)
-    matched = play(slipping, tmp_path, ["matcher.kind=icp"])
+    matched = play(slipping, tmp_path, ["tracker.kind=icp"])
     for a, b in zip(without.results, matched.results, strict=True):
         np.testing.assert_allclose(a.odometry, b.odometry, atol=1e-12)
     assert (
@@ -175,15 +162,15 @@ def test_a_scan_waits_for_the_odometry_after_it(bare, tmp_path):
 
 
 def test_a_scan_does_not_wait_for_ever(bare):
-    pipeline = Pipeline(load("imp"))
-    scan = scans(bare)[0]
-    results = list(pipeline.feed(scan))
+    kept, scan = Kept(), scans(bare)[0]
+    course = Run(load("imp"), [kept])
+    feed(course, [scan])
     waited = 0
-    while not results:
-        results = list(pipeline.feed(Image(scan.stamp, "jpeg", b"")))
+    while not kept.results:
+        feed(course, [Image(scan.stamp, "jpeg", b"")])
         waited += 1
     assert waited == MAX_WAIT
-    assert results[0].stamp == scan.stamp
+    assert kept.results[0].stamp == scan.stamp
 
 
 def test_scans_at_the_end_of_a_log_are_used(bare, tmp_path):
@@ -241,28 +228,12 @@ def test_repeated_stamps_move_nothing(bare, tmp_path):
 # --------------------------------------------------------------------------- keyframes
 
 
-def test_keyframes_are_scans_after_some_motion_or_time():
-    keyframes = load("imp", ["keyframes.distance=0.1", "keyframes.angle=0.2"]).keyframes
-    gate = Gate(keyframes.model_copy(update={"seconds": 1.0}))
-
-    def passes(d_pose, duration):
-        return gate.passes(Increment(0.0, np.array(d_pose), np.zeros((3, 3)), duration))
-
-    assert passes([0, 0, 0], 0.0)  # the first
-    assert not passes([0.06, 0, 0], 0.1)
-    assert passes([-0.06, 0, 0], 0.1)  # way, not distance
-    assert not passes([0, 0, 0.15], 0.1)
-    assert passes([0, 0, -0.15], 0.1)
-    assert not passes([0, 0, 0], 0.6)
-    assert passes([0, 0, 0], 0.6)
-
-
 def test_between_keyframes_the_pose_is_dead_reckoned(bare, tmp_path):
     kept = play(bare, tmp_path)
-    looked = [bool(r.observations) for r in kept.results]
+    looked = [r.keyframe for r in kept.results]
     assert 20 < sum(looked) < 0.8 * len(looked)
     for before, after in zip(kept.results, kept.results[1:], strict=False):
-        if not after.observations:
+        if not after.keyframe:
             step = compose(exp(np.zeros(3)), after.pose) - before.pose
             motion = after.odometry - before.odometry
             np.testing.assert_allclose(wrapped(step - motion, 2), 0.0, atol=1e-6)
@@ -429,10 +400,38 @@ def test_a_log_without_odometry_ends_in_one_line(bare, tmp_path):
 
 
 def test_the_outcome_tells_what_the_run_was(bare, tmp_path):
-    outcome = play(bare, tmp_path).outcome
+    kept = play(bare, tmp_path)
+    outcome = kept.outcome
     assert outcome.counts["LaserScan"] == outcome.counts["steps"] == len(scans(bare))
-    assert outcome.counts["landmarks"] == len(outcome.landmarks)
+    assert outcome.counts["landmarks"] == len(kept.known.landmarks)
     assert outcome.log_seconds == pytest.approx(bare[-1].stamp - bare[0].stamp, abs=0.2)
-    assert outcome.config == load("imp", ["matcher.kind=none"]).resolved()
-    assert set(outcome.stages) >= {"odometry", "sensor", "slam"}
-    assert all(len(times) == len(scans(bare)) for times in outcome.stages.values())
+    assert outcome.config == load("imp", []).resolved()
+    assert set(outcome.stages) == {"sense", "track", "look", "estimate"}
+    assert len(outcome.stages["estimate"]) == len(kept.known.keyframes)
+    assert sum(times.sum() for times in outcome.stages.values()) < outcome.wall_seconds
+
+
+def test_the_map_holds_the_path_as_it_was_known_and_as_it_is(bare, tmp_path):
+    kept = play(bare, tmp_path)
+    known = kept.known
+    np.testing.assert_array_equal(known.stamps, [r.stamp for r in kept.results])
+    np.testing.assert_array_equal(known.live_poses, [r.pose for r in kept.results])
+    np.testing.assert_array_equal(known.odometry_poses, [r.odometry for r in kept.results])
+    np.testing.assert_allclose(known.rows().poses, known.live_poses, atol=1e-12)
+    spread = [r.covariance for r in kept.results]
+    np.testing.assert_allclose(known.rows().covariances, spread, atol=1e-12)
+    assert known.about["counts"] == dict(sorted(kept.outcome.counts.items()))
+
+
+@pytest.mark.parametrize("rows", [1, 7, 100_000])
+def test_any_cutting_of_a_log_gives_the_same_bytes(room, tmp_path, rows):
+    """With everything on: scan matching, RANSAC, tentative landmarks."""
+    settings = ["tracker.kind=icp", "sensors.lidar.extractors.walls.kind=ransac"]
+    maps = []
+    for size in (rows, 64):
+        course = Run(load("imp", settings))
+        for cut in Played.of(room, tmp_path).batches(size):
+            course.feed(cut)
+        course.flush()
+        maps.append(course.map().save(tmp_path / f"{size}.imp").read_bytes())
+    assert maps[0] == maps[1]

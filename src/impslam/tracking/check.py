@@ -14,15 +14,18 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from impslam.columns import Motions, Sweeps
+from impslam.errors import NumericalError
 from impslam.geometry.se2 import between, compose, rotation
-from impslam.matching.icp import Icp, gap
-from impslam.matching.local_map import REACH
-from impslam.types import Array, Increment, Scan
+from impslam.tracking.icp import Icp, gap
+from impslam.tracking.local_map import REACH
+from impslam.types import Array, Increment, Mask, Scan
 
 SECONDS = 3.0
 """s over which both motions are compared: a robot that creeps at 5 cm/s goes 15 cm, which is seen."""
@@ -47,10 +50,10 @@ START = np.zeros(3)
 
 
 class Checked(NamedTuple):
-    """The motion to use, and whether the scans contradict the odometry."""
+    """The motions to use, and at which sweeps (m,) the scans contradict the odometry."""
 
-    increment: Increment
-    contradicted: bool
+    motions: Motions
+    contradicted: Mask
 
 
 class _Place(NamedTuple):
@@ -72,24 +75,31 @@ class OdometryCheck:
         self._places: deque[_Place] = deque(maxlen=MOST)
         self._stamp = 0.0
 
-    def copy(self) -> OdometryCheck:
-        """Return another one that goes on from here."""
-        other = OdometryCheck()
-        other._icp, other._places = self._icp.model_copy(), self._places.copy()
-        other._stamp = self._stamp
-        return other
+    def check(self, motions: Motions, sweeps: Sweeps) -> Checked:
+        """Return the motions to these sweeps as they are best taken; call it once for each sweep."""
+        contradicted = np.zeros(len(sweeps), np.bool_)
+        if sweeps.scans is None:
+            return Checked(motions, contradicted)
+        d_pose, covariance = motions.d_pose.copy(), motions.covariance.copy()
+        for k in range(len(sweeps)):
+            increment = motions.row(k)
+            with suppress(NumericalError):  # where scans tell nothing, odometry stands
+                chosen = self.agreed(increment, sweeps.scans.row(k))
+                contradicted[k] = chosen is not increment
+                d_pose[k], covariance[k] = chosen.d_pose, chosen.covariance
+        return Checked(motions._replace(d_pose=d_pose, covariance=covariance), contradicted)
 
-    def check(self, increment: Increment, scan: Scan) -> Checked:
-        """Return the motion since the previous scan as it is best taken; call it once a scan."""
+    def agreed(self, increment: Increment, scan: Scan) -> Increment:
+        """Return the motion since the previous scan as it is best taken: itself, if both agree."""
         last = self._places[-1] if self._places else None
         # A clock may be set, back or ahead.
         elapsed = 0.0 if last is None else min(max(increment.stamp - self._stamp, 0.0), SECONDS)
         self._stamp = increment.stamp
         wide = increment.covariance + np.diag(np.square(RATES) * elapsed)
-        matched = self._icp.refine(replace(increment, covariance=wide), _supported(scan))
+        matched = self._icp.match(replace(increment, covariance=wide), _supported(scan))
         if last is None:
             self._places.append(_Place(0.0, START, START, START, np.zeros((3, 3))))
-            return Checked(increment, False)
+            return increment
         place = _Place(
             last.time + elapsed,
             compose(last.matched, matched.d_pose),
@@ -103,7 +113,7 @@ class OdometryCheck:
         contradicted = _distance2(first, place) > GATE
         chosen = self._instead(first, place, matched) if contradicted else increment
         self._places.append(place._replace(used=compose(last.used, chosen.d_pose)))
-        return Checked(chosen, contradicted)
+        return chosen
 
     def _instead(self, first: _Place, place: _Place, matched: Increment) -> Increment:
         """Return the motion that takes what was used so far to where matching is.

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from impslam.geometry.se2 import rotation
-from impslam.matching.local_map import REACH, LocalMap, nearest, normals
+from impslam.tracking.local_map import REACH, LocalMap, nearest, normals
 
 METRES = st.floats(-20.0, 20.0, allow_subnormal=False)
 LIMIT = 0.5

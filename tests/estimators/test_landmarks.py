@@ -8,19 +8,36 @@ from tests.filters.worlds import MODELS, drive, observe
 from tests.registry import own_registry
 
 from impslam.association.known import Known
+from impslam.columns import batches
 from impslam.component import components, parameter, register
 from impslam.errors import NumericalError
+from impslam.estimators.landmarks import Landmarks
 from impslam.filters.ekf import Ekf
 from impslam.lifecycle.immediate import Immediate
 from impslam.lifecycle.tentative import Tentative
-from impslam.sensors.base import Reading
+from impslam.map import Keyframe
 from impslam.sensors.lidar2d import Lidar2D
-from impslam.slam import Slam
 from impslam.types import Increment, LaserScan, Observation
 
 
 def estimator(belief, lifecycle=None):
-    return Slam(belief, Known(), lifecycle or Immediate(), MODELS)
+    made = Landmarks()
+    made.start(
+        np.zeros(3),
+        filter=belief,
+        association=Known(),
+        lifecycle=lifecycle or Immediate(),
+        models=MODELS,
+    )
+    return made
+
+
+def keyframe(motion, seen=(), scan=None):
+    """Return a keyframe; its stamp is the motion's."""
+    none = np.zeros((3, 3))
+    return Keyframe(
+        0, motion.stamp, motion, none[0], none[0], none, None, 0, False, scan, tuple(seen)
+    )
 
 
 @pytest.fixture(params=sorted(components("filter")))
@@ -32,7 +49,7 @@ def mapped(belief, steps=12):
     """Return an estimator that has seen the world for some steps, and what comes next."""
     slam, rng = estimator(belief), np.random.default_rng(7)
     for pose, increment in drive(steps, rng):
-        slam.step(increment, Reading(None, observe(pose, rng)))
+        slam.add(keyframe(increment, observe(pose, rng)))
     return slam, increment, observe(pose, rng)
 
 
@@ -45,14 +62,14 @@ def test_candidates_are_kept_by_a_filter_with_the_same_parameters():
 
         lifecycle = Tentative()
         slam = estimator(Demanding(strength=3.0, iterations=2), lifecycle)
-    assert lifecycle._candidates is not slam.filter
+    assert lifecycle._candidates is not slam._filter
     assert isinstance(lifecycle._candidates, Demanding)
-    assert dict(lifecycle._candidates) == dict(slam.filter)
+    assert dict(lifecycle._candidates) == dict(slam._filter)
 
 
 def test_a_fresh_filter_knows_nothing_of_the_old_one(belief):
     slam, *_ = mapped(belief)
-    fresh = slam.filter.fresh()
+    fresh = slam._filter.fresh()
     fresh.start(np.zeros(3), np.eye(3), MODELS)
     assert dict(fresh) == dict(belief)
     assert fresh.landmarks() == ()
@@ -64,9 +81,10 @@ def open_room(belief):
     slam = estimator(belief, Tentative(confidence=5.0))
     angles = np.linspace(-1, 1, 401)
     message = LaserScan(0.0, angles, 3.0 / np.cos(angles), np.zeros(401))
-    scan = Lidar2D().scan(message, np.zeros(3))
+    (cut,) = batches([("lidar", message)])
+    scan = Lidar2D().sweeps(cut["lidar"], np.zeros((1, 3))).row(0)
     post = Observation("cylinder", np.array([2.0, 0.0]), 1e-4 * np.eye(2), label=1)
-    slam.step(still(0), Reading(None, (post,)))
+    slam.add(keyframe(still(0), (post,)))
     return slam, scan
 
 
@@ -76,47 +94,37 @@ def still(k):
 
 def test_what_is_seen_through_goes_even_if_nothing_else_is_seen(belief):
     slam, scan = open_room(belief)
-    gone = [slam.step(still(k), Reading(scan, ())).removed for k in range(1, 30)]
+    gone = [slam.add(keyframe(still(k), (), scan)).gone for k in range(1, 30)]
     assert [r for r in gone if r] == [(0,)]
     assert slam.landmarks() == ()
-
-
-def test_a_scan_that_nobody_searched_is_no_evidence(belief):
-    slam, scan = open_room(belief)
-    for k in range(1, 30):
-        assert slam.step(still(k), Reading(scan, (), searched=False)).removed == ()
-    assert len(slam.landmarks()) == 1
 
 
 def test_a_step_says_which_observations_its_new_landmarks_began_with(belief):
     slam = estimator(belief)
     ((pose, increment),) = drive(1)
     seen = observe(pose)
-    slam.step(increment, Reading(None, seen[2:4]))
-    result = slam.step(still(9), Reading(None, seen))
-    assert [seen[i].label for i in result.born] == [0, 1, 4, 100, 101, 102, 103]
-    assert len(result.new) == len(result.born)
+    slam.add(keyframe(increment, seen[2:4]))
+    result = slam.add(keyframe(still(9), seen))
+    assert [seen[i].label for i in result.origins] == [0, 1, 4, 100, 101, 102, 103]
+    assert len(result.born) == len(result.origins)
 
 
 @pytest.mark.parametrize("value", [-1.0, np.nan])
-def test_a_scan_without_a_solution_changes_nothing(belief, value):
-    """One observation's R is no covariance; afterwards the run is the one without that scan."""
+def test_a_keyframe_without_a_solution_moves_the_robot_and_nothing_else(belief, value):
+    """One observation's R is no covariance: the run is that in which nothing was seen."""
     slam, increment, seen = mapped(belief)
     twin, *_ = mapped(components("filter")[belief.name]())
-    P, mean = slam.filter.belief.covariance, slam.filter.belief.mean.copy()
-    matches = slam.filter.associate(seen, Known()).matches
+    matches = slam._filter.associate(seen, Known()).matches
     bad = [dataclasses.replace(seen[0], R=value * np.eye(2)), *seen[1:]]
     with pytest.raises(NumericalError, match="not positive definite"):
-        slam.filter.correct(bad, matches)
-    with pytest.raises(NumericalError):
-        slam.step(increment, Reading(None, tuple(bad)))
-    assert np.array_equal(slam.filter.belief.covariance, P)
-    assert np.array_equal(slam.filter.belief.mean, mean)
+        slam._filter.correct(bad, matches)
+    refused = slam.add(keyframe(increment, bad)).refused
+    assert "is not used for the map" in refused
+    twin.add(keyframe(increment))
     for one in (slam, twin):
-        one.step(increment, Reading(None, seen))
-    assert np.array_equal(slam.filter.belief.covariance, twin.filter.belief.covariance)
-    assert np.array_equal(slam.filter.belief.mean, twin.filter.belief.mean)
-    assert slam._odometry.tolist() == twin._odometry.tolist()
+        one.add(keyframe(increment, seen))
+    assert np.array_equal(slam._filter.belief.covariance, twin._filter.belief.covariance)
+    assert np.array_equal(slam._filter.belief.mean, twin._filter.belief.mean)
 
 
 @pytest.mark.parametrize("iterations", [2, 4])
@@ -124,9 +132,9 @@ def test_a_failure_after_the_first_linearisation_changes_nothing(belief, iterati
     """The state is moved by then; it has to be put back."""
     belief = type(belief)(iterations=iterations, tolerance=1e-9)
     slam, increment, seen = mapped(belief)
-    slam.filter.predict(increment)
-    matches = slam.filter.associate(seen, Known()).matches
-    P, mean = slam.filter.belief.covariance, slam.filter.belief.mean.copy()
+    slam._filter.predict(increment)
+    matches = slam._filter.associate(seen, Known()).matches
+    P, mean = slam._filter.belief.covariance, slam._filter.belief.mean.copy()
     calls, linearise = [], type(belief)._linearise
 
     def failing(self, *arguments):
@@ -137,6 +145,6 @@ def test_a_failure_after_the_first_linearisation_changes_nothing(belief, iterati
 
     monkeypatch.setattr(type(belief), "_linearise", failing)
     with pytest.raises(NumericalError, match="so it is told"):
-        slam.filter.correct(seen, matches)
-    assert np.array_equal(slam.filter.belief.covariance, P)
-    assert np.array_equal(slam.filter.belief.mean, mean)
+        slam._filter.correct(seen, matches)
+    assert np.array_equal(slam._filter.belief.covariance, P)
+    assert np.array_equal(slam._filter.belief.mean, mean)

@@ -8,19 +8,12 @@ import numpy as np
 import pytest
 from tests.recorded import Played
 
+from impslam.cli.ending import EndOfRun
 from impslam.cli.job import execute
 from impslam.config import load
-from impslam.observers.base import Observer
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.types import TruePose, WheelAngles
-
-
-class End(Observer):
-    """Keeps the last result."""
-
-    def step(self, result):
-        self.result = result
 
 
 def frozen(messages, at, seconds, wheels):
@@ -40,13 +33,13 @@ def frozen(messages, at, seconds, wheels):
 
 def mapped(messages, folder):
     folder.mkdir()
-    world, end = load_world("arena"), End()
+    world, end = load_world("arena"), EndOfRun()
     config = load("imp", [f"start={list(map(float, world.robot.start))}"])
     run = folder / "run"
-    outcome = execute(config, Played.of(messages, folder), run, True, [end])
+    execute(config, Played.of(messages, folder), run, True, [end])
     true = next(m for m in reversed(messages) if isinstance(m, TruePose))
-    error = math.dist(end.result.pose[:2], true.pose[:2])
-    return error, outcome, json.loads((run / "summary.json").read_text()), run
+    error = math.dist(end.pose[:2], true.pose[:2])
+    return error, end.outcome, json.loads((run / "summary.json").read_text()), run
 
 
 @pytest.fixture(scope="module")

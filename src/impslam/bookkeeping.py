@@ -1,0 +1,64 @@
+"""What is told of a run beside its map: counts, times and problems."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from impslam.observers.base import Dropped, Outcome
+from impslam.provenance import versions
+from impslam.sources.base import Problems
+
+
+class Stopwatch:
+    """Seconds per stage, one entry each time."""
+
+    def __init__(self) -> None:
+        self.stages: dict[str, array[float]] = {}
+        self._begin = time.perf_counter()
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since it was made."""
+        return time.perf_counter() - self._begin
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        """Time a block."""
+        begin = time.perf_counter()
+        yield
+        self._add(stage, begin)
+
+    def each(self, stage: str, items: Iterable[Any]) -> Iterator[Any]:
+        """Yield items, and time how long each takes to come."""
+        iterator, begin = iter(items), time.perf_counter()
+        for item in iterator:
+            self._add(stage, begin)
+            yield item
+            begin = time.perf_counter()
+
+    def _add(self, stage: str, begin: float) -> None:
+        self.stages.setdefault(stage, array("d")).append(time.perf_counter() - begin)
+
+
+def dropped(many: Iterable[Problems]) -> dict[str, Dropped]:
+    """Join what several parts could not use."""
+    return {
+        kind: Dropped(count, problems.examples[kind])
+        for problems in many
+        for kind, count in problems.counts.items()
+    }
+
+
+def about(outcome: Outcome) -> dict[str, Any]:
+    """Return where a map comes from, in plain values that are the same for the same run."""
+    return {
+        "log": outcome.log.name,
+        "log_sha256": outcome.log_sha256,
+        "config": dict(outcome.config),
+        "counts": dict(sorted(outcome.counts.items())),
+        "versions": versions(),
+    }

@@ -1,0 +1,1 @@
+"""Estimators: where keyframes are, and what else is in the world."""

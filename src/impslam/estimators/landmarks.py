@@ -1,0 +1,119 @@
+"""EKF SLAM on one page: predict, observe, associate, correct, extend (thesis Fig. 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import PrivateAttr
+
+from impslam.association.base import Association
+from impslam.component import register
+from impslam.errors import NumericalError
+from impslam.estimators.base import Estimator
+from impslam.filters.base import Filter
+from impslam.landmarks.base import LandmarkModel
+from impslam.lifecycle.base import Lifecycle
+from impslam.map import Keyframe, Revision
+from impslam.types import Array, Increment, Landmark, Observation
+
+START_SIGMA = 1e-4
+"""m and rad: the start is the map's origin by definition; this only keeps P positive definite."""
+
+
+@register("landmarks")
+class Landmarks(Estimator):
+    """A filter over the robot's pose and the landmarks, with association and lifecycle (the thesis)."""
+
+    parts: ClassVar[tuple[str, ...]] = ("filter", "association", "lifecycle")
+
+    _filter: Filter = PrivateAttr()
+    _association: Association = PrivateAttr()
+    _lifecycle: Lifecycle = PrivateAttr()
+    _models: Mapping[str, LandmarkModel] = PrivateAttr()
+
+    def start(self, pose: Array, **parts: Any) -> None:
+        """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
+        self._filter, self._association = parts["filter"], parts["association"]
+        self._lifecycle, self._models = parts["lifecycle"], parts["models"]
+        self._filter.start(pose, START_SIGMA**2 * np.eye(3), self._models)
+        self._lifecycle.start(self._models, self._association, self._filter.fresh())
+
+    def add(self, keyframe: Keyframe) -> Revision:
+        """Take in a keyframe; see `Estimator.add`."""
+        try:
+            return self._add(keyframe)
+        except NumericalError as error:
+            if np.isfinite(keyframe.motion.covariance).all():
+                self._filter.predict(keyframe.motion)
+                self._lifecycle.move(keyframe.motion)
+            why = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {error}"
+            return self._revision(keyframe, refused=why)
+
+    def _add(self, keyframe: Keyframe) -> Revision:
+        _check_finite(keyframe)
+        observations, stamp = self._blur(keyframe.observations, keyframe.motion), keyframe.stamp
+        now = keyframe.motion.stamp  # goes on where a clock is set
+
+        self._filter.predict(keyframe.motion)
+        try:
+            choice = self._filter.associate(observations, self._association)
+            self._filter.correct(observations, choice.matches)
+        except NumericalError:
+            self._filter.take_back()
+            raise
+        self._lifecycle.move(keyframe.motion)
+        self._filter.note(observations, choice.matches, stamp)
+
+        unmatched = [observations[i] for i in choice.new]
+        alone = self._filter.state_size == len(self._filter.pose)
+        chosen = [choice.new[i] for i in self._lifecycle.promote(unmatched, now, alone)]
+        born = self._filter.extend([observations[i] for i in chosen], stamp)
+
+        gone: list[int] = []
+        ids, outlines = self._filter.outlines()
+        if keyframe.scan is not None and len(ids):
+            gone = self._lifecycle.review(
+                keyframe.scan, self._filter.pose, ids, outlines, choice.matches
+            )
+            self._filter.remove(gone)
+
+        return self._revision(
+            keyframe, matches=choice.matches, born=born, origins=tuple(chosen), gone=tuple(gone)
+        )
+
+    def _revision(self, keyframe: Keyframe, **facts: Any) -> Revision:
+        pose, covariance = self._filter.pose[None], self._filter.covariance[None]
+        return Revision(np.array([keyframe.id]), pose, covariance, **facts)
+
+    def _blur(
+        self, observations: tuple[Observation, ...], motion: Increment
+    ) -> tuple[Observation, ...]:
+        """Add to R what the motion between a keyframe's moment and an observation's is unsure by."""
+        if motion.duration == 0.0:
+            return observations
+        rate = motion.covariance / motion.duration
+        blurred = []
+        for o in observations:
+            J = self._models[o.kind].z_D_motion(o.z[None])[0]
+            blurred.append(replace(o, R=o.R + abs(o.delay) * J @ rate @ J.T) if o.delay else o)
+        return tuple(blurred)
+
+    def landmarks(self) -> tuple[Landmark, ...]:
+        """Return the landmarks in the form users read."""
+        return self._filter.landmarks()
+
+    @property
+    def state_size(self) -> int:
+        """Number of scalars in the belief."""
+        return self._filter.state_size
+
+
+def _check_finite(keyframe: Keyframe) -> None:
+    numbers = [part.ravel() for o in keyframe.observations for part in (o.z, o.R)]
+    if not np.isfinite(keyframe.motion.covariance).all():
+        raise NumericalError("the motion's covariance is not finite")
+    if numbers and not np.isfinite(np.concatenate(numbers)).all():
+        raise NumericalError("an extractor's observation is not finite")

@@ -1,0 +1,276 @@
+"""The map as a value: keyframes, the path that hangs on them, and landmarks.
+
+Poses of sweeps are kept relative to the keyframe before them, `T_map_base = T_map_keyframe *
+T_keyframe_base`. When an estimator moves keyframes, the path moves along and nothing is rewritten
+(the trajectory of kiss-slam is kept alike, Guadagnino et al. 2025).
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from impslam.columns import Sweeps
+from impslam.geometry.chain import advance
+from impslam.geometry.kernels import kernel
+from impslam.maps import archive
+from impslam.maps.grid import OccupancyGrid, PlacedScans
+from impslam.types import Array, Increment, Ints, Landmark, Mask, Match, Observation, Scan
+
+UPPER = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
+"""Rows and columns of a symmetric matrix's distinct entries, in the order of trajectory.csv."""
+SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)
+"""Where the entries of the (3, 3) matrix stand among the distinct ones."""
+
+
+class PathRows(NamedTuple):
+    """Poses at the stamps of m sweeps.
+
+    Attributes
+    ----------
+    stamps : (m,) s, the log's own
+    poses : (m, 3) `T_map_base`
+    covariances : (m, 3, 3)
+    odometry : (m, 3) dead reckoning from the same start
+    """
+
+    stamps: Array
+    poses: Array
+    covariances: Array
+    odometry: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keyframe:
+    """A sweep that the estimator is shown: what moved since the last one, and what is seen.
+
+    Attributes
+    ----------
+    id : 0, 1, ... in the order of the run
+    stamp : s, of the sweep in the log
+    motion : from the keyframe before (from the start, for the first one) to the sweep's middle, with
+        its stamp on a time line that goes on where clocks are set
+    odometry : (3,) `T_odom_base` at `stamp`, dead reckoning from the start of the run
+    T_keyframe_stamp, stamp_covariance : (3,), (3, 3) motion from the sweep's middle to `stamp`
+    sweeps, row : where the sweep stands in the data of its sensor
+    contradicted : the scans show another motion than odometry, which follows the scans
+    scan : the sweep in base_link at its middle, None for a sensor that has none
+    observations : what the extractors found in it
+    """
+
+    id: int
+    stamp: float
+    motion: Increment
+    odometry: Array
+    T_keyframe_stamp: Array
+    stamp_covariance: Array
+    sweeps: Sweeps
+    row: int
+    contradicted: bool = False
+    scan: Scan | None = None
+    observations: tuple[Observation, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """The way since a keyframe: m sweeps that hang on it, and the sweep that is to be the next one.
+
+    Attributes
+    ----------
+    anchor : id of the keyframe, -1 before the first one: then m is 0
+    stamps : (m,) s, the log's own
+    T_anchor_base : (m, 3) at these stamps
+    covariance : (m, 3, 3) of that motion
+    odometry : (m, 3) `T_odom_base` at these stamps
+    sweeps, rows : the m sweeps are these rows of their sensor's data
+    contradicted : (m,) whether the scans show another motion than odometry at each of them
+    keyframe : what ends the track, None where it goes on
+    """
+
+    anchor: int
+    stamps: Array
+    T_anchor_base: Array
+    covariance: Array
+    odometry: Array
+    sweeps: Sweeps
+    rows: slice
+    contradicted: Mask
+    keyframe: Keyframe | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Revision:
+    """What a keyframe has taught the estimator.
+
+    Attributes
+    ----------
+    ids : (r,) keyframes whose pose is new: its own, and others where the past has moved
+    poses : (r, 3) `T_map_base` at the middle of their sweeps
+    covariances : (r, 3, 3)
+    matches : observations taken for known landmarks
+    born, origins : ids of landmarks that came, and the observation that each was made of
+    gone : ids of landmarks that were dropped
+    refused : why the keyframe could not be used, "" where it was
+    """
+
+    ids: Ints
+    poses: Array
+    covariances: Array
+    matches: tuple[Match, ...] = ()
+    born: tuple[int, ...] = ()
+    origins: tuple[int, ...] = ()
+    gone: tuple[int, ...] = ()
+    refused: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keyframes:
+    """The keyframes of a map as columns.
+
+    Attributes
+    ----------
+    stamps : (k,) s
+    poses, covariances : (k, 3) `T_map_base` at the middle of the sweep, and (k, 3, 3)
+    innovations : (k, 3) number of matches, normalised innovation squared, its degrees of freedom
+    origins : (k, 2) m, where the laser was in base_link
+    starts : (k + 1,) the points of keyframe i are `points[starts[i] : starts[i + 1]]`
+    points : (p, 2) float32 m, where valid beams ended, in base_link at the middle of the sweep
+    """
+
+    stamps: Array
+    poses: Array
+    covariances: Array
+    innovations: Array
+    origins: Array
+    starts: Ints
+    points: np.ndarray[Any, np.dtype[np.float32]]
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def draw(self, grid: OccupancyGrid) -> None:
+        """Enter the scans into a grid that has perhaps seen the first of them before."""
+        grid.draw(PlacedScans(self.poses, self.origins, self.starts, self.points))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Map:
+    """All that a run has learned.
+
+    Attributes
+    ----------
+    keyframes : where the robot looked, and what the lidar showed there
+    landmarks : walls, cylinders, ... with their covariances
+    stamps : (n,) s of all sweeps, in processing order
+    anchors : (n,) row of the keyframe that each sweep hangs on
+    T_anchor_base : (n, 3) pose of base_link at the stamp, seen from that keyframe
+    track_covariances : (n, 6) distinct entries of that motion's covariance, in the order of `UPPER`
+    odometry_poses : (n, 3) dead reckoning
+    live_poses : (n, 3) `T_map_base` of each sweep as it was known at the time
+    about : where the map comes from: log, config, counts, versions; plain values as JSON holds them
+    """
+
+    keyframes: Keyframes
+    landmarks: tuple[Landmark, ...]
+    stamps: Array
+    anchors: Ints
+    T_anchor_base: Array
+    track_covariances: Array
+    odometry_poses: Array
+    live_poses: Array
+    about: dict[str, Any] = field(default_factory=dict)
+
+    def rows(self) -> PathRows:
+        """Return the path with its covariances, as it is known now."""
+        keyframes = self.keyframes
+        poses, covariances = hang(
+            keyframes.poses[self.anchors],
+            keyframes.covariances[self.anchors],
+            self.T_anchor_base,
+            self.track_covariances[:, SYMMETRIC].reshape(-1, 3, 3),
+        )
+        return PathRows(self.stamps, poses, covariances, self.odometry_poses)
+
+    def path(self) -> Array:
+        """Return (n, 4) stamp, x, y, theta of base_link in map, a row for each sweep."""
+        return np.column_stack((self.stamps, self.rows().poses))
+
+    def live_path(self) -> Array:
+        """Return (n, 4) stamp, x, y, theta as each was known at the time of its sweep."""
+        return np.column_stack((self.stamps, self.live_poses))
+
+    def odometry(self) -> Array:
+        """Return (n, 4) stamp, x, y, theta by dead reckoning from the same start."""
+        return np.column_stack((self.stamps, self.odometry_poses))
+
+    def grid(self, resolution: float = 0.05) -> OccupancyGrid:
+        """Draw the occupancy grid from the keyframes' scans; `resolution` is a cell's side in m."""
+        grid = OccupancyGrid(resolution)
+        self.keyframes.draw(grid)
+        return grid
+
+    def save(self, path: str | Path) -> Path:
+        """Write the map to one file, whole or not at all, and return its path.
+
+        Raises
+        ------
+        ImpError
+            If the file cannot be written.
+        """
+        return archive.save(Path(path), _to_arrays(self), self.about)
+
+    @staticmethod
+    def load(path: str | Path) -> Map:
+        """Read a map that `save` wrote.
+
+        Raises
+        ------
+        ImpError
+            If the file is missing, damaged, or of a newer version.
+        """
+        return _from_arrays(*archive.load(Path(path)))
+
+
+@kernel
+def hang(
+    anchors: Array, anchor_covariances: Array, T_anchor_base: Array, covariances: Array
+) -> tuple[Array, Array]:
+    """Return `T_map_base` (m, 3) and its covariance (m, 3, 3) to first order.
+
+    anchors (m, 3) are `T_map_anchor`; the errors of both parts are independent and additive.
+    """
+    poses, out = anchors.copy(), anchor_covariances.copy()
+    for k in range(len(anchors)):
+        advance(poses[k], out[k], T_anchor_base[k], covariances[k])
+    return poses, out
+
+
+_COLUMNS = (
+    *("stamps", "anchors", "T_anchor_base", "track_covariances", "odometry_poses", "live_poses"),
+)
+_KEYFRAMES = tuple(f.name for f in fields(Keyframes))
+
+
+def _to_arrays(known: Map) -> dict[str, np.ndarray[Any, Any]]:
+    arrays = {name: getattr(known, name) for name in _COLUMNS}
+    arrays |= {f"keyframes/{name}": getattr(known.keyframes, name) for name in _KEYFRAMES}
+    marks = [asdict(landmark) for landmark in known.landmarks]
+    text = json.dumps(marks, default=lambda array: array.tolist())
+    return {**arrays, "landmarks": np.frombuffer(text.encode(), np.uint8)}
+
+
+def _from_arrays(arrays: dict[str, np.ndarray[Any, Any]], about: dict[str, Any]) -> Map:
+    keyframes = Keyframes(**{name: arrays[f"keyframes/{name}"] for name in _KEYFRAMES})
+    marks = tuple(_landmark(m) for m in json.loads(arrays["landmarks"].tobytes()))
+    return Map(keyframes, marks, **{name: arrays[name] for name in _COLUMNS}, about=about)
+
+
+def _landmark(mark: dict[str, Any]) -> Landmark:
+    for name in ("position", "covariance", "end_points"):
+        if mark[name] is not None:
+            mark[name] = np.array(mark[name], np.float64)
+    return Landmark(**mark)

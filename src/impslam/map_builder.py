@@ -1,0 +1,167 @@
+"""Gathers what a run learns; its `map` is a value at any time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from impslam.geometry.kernels import kernel
+from impslam.map import UPPER, Keyframe, Keyframes, Map, PathRows, Revision, Track, hang
+from impslam.types import Array, Landmark, Mask, Scan
+
+
+class _Column:
+    """An array that grows by rows; what it once gave out does not change by growth."""
+
+    def __init__(self, *shape: int, dtype: npt.DTypeLike = np.float64) -> None:
+        self._rows: npt.NDArray[Any] = np.empty((64, *shape), dtype)
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def append(self, rows: npt.NDArray[Any]) -> None:
+        """Append rows (m, ...)."""
+        end = self._count + len(rows)
+        if end > len(self._rows):
+            grown = np.empty(
+                (max(end, 2 * len(self._rows)), *self._rows.shape[1:]), self._rows.dtype
+            )
+            grown[: self._count] = self._rows[: self._count]
+            self._rows = grown
+        self._rows[self._count : end] = rows
+        self._count = end
+
+    def replace(self, at: npt.NDArray[Any], rows: npt.NDArray[Any]) -> None:
+        """Change rows; arrays that were given out keep what they hold."""
+        self._rows = self._rows.copy()
+        self._rows[at] = rows
+
+    @property
+    def array(self) -> npt.NDArray[Any]:
+        """What it holds now, (n, ...), read-only."""
+        view = self._rows[: self._count]
+        view.flags.writeable = False
+        return view
+
+
+class MapBuilder:
+    """Hangs tracks on keyframes and keeps the keyframes' scans."""
+
+    def __init__(self) -> None:
+        self._stamps, self._anchors = _Column(), _Column(dtype=np.int64)
+        self._T_anchor_base, self._covariances = _Column(3), _Column(6)
+        self._odometry, self._live = _Column(3), _Column(3)
+        self._key_stamps, self._poses, self._pose_covariances = _Column(), _Column(3), _Column(3, 3)
+        self._innovations, self._origins = _Column(3), _Column(2)
+        self._starts, self._points = _Column(dtype=np.int64), _Column(2, dtype=np.float32)
+        self._starts.append(np.zeros(1, np.int64))
+
+    def __len__(self) -> int:
+        """Return the number of sweeps."""
+        return len(self._stamps)
+
+    def follow(self, track: Track) -> PathRows:
+        """Hang a track on its keyframe; return its sweeps' poses as they are known now."""
+        return self._hang(
+            track.anchor, track.stamps, track.T_anchor_base, track.covariance, track.odometry
+        )
+
+    def revise(self, keyframe: Keyframe, revision: Revision) -> PathRows:
+        """Add a keyframe, move those that have moved; return the pose at the keyframe's stamp."""
+        own = revision.ids == keyframe.id
+        self._key_stamps.append(np.array([keyframe.stamp]))
+        self._poses.append(revision.poses[own])
+        self._pose_covariances.append(revision.covariances[own])
+        if not own.all():
+            self._poses.replace(revision.ids[~own], revision.poses[~own])
+            self._pose_covariances.replace(revision.ids[~own], revision.covariances[~own])
+        self._keep(keyframe, revision)
+        return self._hang(
+            keyframe.id,
+            np.array([keyframe.stamp]),
+            keyframe.T_keyframe_stamp[None],
+            keyframe.stamp_covariance[None],
+            keyframe.odometry[None],
+        )
+
+    def _keep(self, keyframe: Keyframe, revision: Revision) -> None:
+        nis = sum(match.distance2 for match in revision.matches)
+        dof = sum(len(match.innovation) for match in revision.matches)
+        self._innovations.append(np.array([[len(revision.matches), nis, dof]]))
+        scan = keyframe.scan
+        if scan is None:
+            self._origins.append(np.zeros((1, 2)))
+        else:
+            self._origins.append(scan.laser[None, :2])
+            self._points.append(valid_points(scan))
+        self._starts.append(np.array([len(self._points)]))
+
+    def _hang(
+        self, anchor: int, stamps: Array, T_anchor_base: Array, covariance: Array, odometry: Array
+    ) -> PathRows:
+        m = len(stamps)
+        if m == 0:
+            return PathRows(stamps, np.empty((0, 3)), np.empty((0, 3, 3)), odometry)
+        self._stamps.append(stamps)
+        self._anchors.append(np.full(m, anchor))
+        self._T_anchor_base.append(T_anchor_base)
+        self._covariances.append(covariance[:, UPPER[0], UPPER[1]])
+        self._odometry.append(odometry)
+        pose = np.repeat(self._poses.array[anchor][None], m, axis=0)
+        spread = np.repeat(self._pose_covariances.array[anchor][None], m, axis=0)
+        poses, covariances = hang(pose, spread, T_anchor_base, covariance)
+        self._live.append(poses)
+        return PathRows(stamps, poses, covariances, odometry)
+
+    def locate(self, stamp: float, T: Array, spread: Array, odometry: Array) -> PathRows:
+        """Return where `T_keyframe_base` (3,) is, seen from the newest keyframe; keep nothing."""
+        newest = slice(len(self._poses) - 1, None)
+        poses, covariances = hang(
+            self._poses.array[newest], self._pose_covariances.array[newest], T[None], spread[None]
+        )
+        return PathRows(np.array([stamp]), poses, covariances, odometry[None])
+
+    def keyframes(self) -> Keyframes:
+        """Return the keyframes by now."""
+        return Keyframes(
+            self._key_stamps.array,
+            self._poses.array,
+            self._pose_covariances.array,
+            self._innovations.array,
+            self._origins.array,
+            self._starts.array,
+            self._points.array,
+        )
+
+    def map(self, landmarks: tuple[Landmark, ...], about: dict[str, Any] | None = None) -> Map:
+        """Return all by now as a value; what comes later does not change it."""
+        return Map(
+            self.keyframes(),
+            landmarks,
+            self._stamps.array,
+            self._anchors.array,
+            self._T_anchor_base.array,
+            self._covariances.array,
+            self._odometry.array,
+            self._live.array,
+            about or {},
+        )
+
+
+def valid_points(scan: Scan) -> npt.NDArray[np.float32]:
+    """Return where the valid beams of a scan ended, (n, 2) m in base_link."""
+    return _valid_points(scan.points, scan.valid)
+
+
+@kernel
+def _valid_points(points: Array, valid: Mask) -> npt.NDArray[np.float32]:
+    out = np.empty((valid.sum(), 2), np.float32)
+    n = 0
+    for i in range(len(valid)):
+        if valid[i]:
+            out[n, 0], out[n, 1] = points[i, 0], points[i, 1]
+            n += 1
+    return out

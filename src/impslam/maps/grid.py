@@ -1,0 +1,229 @@
+"""An occupancy grid: what is free, what is occupied, what nobody has looked at.
+
+Each cell holds the log-odds of being occupied (Moravec & Elfes 1985; Thrun et al. 2005, Eq. 9.7).
+A scan changes a cell once at most, and a beam's end outweighs beams that pass: otherwise the many
+beams that graze a wall would wipe it out.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from impslam.geometry.kernels import kernel
+from impslam.types import Array, Ints
+
+HIT = math.log(0.7 / 0.3)
+"""A beam ends here. With 2 cm of range noise the end falls in its own cell of 5 cm in 7 of 10."""
+MISS = math.log(0.3 / 0.7)
+"""A beam passes here. Counts like an end, so that what moved away is forgotten as fast as it was
+learnt; two passes make a cell free in a trinary map (p < 0.196)."""
+CLAMP = math.log(0.97 / 0.03)
+"""Certainty ends here (Hornung et al. 2013, 4.1), or the map could not follow a changed world."""
+STILL = (0.01, math.radians(0.2))
+"""m and rad: less motion than this since the last scan entered is standing still."""
+STILL_SCANS = 5
+"""Scans entered at a standstill; further ones share their errors and teach nothing new."""
+MARGIN = 64
+"""Cells kept free around what is known, so that the grid seldom grows."""
+MAX_CELLS = 40_000_000
+"""Beyond 100 000 m^2 at 5 cm (320 MB) a pose has run away; its scan is refused."""
+STOOD, ENTER, REFUSE = 0, 1, 2
+"""What is done with a scan."""
+
+Floats: TypeAlias = npt.NDArray[np.float32]
+Points: TypeAlias = npt.NDArray[np.float32]
+Stamps: TypeAlias = npt.NDArray[np.int32]
+
+
+class PlacedScans(NamedTuple):
+    """The scans of k keyframes and where they were taken.
+
+    Attributes
+    ----------
+    poses : (k, 3) `T_map_base`
+    origins : (k, 2) m, where the laser was in base_link
+    starts : (k + 1,) scan i ended at `points[starts[i] : starts[i + 1]]`
+    points : (p, 2) m in base_link
+    """
+
+    poses: Array
+    origins: Array
+    starts: Ints
+    points: Points
+
+
+@kernel
+def _select(scans: PlacedScans, size: float, box: Array, last: Array) -> Ints:
+    """Return what is to be done with each scan: STOOD (nothing), ENTER or REFUSE.
+
+    `box` (low x, low y, high x, high y) grows to hold the cells of what is to be entered. `last`
+    is the pose of the last scan that had moved, NaN before the first, and how many stood there.
+    """
+    poses, origins, starts, points = scans
+    out = np.empty(len(poses), np.int64)
+    wider, p = np.empty(4), np.empty(2)
+    for k in range(len(poses)):
+        x0, y0, theta = poses[k]
+        if not math.isfinite(x0 + y0 + theta):
+            out[k] = REFUSE
+            continue
+        turn = abs(math.pi - (math.pi - (theta - last[2])) % (2.0 * math.pi))
+        still = math.hypot(x0 - last[0], y0 - last[1]) < STILL[0] and turn < STILL[1]
+        last[3] = last[3] + 1.0 if still else 1.0
+        if not still:
+            last[:3] = poses[k]
+        if last[3] > STILL_SCANS or starts[k] == starts[k + 1]:
+            out[k] = STOOD
+            continue
+        wider[:] = box
+        c, s = math.cos(theta), math.sin(theta)
+        for i in range(-1, starts[k + 1] - starts[k]):
+            if i < 0:
+                p[:] = origins[k]
+            else:
+                p[0], p[1] = points[starts[k] + i, 0], points[starts[k] + i, 1]
+            x, y = (x0 + c * p[0] - s * p[1]) / size, (y0 + s * p[0] + c * p[1]) / size
+            wider[0], wider[1] = min(wider[0], x), min(wider[1], y)
+            wider[2], wider[3] = max(wider[2], x), max(wider[3], y)
+        wide, high = wider[2] - wider[0] + 2.0 * MARGIN, wider[3] - wider[1] + 2.0 * MARGIN
+        out[k] = ENTER if wide * high <= MAX_CELLS else REFUSE
+        if out[k] == ENTER:
+            box[:] = wider
+    return out
+
+
+@kernel
+def _enter(
+    logodds: Floats, changed: Stamps, corner: Ints, size: float, first: int, scans: PlacedScans,
+    verdicts: Ints,
+) -> int:  # fmt: skip
+    """Enter the scans to ENTER, numbered from `first` on; return the number after the last."""
+    poses, origins, starts, points = scans
+    number = first
+    beams = np.empty((np.diff(starts).max(), 4), np.int64)
+    for k in range(len(poses)):
+        if verdicts[k] != ENTER:
+            continue
+        c, s = math.cos(poses[k, 2]), math.sin(poses[k, 2])
+        x = poses[k, 0] + c * origins[k, 0] - s * origins[k, 1]
+        y = poses[k, 1] + s * origins[k, 0] + c * origins[k, 1]
+        column, row = math.floor(x / size) - corner[0], math.floor(y / size) - corner[1]
+        n = starts[k + 1] - starts[k]
+        for i in range(n):
+            px, py = np.float64(points[starts[k] + i, 0]), np.float64(points[starts[k] + i, 1])
+            beams[i, 0], beams[i, 1] = column, row
+            beams[i, 2] = math.floor((poses[k, 0] + c * px - s * py) / size) - corner[0]
+            beams[i, 3] = math.floor((poses[k, 1] + s * px + c * py) / size) - corner[1]
+        trace(logodds, changed, number, beams[:n])
+        number += 1
+    return number
+
+
+@kernel
+def trace(logodds: Floats, last: Stamps, scan: int, beams: Ints) -> None:
+    """Enter beams (n, 4), cell to cell; `last` is the scan that changed a cell last.
+
+    Between its cells a beam goes by one cell a step along its longer side (Bresenham 1965), in
+    fixed point with 32 binary digits: without a branch to guess wrong, three times as fast as the
+    exact traversal of Amanatides & Woo 1987, whose extra cells the next beam enters anyway.
+    """
+    width, half = logodds.shape[1], np.int64(1) << 31
+    cells, changed = logodds.reshape(-1), last.reshape(-1)
+    for i in range(len(beams)):
+        cell = beams[i, 3] * width + beams[i, 2]
+        if changed[cell] != scan:
+            changed[cell] = scan
+            cells[cell] = min(cells[cell] + HIT, CLAMP)
+    for i in range(len(beams)):
+        dx, dy = beams[i, 2] - beams[i, 0], beams[i, 3] - beams[i, 1]
+        steps = max(abs(dx), abs(dy), 1)
+        step_x, step_y = (dx << 32) // steps, (dy << 32) // steps
+        x, y = (beams[i, 0] << 32) + half, (beams[i, 1] << 32) + half
+        for _ in range(steps):
+            cell = np.uint64(
+                (y >> 32) * width + (x >> 32)
+            )  # unsigned: no test for a negative index
+            if changed[cell] != scan:
+                changed[cell] = scan
+                cells[cell] = max(cells[cell] + MISS, -CLAMP)
+            x += step_x
+            y += step_y
+
+
+class OccupancyGrid:
+    """Grows where the beams reach; cell (0, 0) is the lower-left one.
+
+    Attributes
+    ----------
+    logodds : (rows, columns) float32, 0 where nothing is known
+    corner : (2,) column and row of cell (0, 0), counted from the origin of map
+    refused : beams that were not entered: their scan's pose has run away, or is not finite
+    """
+
+    def __init__(self, resolution: float = 0.05) -> None:
+        self.resolution = resolution
+        self._clear()
+
+    def _clear(self) -> None:
+        self.logodds: Floats = np.zeros((0, 0), np.float32)
+        self.corner: Ints = np.zeros(2, np.int64)
+        self.refused = 0
+        self._changed: Stamps = np.zeros((0, 0), np.int32)
+        self._number = 1
+        self._box = np.array([math.inf, math.inf, -math.inf, -math.inf])
+        self._last = np.array([math.nan, math.nan, math.nan, 0.0])
+        self._drawn = np.empty((0, 3))
+
+    def draw(self, scans: PlacedScans) -> None:
+        """Draw scans; those drawn before are not drawn again unless one of them has moved."""
+        n = len(self._drawn)
+        if not np.array_equal(scans.poses[:n], self._drawn, equal_nan=True):
+            self._clear()
+            n = 0
+        self._drawn = scans.poses
+        if n == len(scans.poses):
+            return
+        new = PlacedScans(scans.poses[n:], scans.origins[n:], scans.starts[n:], scans.points)
+        verdicts = _select(new, self.resolution, self._box, self._last)
+        self.refused += int(np.diff(new.starts)[verdicts == REFUSE].sum())
+        if (verdicts == ENTER).any():
+            self._cover(np.floor(self._box[:2]), np.floor(self._box[2:]))
+            cells = self.logodds, self._changed, self.corner, self.resolution
+            self._number = _enter(*cells, self._number, new, verdicts)
+
+    def probabilities(self) -> Array:
+        """Return (rows, columns) the probability that a cell is occupied, 0.5 where unknown."""
+        odds = np.exp(self.logodds.astype(np.float64))
+        p: Array = odds / (1.0 + odds)
+        return p
+
+    @property
+    def origin(self) -> Array:
+        """(2,) m, the lower-left corner of cell (0, 0) in map."""
+        return np.multiply(self.corner, self.resolution, dtype=np.float64)
+
+    def _cover(self, low: Array, high: Array) -> None:
+        """Grow to hold the cells from low to high."""
+        first = self.corner
+        end = first + np.array(self.logodds.shape[::-1])
+        if len(self.logodds) and (first <= low).all() and (high < end).all():
+            return
+        low, high = low - MARGIN, high + 1 + MARGIN
+        if len(self.logodds):
+            low, high = np.minimum(low, first), np.maximum(high, end)
+        self._resize(low.astype(np.int64), high.astype(np.int64))
+
+    def _resize(self, low: Ints, high: Ints) -> None:
+        columns, rows = high - low
+        x, y = self.corner - low if len(self.logodds) else (0, 0)
+        height, width = self.logodds.shape
+        for name in ("logodds", "_changed"):
+            old = getattr(self, name)
+            new = np.zeros((rows, columns), old.dtype)
+            new[y : y + height, x : x + width] = old
+            setattr(self, name, new)
+        self.corner = low

@@ -1,1 +1,0 @@
-"""Scan matching: the motion between scans, from odometry and the scans themselves."""

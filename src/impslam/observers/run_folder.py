@@ -1,0 +1,88 @@
+"""The folder of a run: the same names always, and the same bytes for the same run but for times."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from impslam.errors import ImpError
+from impslam.evaluation.landmark_files import TRUE_LANDMARKS, write_true_landmarks
+from impslam.evaluation.tum import PATH_COLUMNS, TRUTH, write_tum
+from impslam.map import UPPER, Map
+from impslam.maps.files import map_image, write_landmarks, write_map
+from impslam.observers.base import Outcome
+from impslam.observers.history import History
+from impslam.observers.report import write_report
+from impslam.observers.summary import config_toml, summarise
+from impslam.observers.trajectory import LIVE
+from impslam.types import Array, TrueLandmark
+
+NOBODY = np.empty((0, 4))
+
+
+def make_run_folder(folder: Path) -> None:
+    """Make the folder of a run if need be.
+
+    Raises
+    ------
+    ImpError
+        If it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ImpError(f"{folder}: cannot be made ({error.strerror}); choose another -o") from None
+
+
+def write_run(
+    folder: Path,
+    known: Map,
+    outcome: Outcome,
+    true_path: Array = NOBODY,
+    true_landmarks: Sequence[TrueLandmark] = (),
+) -> Path:
+    """Write all files of a run into a folder, which is made if need be, and return it.
+
+    `true_path` (m, 4) is stamp, x, y, theta, where the log tells it.
+
+    Raises
+    ------
+    ImpError
+        If a file cannot be written.
+    """
+    make_run_folder(folder)
+    history, grid = History(known, true_path), known.grid(outcome.config["grid"]["resolution"])
+    try:
+        write_tum(folder / "trajectory.tum", history.path)
+        write_tum(folder / LIVE, known.live_path())
+        write_tum(folder / "odometry.tum", history.odometry)
+        _write_table(folder / "trajectory.csv", history)
+        if len(true_path):
+            write_tum(folder / TRUTH, true_path)
+        write_landmarks(folder / "landmarks.csv", known.landmarks)
+        if true_landmarks:
+            write_true_landmarks(folder / TRUE_LANDMARKS, true_landmarks)
+        known.save(folder / "map.imp")
+        image = map_image(grid)
+        write_map(folder, image)
+        facts = summarise(outcome, known, grid.refused)
+        text = json.dumps(facts, indent=2, ensure_ascii=False) + "\n"
+        (folder / "summary.json").write_text(text, encoding="utf-8")
+        (folder / "config.toml").write_text(config_toml(outcome.config), encoding="utf-8")
+        write_report(folder, history, outcome, image, true_landmarks)
+    except OSError as error:
+        raise ImpError(f"{folder}: cannot be written ({error.strerror}); choose another") from None
+    return folder
+
+
+_ROW = "%.9f,%.9f,%.9f,%.9f" + 6 * ",%.9e" + "\n"
+
+
+def _write_table(path: Path, history: History) -> None:
+    spread = history.covariances[:, UPPER[0], UPPER[1]]
+    values = np.column_stack((history.path, spread))
+    text = _ROW * len(values) % tuple(values.ravel().tolist())
+    path.write_text(PATH_COLUMNS + "\n" + text, encoding="utf-8")

@@ -1,0 +1,50 @@
+"""From the path of a log to the reader and the config that fit it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from impslam.component import explain
+from impslam.config import Config, carried, load, load_plugins
+from impslam.errors import ConfigError
+from impslam.sources.base import Source, recognise
+
+
+def open_log(
+    log: str | Path, config: str | Path | Config | None = None, settings: Sequence[str] = ()
+) -> tuple[Config, Source]:
+    """Return the config of a run and the reader of its log, which is not open yet.
+
+    `config` is a preset's name, a file, or a config; without one, the preset that fits the log.
+    `settings` are laid over it, each as "key=value".
+
+    Raises
+    ------
+    SourceError
+        If the log cannot be read.
+    ConfigError
+        If the config cannot be used.
+    """
+    log = Path(log)
+    if not isinstance(config, Config):
+        load_plugins(config or "default", settings)  # the log's reader may be among them
+        kind = recognise(log)
+        if config is None:
+            with kind(path=log) as source:
+                config = load(carried(source.preset, log), settings)
+        else:
+            config = load(config, settings)
+    elif settings:
+        raise ConfigError("settings go with a preset or a file, not with a finished config")
+    if "path" in config.source:
+        raise ConfigError("source.path is not a parameter; the log is given by itself")
+    kind = recognise(log)
+    wanted = (*config.source.get("wanted", ()), *config.make_robot().wanted)
+    try:
+        return config, kind(path=log, **{**config.source, "wanted": tuple(dict.fromkeys(wanted))})
+    except ValidationError as error:
+        known = set(kind.model_fields) - {"path"}
+        raise ConfigError(explain(error, f"source ({kind.name})", known)) from None

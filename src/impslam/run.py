@@ -1,0 +1,226 @@
+"""From a source to a map: the loop on one page.
+
+Batches of columns come in; the robot turns them into motions and sweeps, the tracker into tracks,
+the estimator revises the map at each keyframe. Observers see it all and change nothing.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from impslam.bookkeeping import Stopwatch, about, dropped
+from impslam.columns import Batch, Motions, Sweeps, batches
+from impslam.config import Config
+from impslam.errors import SourceError
+from impslam.geometry.se2 import compose, compose_uncertain
+from impslam.map import Keyframe, Keyframes, Map, PathRows, Track
+from impslam.map_builder import MapBuilder
+from impslam.observers.base import Observer, Outcome
+from impslam.observers.trust import Trust
+from impslam.open_log import open_log
+from impslam.provenance import fingerprint
+from impslam.sources.base import Problems, Source
+from impslam.types import Message, TruePose
+
+Progress = Callable[[int, int | None], None]
+"""Called now and then with how far in the log a run is, and how long the log is, if that is known."""
+
+
+def run(
+    log: str | Path,
+    config: str | Path | Config | None = None,
+    settings: Sequence[str] = (),
+    *,
+    observers: Iterable[Observer] = (),
+    progress: Progress | None = None,
+) -> Map:
+    """Map a log.
+
+    Parameters
+    ----------
+    log : a file or folder; its format is recognised from its content
+    config : a preset's name, a file, or a config; by default the preset that fits the log
+    settings : laid over it, each as "key=value"
+    observers : what else is to see the run
+    progress : called with the position in the log and its length, in the source's own unit
+
+    Raises
+    ------
+    SourceError
+        If the log cannot be read, or holds no scan that could be used, or no odometry.
+    ConfigError
+        If the config cannot be used.
+    """
+    return map_log(*open_log(log, config, settings), observers, progress)
+
+
+def map_log(
+    config: Config,
+    source: Source,
+    observers: Iterable[Observer] = (),
+    progress: Progress | None = None,
+) -> Map:
+    """Map the log of a source; see `run`."""
+    course = Run(config, observers)
+    with source:
+        course.robot.choose(source.defaults())
+        for batch in source.batches():
+            course.feed(batch)
+            if progress is not None:
+                progress(source.position, source.total)
+        course.flush()
+    return course.finish(source)
+
+
+class Run:
+    """A run in progress: batches in, a map out at any time.
+
+    Logs, replays and live robots differ in where batches come from and when; this is the rest. One
+    thread at a time may use it.
+    """
+
+    def __init__(self, config: Config, observers: Iterable[Observer] = ()) -> None:
+        self.config, self._trust = config, Trust()
+        self._observers = [self._trust, *observers]
+        self.robot, self.tracker = config.make_robot(), config.make_tracker()
+        self.estimator, self._builder = config.make_estimator(), MapBuilder()
+        self._rng = np.random.default_rng(config.seed)
+        self.clock, self.problems = Stopwatch(), Problems()
+
+    def feed(self, batch: Batch) -> None:
+        """Take in a batch; the observers see all that it completes."""
+        for columns in batch.values():
+            if columns.kind is TruePose:
+                self._show_truth(columns.row(k) for k in range(len(columns)))
+        self._sense(self.robot.sense(batch))
+
+    def flush(self) -> None:
+        """Use the sweeps that still wait for odometry, which will not come."""
+        self._sense(self.robot.flush())
+
+    def play(self, messages: Iterable[Message]) -> Map:
+        """Take in a whole drive of messages, each type of them a stream; return the map."""
+        for batch in batches((type(message).__name__, message) for message in messages):
+            self.feed(batch)
+        self.flush()
+        return self.map()
+
+    def _sense(self, sensed: Iterable[tuple[Motions, Sweeps]]) -> None:
+        for motions, sweeps in self.clock.each("sense", sensed):
+            for track in self.clock.each("track", self.tracker.follow(motions, sweeps)):
+                self._follow(track)
+                if track.keyframe is not None:
+                    self._revise(self._look(track.keyframe))
+
+    def _follow(self, track: Track) -> None:
+        path = self._builder.follow(track)
+        if len(path.stamps):
+            for observer in self._observers:
+                observer.follow(track, path)
+
+    def _look(self, keyframe: Keyframe) -> Keyframe:
+        """Return the keyframe with its scan and what is seen in it."""
+        with self.clock("look"):
+            sweeps, row = keyframe.sweeps, keyframe.row
+            seen = self.robot.look(sweeps, row, self._rng)
+            return replace(keyframe, scan=sweeps.scan(row), observations=seen)
+
+    def _revise(self, keyframe: Keyframe) -> None:
+        with self.clock("estimate"):
+            revision = self.estimator.add(keyframe)
+        if revision.refused:
+            self.problems.add("keyframe", revision.refused)
+        path = self._builder.revise(keyframe, revision)
+        for observer in self._observers:
+            observer.revise(keyframe, revision, path)
+
+    def _show_truth(self, poses: Iterable[Any]) -> None:
+        for pose in poses:
+            for observer in self._observers:
+                observer.truth(pose)
+
+    @property
+    def scans(self) -> int:
+        """Number of sweeps used by now."""
+        return len(self._builder)
+
+    def keyframes(self) -> Keyframes:
+        """Return the keyframes by now, which costs less than the map."""
+        return self._builder.keyframes()
+
+    def map(self, about: dict[str, Any] | None = None) -> Map:
+        """Return what is learned by now; what comes later does not change it."""
+        return self._builder.map(self.estimator.landmarks(), about)
+
+    def dead_reckoned(self) -> PathRows | None:
+        """Return the newest pose, carried on by all motion since; None before the first sweep.
+
+        That is where a robot is whose scans do not come. Nothing is estimated with it.
+        """
+        if not self.scans:
+            return None
+        ahead = self.robot.ahead()
+        T, spread = compose_uncertain(*self.tracker.since, ahead.d_pose, ahead.covariance)
+        odometry = compose(self.tracker.odometry, ahead.d_pose)
+        return self._builder.locate(ahead.stamp, T, spread, odometry)
+
+    def finish(self, source: Source) -> Map:
+        """Tell the observers what the run of this log was, and return the map.
+
+        Raises
+        ------
+        SourceError
+            If the log holds no scan that could be used, or no odometry.
+        """
+        self._refuse_empty(source)
+        outcome = self.outcome(source.path, fingerprint(source.path), source.problems)
+        known = self.map(about(outcome))
+        for observer in self._observers:
+            observer.finish(known, outcome)
+        return known
+
+    def _refuse_empty(self, source: Source) -> None:
+        wanted = self.robot.odometry.consumes.__name__
+        if self.scans == 0:
+            raise SourceError(
+                f"{source.path}: no usable scan in it; `imp inspect` tells what it holds"
+            )
+        if not self.robot.counts.get(wanted):
+            raise SourceError(
+                f"{source.path}: no {wanted} for odometry {self.config.odometry['kind']!r} in it; "
+                "`imp inspect` tells what it holds, -c or --set odometry.kind=... chooses another"
+            )
+
+    def outcome(self, log: Path, sha256: str, *problems: Problems) -> Outcome:
+        """Return what the run is by now; `problems` are those outside of it."""
+        numbers = {"steps": self.scans, "landmarks": len(self.estimator.landmarks())}
+        parts = (*problems, self.robot.problems, self.tracker.problems, self.problems)
+        return Outcome(
+            log=log,
+            log_sha256=sha256,
+            config=self.config.resolved(),
+            counts={**self.robot.counts, **numbers},
+            dropped=dropped(parts),
+            stages={name: np.array(times) for name, times in self.clock.stages.items()},
+            log_seconds=self.robot.elapsed,
+            wall_seconds=self.clock.elapsed,
+            state_size=self.estimator.state_size,
+            health=self._trust.health,
+        )
+
+
+class _Callable(ModuleType):
+    """The type of this module, which users call as `impslam.run(...)`."""
+
+    def __call__(self, *args: Any, **more: Any) -> Map:
+        return run(*args, **more)
+
+
+sys.modules[__name__].__class__ = _Callable

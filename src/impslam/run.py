@@ -99,11 +99,13 @@ class Run:
         for columns in batch.values():
             if columns.kind is TruePose:
                 self._show_truth(columns.row(k) for k in range(len(columns)))
-        self._sense(self.robot.sense(batch))
+        with self.clock("sense"):
+            sensed = self.robot.sense(batch)
+        self._track(sensed)
 
     def flush(self) -> None:
         """Use the sweeps that still wait for odometry, which will not come."""
-        self._sense(self.robot.flush())
+        self._track(self.robot.flush())
 
     def play(self, messages: Iterable[Message]) -> Map:
         """Take in a whole drive of messages, each type of them a stream; return the map."""
@@ -112,8 +114,8 @@ class Run:
         self.flush()
         return self.map()
 
-    def _sense(self, sensed: Iterable[tuple[Motions, Sweeps]]) -> None:
-        for motions, sweeps in self.clock.each("sense", sensed):
+    def _track(self, sensed: Iterable[tuple[Motions, Sweeps]]) -> None:
+        for motions, sweeps in sensed:
             for track in self.clock.each("track", self.tracker.follow(motions, sweeps)):
                 self._follow(track)
                 if track.keyframe is not None:

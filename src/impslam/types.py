@@ -345,6 +345,18 @@ class Observation:
     label: int | None = None
     delay: float = 0.0
 
+    def with_noise(self, R: Array) -> Observation:
+        """Return the observation with another R (k, k): `replace` in a quarter of its time."""
+        return Observation(
+            self.kind, self.z, R, self.beams, self.end_points, self.attributes, self.label, self.delay
+        )  # fmt: skip
+
+    def with_delay(self, delay: float) -> Observation:
+        """Return the observation with another delay, s."""
+        return Observation(
+            self.kind, self.z, self.R, self.beams, self.end_points, self.attributes, self.label, delay
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:

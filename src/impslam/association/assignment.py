@@ -18,17 +18,19 @@ def one_to_one(rows: Ints, columns: Ints, cost: Array) -> list[int]:
 
     Of as many, those of least total cost; pairs that are not listed are not allowed.
     """
-    if len(set(rows.tolist())) == len(set(columns.tolist())) == len(rows):  # nobody competes
-        return list(range(len(rows)))
+    wanted = list(zip(rows.tolist(), columns.tolist(), strict=True))
+    if not wanted:
+        return []
+    a, k = (sorted(set(side)) for side in zip(*wanted, strict=True))
+    if len(a) == len(k) == len(wanted):  # nobody competes
+        return list(range(len(wanted)))
     from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  0.2 s that few runs need
 
-    _, a = np.unique(rows, return_inverse=True)
-    _, k = np.unique(columns, return_inverse=True)
-    table = np.full((a.max() + 1, k.max() + 1), _FORBIDDEN)
-    place = np.zeros(table.shape, np.int64)
-    table[a, k], place[a, k] = cost, np.arange(len(rows))
-    chosen = linear_sum_assignment(table)
-    return [int(p) for p in place[chosen][table[chosen] < _FORBIDDEN]]
+    table = np.full((len(a), len(k)), _FORBIDDEN)
+    place = {(a.index(row), k.index(column)): p for p, (row, column) in enumerate(wanted)}
+    table[tuple(zip(*place, strict=True))] = cost
+    chosen = zip(*(side.tolist() for side in linear_sum_assignment(table)), strict=True)
+    return [place[pair] for pair in chosen if pair in place]
 
 
 def collect(

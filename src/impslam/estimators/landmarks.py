@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -92,13 +91,18 @@ class Landmarks(Estimator):
         self, observations: tuple[Observation, ...], motion: Increment
     ) -> tuple[Observation, ...]:
         """Add to R what the motion between a keyframe's moment and an observation's is unsure by."""
-        if motion.duration == 0.0:
+        late: dict[str, list[int]] = {}
+        for i, o in enumerate(observations):
+            if o.delay:
+                late.setdefault(o.kind, []).append(i)
+        if motion.duration == 0.0 or not late:
             return observations
-        rate = motion.covariance / motion.duration
-        blurred = []
-        for o in observations:
-            J = self._models[o.kind].z_D_motion(o.z[None])[0]
-            blurred.append(replace(o, R=o.R + abs(o.delay) * J @ rate @ J.T) if o.delay else o)
+        rate, blurred = motion.covariance / motion.duration, list(observations)
+        for kind, indices in late.items():
+            J = self._models[kind].z_D_motion(np.array([observations[i].z for i in indices]))
+            for i, added in zip(indices, J @ rate @ J.swapaxes(1, 2), strict=True):
+                o = observations[i]
+                blurred[i] = o.with_noise(o.R + abs(o.delay) * added)
         return tuple(blurred)
 
     def landmarks(self) -> tuple[Landmark, ...]:

@@ -116,13 +116,8 @@ def _of_both(model: LandmarkModel, old: Array, new: Array) -> Array:
 
 def _arc(with_heading: Array) -> Array:
     """Return the mean square (2, 2) of the way from tangent to arc, given cov(place, theta)."""
-    swung = _quarter_turn(with_heading)
-    return np.asarray(0.75 * np.outer(swung, swung))
-
-
-def _quarter_turn(v: Array) -> Array:
-    """Return vectors (..., 2) turned left."""
-    return np.stack([-v[..., 1], v[..., 0]], axis=-1)
+    x, y = with_heading.tolist()
+    return 0.75 * np.array([[y * y, -x * y], [-x * y, x * x]])
 
 
 @register("riekf")

@@ -112,5 +112,9 @@ def stacked(parts: list[npt.NDArray[T]]) -> npt.NDArray[T]:
         return parts[0]
     if parts[0].ndim == 1:
         return np.concatenate(parts)
-    widest = max(part.shape[1] for part in parts)
-    return np.concatenate([np.pad(p, ((0, 0), (0, widest - p.shape[1]))) for p in parts])
+    out = np.zeros((sum(map(len, parts)), max(part.shape[1] for part in parts)), parts[0].dtype)
+    begin = 0
+    for part in parts:
+        out[begin : begin + len(part), : part.shape[1]] = part
+        begin += len(part)
+    return out

@@ -149,7 +149,7 @@ def score(
         return model.distance(m, model.invert(pose, z)[a])
 
     possible = np.ones(len(a), np.bool_)
-    if model.has_extent:
+    if model.has_extent and len(a):
         possible = _possible(belief, table, end_points(asked)[a], rows, m)
     ids, labels = table.ids[rows], table.labels[rows]
     return Hypotheses(asked[0].kind, indices, indices[a], ids, labels, *scores, apart, possible)
@@ -170,8 +170,12 @@ def _possible(belief: GaussianBelief, table: Table, ends: Array, rows: Ints, m: 
     """
     model, pose = table.model, belief.mean[:POSE]
     overlap = model.overlap(pose, m, table.extents[rows], model.extents(pose, m, ends))
-    variance = belief.innovation_blocks(
-        table.offsets[rows], overlap.gap_D_pose[:, None], overlap.gap_D_m[:, None]
-    )[:, 0, 0]
-    limit = overlap.allowed + 2.0 * np.sqrt(np.maximum(variance, 0.0))
-    return np.asarray(overlap.gap <= limit, dtype=np.bool_)
+    possible: Mask = overlap.gap <= overlap.allowed
+    far = (~possible).nonzero()[0]
+    if len(far):
+        variance = belief.innovation_blocks(
+            table.offsets[rows[far]], overlap.gap_D_pose[far, None], overlap.gap_D_m[far, None]
+        )[:, 0, 0]
+        slack = 2.0 * np.sqrt(np.maximum(variance, 0.0))
+        possible[far] = overlap.gap[far] <= overlap.allowed + slack
+    return possible

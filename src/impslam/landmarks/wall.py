@@ -29,7 +29,7 @@ import numpy as np
 
 from impslam.component import parameter, register
 from impslam.geometry.angles import wrap, wrap_in_kernel
-from impslam.geometry.kernels import kernel
+from impslam.geometry.kernels import kernel, plain
 from impslam.geometry.se2 import compose, transform
 from impslam.landmarks.base import Initial, LandmarkModel, Overlap, Prediction, Report
 from impslam.landmarks.batch import batched
@@ -62,6 +62,45 @@ def _extents(m: Array, ends: Array) -> Array:
         one = (ends[p, 0, 0] - m[p, 0]) * tx + (ends[p, 0, 1] - m[p, 1]) * ty
         two = (ends[p, 1, 0] - m[p, 0]) * tx + (ends[p, 1, 1] - m[p, 1]) * ty
         out[p, 0], out[p, 1] = min(one, two), max(one, two)
+    return out
+
+
+@kernel
+def _m_D_motion(m: Array) -> Array:
+    """Return R(phi)^T [I, (-y, x)] over [0, 0, 1] (k, 3, 3) of walls m (k, 3)."""
+    out = np.zeros((len(m), 3, 3))
+    for k in range(len(m)):
+        c, s, D = math.cos(m[k, 2]), math.sin(m[k, 2]), out[k]
+        D[0, 0], D[0, 1], D[1, 0], D[1, 1] = c, s, -s, c
+        D[0, 2] = s * m[k, 0] - c * m[k, 1]
+        D[1, 2] = c * m[k, 0] + s * m[k, 1]
+        D[2, 2] = 1.0
+    return out
+
+
+@kernel
+def _overlap(pose: Array, m: Array, known: Array, seen: Array) -> tuple[Array, Array, Array]:
+    """Return gap (p,), gap_D_pose (p, 3) and gap_D_m (p, 3); see `Overlap`."""
+    p = len(m)
+    gap, gap_D_pose, gap_D_m = np.empty(p), np.empty((p, 3)), np.zeros((p, 3))
+    for k in range(p):
+        c, s = math.cos(m[k, 2]), math.sin(m[k, 2])
+        gap[k] = max(seen[k, 0] - known[k, 1], known[k, 0] - seen[k, 1])
+        gap_D_pose[k, 0], gap_D_pose[k, 1] = -s, c
+        gap_D_pose[k, 2] = c * (m[k, 0] - pose[0]) + s * (m[k, 1] - pose[1])
+        gap_D_m[k, 1] = -1.0
+    return gap, gap_D_pose, gap_D_m
+
+
+@kernel
+def _outline(m: Array, extents: Array) -> Array:
+    """Return the two ends (k, 2, 2) of walls m (k, 3) in map, from extents (k, 2)."""
+    out = np.empty((len(m), 2, 2))
+    for k in range(len(m)):
+        c, s = math.cos(m[k, 2]), math.sin(m[k, 2])
+        for e in range(2):
+            out[k, e, 0] = m[k, 0] - extents[k, e] * s
+            out[k, e, 1] = m[k, 1] + extents[k, e] * c
     return out
 
 
@@ -118,22 +157,11 @@ class Wall(LandmarkModel):
 
     def retract(self, m: Array, delta: Array) -> Array:
         """Move the frames in their own axes."""
-        c, s = np.cos(m[..., 2]), np.sin(m[..., 2])
-        moved = np.empty_like(m)
-        moved[..., 0] = m[..., 0] + c * delta[..., 0] - s * delta[..., 1]
-        moved[..., 1] = m[..., 1] + s * delta[..., 0] + c * delta[..., 1]
-        moved[..., 2] = wrap(m[..., 2] + delta[..., 2])
-        return moved
+        return compose(m, delta)
 
     def m_D_motion(self, m: Array) -> Array:
         """Return R(phi)^T [I, (-y, x)] over [0, 0, 1]; see `LandmarkModel.m_D_motion`."""
-        c, s = np.cos(m[:, 2]), np.sin(m[:, 2])
-        out = np.zeros((len(m), 3, 3))
-        out[:, 0, 0], out[:, 0, 1], out[:, 1, 0], out[:, 1, 1] = c, s, -s, c
-        out[:, 0, 2] = s * m[:, 0] - c * m[:, 1]
-        out[:, 1, 2] = c * m[:, 0] + s * m[:, 1]
-        out[:, 2, 2] = 1.0
-        return out
+        return _m_D_motion(m)
 
     def report(self, m: Array) -> Report:
         """Return the foot of the normal from the map origin, r >= 0 and alpha (thesis Fig. 20)."""
@@ -160,18 +188,10 @@ class Wall(LandmarkModel):
 
     def overlap(self, pose: Array, m: Array, known: Array, seen: Array) -> Overlap:
         """Return the gaps between known and seen pieces; see `LandmarkModel.overlap`."""
-        gap = np.maximum(seen[:, 0] - known[:, 1], known[:, 0] - seen[:, 1])
-        c, s = np.cos(m[:, 2]), np.sin(m[:, 2])
-        gap_D_pose = np.empty((len(m), 3))
-        gap_D_pose[:, 0], gap_D_pose[:, 1] = -s, c
-        gap_D_pose[:, 2] = c * (m[:, 0] - pose[0]) + s * (m[:, 1] - pose[1])
-        gap_D_m = np.zeros((len(m), 3))
-        gap_D_m[:, 1] = -1.0
-        return Overlap(gap, gap_D_pose, gap_D_m, self.max_gap)
+        return Overlap(*_overlap(pose, m, known, seen), self.max_gap)
 
     def outline(self, m: Array, extents: Array) -> Array:
         """Return the walls' two ends in map."""
-        out = np.empty((*m.shape[:-1], 2, 2))
-        out[..., 0] = m[..., 0, None] - extents * np.sin(m[..., 2, None])
-        out[..., 1] = m[..., 1, None] + extents * np.cos(m[..., 2, None])
-        return out
+        m, extents = plain(m), plain(extents)
+        ends = _outline(m.reshape(-1, 3), extents.reshape(-1, 2))
+        return ends.reshape(*m.shape[:-1], 2, 2)

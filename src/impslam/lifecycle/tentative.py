@@ -21,8 +21,9 @@ from pydantic import PrivateAttr
 from impslam.association.base import Association
 from impslam.component import parameter, register
 from impslam.filters.base import Filter
+from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
-from impslam.geometry.se2 import compose, inverse, transform
+from impslam.geometry.se2 import compose
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
 from impslam.types import Array, Increment, Ints, Mask, Match, Observation, Scan
@@ -67,32 +68,99 @@ def _verdict(
 
 
 @kernel
+def _hidden(
+    ends: Array, directions: Array, ranges: Array, valid: Mask, margin: float, width: float
+) -> bool:
+    """Tell whether no beam toward a landmark can end behind it: most are in other rooms.
+
+    A beam shorter than the way to the landmark's nearest place ends before it, up to what the
+    beam's distance from a sample's bearing may make of it.
+    """
+    x, y = ends[0]
+    dx, dy = ends[1, 0] - x, ends[1, 1] - y
+    length2 = dx * dx + dy * dy
+    s = min(max(-(x * dx + y * dy) / length2, 0.0), 1.0) if length2 > 0.0 else 0.0
+    nearest = math.hypot(x + s * dx, y + s * dy)
+    reach = _NEIGHBOUR + (math.atan2(width, max(nearest, 1e-9)) if length2 == 0.0 else 0.0)
+    begin = math.atan2(y, x)
+    across = wrap_in_kernel(math.atan2(ends[1, 1], ends[1, 0]) - begin)
+    low, high = begin + min(across, 0.0) - reach, begin + max(across, 0.0) + reach
+    for turn in (-2.0 * math.pi, 0.0, 2.0 * math.pi):
+        if directions[-1] < low + turn or directions[0] > high + turn:
+            continue
+        first = np.searchsorted(directions, low + turn)
+        for b in range(max(int(first) - 1, 0), len(directions)):
+            if directions[b] > high + turn:
+                break
+            if valid[b] and (ranges[b] > nearest or ranges[b] * reach > margin):
+                return False
+    return True
+
+
+@kernel
 def _seen_through(
     ends: Array, directions: Array, points: Array, valid: Mask, margin: float, width: float
-) -> Array:
-    """Return for each landmark the balance of places seen through (-) and hit (+), in [-1, 1].
+) -> float:
+    """Return the balance of a landmark's places seen through (-) and hit (+), in [-1, 1].
 
-    ends (k, 2, 2), points (n, 2) and directions (n,), ascending, all in the laser frame.
+    ends (2, 2), points (n, 2) and directions (n,), ascending, all in the laser frame.
     """
-    out = np.zeros(len(ends))
-    place, normal = np.empty(2), np.empty(2)
-    for i in range(len(ends)):
-        along = ends[i, 1] - ends[i, 0]
-        length = math.hypot(along[0], along[1])
-        samples = _SAMPLES if length > 0.0 else 1
-        for j in range(samples):
-            place[:] = ends[i, 0] + (j + 0.5) / samples * along
-            distance = max(math.hypot(place[0], place[1]), 1e-9)
-            # A point counts as seen through only if every beam beside it is: one side of a convex
-            # corner is always free.
-            half = math.atan2(width, distance) if length == 0.0 else 0.0
-            normal[:] = place / distance
-            if length > 0.0:
-                normal[0], normal[1] = -along[1] / length, along[0] / length
-                if normal[0] * place[0] + normal[1] * place[1] < 0.0:
-                    normal *= -1.0
-            out[i] += _verdict(place, normal, half, directions, points, valid, margin)
-        out[i] /= samples
+    out, place, normal = 0.0, np.empty(2), np.empty(2)
+    along = ends[1] - ends[0]
+    length = math.hypot(along[0], along[1])
+    samples = _SAMPLES if length > 0.0 else 1
+    for j in range(samples):
+        place[:] = ends[0] + (j + 0.5) / samples * along
+        distance = max(math.hypot(place[0], place[1]), 1e-9)
+        # A point counts as seen through only if every beam beside it is: one side of a convex
+        # corner is always free.
+        half = math.atan2(width, distance) if length == 0.0 else 0.0
+        normal[:] = place / distance
+        if length > 0.0:
+            normal[0], normal[1] = -along[1] / length, along[0] / length
+            if normal[0] * place[0] + normal[1] * place[1] < 0.0:
+                normal *= -1.0
+        out += _verdict(place, normal, half, directions, points, valid, margin)
+    return out / samples
+
+
+@kernel
+def _into(pose: Array, points: Array) -> Array:
+    """Return points (n, 2) as seen from a pose (3,)."""
+    c, s, out = math.cos(pose[2]), math.sin(pose[2]), np.empty((len(points), 2))
+    for i in range(len(points)):
+        x, y = points[i, 0] - pose[0], points[i, 1] - pose[1]
+        out[i, 0], out[i, 1] = c * x + s * y, c * y - s * x
+    return out
+
+
+@kernel
+def _balances(
+    beams: tuple[Array, Array, Mask], poses: Array, outlines: Array, matched: Mask, limits: Array
+) -> Array:
+    """Return for each landmark (k,) the balance of its places where it is negative, else 0 or more.
+
+    `beams` are points (n, 2) and directions (n,) in base_link and which are valid; `poses` (3, 3) are
+    `T_map_base`, `T_map_laser` and `T_base_laser`; `limits` (2,) are margin and width, m. A landmark
+    farther than the farthest beam ends is left out, as is one that is `matched` (k,).
+    """
+    out, order = np.zeros(len(outlines)), np.argsort(beams[1], kind="mergesort")
+    directions, valid = beams[1][order] - poses[2, 2], beams[2][order]
+    points, limit = _into(poses[2], beams[0][order]), 0.0
+    ranges = np.hypot(points[:, 0], points[:, 1])
+    for b in range(len(valid)):
+        if beams[2][b]:
+            limit = max(limit, math.hypot(beams[0][b, 0], beams[0][b, 1]))
+    if valid.sum() < 2:
+        return out
+    for i in range(len(out)):
+        x = 0.5 * (outlines[i, 0, 0] + outlines[i, 1, 0]) - poses[0, 0]
+        y = 0.5 * (outlines[i, 0, 1] + outlines[i, 1, 1]) - poses[0, 1]
+        if matched[i] or math.hypot(x, y) >= limit:
+            continue
+        ends = _into(poses[1], outlines[i])
+        if not _hidden(ends, directions, ranges, valid, limits[0], limits[1]):
+            out[i] = _seen_through(ends, directions, points, valid, limits[0], limits[1])
     return out
 
 
@@ -195,32 +263,20 @@ class Tentative(Lifecycle):
         self, scan: Scan, pose: Array, ids: Ints, outlines: Array, matched: set[int]
     ) -> list[int]:
         """Lower the scores of what is seen through; return those that have sunk too low."""
-        reach = scan.points[scan.valid]
-        if len(reach) < 2 or len(ids) == 0:
-            return []
-        limit = float(np.hypot(reach[:, 0], reach[:, 1]).max())
-        near = np.hypot(*(outlines.mean(axis=1) - pose[:2]).T) < limit
-        near &= [number not in matched for number in ids.tolist()]
-        balance = self._balance(scan, pose, outlines[near])
+        balance = _balances(
+            (scan.points, scan.directions, scan.valid),
+            np.stack((pose, compose(pose, scan.laser), scan.laser)),
+            outlines,
+            np.isin(ids, list(matched)),
+            np.array([self.margin, self.width]),
+        )
         lost = []
-        for k in np.flatnonzero(balance < 0.0).tolist():
-            number = int(ids[near][k])
+        for k in (balance < 0.0).nonzero()[0].tolist():
+            number = int(ids[k])
             self._scores[number] = self._score(number) + float(balance[k])
             if self._scores[number] < 0.0:
                 lost.append(number)
         return lost
-
-    def _balance(self, scan: Scan, pose: Array, outlines: Array) -> Array:
-        directions = scan.directions - scan.laser[2]
-        order = np.argsort(directions, kind="stable")
-        return _seen_through(
-            transform(inverse(compose(pose, scan.laser)), outlines),
-            directions[order],
-            transform(inverse(scan.laser), scan.points[order]),
-            scan.valid[order],
-            self.margin,
-            self.width,
-        )
 
     def _score(self, number: int) -> float:
         return self._scores.get(number, float(self.sightings))

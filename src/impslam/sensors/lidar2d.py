@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -142,9 +141,7 @@ class Lidar2D(Sensor):
         assert scan is not None
         middle = 0.5 * self._sweep(offsets)
         return tuple(
-            replace(o, delay=float(offsets[o.beams].mean()) - middle)
-            if middle and len(o.beams)
-            else o
+            o.with_delay(float(offsets[o.beams].mean()) - middle) if middle and len(o.beams) else o
             for extractor in self.extractors.values()
             for o in extractor.extract(scan, rng)
         )

@@ -123,7 +123,7 @@ class Tracker(Component):
             stamp = sweeps.columns.stamps[k]
             self._problems.add("odometry against scans", _CONTRADICTED.format(stamp))
         refined = self.refine(motions, sweeps)
-        ends = _keyframes(refined.d_pose, refined.duration, self._gate, self._travelled)
+        ends = _keyframes(motions.d_pose, motions.duration, self._gate, self._travelled)
         odometry, at_stamp = _dead_reckon(self._odometry, by_odometry.d_pose, sweeps.T_middle_stamp)
         self._odometry = odometry[-1] if len(odometry) else self._odometry
         tracked = _Tracked(refined, sweeps, at_stamp, contradicted)

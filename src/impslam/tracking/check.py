@@ -42,6 +42,12 @@ half a lidar's view of a few metres is turned by 3 cm."""
 SHARE = 0.1
 """Of the way (m) and the turn (rad), what matching may be off by: new points are laid beside old ones by
 the pose that they are to tell, and a corridor's walls are the same everywhere."""
+LACKS = 0.7
+"""Share of the motion shown below which odometry lacks some of it: a frozen wheel tells half of the way.
+Odometry that tells more than happened, or another direction, is left to its own covariance: scans of
+bushes, of people or of a long corridor can show anything, but seldom a way that was not gone."""
+LEAST = (0.05, 0.1)
+"""m, rad: what has to lack at least; matching is off by less (`SPREAD`, to three sigma)."""
 FEWEST = 2 * REACH + 1
 """Points without a gap between them that tell which way a surface runs."""
 
@@ -110,7 +116,7 @@ class OdometryCheck:
         while len(self._places) > 1 and self._places[1].time < place.time - SECONDS:
             self._places.popleft()
         first = self._places[0]
-        contradicted = _distance2(first, place) > GATE
+        contradicted = _lost_motion(first, place) and _distance2(first, place) > GATE
         chosen = self._instead(first, place, matched) if contradicted else increment
         self._places.append(place._replace(used=compose(last.used, chosen.d_pose)))
         return chosen
@@ -128,6 +134,16 @@ class OdometryCheck:
         off = SHARE**2 * self._icp.memory * np.array([way, way, turn])
         covariance = matched.covariance + np.diag(off) + np.outer(late, late)
         return replace(matched, d_pose=d_pose, covariance=covariance)
+
+
+def _lost_motion(first: _Place, place: _Place) -> bool:
+    """Tell whether odometry lacks a good part of the way, or of the turn, that the scans show."""
+    told = between(first.odometry, place.odometry)
+    shown = between(first.matched, place.matched)
+    way, seen = math.hypot(told[0], told[1]), math.hypot(shown[0], shown[1])
+    return bool(
+        way < LACKS * seen - LEAST[0] or abs(told[2]) < LACKS * abs(shown[2]) - LEAST[1]
+    )
 
 
 def _distance2(first: _Place, place: _Place) -> float:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from impslam.columns import batch, batches, rows
+from impslam.columns import batch, batches, log_order
 from impslam.types import Event, Image, Imu, LaserScan, OdometryPose, WheelAngles
 
 ANGLES, TIMES = np.linspace(-1.0, 1.0, 5), np.zeros(5)
@@ -46,7 +46,7 @@ def assert_equal(found, expected):
 
 
 def unstacked(log, size):
-    return [pair for cut in batches(log, size) for pair in rows(cut.values())]
+    return [pair for cut in batches(log, size) for pair in log_order(cut)]
 
 
 @given(st.integers(1, len(LOG) + 1))

@@ -9,7 +9,7 @@ from tests.recorded import Played
 from tests.steps import Steps
 
 from impslam.cli.simulate import write_log
-from impslam.columns import rows
+from impslam.columns import messages as read_messages
 from impslam.config import load
 from impslam.geometry.se2 import exp
 from impslam.run import map_log
@@ -143,7 +143,7 @@ def test_a_simulated_log_with_stepping_stamps_gives_the_same_path(by, tmp_path):
     log, stepped = tmp_path / "plain.mcap", tmp_path / "stepped.mcap"
     write_log(load_world("room"), log, seed=0)
     with RosBag(path=log) as source:
-        messages = [m for b in source.batches() for _, m in rows(b.values())]
+        messages = list(read_messages(source.batches()))
     middle = messages[len(messages) // 2].stamp
     with McapWriter(stepped) as writer:
         for message in messages:

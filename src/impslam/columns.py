@@ -1,8 +1,8 @@
 """Sensor data as columns: many rows of one stream, stacked field by field.
 
-A log gives a thousand rows at a time, a live robot one. How a log is cut into batches changes no
-result: all order is in `Columns.order`, the place of each row in the log, counted over all streams.
-Stamps are never sorted.
+A log provides hundreds of rows at a time, a live robot one. The size of the batches does not change
+any result: `Columns.order` holds the position of each row in the log, counted over all streams. Stamps
+are never sorted.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from impslam.types import Array, Increment, Ints, Mask, Message, Scan
 Values: TypeAlias = npt.NDArray[Any]
 
 ROWS = 512
-"""Rows of a batch: their arrays stay in a few MB for any 2D lidar, and Python's share of a row is
-well below a microsecond."""
+"""Default rows per batch: the arrays take a few MB for any 2D lidar, and the overhead of Python per row
+is well below a microsecond."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,9 +33,9 @@ class Columns:
     ----------
     stream : the stream's name in the log, e.g. a topic
     kind : the type of message that one row is
-    order : (m,) strictly increasing; place of the row in the log, over all streams
-    values : (m, ...) by field name; what differs from row to row, "stamp" (s) among it
-    layout : by field name; what is the same for all rows, e.g. the angles of a lidar's beams
+    order : (m,) strictly increasing; position of each row in the log, over all streams
+    values : (m, ...) by field name; fields with a value per row, including "stamp" (s)
+    layout : by field name; values shared by all rows, e.g. the beam angles of a lidar
     """
 
     stream: str
@@ -48,12 +48,12 @@ class Columns:
         return len(self.order)
 
     def __getitem__(self, field: str) -> Any:
-        """Return a field: (m, ...) of all rows, or the one value that they share."""
+        """Return a field: (m, ...) for all rows, or the value that all rows share."""
         return self.values[field] if field in self.values else self.layout[field]
 
     @property
     def stamps(self) -> Array:
-        """(m,) s, as the log has them."""
+        """Stamps (m,) in s, as in the log."""
         return self.values["stamp"]
 
     def take(self, rows: slice | Ints | Mask) -> Columns:
@@ -68,7 +68,7 @@ class Columns:
 
 
 def join(first: Columns, second: Columns) -> Columns:
-    """Return the rows of two columns of one stream and layout, the first before the second."""
+    """Concatenate the rows of two columns with the same stream and layout."""
     values = {name: np.concatenate((v, second.values[name])) for name, v in first.values.items()}
     order = np.concatenate((first.order, second.order))
     return Columns(second.stream, second.kind, order, values, second.layout)
@@ -79,9 +79,9 @@ Batch: TypeAlias = Mapping[str, Columns]
 
 
 def batches(messages: Iterable[tuple[str, Message]], rows: int = ROWS) -> Iterator[Batch]:
-    """Gather messages with the names of their streams into batches of at most `rows` messages.
+    """Group (stream, message) pairs into batches of at most `rows` messages.
 
-    A batch ends early where a stream's layout changes.
+    A batch ends early if the layout of a stream changes.
     """
     gathered: dict[str, list[tuple[int, Message]]] = {}
     count = 0
@@ -100,13 +100,13 @@ def batches(messages: Iterable[tuple[str, Message]], rows: int = ROWS) -> Iterat
 
 
 def batch(stream: str, message: Message, order: int) -> Batch:
-    """Return a batch of one row, as a live robot has it."""
+    """Return a batch of one row at position `order` of the log."""
     return _stacked({stream: [(order, message)]})
 
 
-def rows(columns: Iterable[Columns]) -> Iterator[tuple[str, Message]]:
-    """Yield the rows of all columns with their streams' names, in the order of the log."""
-    many = list(columns)
+def log_order(batch: Batch) -> Iterator[tuple[str, Message]]:
+    """Yield the stream and message of each row of a batch, in the order of the log."""
+    many = list(batch.values())
     places = sorted((int(o), i, k) for i, c in enumerate(many) for k, o in enumerate(c.order))
     for _, i, k in places:
         yield many[i].stream, many[i].row(k)
@@ -114,8 +114,8 @@ def rows(columns: Iterable[Columns]) -> Iterator[tuple[str, Message]]:
 
 def messages(batches: Iterable[Batch]) -> Iterator[Message]:
     """Yield the rows of batches as messages, in the order of the log."""
-    for each in batches:
-        for _, message in rows(each.values()):
+    for batch in batches:
+        for _, message in log_order(batch):
             yield message
 
 
@@ -147,7 +147,7 @@ def _scalar(value: Any) -> Any:
 
 
 def _stacks(first: Message, other: Message) -> bool:
-    """Tell whether two messages may be rows of the same columns."""
+    """Return whether two messages can be rows of the same columns."""
     if type(first) is not type(other):
         return False
     for name in _names(type(first)):  # type: ignore[arg-type]  # a class can be hashed
@@ -171,7 +171,7 @@ def _shape(value: Any) -> tuple[int, ...]:
 
 
 def same_layout(a: Columns, b: Columns) -> bool:
-    """Tell whether the rows of two columns may be joined into one."""
+    """Return whether the rows of two columns can be joined."""
     if a.kind is not b.kind or a.layout.keys() != b.layout.keys():
         return False
     for name, column in a.values.items():
@@ -189,13 +189,13 @@ def _equal(a: Any, b: Any) -> bool:
 
 
 class Motions(NamedTuple):
-    """m motions of base_link, each from where the one before ended; the columns of `Increment`.
+    """m consecutive motions of base_link, each starting where the previous one ended; see `Increment`.
 
     Attributes
     ----------
     stamps : (m,) s, at the end of each
     d_pose : (m, 3) `T_before_after`
-    covariance : (m, 3, 3) of an additive error on it
+    covariance : (m, 3, 3) of the additive error of `d_pose`
     duration : (m,) s, >= 0
     """
 
@@ -217,18 +217,18 @@ class Motions(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweeps:
-    """m rows of one exteroceptive sensor, brought onto the robot's motion.
+    """m measurements of one exteroceptive sensor, related to the motion of the robot.
 
     Attributes
     ----------
     sensor : the sensor's name in the config
-    columns : the rows as they were received
-    middles : (m,) s on the odometry's clock, when the middle of each sweep was measured; what is
-        estimated is base_link then
+    columns : the rows as received
+    middles : (m,) s on the odometry's clock, time of the middle of each sweep; the estimated
+        pose is that of base_link at this time
     twists : (m, 3) m/s, m/s, rad/s, mean body velocity over each sweep
-    T_middle_stamp : (m, 3) dead-reckoned motion from the middle of a sweep to the row's own stamp
+    T_middle_stamp : (m, 3) dead-reckoned motion from the middle of the sweep to the stamp of the row
     stamp_covariance : (m, 3, 3) of that motion
-    scans : the rows ready for extraction, None for a sensor that has none
+    scans : de-skewed scans for extraction, None for a sensor that does not measure scans
     """
 
     sensor: str
@@ -251,7 +251,7 @@ class Sweeps:
         )  # fmt: skip
 
     def scan(self, k: int) -> Scan | None:
-        """Return one row ready for extraction."""
+        """Return the scan of one row, or None if the sensor does not measure scans."""
         return None if self.scans is None else self.scans.row(k)
 
 

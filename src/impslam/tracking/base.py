@@ -67,6 +67,8 @@ class Tracker(Component):
     """Turns motions and sweeps into tracks; `refine` is what differs between trackers."""
 
     role: ClassVar[str] = "tracker"
+    matches_scans: ClassVar[bool] = False
+    """Whether `refine` finds the motion from the scans, with odometry as a prior."""
 
     _gate: Array = PrivateAttr()
     _since: tuple[Array, Array] = PrivateAttr()
@@ -86,7 +88,7 @@ class Tracker(Component):
         self._since = np.zeros(3), np.zeros((3, 3))
         self._odometry = np.array(start, dtype=np.float64)
         self._duration, self._keyframes = 0.0, 0
-        self._check = OdometryCheck()
+        self._check = OdometryCheck(follow=not self.matches_scans)
 
     @property
     def problems(self) -> Problems:

@@ -74,9 +74,14 @@ class _Place(NamedTuple):
 
 
 class OdometryCheck:
-    """Compares odometry with scans; the motion that it returns is odometry's while they agree."""
+    """Compares odometry with scans; the motion that it returns is odometry's while they agree.
 
-    def __init__(self) -> None:
+    Where they do not, it is the scans' with `follow`; without, it is still odometry's, so unsure that
+    a tracker which matches scans itself finds the motion from there.
+    """
+
+    def __init__(self, *, follow: bool = True) -> None:
+        self._follow = follow
         self._icp = Icp(spacing=0.1, min_share=0.5)
         self._places: deque[_Place] = deque(maxlen=MOST)
         self._stamp = 0.0
@@ -117,7 +122,10 @@ class OdometryCheck:
             self._places.popleft()
         first = self._places[0]
         contradicted = _lost_motion(first, place) and _distance2(first, place) > GATE
-        chosen = self._instead(first, place, matched) if contradicted else increment
+        chosen = increment
+        if contradicted:
+            unsure = replace(increment, covariance=wide)
+            chosen = self._instead(first, place, matched) if self._follow else unsure
         self._places.append(place._replace(used=compose(last.used, chosen.d_pose)))
         return chosen
 
@@ -141,9 +149,7 @@ def _lost_motion(first: _Place, place: _Place) -> bool:
     told = between(first.odometry, place.odometry)
     shown = between(first.matched, place.matched)
     way, seen = math.hypot(told[0], told[1]), math.hypot(shown[0], shown[1])
-    return bool(
-        way < LACKS * seen - LEAST[0] or abs(told[2]) < LACKS * abs(shown[2]) - LEAST[1]
-    )
+    return bool(way < LACKS * seen - LEAST[0] or abs(told[2]) < LACKS * abs(shown[2]) - LEAST[1])
 
 
 def _distance2(first: _Place, place: _Place) -> float:

@@ -13,6 +13,7 @@ increments compose, and closing loops stays the filter's work.
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import numpy as np
 from pydantic import PrivateAttr
@@ -163,6 +164,8 @@ def gap(scan: Scan) -> float:
 @register("icp")
 class Icp(Tracker):
     """Iterated closest points against the last metres, with odometry as prior."""
+
+    matches_scans: ClassVar[bool] = True
 
     sigma: float = parameter(
         0.02,

@@ -35,7 +35,7 @@ def short():
 def fail_for_ekf(run):
     if run.variant.name == "ekf" and run.seed == 0:
         raise ArithmeticError("singular")
-    return {"scans": len(run.steps)}
+    return {"scans": len(run.rows.stamps)}
 
 
 VARIANTS = grid(["imp"], {"default": (), "ekf": ("filter.kind=ekf",)})

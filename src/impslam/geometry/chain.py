@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 
 Array = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
@@ -36,7 +37,7 @@ def advance(pose: Array, P: Array, d_pose: Array, Q: Array) -> None:
     P[1, 0], P[2, 0], P[2, 1] = P[0, 1], P[0, 2], P[1, 2]
     pose[0] += dx
     pose[1] += dy
-    pose[2] = math.pi - (math.pi - (pose[2] + d_pose[2])) % (2.0 * math.pi)
+    pose[2] = wrap_in_kernel(pose[2] + d_pose[2])
 
 
 @kernel
@@ -45,4 +46,4 @@ def advance_pose(pose: Array, d_pose: Array) -> None:
     c, s = math.cos(pose[2]), math.sin(pose[2])
     pose[0] += c * d_pose[0] - s * d_pose[1]
     pose[1] += s * d_pose[0] + c * d_pose[1]
-    pose[2] = math.pi - (math.pi - (pose[2] + d_pose[2])) % (2.0 * math.pi)
+    pose[2] = wrap_in_kernel(pose[2] + d_pose[2])

@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
 
@@ -71,7 +72,7 @@ def _select(scans: PlacedScans, size: float, box: Array, last: Array) -> Ints:
         if not math.isfinite(x0 + y0 + theta):
             out[k] = REFUSE
             continue
-        turn = abs(math.pi - (math.pi - (theta - last[2])) % (2.0 * math.pi))
+        turn = abs(wrap_in_kernel(theta - last[2]))
         still = math.hypot(x0 - last[0], y0 - last[1]) < STILL[0] and turn < STILL[1]
         last[3] = last[3] + 1.0 if still else 1.0
         if not still:

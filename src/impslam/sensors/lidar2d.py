@@ -131,9 +131,8 @@ class Lidar2D(Sensor):
         """Return (n,) which beams the limits of the angle let through."""
         # Beams of a full turn may be given as 0 to 2 pi: compare directions, not numbers.
         field = self.angle_max - self.angle_min
-        return np.asarray(
-            (field >= 2.0 * np.pi) | (np.mod(angles - self.angle_min, 2.0 * np.pi) <= field)
-        )
+        turned = np.mod(angles - self.angle_min, 2.0 * np.pi)
+        return np.asarray((field >= 2.0 * np.pi) | (turned <= field))
 
     def look(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
         """Return what the extractors find in a scan, with the time at which its beams were fired."""

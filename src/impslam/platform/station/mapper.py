@@ -261,8 +261,9 @@ class _Mapping:
 
     def _fail(self, reason: str) -> None:
         if self.open:
-            self._failure = " ".join(reason.split())
-            log.error("mapping failed: %s", self._failure)
+            failure = " ".join(reason.split())
+            log.error("mapping failed: %s", failure)
+            self._failure = failure
 
     def _next(self) -> None:
         """Take in one message, or use the scans whose odometry does not come."""

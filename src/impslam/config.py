@@ -29,6 +29,7 @@ from impslam.component import (
 from impslam.errors import ConfigError
 from impslam.estimators.base import Estimator
 from impslam.landmarks.base import LandmarkModel
+from impslam.maps.grid import COARSEST, FINEST
 from impslam.parameters import Parameters
 from impslam.paths import is_file
 from impslam.robot import Robot
@@ -40,7 +41,7 @@ Table = dict[str, Any]
 class Grid(Parameters):
     """The occupancy grid that a run writes."""
 
-    resolution: float = parameter(0.05, "m", "side of a cell", ge=0.001, le=10)
+    resolution: float = parameter(0.05, "m", "side of a cell", ge=FINEST, le=COARSEST)
 
 
 class Config(Parameters):
@@ -283,6 +284,10 @@ def _load_plugins(table: Table) -> None:
 
 
 def _merged(base: str | Path | Table, settings: Sequence[str]) -> Table:
+    if not isinstance(base, str | Path | dict):
+        raise ConfigError(f"config = {shorten(base)}: expected a preset's name or a file")
+    if isinstance(settings, str) or not all(isinstance(one, str) for one in settings):
+        raise ConfigError(f'settings = {shorten(settings)}: expected a list, e.g. ["seed=1"]')
     table = base if isinstance(base, dict) else read_table(base)
     for setting in settings:
         table = merge(table, _anchored(parse_setting(setting), Path()))

@@ -157,7 +157,7 @@ class Keyframes:
         grid.draw(PlacedScans(self.poses, self.origins, self.starts, self.points))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Map:
     """All that a run has learned.
 
@@ -184,6 +184,11 @@ class Map:
     live_poses: Array
     about: dict[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """Say how much is in it: the arrays themselves would fill a screen."""
+        counts = (len(self.stamps), len(self.keyframes), len(self.landmarks))
+        return "<Map: {} scans, {} keyframes, {} landmarks>".format(*counts)
+
     def rows(self) -> PathRows:
         """Return the path with its covariances, as it is known now."""
         keyframes = self.keyframes
@@ -208,7 +213,13 @@ class Map:
         return np.column_stack((self.stamps, self.odometry_poses))
 
     def grid(self, resolution: float = 0.05) -> OccupancyGrid:
-        """Draw the occupancy grid from the keyframes' scans; `resolution` is a cell's side in m."""
+        """Draw the occupancy grid from the keyframes' scans; `resolution` is a cell's side in m.
+
+        Raises
+        ------
+        ConfigError
+            If no grid has such cells.
+        """
         grid = OccupancyGrid(resolution)
         self.keyframes.draw(grid)
         return grid

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from impslam.component import explain
+from impslam.component import explain, shorten
 from impslam.config import Config, carried, load, load_plugins
-from impslam.errors import ConfigError
+from impslam.errors import ConfigError, SourceError
 from impslam.sources.base import Source, recognise
 
 
@@ -28,8 +28,12 @@ def open_log(
     ConfigError
         If the config cannot be used.
     """
+    if not isinstance(log, str | Path):
+        raise SourceError(f"log = {shorten(log)}: expected the path of a file or folder")
     log = Path(log)
-    if not isinstance(config, Config):
+    if isinstance(config, Config):
+        config = finished(config, settings)
+    else:
         load_plugins(config or "default", settings)  # the log's reader may be among them
         kind = recognise(log)
         if config is None:
@@ -37,8 +41,6 @@ def open_log(
                 config = load(carried(source.preset, log), settings)
         else:
             config = load(config, settings)
-    elif settings:
-        raise ConfigError("settings go with a preset or a file, not with a finished config")
     if "path" in config.source:
         raise ConfigError("source.path is not a parameter; the log is given by itself")
     kind = recognise(log)
@@ -48,3 +50,18 @@ def open_log(
     except ValidationError as error:
         known = set(kind.model_fields) - {"path"}
         raise ConfigError(explain(error, f"source ({kind.name})", known)) from None
+
+
+def finished(config: str | Path | Config, settings: Sequence[str] = ()) -> Config:
+    """Return the config of a preset's name or a file with `settings` laid over it, or itself.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be used, or settings are given for a config that is finished.
+    """
+    if not isinstance(config, Config):
+        return load(config, settings)
+    if settings:
+        raise ConfigError("settings go with a preset or a file, not with a finished config")
+    return config

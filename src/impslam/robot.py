@@ -68,6 +68,10 @@ class Robot:
         """Raise `ConfigError` if the config names a stream that is not among these."""
         self._streams.check(streams)
 
+    def check_reads(self, kind: type[Message], stream: str) -> None:
+        """Raise `ConfigError` unless rows of a kind and stream are of use."""
+        self._streams.check_reads(kind, stream)
+
     # ------------------------------------------------------------------ sensing
 
     def sense(self, batch: Batch) -> Iterator[tuple[Motions, Sweeps]]:

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from impslam.columns import Columns
-from impslam.config import Config, load
-from impslam.errors import ConfigError, ShapeError
+from impslam.component import shorten
+from impslam.config import Config
+from impslam.errors import ImpError, ShapeError
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer
+from impslam.open_log import finished
 from impslam.run import Run
 from impslam.types import (
     Array,
     LaserScan,
-    Message,
     OdometryPose,
     Stamped,
     Velocity,
@@ -30,9 +31,9 @@ from impslam.types import (
 class Slam:
     """Maps scans and odometry that are given as arrays.
 
-    Rows are used in the order in which they are given. A scan waits until odometry covers its
-    sweep, so give what happened first first; within that, one row at a time or all at once gives
-    the same map to the bit.
+    Rows are used in the order in which they are given, so give first what happened first. A scan
+    waits until odometry covers its sweep: odometry may come first, all of it or a piece at a time.
+    Several lidars come in turns. One row at a time or all at once gives the same map to the bit.
 
     Parameters
     ----------
@@ -69,26 +70,27 @@ class Slam:
         observers: Iterable[Observer] = (),
         progress: Callable[[int], None] | None = None,
     ) -> None:
-        if isinstance(config, Config) and settings:
-            raise ConfigError("settings go with a preset or a file, not with a finished config")
-        chosen = config if isinstance(config, Config) else load(config, settings)
+        chosen = finished(config, settings)
         self._newest = _Newest()
         self._run = Run(chosen, [self._newest, *observers])
         self._progress, self._order = progress, 0
+        self._given: dict[str, float] = {}  # newest stamp by stream
+        self._scanned: dict[str, float] = {}  # the same of those that are scans
 
     def add_odometry(self, stamps: npt.ArrayLike, poses: npt.ArrayLike) -> None:
         """Give poses `T_odom_base` (m, 3) or (3,), m and rad, at stamps (m,) or a number, s."""
-        self._add(OdometryPose, stamps, {"pose": (poses, (3,))})
+        self._add(OdometryPose, stamps, {"pose": ("poses", poses, (3,))})
 
     def add_wheels(self, stamps: npt.ArrayLike, left: npt.ArrayLike, right: npt.ArrayLike) -> None:
         """Give readings (m,) of the wheels' encoders in the config's unit, at stamps (m,), s."""
-        self._add(WheelAngles, stamps, {"left": (left, ()), "right": (right, ())})
+        self._add(WheelAngles, stamps, {"left": ("left", left, ()), "right": ("right", right, ())})
 
     def add_velocities(
         self, stamps: npt.ArrayLike, speeds: npt.ArrayLike, turn_rates: npt.ArrayLike
     ) -> None:
         """Give speeds (m,) m/s and turn rates (m,) rad/s, which hold from their stamps (m,) s on."""
-        self._add(Velocity, stamps, {"speed": (speeds, ()), "turn_rate": (turn_rates, ())})
+        fields = {"speed": ("speeds", speeds, ()), "turn_rate": ("turn_rates", turn_rates, ())}
+        self._add(Velocity, stamps, fields)
 
     def add_scans(
         self,
@@ -117,53 +119,60 @@ class Slam:
         ShapeError
             If the shapes do not fit each other, or something is no number.
         ConfigError
-            If the config has no sensor for scans.
+            If no sensor of the config reads scans of this stream.
         """
-        beams = _array("angles", angles)
-        check_shape("angles", beams, None)
+        beams = _finite("angles", angles, None)
         n = len(beams)
-        times = np.zeros(n) if time_offsets is None else _array("time_offsets", time_offsets)
-        check_shape("time_offsets", times, n)
+        times = np.zeros(n) if time_offsets is None else _finite("time_offsets", time_offsets, n)
         layout: dict[str, Any] = {"angles": beams, "time_offsets": times, "intensities": None}
-        layout |= {"range_min": float(range_min), "range_max": float(range_max)}
-        self._add(LaserScan, stamps, {"ranges": (ranges, (n,))}, layout, stream)
+        for name, limit in (("range_min", range_min), ("range_max", range_max)):
+            array = _array(name, limit)
+            check_shape(name, array)
+            layout[name] = float(array)
+        self._add(LaserScan, stamps, {"ranges": ("ranges", ranges, (n,))}, layout, stream)
 
     def _add(
         self,
         kind: type[Stamped],
         stamps: npt.ArrayLike,
-        fields: dict[str, tuple[npt.ArrayLike, tuple[int, ...]]],
+        fields: Mapping[str, _Field],
         layout: dict[str, Any] | None = None,
         stream: str = "",
     ) -> None:
-        self._check_kind(kind)
         times = np.atleast_1d(_array("stamps", stamps))
-        check_shape("stamps", times, None)
+        times = _finite("stamps", times, None)
         values = {"stamp": times}
-        for name, (given, row) in fields.items():
-            array = _array(name, given)
-            values[name] = array[None] if array.ndim == len(row) else array
-            check_shape(name, values[name], len(times), *row)
+        for field, (name, given, row) in fields.items():
+            values[field] = _rows(name, given, len(times), row)
+        name = stream or kind.__name__
+        self._run.robot.check_reads(kind, name)
         if len(times) == 0:
             return
-        if not np.isfinite(times).all():
-            raise ShapeError("stamps: not all are finite")
+        self._refuse_late(name, times, is_scan=kind is LaserScan)
         order = self._order + np.arange(len(times))
         self._order += len(times)
-        name = stream or kind.__name__
         before = self._run.scans
         self._run.feed({name: Columns(name, kind, order, values, layout or {})})
         self._report(before)
 
-    def _check_kind(self, kind: type[Message]) -> None:
-        robot = self._run.robot
-        used = [robot.odometry.consumes, *(s.consumes for s in robot.sensors.values())]
-        if kind not in used:
-            known = ", ".join(sorted({one.__name__ for one in used}))
-            raise ConfigError(
-                f"this config has no use for {kind.__name__}, it takes {known}; choose another "
-                "preset, or another odometry.kind"
-            )
+    def _refuse_late(self, name: str, times: Array, *, is_scan: bool) -> None:
+        """Refuse many rows that should have come before what was given, and would tell no motion.
+
+        A single row may be late, as on a robot. Rows older than their own stream's were stamped by
+        a clock that was set back, and are in order.
+        """
+        if len(times) > 1 and times[0] >= self._given.get(name, -np.inf):
+            used = self._newest.path
+            others = [t for stream, t in self._scanned.items() if stream != name]
+            upto = others if is_scan else [] if used is None else [float(used.stamps[-1])]
+            if times[0] < max(upto, default=-np.inf):
+                raise ImpError(
+                    f"{name}: {len(times)} rows from {times[0]:.3f} s on come after the scan at "
+                    f"{max(upto):.3f} s; give first what happened first, several streams in turns"
+                )
+        self._given[name] = float(times[-1])
+        if is_scan:
+            self._scanned[name] = float(times[-1])
 
     def _report(self, before: int) -> None:
         if self._progress is not None and self._run.scans > before:
@@ -212,8 +221,36 @@ class _Newest(Observer):
         self.path = path
 
 
-def _array(name: str, values: npt.ArrayLike) -> Array:
+_Field: TypeAlias = tuple[str, npt.ArrayLike, tuple[int, ...]]
+"""The argument's name, what was given, and the shape of one row."""
+
+
+def _array(name: str, given: npt.ArrayLike) -> Array:
     try:
-        return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ShapeError(f"{name}: not an array of numbers ({error})") from None
+        array = np.asarray(given)
+    except ValueError:
+        raise ShapeError(f"{name}: rows of different lengths; give an array") from None
+    if array.dtype.kind not in "iuf":
+        what = f"{shorten(given)} is of type {array.dtype}"
+        raise ShapeError(f"{name}: {what}; give numbers, NaN where there is none")
+    return array.astype(np.float64)  # a copy: what the caller does with its own changes nothing
+
+
+def _finite(name: str, given: npt.ArrayLike, length: int | None) -> Array:
+    array = _array(name, given)
+    check_shape(name, array, length)
+    if not np.isfinite(array).all():
+        k = int(np.argmin(np.isfinite(array)))
+        raise ShapeError(f"{name}[{k}] is {array[k]}; give finite numbers, leave out other rows")
+    return array
+
+
+def _rows(name: str, given: npt.ArrayLike, length: int, row: tuple[int, ...]) -> Array:
+    """Return an array (length, *row), also of the one row that was given."""
+    array = _array(name, given)
+    if length == 0 and array.size == 0:
+        return array.reshape(0, *row)
+    if length == 1 and array.ndim == len(row):
+        array = array[None]
+    check_shape(name, array, length, *row)
+    return array

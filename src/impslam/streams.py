@@ -57,6 +57,19 @@ class Streams:
                     f"{near_miss(reader.stream, known)}"
                 )
 
+    def check_reads(self, kind: type[Message], stream: str) -> None:
+        """Refuse rows that nobody reads: of a kind, or of a stream, that the config has no use for."""
+        fit = [reader for reader in self._all if issubclass(kind, reader.consumes)]
+        if not fit:
+            known = ", ".join(sorted({reader.consumes.__name__ for reader in self._all}))
+            raise ConfigError(
+                f"this config has no use for {kind.__name__}, it takes {known}; choose another "
+                "preset, or another odometry.kind"
+            )
+        if all(reader.stream not in ("", stream) for reader in fit):
+            read = ", ".join(f"{reader.place}.stream = {reader.stream!r}" for reader in fit)
+            raise ConfigError(f"no part of the robot reads the stream {stream!r}; there is {read}")
+
     def used(self, batch: Batch) -> list[Columns]:
         """Return the columns that somebody reads, in the order of their first rows."""
         for columns in sorted(batch.values(), key=_first):

@@ -29,7 +29,8 @@ def check_shape(name: str, array: npt.NDArray[np.generic], *shape: int | None) -
     if array.ndim != len(shape) or any(
         want is not None and want != have for want, have in zip(shape, array.shape, strict=True)
     ):
-        raise ShapeError(f"{name} has shape {array.shape}; expected {shape}")
+        expected = str(shape).replace("None", "any")
+        raise ShapeError(f"{name} has shape {array.shape}; expected {expected}")
 
 
 # --------------------------------------------------------------------------- messages

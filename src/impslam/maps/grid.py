@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from impslam.errors import ConfigError
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
@@ -32,6 +33,8 @@ MARGIN = 64
 """Cells kept free around what is known, so that the grid seldom grows."""
 MAX_CELLS = 40_000_000
 """Beyond 100 000 m^2 at 5 cm (320 MB) a pose has run away; its scan is refused."""
+FINEST, COARSEST = 0.001, 10.0
+"""m, limits of a cell's side."""
 STOOD, ENTER, REFUSE = 0, 1, 2
 """What is done with a scan."""
 
@@ -166,7 +169,11 @@ class OccupancyGrid:
     """
 
     def __init__(self, resolution: float = 0.05) -> None:
-        self.resolution = resolution
+        if not (isinstance(resolution, int | float) and FINEST <= resolution <= COARSEST):
+            raise ConfigError(
+                f"resolution = {resolution!r}: a cell's side is {FINEST:g} to {COARSEST:g} m"
+            )
+        self.resolution = float(resolution)
         self._clear()
 
     def _clear(self) -> None:

@@ -73,7 +73,7 @@ class Tracker(Component):
     _gate: Array = PrivateAttr()
     _since: tuple[Array, Array] = PrivateAttr()
     _odometry: Array = PrivateAttr()
-    _travelled: Array = PrivateAttr()
+    _travelled: dict[str, Array] = PrivateAttr(default_factory=dict)
     _duration: float = PrivateAttr(0.0)
     _keyframes: int = PrivateAttr(0)
     _problems: Problems = PrivateAttr(default_factory=Problems)
@@ -84,7 +84,7 @@ class Tracker(Component):
         from impslam.tracking.check import OdometryCheck  # noqa: PLC0415  it matches scans as `icp`
 
         self._gate = np.array([gate.distance, gate.angle, gate.seconds])
-        self._travelled = np.full(3, math.inf)
+        self._travelled = {}
         self._since = np.zeros(3), np.zeros((3, 3))
         self._odometry = np.array(start, dtype=np.float64)
         self._duration, self._keyframes = 0.0, 0
@@ -125,7 +125,7 @@ class Tracker(Component):
             stamp = sweeps.columns.stamps[k]
             self._problems.add("odometry against scans", _CONTRADICTED.format(stamp))
         refined = self.refine(motions, sweeps)
-        ends = _keyframes(motions.d_pose, motions.duration, self._gate, self._travelled)
+        ends = self._ends(sweeps.sensor, motions)
         odometry, at_stamp = _dead_reckon(self._odometry, by_odometry.d_pose, sweeps.T_middle_stamp)
         self._odometry = odometry[-1] if len(odometry) else self._odometry
         tracked = _Tracked(refined, sweeps, at_stamp, contradicted)
@@ -135,6 +135,14 @@ class Tracker(Component):
             begin = end + 1
         if begin < len(sweeps):
             yield self._track(tracked, slice(begin, len(sweeps)), ends=False)
+
+    def _ends(self, sensor: str, motions: Motions) -> Mask:
+        """Tell which sweeps are keyframes: each sensor looks at what the others do not see."""
+        travelled = self._travelled.setdefault(sensor, np.full(3, math.inf))
+        for name, others in self._travelled.items():
+            if name != sensor:
+                _keyframes(motions.d_pose, motions.duration, np.full(3, math.inf), others)
+        return _keyframes(motions.d_pose, motions.duration, self._gate, travelled)
 
     def _track(self, tracked: _Tracked, rows: slice, *, ends: bool) -> Track:
         """Return the track of some rows, and with `ends` the keyframe in the row after them."""
@@ -182,7 +190,10 @@ class Tracker(Component):
 
 @kernel
 def _keyframes(d_pose: Array, duration: Array, limits: Array, travelled: Array) -> Mask:
-    """Tell which sweeps are keyframes; travelled (3,) m, rad, s since the last one is carried on."""
+    """Tell which sweeps are keyframes; travelled (3,) m, rad, s since the last one is carried on.
+
+    Limits of inf end nothing.
+    """
     out = np.zeros(len(d_pose), np.bool_)
     for k in range(len(d_pose)):
         travelled[0] += math.hypot(d_pose[k, 0], d_pose[k, 1])

@@ -1,14 +1,23 @@
 """impslam: SLAM for small wheeled robots with a 2D lidar.
 
-import impslam
+`impslam.run` takes a log and returns a map, e.g. `impslam.run("log.mcap", "turtlebot3-waffle")`.
+`impslam.Slam` takes arrays of a program of your own:
 
-known = impslam.run("log.mcap", "turtlebot3-waffle")   # a log in, a map out
-known.path(); known.landmarks; known.grid(); known.save("office.imp")
+>>> import numpy as np
+>>> import impslam
+>>> angles = np.radians(np.arange(-180, 180))
+>>> ranges = 2.0 / np.maximum(abs(np.cos(angles)), abs(np.sin(angles)))  # a room of 4 by 4 m
+>>> slam = impslam.Slam("default")
+>>> for stamp in range(10):
+...     slam.add_odometry(stamp, [0.0, 0.0, 0.0])
+...     slam.add_scans(stamp, ranges, angles)
+>>> known = slam.finish()
+>>> known.path().shape
+(10, 4)
+>>> known.landmarks[0].kind
+'wall'
 
-slam = impslam.Slam("default")                         # or arrays of a program of your own
-slam.add_odometry(stamps, poses)
-slam.add_scans(stamps, ranges, angles)
-slam.map()
+`impslam.Map` is what both return: `path()`, `landmarks`, `grid()`, `save()` and `Map.load()`.
 """
 
 from __future__ import annotations

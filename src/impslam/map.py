@@ -172,6 +172,20 @@ class Map:
     odometry_poses : (n, 3) dead reckoning
     live_poses : (n, 3) `T_map_base` of each sweep as it was known at the time
     about : where the map comes from: log, config, counts, versions; plain values as JSON holds them
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import impslam
+    >>> slam = impslam.Slam("default")
+    >>> slam.add_odometry([0.0, 1.0], [[0.0, 0.0, 0.0], [0.5, 0.0, 0.1]])
+    >>> slam.add_scans([0.0, 1.0], [[2.0, 2.1, 2.2]] * 2, [-0.1, 0.0, 0.1])
+    >>> known = slam.finish()
+    >>> known.path().round(3).tolist()
+    [[0.0, 0.0, 0.0, 0.0], [1.0, 0.5, 0.0, 0.1]]
+    >>> file = known.save(f"{tempfile.mkdtemp()}/office.imp")
+    >>> impslam.Map.load(file)
+    <Map: 2 scans, 2 keyframes, 0 landmarks>
     """
 
     keyframes: Keyframes

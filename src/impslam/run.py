@@ -27,6 +27,7 @@ from impslam.observers.trust import Trust
 from impslam.open_log import open_log
 from impslam.provenance import fingerprint
 from impslam.sources.base import Problems, Source
+from impslam.threads import OneBlasThread
 from impslam.types import Message, TruePose
 
 Progress = Callable[[int, int | None], None]
@@ -57,6 +58,27 @@ def run(
         If the log cannot be read, or holds no scan that could be used, or no odometry.
     ConfigError
         If the config cannot be used.
+
+    Examples
+    --------
+    A simulated drive through a room:
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import impslam
+    >>> from impslam.simulation.robot import SimulatedRobot
+    >>> from impslam.simulation.simulate import simulate
+    >>> from impslam.simulation.world import load_world
+    >>> from impslam.sources.recording import McapWriter
+    >>> log = Path(tempfile.mkdtemp()) / "room.mcap"
+    >>> with McapWriter(log) as writer:
+    ...     for message in simulate(load_world("room"), SimulatedRobot(imu=None)):
+    ...         writer.write(message)
+    >>> known = impslam.run(log, "imp")
+    >>> known.about["log"]
+    'room.mcap'
+    >>> sum(landmark.kind == "cylinder" for landmark in known.landmarks)
+    2
     """
     return map_log(*open_log(log, config, settings), observers, progress)
 
@@ -93,6 +115,7 @@ class Run:
         self.estimator, self._builder = config.make_estimator(), MapBuilder()
         self._rng = np.random.default_rng(config.seed)
         self.clock, self.problems = Stopwatch(), Problems()
+        self._threads = OneBlasThread()
 
     def feed(self, batch: Batch) -> None:
         """Take in a batch; the observers see all that it completes."""
@@ -115,11 +138,12 @@ class Run:
         return self.map()
 
     def _track(self, sensed: Iterable[tuple[Motions, Sweeps]]) -> None:
-        for motions, sweeps in sensed:
-            for track in self.clock.each("track", self.tracker.follow(motions, sweeps)):
-                self._follow(track)
-                if track.keyframe is not None:
-                    self._revise(self._look(track.keyframe))
+        with self._threads:
+            for motions, sweeps in sensed:
+                for track in self.clock.each("track", self.tracker.follow(motions, sweeps)):
+                    self._follow(track)
+                    if track.keyframe is not None:
+                        self._revise(self._look(track.keyframe))
 
     def _follow(self, track: Track) -> None:
         path = self._builder.follow(track)

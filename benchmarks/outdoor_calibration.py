@@ -23,7 +23,7 @@ from scipy.optimize import least_squares, minimize
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from impslam.columns import Motions, Sweeps, batch, messages  # noqa: E402  from the root
+from impslam.columns import Motions, Sweeps, messages, single_row  # noqa: E402  from the root
 from impslam.evaluation.trajectory import interpolate, relative  # noqa: E402
 from impslam.extractors.reflector import Reflector  # noqa: E402
 from impslam.geometry.se2 import rotation  # noqa: E402
@@ -75,7 +75,7 @@ def read(log: Path) -> Log:
             elif isinstance(m, TruePose):
                 fixes.append((m.stamp, *m.pose[:2]))
             else:
-                see(car.sense(batch(type(m).__name__, m, place)))
+                see(car.sense(single_row(type(m).__name__, m, place)))
     see(car.flush())
     return Log(np.array(wheels), np.array(stamps), sights, np.array(fixes))
 

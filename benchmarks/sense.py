@@ -18,7 +18,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from impslam.columns import ROWS, Batch, Columns, batch  # noqa: E402  from the root
+from impslam.columns import ROWS, Batch, Columns, single_row  # noqa: E402  from the root
 from impslam.config import load  # noqa: E402
 from impslam.robot import Robot  # noqa: E402
 from impslam.types import Ints, LaserScan, WheelAngles  # noqa: E402
@@ -65,7 +65,7 @@ def one_by_one() -> list[Batch]:
     """Return batches of one row: nine of odometry, one sweep."""
     numbers = np.arange(REPEAT * 50)
     rows = [wheels(numbers[k : k + 1]) if k % 10 else sweeps(numbers[k : k + 1]) for k in numbers]
-    return [batch(row.stream, row.row(0), k) for k, row in enumerate(rows)]
+    return [single_row(row.stream, row.row(0), k) for k, row in enumerate(rows)]
 
 
 def main() -> None:

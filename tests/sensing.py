@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impslam.columns import batch
+from impslam.columns import single_row
 from impslam.geometry.se2 import compose, inverse, log
 from impslam.odometry.clocks import Clocks
-from impslam.odometry.following import Follower
+from impslam.odometry.stream import OdometryStream
 from impslam.odometry.synchroniser import MAX_WAIT
 from impslam.types import Increment
 
@@ -87,16 +87,16 @@ class Reference:
 
     def __init__(self, odometry, stream, sensors):
         self.stream, self.sensors, self.used = stream, sensors, []
-        self.follower, self.clocks, self.numbers = Follower(odometry), Clocks(), {}
+        self.odometry, self.clocks, self.numbers = OdometryStream(odometry), Clocks(), {}
         self.timeline, self.waiting = Timeline(), deque()
 
     def feed(self, stream, message, order):
-        (row,) = batch(stream, message, order).values()
+        (row,) = single_row(stream, message, order).values()
         if stream == self.stream or stream in self.sensors:
             number = self.numbers.setdefault(stream, len(self.numbers))
             (shift,), _ = self.clocks.shifts(np.array([number]), row.stamps)
         if stream == self.stream:
-            motions, _, _ = self.follower.follow(row)
+            motions, _, _ = self.odometry.motions(row)
             increment = motions.row(0)
             if np.isnan(increment.d_pose).any():
                 self.timeline.start(message.stamp + shift)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from impslam.columns import batch
+from impslam.columns import single_row
 from impslam.observers.base import Observer
 
 
@@ -52,4 +52,4 @@ def feed(run, messages):
     for message in messages:
         order = getattr(run, "told", 0)
         run.told = order + 1
-        run.feed(batch(type(message).__name__, message, order))
+        run.feed(single_row(type(message).__name__, message, order))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from impslam.columns import batch, batches, log_order
+from impslam.columns import batches, log_order, single_row
 from impslam.types import Event, Image, Imu, LaserScan, OdometryPose, WheelAngles
 
 ANGLES, TIMES = np.linspace(-1.0, 1.0, 5), np.zeros(5)
@@ -88,7 +88,7 @@ def test_a_new_layout_begins_a_new_batch(changed):
 
 
 def test_a_live_message_is_a_batch_of_one_row():
-    cut = batch("odom", LOG[0][1], 41)
+    cut = single_row("odom", LOG[0][1], 41)
     assert cut["odom"].order.tolist() == [41]
     assert_equal(cut["odom"].row(0), LOG[0][1])
 

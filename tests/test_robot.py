@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.sensing import Reference
 
-from impslam.columns import batch, batches
+from impslam.columns import batches, single_row
 from impslam.component import build
 from impslam.errors import ConfigError
 from impslam.geometry.se2 import compose, exp
@@ -278,7 +278,7 @@ def test_a_stream_that_is_not_there_is_named_with_its_near_miss():
 
 def test_a_stream_of_another_kind_is_refused():
     with pytest.raises(ConfigError, match=r"sensors\.a\.stream = 'odom': it holds WheelAngles"):
-        lidars(a="odom").sense(batch("odom", WheelAngles(0.0, 0.0, 0.0), 0))
+        lidars(a="odom").sense(single_row("odom", WheelAngles(0.0, 0.0, 0.0), 0))
 
 
 @pytest.mark.parametrize("size", [1, 10])
@@ -315,23 +315,23 @@ def test_sweeps_come_in_runs_of_one_sensor_in_the_order_of_the_log():
 
 def test_a_sweep_waits_no_longer_than_its_patience_for_rows_that_nobody_reads():
     robot = lidars(a="")
-    assert not list(robot.sense(batch("scan", scan(1.0), 0)))
+    assert not list(robot.sense(single_row("scan", scan(1.0), 0)))
     for order in range(1, MAX_WAIT):
-        assert not list(robot.sense(batch("eye", Image(1.0, "jpeg", b""), order)))
-        assert robot.waiting == 1
-    ((_, sweeps),) = robot.sense(batch("eye", Image(1.0, "jpeg", b""), MAX_WAIT))
+        assert not list(robot.sense(single_row("eye", Image(1.0, "jpeg", b""), order)))
+        assert robot.pending == 1
+    ((_, sweeps),) = robot.sense(single_row("eye", Image(1.0, "jpeg", b""), MAX_WAIT))
     assert sweeps.columns.stamps.tolist() == [1.0]
-    assert robot.waiting == 0
+    assert robot.pending == 0
 
 
 def test_a_flush_is_not_the_end():
     """A live robot uses sweeps whose odometry does not come; then it goes on."""
     robot = lidars(a="")
-    robot.sense(batch("scan", scan(1.0), 0))
+    robot.sense(single_row("scan", scan(1.0), 0))
     assert [s.middles.tolist() for _, s in robot.flush()] == [[1.0]]
-    robot.sense(batch("wheels", WheelAngles(1.0, 0.0, 0.0), 1))
-    robot.sense(batch("scan", scan(1.5), 2))
-    ((motions, _),) = robot.sense(batch("wheels", WheelAngles(2.0, 10.0, 10.0), 3))
+    robot.sense(single_row("wheels", WheelAngles(1.0, 0.0, 0.0), 1))
+    robot.sense(single_row("scan", scan(1.5), 2))
+    ((motions, _),) = robot.sense(single_row("wheels", WheelAngles(2.0, 10.0, 10.0), 3))
     np.testing.assert_allclose(motions.d_pose, [[0.3175, 0.0, 0.0]])
     np.testing.assert_allclose(robot.ahead().d_pose, [0.3175, 0.0, 0.0])
     np.testing.assert_allclose(robot.ahead().d_pose, [0.3175, 0.0, 0.0])
@@ -341,7 +341,7 @@ def test_a_flush_is_not_the_end():
 def test_ahead_is_stamped_by_the_odometrys_own_clock():
     robot = lidars(a="")
     for order, stamp in enumerate((1000.0, 1000.1, 400.0, 400.1)):
-        robot.sense(batch("wheels", WheelAngles(stamp, 10.0 * order, 10.0 * order), order))
+        robot.sense(single_row("wheels", WheelAngles(stamp, 10.0 * order, 10.0 * order), order))
     assert robot.ahead().stamp == pytest.approx(400.1)
     assert robot.problems.counts == {"clock step": 1}
     assert "(wheels); motion is kept in file order" in robot.problems.examples["clock step"]

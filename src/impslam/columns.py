@@ -99,7 +99,7 @@ def batches(messages: Iterable[tuple[str, Message]], rows: int = ROWS) -> Iterat
         yield _stacked(gathered)
 
 
-def batch(stream: str, message: Message, order: int) -> Batch:
+def single_row(stream: str, message: Message, order: int) -> Batch:
     """Return a batch of one row at position `order` of the log."""
     return _stacked({stream: [(order, message)]})
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.felt import Felt, stacked
 from tests.numeric import wrapped
+from tests.odometry_steps import StepwiseOdometry, stacked
 
 from impslam.component import components
 from impslam.errors import MessageError
 from impslam.geometry.se2 import compose, exp
-from impslam.odometry.following import Follower
+from impslam.odometry.stream import OdometryStream
 from impslam.types import Increment, OdometryPose, Steering, Velocity, WheelAngles
 
 NEEDED = {
@@ -67,7 +67,7 @@ def test_readings_give_one_motion_less(odometry):
 
 
 def test_the_first_message_tells_no_motion(odometry):
-    assert Felt(odometry).update(reading(odometry.consumes, 1.0)) is None
+    assert StepwiseOdometry(odometry).update(reading(odometry.consumes, 1.0)) is None
 
 
 def test_motions_compose_to_the_motion(odometry):
@@ -111,7 +111,7 @@ def test_a_stamp_that_runs_backwards_takes_no_time(odometry):
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e6])
 def test_a_bad_message_is_refused_in_one_line(odometry, bad):
-    consumes, felt = odometry.consumes, Felt(odometry)
+    consumes, felt = odometry.consumes, StepwiseOdometry(odometry)
     felt.update(reading(consumes, 1.0))
     with pytest.raises(MessageError) as error:
         felt.update(reading(consumes, 1.1, bad))
@@ -143,8 +143,8 @@ def test_any_cutting_gives_the_same_bytes(make, first_bad):
     )
     found = []
     for cut in (1, 2, 7, len(rows)):
-        follower = Follower(odometry)
-        parts = [follower.follow(rows.take(slice(k, k + cut))) for k in range(0, len(rows), cut)]
+        stream = OdometryStream(odometry)
+        parts = [stream.motions(rows.take(slice(k, k + cut))) for k in range(0, len(rows), cut)]
         found.append((
             *(np.concatenate(column) for column in zip(*(p.motions for p in parts), strict=True)),
             np.concatenate([p.faults for p in parts]),
@@ -161,10 +161,10 @@ def test_bad_rows_do_not_touch_the_others(odometry):
     """Motions between good neighbours are to the byte those of a log without the bad ones."""
     messages = [reading(odometry.consumes, 1.0 + 0.05 * k) for k in range(40)]
     rows = stacked(messages)
-    whole = Follower(odometry).follow(rows)
+    whole = OdometryStream(odometry).motions(rows)
     assert not whole.faults.any()
     messages[13] = reading(odometry.consumes, 1.65, np.nan)
-    found = Follower(odometry).follow(stacked(messages))
+    found = OdometryStream(odometry).motions(stacked(messages))
     assert np.flatnonzero(found.faults).tolist() == [13]
     alike = np.ones(40, np.bool_)
     alike[[0, 13, 14]] = False

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from tests.felt import stacked
+from tests.odometry_steps import stacked
 
 from impslam.columns import Sweeps
 from impslam.component import components

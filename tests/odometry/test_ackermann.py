@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.felt import Felt
 from tests.numeric import jacobian
+from tests.odometry_steps import StepwiseOdometry
 
 from impslam.errors import MessageError
 from impslam.geometry.se2 import compose, inverse
@@ -77,7 +77,7 @@ def test_jacobian_of_the_carried_increment(way, angle, axle):
 
 
 def test_a_reading_holds_until_the_next_one():
-    car = Felt(Ackermann(wheelbase=WHEELBASE))
+    car = StepwiseOdometry(Ackermann(wheelbase=WHEELBASE))
     assert car.update(Steering(1.0, 2.0, 0.0)) is None
     increment = car.update(Steering(1.5, 9.0, 0.5))
     np.testing.assert_allclose(increment.d_pose, [1.0, 0.0, 0.0])
@@ -86,9 +86,11 @@ def test_a_reading_holds_until_the_next_one():
 
 def test_where_base_link_is_does_not_change_the_cars_way():
     readings = [(2.0, 0.5 * math.sin(0.05 * i)) for i in range(200)]
-    at_axle, _ = drive(Felt(Ackermann(wheelbase=WHEELBASE, encoder_offset=OFFSET)), readings)
+    at_axle, _ = drive(
+        StepwiseOdometry(Ackermann(wheelbase=WHEELBASE, encoder_offset=OFFSET)), readings
+    )
     car = Ackermann(wheelbase=WHEELBASE, encoder_offset=OFFSET, axle=(-3.78, -0.5))
-    ahead, _ = drive(Felt(car), readings)
+    ahead, _ = drive(StepwiseOdometry(car), readings)
     T_base_axle = np.array([-3.78, -0.5, 0.0])
     np.testing.assert_allclose(
         compose(ahead, T_base_axle), compose(T_base_axle, at_axle), atol=1e-10
@@ -99,8 +101,8 @@ def test_scales_and_offset_are_those_of_a_calibration():
     said = [(2.0, 0.1)] * 50
     meant = [(2.0 * 1.1, 0.9 * 0.1 + 0.02)] * 50
     calibrated = {"speed_scale": 1.1, "steering_scale": 0.9, "steering_offset": 0.02}
-    one, _ = drive(Felt(Ackermann(wheelbase=WHEELBASE, **calibrated)), said)
-    two, _ = drive(Felt(Ackermann(wheelbase=WHEELBASE)), meant)
+    one, _ = drive(StepwiseOdometry(Ackermann(wheelbase=WHEELBASE, **calibrated)), said)
+    two, _ = drive(StepwiseOdometry(Ackermann(wheelbase=WHEELBASE)), meant)
     np.testing.assert_allclose(one, two, atol=1e-12)
 
 
@@ -110,7 +112,7 @@ def test_covariance_is_that_of_many_noisy_drives(rng):
     axle, steps, way = np.array([-3.78, -0.5]), 40, 0.25
     readings = [(10.0 * way, 0.2)] * (steps + 1)
     car = Ackermann(wheelbase=WHEELBASE, axle=tuple(axle), noise=noise)
-    mean, covariance = drive(Felt(car), readings, step=0.1)
+    mean, covariance = drive(StepwiseOdometry(car), readings, step=0.1)
     d_axle = bicycle(way, 0.2, WHEELBASE, 0.0)
     root = np.linalg.cholesky(noise.covariance(math.hypot(*d_axle[:2]), d_axle[2]))
     ends = []
@@ -124,7 +126,9 @@ def test_covariance_is_that_of_many_noisy_drives(rng):
 
 
 def test_noiseless_parameters_make_it_sure():
-    _, covariance = drive(Felt(Ackermann(wheelbase=WHEELBASE, noise=SURE)), [(1.0, 0.2)] * 10)
+    _, covariance = drive(
+        StepwiseOdometry(Ackermann(wheelbase=WHEELBASE, noise=SURE)), [(1.0, 0.2)] * 10
+    )
     assert not covariance.any()
 
 
@@ -139,7 +143,7 @@ def test_noiseless_parameters_make_it_sure():
     ],
 )
 def test_wild_readings_are_refused_and_do_not_hold(speed, angle, why):
-    car = Felt(Ackermann(wheelbase=WHEELBASE))
+    car = StepwiseOdometry(Ackermann(wheelbase=WHEELBASE))
     car.update(Steering(0.0, 1.0, 0.0))
     with pytest.raises(MessageError, match=why):
         car.update(Steering(0.1, speed, angle))
@@ -148,7 +152,7 @@ def test_wild_readings_are_refused_and_do_not_hold(speed, angle, why):
 
 
 def test_a_silence_is_no_motion():
-    car = Felt(Ackermann(wheelbase=WHEELBASE))
+    car = StepwiseOdometry(Ackermann(wheelbase=WHEELBASE))
     car.update(Steering(0.0, 5.0, 0.0))
     with pytest.raises(MessageError, match="no speed and steering for 10 s"):
         car.update(Steering(10.0, 5.0, 0.0))

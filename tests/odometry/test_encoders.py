@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.felt import Felt
 from tests.numeric import jacobian
+from tests.odometry_steps import StepwiseOdometry
 
 from impslam.errors import MessageError
 from impslam.geometry.se2 import compose
@@ -94,8 +94,10 @@ def test_every_encoder_tells_the_same_way(per_turn, wrap):
     readings = np.stack([turns, 0.9 * turns], axis=1) * per_turn + 1.0
     if wrap:
         readings = np.mod(readings, wrap)
-    encoders = Felt(Encoders(wheel_radius=0.05, track=0.4, per_turn=per_turn, wrap=wrap))
-    reference = Felt(Encoders(wheel_radius=0.05, track=0.4))
+    encoders = StepwiseOdometry(
+        Encoders(wheel_radius=0.05, track=0.4, per_turn=per_turn, wrap=wrap)
+    )
+    reference = StepwiseOdometry(Encoders(wheel_radius=0.05, track=0.4))
     expected, _ = drive(reference, np.stack([turns, 0.9 * turns], axis=1) * 2 * math.pi)
     np.testing.assert_allclose(drive(encoders, readings)[0], expected, atol=1e-9)
 
@@ -104,13 +106,15 @@ def test_noise_grows_with_the_way_however_it_is_cut():
     coarse = np.linspace(0, 50, 11)[:, None] * [1.0, 1.0]
     fine = np.linspace(0, 50, 101)[:, None] * [1.0, 1.0]
     make = {"wheel_radius": 0.05, "track": 0.4}
-    variance = [drive(Felt(Encoders(**make)), r, rate=len(r))[1][2, 2] for r in (coarse, fine)]
+    variance = [
+        drive(StepwiseOdometry(Encoders(**make)), r, rate=len(r))[1][2, 2] for r in (coarse, fine)
+    ]
     assert variance[0] == pytest.approx(variance[1], rel=1e-9)
     assert variance[0] > 0
 
 
 def test_a_jump_is_left_out_and_the_next_increment_is_sound():
-    encoders = Felt(Encoders(wheel_radius=0.05, track=0.4))
+    encoders = StepwiseOdometry(Encoders(wheel_radius=0.05, track=0.4))
     encoders.update(WheelAngles(0.0, 0.0, 0.0))
     with pytest.raises(MessageError, match="jumps by"):
         encoders.update(WheelAngles(0.1, 1e6, 0.0))
@@ -119,7 +123,7 @@ def test_a_jump_is_left_out_and_the_next_increment_is_sound():
 
 
 def test_not_finite_is_refused_and_forgotten():
-    encoders = Felt(Encoders(wheel_radius=0.05, track=0.4))
+    encoders = StepwiseOdometry(Encoders(wheel_radius=0.05, track=0.4))
     encoders.update(WheelAngles(0.0, 0.0, 0.0))
     with pytest.raises(MessageError, match="not finite"):
         encoders.update(WheelAngles(0.1, math.nan, 0.0))

@@ -10,13 +10,13 @@ from tests.numeric import wrapped
 
 from impslam.columns import Motions
 from impslam.geometry.se2 import compose, exp
-from impslam.odometry.following import nothing_told
-from impslam.odometry.synchroniser import END, MAX_WAIT, Synchroniser, Waiting
+from impslam.odometry.stream import unknown_motions
+from impslam.odometry.synchroniser import END, MAX_WAIT, PendingSweeps, Synchroniser
 from impslam.types import Increment
 
 TWIST = np.array([0.5, 0.1, 0.8])
 Q = np.diag([1e-4, 2e-4, 3e-4])
-NOTHING = np.empty(0, np.int64), nothing_told(np.empty(0))
+NOTHING = np.empty(0, np.int64), unknown_motions(np.empty(0))
 
 
 def moving(stamps):
@@ -32,7 +32,7 @@ def sweeps(begins, ends=None, stamps=None, order=None, usable=True):
     ends = begins if ends is None else np.array(ends, np.float64)
     stamps = begins if stamps is None else np.array(stamps, np.float64)
     order = 1000 + np.arange(len(begins)) if order is None else np.array(order)
-    return Waiting(order, begins, ends, stamps, np.full(len(begins), usable))
+    return PendingSweeps(order, begins, ends, stamps, np.full(len(begins), usable))
 
 
 def fed(stamps, order=0, **parameters):
@@ -172,7 +172,7 @@ def test_where_no_motion_is_known_odometry_begins_anew():
     """Time goes on, so that sweeps are not kept waiting; the motion is lost."""
     synchroniser = fed([0.0, 1.0])
     stamps = np.array([2.0])
-    got = synchroniser.feed(np.array([1]), nothing_told(stamps), sweeps([2.0], order=[2]), 2)
+    got = synchroniser.feed(np.array([1]), unknown_motions(stamps), sweeps([2.0], order=[2]), 2)
     np.testing.assert_allclose(got.motions.d_pose[0], exp(TWIST), atol=1e-12)
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.felt import stacked
+from tests.odometry_steps import stacked
 
 from impslam.sensors.clock import SweepClock
 from impslam.sensors.lidar2d import Lidar2D

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.felt import stacked
+from tests.odometry_steps import stacked
 
 from impslam.columns import Sweeps
 from impslam.extractors.base import Extractor

@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from tests.felt import stacked
+from tests.odometry_steps import stacked
 
 from impslam.columns import Sweeps
 from impslam.geometry.se2 import transform

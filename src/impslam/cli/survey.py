@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from impslam.columns import Columns, messages
-from impslam.odometry.following import Follower
+from impslam.odometry.stream import OdometryStream
 from impslam.robot import Robot
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Problems, Source
@@ -96,7 +96,7 @@ class Survey:
     """Reads every message of a log once, and keeps no message."""
 
     def __init__(self, robot: Robot) -> None:
-        self._robot, self._follower = robot, Follower(robot.odometry)
+        self._robot, self._odometry = robot, OdometryStream(robot.odometry)
         self.clocks: dict[str, Clock] = {}
         self.beams = Beams()
         self.way = self.rotation = 0.0
@@ -106,8 +106,8 @@ class Survey:
         """Take in an open log; yields the stamps, for whoever shows progress."""
         for batch in source.batches():
             for columns in batch.values():
-                if self._robot.feels(columns.kind):
-                    self._feel(columns)
+                if issubclass(columns.kind, self._robot.odometry.consumes):
+                    self._add_motion(columns)
             for message in messages([batch]):
                 self._add(message)
                 yield message.stamp
@@ -116,11 +116,11 @@ class Survey:
     def _add(self, message: Message) -> None:
         self.clocks.setdefault(type(message).__name__, Clock()).add(message.stamp)
         if isinstance(message, LaserScan):
-            sensor = self._robot.sensor_for(LaserScan)
-            self.beams.add(message, sensor if isinstance(sensor, Lidar2D) else None)
+            lidars = (s for s in self._robot.sensors.values() if isinstance(s, Lidar2D))
+            self.beams.add(message, next(lidars, None))
 
-    def _feel(self, columns: Columns) -> None:
-        motions, faults, example = self._follower.follow(columns)
+    def _add_motion(self, columns: Columns) -> None:
+        motions, faults, example = self._odometry.motions(columns)
         if example:
             self.problems.add("odometry", example, int(faults.sum()))
         self.way += float(np.nansum(np.hypot(motions.d_pose[:, 0], motions.d_pose[:, 1])))
@@ -128,8 +128,8 @@ class Survey:
 
     def _judge(self) -> None:
         """Enter what is wrong with the log as a whole."""
-        felt = self._robot.odometry.consumes.__name__
-        name, motion = self._seen(), self.clocks.get(felt)
+        wanted = self._robot.odometry.consumes.__name__
+        name, motion = self._seen(), self.clocks.get(wanted)
         if name is None:
             self.problems.add(
                 "no scan",
@@ -137,7 +137,7 @@ class Survey:
                 "--topic scan=NAME",
             )
         if motion is None:
-            self.problems.add("no odometry", self._no_odometry(felt))
+            self.problems.add("no odometry", self._no_odometry(wanted))
         if name is not None and motion is not None:
             self._judge_clocks(name, motion)
         if self.beams.share_invalid > MOSTLY:
@@ -155,12 +155,12 @@ class Survey:
     def _wanted(self) -> str:
         return " or ".join(sensor.consumes.__name__ for sensor in self._robot.sensors.values())
 
-    def _no_odometry(self, felt: str) -> str:
+    def _no_odometry(self, wanted: str) -> str:
         kind = self._robot.odometry.name
         others = {"OdometryPose": "odometry_pose", "WheelAngles": "encoders"}
         fix = next((k for name, k in others.items() if name in self.clocks), None)
         there = f"choose --set odometry.kind={fix}" if fix else "record wheel angles or odometry"
-        return f"odometry {kind!r} needs {felt}, and the log holds none: {there}"
+        return f"odometry {kind!r} needs {wanted}, and the log holds none: {there}"
 
     def _judge_clocks(self, name: str, motion: Clock) -> None:
         sensor = self._robot.sensors[name]

@@ -20,7 +20,7 @@ from impslam.observers.summary import config_toml, summarise
 from impslam.observers.trajectory import LIVE
 from impslam.types import Array, TrueLandmark
 
-NOBODY = np.empty((0, 4))
+NO_TRUTH = np.empty((0, 4))
 
 
 def make_run_folder(folder: Path) -> None:
@@ -41,7 +41,7 @@ def write_run(
     folder: Path,
     known: Map,
     outcome: Outcome,
-    true_path: Array = NOBODY,
+    true_path: Array = NO_TRUTH,
     true_landmarks: Sequence[TrueLandmark] = (),
 ) -> Path:
     """Write all files of a run into a folder, which is made if need be, and return it.

@@ -1,9 +1,9 @@
-"""Sweeps brought onto the motion that odometry tells, in the order of the log.
+"""Assigns the motion from odometry to sweeps, in the order of the log.
 
-Motions wait until a sweep asks for them. A sweep waits until odometry covers its end, at most
-`MAX_WAIT` rows of the log, or until odometry has its own stamp: then they were recorded together, and
-all motion belongs before it. It then gets the motion from the middle of the sweep before up to its own
-middle; a motion across that moment is cut there, at constant twist.
+Motions are kept until a sweep needs them. A sweep waits until odometry covers its end, or until
+odometry has the same stamp (both were then recorded together, and all motion belongs before the sweep),
+but for at most `MAX_WAIT` rows of the log. It gets the motion from the middle of the previous sweep to
+its own middle. A motion that spans the middle is split there, at constant twist.
 
 Motions are kept and composed in `timeline`.
 """
@@ -35,26 +35,26 @@ from impslam.odometry.timeline import (
 from impslam.types import Array, Increment, Ints, Mask
 
 MAX_WAIT = 25
-"""Rows of the log that a sweep waits for odometry to reach its end; then it is used with what is known."""
+"""Rows of the log that a sweep waits for odometry at most; then it is used with the motion known so far."""
 MOST = 20_000
-"""Motions kept apart: 200 s of odometry at 100 Hz without a sweep. Then the older half becomes one,
-so that a robot whose lidar is silent for hours does not fill its memory."""
+"""Motions that are stored separately: 200 s of odometry at 100 Hz without a sweep. Beyond that the older
+half is merged into one, so that a lidar that is silent for hours does not fill the memory."""
 END = np.iinfo(np.int64).max
-"""A place after the end of any log."""
+"""A position after the end of any log."""
 
 _State: TypeAlias = tuple[Array, Ints, Array]  # pending, ring, marks
-_Felt: TypeAlias = tuple[Ints, Array, Array, Array, Array]  # order, `Motions`
-_Sweeps: TypeAlias = tuple[Ints, Array, Array, Array, Mask]  # `Waiting`
+_Odometry: TypeAlias = tuple[Ints, Array, Array, Array, Array]  # order, `Motions`
+_Sweeps: TypeAlias = tuple[Ints, Array, Array, Array, Mask]  # `PendingSweeps`
 
 
-class Waiting(NamedTuple):
+class PendingSweeps(NamedTuple):
     """Sweeps in the order of the log that wait for odometry.
 
     Attributes
     ----------
-    order : (w,) strictly increasing, place in the log
-    begins, ends, stamps : (w,) s on the one time line
-    usable : (w,) whether each may take motion; one that may not waits its turn and is passed over
+    order : (w,) strictly increasing, position in the log
+    begins, ends, stamps : (w,) s on the common time line
+    usable : (w,) whether each gets motion; the others wait in order and are skipped
     """
 
     order: Ints
@@ -65,11 +65,11 @@ class Waiting(NamedTuple):
 
 
 class Synchronised(NamedTuple):
-    """What the first r of the waiting sweeps got; rows of those that are not usable mean nothing.
+    """The motions of the first r pending sweeps; rows of unusable sweeps are undefined.
 
     Attributes
     ----------
-    motions : (r,) to the middle of each sweep from that of the usable one before
+    motions : (r,) from the middle of the previous usable sweep to the middle of each
     twists : (r, 3) mean body velocity over the sweep
     T_middle_stamp, stamp_covariance : (r, 3), (r, 3, 3) motion from the middle to the stamp
     """
@@ -81,28 +81,30 @@ class Synchronised(NamedTuple):
 
 
 class Synchroniser:
-    """The motion not yet handed on; its state is in arrays that kernels carry from batch to batch."""
+    """Keeps the motion that no sweep has used yet, in arrays that kernels update from batch to batch."""
 
     def __init__(self, most: int = MOST) -> None:
         self._state = begin(most)
 
-    def feed(self, order: Ints, motions: Motions, waiting: Waiting, last: int) -> Synchronised:
-        """Take in the motions that rows of odometry tell, and give sweeps theirs.
+    def feed(
+        self, order: Ints, motions: Motions, pending: PendingSweeps, last: int
+    ) -> Synchronised:
+        """Add the motions of odometry rows, and return the motions of the sweeps that they cover.
 
         Parameters
         ----------
-        order : (m,) places of the rows in the log
-        motions : (m,) to each row, on the one time line; NaN where none is known: odometry begins
-            anew at that stamp
-        waiting : sweeps of earlier batches and of this one
-        last : place in the log of the newest row of any stream; `END` if the log is over
+        order : (m,) positions of the odometry rows in the log
+        motions : (m,) to each row, on the common time line; NaN where unknown: odometry
+            restarts at that stamp
+        pending : sweeps of earlier batches and of this one
+        last : position in the log of the newest row of any stream; `END` at the end of the log
         """
-        out = np.empty((len(waiting.order), 2 * WIDTH + 3))
-        count = _synchronise(self._state, (order, *motions), waiting[:], last, out)
-        return _unpacked(out[:count], 0.5 * (waiting.begins[:count] + waiting.ends[:count]))
+        out = np.empty((len(pending.order), 2 * WIDTH + 3))
+        count = _synchronise(self._state, (order, *motions), pending[:], last, out)
+        return _unpacked(out[:count], 0.5 * (pending.begins[:count] + pending.ends[:count]))
 
     def ahead(self) -> Increment:
-        """Return all motion since the middle of the newest sweep, and leave it here."""
+        """Return the motion since the middle of the newest sweep, without removing it."""
         total = np.zeros(WIDTH)
         pending, ring, marks = self._state
         add_up(pending, ring, total)
@@ -154,14 +156,14 @@ def _use(
 
 @kernel
 def _ready(marks: Array, begin: float, end: float, stamp: float, waited: int) -> bool:
-    """Tell whether a sweep need not wait for more odometry."""
+    """Return whether a sweep can be used now."""
     together = begin == end and stamp == marks[LAST]
     return together or marks[NEWEST] >= max(end, stamp) or waited >= MAX_WAIT
 
 
 @kernel
-def _feel(state: _State, odometry: _Felt, k: int) -> None:
-    """Take in row k of odometry."""
+def _append_motion(state: _State, odometry: _Odometry, k: int) -> None:
+    """Add the motion of row k of odometry."""
     pending, ring, marks = state
     _, stamps, d_poses, covariances, durations = odometry
     if np.isnan(d_poses[k, 0]):
@@ -173,7 +175,7 @@ def _feel(state: _State, odometry: _Felt, k: int) -> None:
 
 @kernel
 def _release(state: _State, sweeps: _Sweeps, done: int, come: int, seen: int, out: Array) -> int:
-    """Use sweeps from the `done`-th on that need not wait; return how many are done then."""
+    """Use the sweeps from index `done` on that are ready; return the new number of used sweeps."""
     pending, ring, marks = state
     order, begins, ends, stamps, usable = sweeps
     while done < come:
@@ -187,21 +189,21 @@ def _release(state: _State, sweeps: _Sweeps, done: int, come: int, seen: int, ou
 
 
 @kernel
-def _synchronise(state: _State, odometry: _Felt, sweeps: _Sweeps, last: int, out: Array) -> int:
-    """Go through rows of odometry and sweeps in the order of the log; return how many sweeps are used.
+def _synchronise(state: _State, odometry: _Odometry, sweeps: _Sweeps, last: int, out: Array) -> int:
+    """Process odometry rows and sweeps in the order of the log; return the number of used sweeps.
 
-    Rows of other streams change nothing but how long a sweep has waited: one whose patience ends
-    between two rows is used before the later of them.
+    Rows of other streams only count as waiting time: a sweep that reaches `MAX_WAIT` between two rows
+    is used before the later one.
     """
-    felt_order, sweep_order = odometry[0], sweeps[0]
+    odometry_order, sweep_order = odometry[0], sweeps[0]
     done, come, k = 0, 0, 0
-    while k < len(felt_order) or come < len(sweep_order):
-        now = felt_order[k] if k < len(felt_order) else END
+    while k < len(odometry_order) or come < len(sweep_order):
+        now = odometry_order[k] if k < len(odometry_order) else END
         if come < len(sweep_order):
             now = min(now, sweep_order[come])
         done = _release(state, sweeps, done, come, now - 1, out)
-        if k < len(felt_order) and felt_order[k] == now:
-            _feel(state, odometry, k)
+        if k < len(odometry_order) and odometry_order[k] == now:
+            _append_motion(state, odometry, k)
             k += 1
         if come < len(sweep_order) and sweep_order[come] == now:
             come += 1

@@ -1,64 +1,51 @@
-"""The role of an exteroceptive sensor: its rows in, what they show of the world out (thesis 5.1)."""
+"""The role of an exteroceptive sensor: turns its rows into scans and observations (thesis 5.1)."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from impslam.columns import Columns, Scans, Sweeps
 from impslam.component import Component, parameter
-from impslam.types import Array, Mask, Message, Observation, Scan
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reading:
-    """What a message shows: the scan (None for sensors that have none) and the observations.
-
-    `searched` is false where nobody looked for landmarks, so that their absence says nothing.
-    """
-
-    scan: Scan | None
-    observations: tuple[Observation, ...]
-    searched: bool = True
+from impslam.types import Array, Mask, Message, Observation
 
 
 class Sensor(Component):
-    """An exteroceptive sensor. Extractors hang on it; it owns its mount, limits and noise."""
+    """An exteroceptive sensor with its mount, limits, noise and extractors."""
 
     role: ClassVar[str] = "sensor"
     consumes: ClassVar[type[Message]]
-    """The type of message it understands."""
+    """The type of message that it reads."""
 
     stream: str = parameter(
-        "", "", "name of the stream it reads; empty: the default stream of its kind"
+        "", "", "name of the stream that it reads; empty: the default stream of its kind"
     )
 
     def spans(self, columns: Columns) -> tuple[Array, Array]:
-        """Return when the rows' measurements began and ended, (m,) s on the odometry's clock.
+        """Return the start and end of each row's measurement, (m,) s on the odometry's clock.
 
-        Asked once for each row, in order: a sensor may smooth its stamps.
+        Called once for each row, in order, so that a sensor can smooth its stamps.
         """
         return columns.stamps, columns.stamps
 
     def usable(self, columns: Columns) -> Mask:
-        """Return (m,) which rows can be used at all."""
+        """Return (m,) which rows can be used."""
         return np.ones(len(columns), np.bool_)
 
     def fault(self, message: Message) -> str:
-        """Say in one line why a row cannot be used, and what becomes of it."""
+        """Return one line that says why a row cannot be used, and what is done instead."""
         raise NotImplementedError
 
     @abstractmethod
     def sweeps(self, columns: Columns, twists: Array) -> Scans | None:
-        """Return usable rows in base_link as it is in the middle of their spans, if they are scans.
+        """Return usable rows as scans in base_link at the middle of their spans, or None.
 
-        `twists` (m, 3) are the body's mean [vx, vy, omega] (m/s, m/s, rad/s) over the spans, for the
-        removal of motion distortion.
+        `twists` (m, 3) are the mean body velocities [vx, vy, omega] (m/s, m/s, rad/s) over the spans,
+        for de-skewing. Sensors that do not measure scans return None.
         """
 
     @abstractmethod
     def look(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
-        """Return the landmarks that row k of the sweeps shows, in base_link in its middle."""
+        """Extract the landmarks in row k of the sweeps, in base_link at the middle of the sweep."""

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field, PrivateAttr, field_validator
 
-from impslam.columns import Columns, Scans, Sweeps, batch
+from impslam.columns import Columns, Scans, Sweeps, single_row
 from impslam.component import build, parameter, register
 from impslam.extractors.base import Extractor
 from impslam.geometry.kernels import plain
@@ -119,7 +119,7 @@ class Lidar2D(Sensor):
 
     def scan(self, message: LaserScan, twist: Array) -> Scan:
         """Return one message as a scan; see `sweeps`."""
-        (columns,) = batch("", message, 0).values()
+        (columns,) = single_row("", message, 0).values()
         return self.sweeps(columns, twist[None]).row(0)
 
     def _limits(self, columns: Columns) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.columns import Batch, Columns, batch, batches, same_layout
+from impslam.columns import Batch, Columns, batches, same_layout, single_row
 from impslam.types import Array, Ints, Mask, Message
 
 
@@ -54,7 +54,7 @@ def by_stream(part: Iterable[Piece]) -> dict[str, list[Piece]]:
 
 def single(located: Located, order: int) -> Piece:
     """Return a message as a piece of one row."""
-    columns = batch(located.stream, located.message, order)[located.stream]
+    columns = single_row(located.stream, located.message, order)[located.stream]
     return Piece(columns, np.array([located.place]), np.array([located.checked]))
 
 

@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from impslam.columns import batch
+from impslam.columns import single_row
 from impslam.component import build
 from impslam.config import load
 from impslam.extractors.base import Extractor
@@ -146,7 +146,7 @@ def snapshots(world: World, seed: int = 0) -> Iterator[Snapshot]:
     lidar = LidarSimulator(robot.lidar, scene, trajectory, np.random.default_rng(seed))
     for number, time in enumerate(sweep_times(robot, trajectory).tolist()):
         message = LaserScan(time, lidar.angles, lidar.ranges(time), lidar.time_offsets)
-        (columns,) = batch("lidar", message, number).values()
+        (columns,) = single_row("lidar", message, number).values()
         twist = true_twist(trajectory, *np.concatenate(sensor.spans(columns)).tolist())
         scans = sensor.sweeps(columns, twist[None])
         assert scans is not None

@@ -306,7 +306,7 @@ def test_a_slow_computer_drops_whole_scans_and_stays_near(room, caplog):
         mapper.stop()
         mapper._mapping.thread.join()
     status = mapper.status()
-    left = mapper._mapping.run.robot.waiting
+    left = mapper._mapping.run.robot.pending
     assert status.steps + status.dropped_scans + left == most
     assert left <= 1
     assert 8 <= status.steps <= 35
@@ -423,7 +423,7 @@ def test_bad_messages_do_not_end_the_map(room):
         hand(mapper, [spoiled])
     drain(mapper)
     status = mapper.status()
-    left = mapper._mapping.run.robot.waiting
+    left = mapper._mapping.run.robot.pending
     assert status.state == "running"
     assert status.refused > 0
     assert status.steps + status.refused + left == len(scans(room[:500]))

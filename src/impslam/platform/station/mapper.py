@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from impslam.bookkeeping import about
-from impslam.columns import batch
+from impslam.columns import single_row
 from impslam.config import Config
 from impslam.errors import ImpError
 from impslam.map import Map
@@ -273,7 +273,7 @@ class _Mapping:
             pass
         with self._between:
             before = run.scans
-            if not run.robot.waiting:
+            if not run.robot.pending:
                 self._progress = time.monotonic()
             if taken is not None:
                 self._feed(*taken)
@@ -297,7 +297,7 @@ class _Mapping:
     def _feed(self, message: Message, arrived: float) -> None:
         if isinstance(message, self._scans):
             self._view.expect(message.stamp, arrived)
-        self.run.feed(batch(type(message).__name__, message, self._order))
+        self.run.feed(single_row(type(message).__name__, message, self._order))
         self._order += 1
 
     def _tell_dropped(self) -> None:

@@ -16,7 +16,7 @@ import tempfile
 import threading
 from pathlib import Path
 
-from impslam.columns import batch
+from impslam.columns import single_row
 from impslam.config import Config, load
 from impslam.observers.summary import config_toml
 from impslam.run import Run
@@ -52,7 +52,7 @@ def rehearse(config: Config) -> None:
     kind = run.robot.odometry.consumes
     for order, message in enumerate(simulate(load_world(WORLD))):
         told = _as_odometry(message, kind)
-        run.feed(batch(type(told).__name__, told, order))
+        run.feed(single_row(type(told).__name__, told, order))
         if run.scans >= SCANS:
             break
     run.map().grid()

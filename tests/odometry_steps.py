@@ -4,10 +4,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from impslam.columns import Columns, batch, batches
+from impslam.columns import Columns, batches, single_row
 from impslam.errors import MessageError
 from impslam.odometry.base import Odometry
-from impslam.odometry.following import Follower
+from impslam.odometry.stream import OdometryStream
 from impslam.types import Increment, Message
 
 
@@ -17,16 +17,16 @@ def stacked(messages: Iterable[Message]) -> Columns:
     return columns
 
 
-class Felt:
-    """An odometry that is fed message by message, each a batch of its own."""
+class StepwiseOdometry:
+    """An odometry that gets its messages in batches of one row."""
 
     def __init__(self, odometry: Odometry) -> None:
-        self.consumes, self.follower = odometry.consumes, Follower(odometry)
+        self.consumes, self.stream = odometry.consumes, OdometryStream(odometry)
 
     def update(self, message: Message) -> Increment | None:
         """Return the motion since the message before, None if none is known; raise what is wrong."""
-        (row,) = batch("", message, 0).values()
-        motions, faults, example = self.follower.follow(row)
+        (row,) = single_row("", message, 0).values()
+        motions, faults, example = self.stream.motions(row)
         if faults.any():
             raise MessageError(example)
         assert example == ""

@@ -1,4 +1,4 @@
-"""Rows of sensors that wait until odometry tells where they were taken."""
+"""Sensor rows that wait until odometry covers their time span."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from impslam.columns import Columns, Motions, Sweeps
-from impslam.odometry.synchroniser import Synchronised, Waiting
+from impslam.odometry.synchroniser import PendingSweeps, Synchronised
 from impslam.sensors.base import Sensor
 from impslam.types import Array, Ints, Mask
 
@@ -18,10 +18,17 @@ _TIMES = ("begins", "ends", "stamps")
 
 
 @dataclass(slots=True, eq=False)
-class Rows:
-    """w rows of one sensor; begins, ends and stamps (w,) in s on the one time line of all streams.
+class PendingRows:
+    """w rows of one sensor that wait for odometry.
 
-    Those that are not usable wait like the others, so that none is used before its turn.
+    Unusable rows wait like the others, so that all rows leave in the order of the log.
+
+    Attributes
+    ----------
+    name, sensor : the sensor and its name in the config
+    columns : the rows
+    begins, ends, stamps : (w,) s on the common time line of all streams
+    usable : (w,) rows that can be used
     """
 
     name: str
@@ -32,7 +39,7 @@ class Rows:
     stamps: Array
     usable: Mask
 
-    def take(self, rows: slice | Mask) -> Rows:
+    def take(self, rows: slice | Mask) -> PendingRows:
         """Return some of the rows."""
         return replace(
             self,
@@ -44,7 +51,7 @@ class Rows:
         )
 
     def sweeps(self, got: Synchronised) -> Sweeps:
-        """Return the rows, all usable, with what odometry tells of each."""
+        """Return the rows, all of them usable, as sweeps with their motion."""
         scans = self.sensor.sweeps(self.columns, got.twists)
         return Sweeps(
             self.name, self.columns, got.motions.stamps, got.twists,
@@ -52,18 +59,18 @@ class Rows:
         )  # fmt: skip
 
 
-class Queue:
-    """Rows of all sensors, first in, first out."""
+class PendingQueue:
+    """First-in, first-out queue of the pending rows of all sensors."""
 
     def __init__(self) -> None:
-        self._parts: list[Rows] = []
-        self._part = np.empty(0, np.int64)  # of each row that waits
+        self._parts: list[PendingRows] = []
+        self._part = np.empty(0, np.int64)  # index of the part of each pending row
 
     def __len__(self) -> int:
         return len(self._part)
 
-    def join(self, rows: list[Rows]) -> Waiting:
-        """Append the rows of a batch; return all that wait, in the order of the log."""
+    def push(self, rows: list[PendingRows]) -> PendingSweeps:
+        """Append the rows of a batch; return all pending ones in the order of the log."""
         self._parts += rows
         parts = self._parts
         lengths = np.array([len(part.columns) for part in parts], np.int64)
@@ -76,11 +83,11 @@ class Queue:
         if len(parts) > 1:
             place = np.argsort(columns[1])
             columns = [column[place] for column in columns]
-        self._part, *waiting = columns
-        return Waiting(*waiting)
+        self._part, *pending = columns
+        return PendingSweeps(*pending)
 
-    def leave(self, got: Synchronised) -> list[tuple[Motions, Sweeps]]:
-        """Let go of the first rows, for which odometry told something, in runs of one sensor."""
+    def pop(self, got: Synchronised) -> list[tuple[Motions, Sweeps]]:
+        """Remove the synchronised rows from the front; return the usable ones in runs of one sensor."""
         part = self._part[: len(got.twists)]
         usable = np.zeros(len(part), np.bool_)
         gone: dict[int, Sweeps] = {}
@@ -113,7 +120,7 @@ def _taken(got: Synchronised, rows: Ints) -> Synchronised:
 def _runs(
     part: Ints, motions: Motions, gone: dict[int, Sweeps]
 ) -> Iterator[tuple[Motions, Sweeps]]:
-    """Yield rows of one part that follow each other, with their motions."""
+    """Yield consecutive rows of the same part, with their motions."""
     borders = np.flatnonzero(np.diff(part, prepend=-1, append=-1))
     come = dict.fromkeys(gone, 0)
     for begin, end in pairwise(borders.tolist()):

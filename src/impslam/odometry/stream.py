@@ -1,4 +1,4 @@
-"""The motion that each row of an odometry's stream tells, from batch to batch."""
+"""Motions from the readings of an odometry stream that arrives in batches."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from impslam.odometry.base import Odometry
 from impslam.types import Array, Ints, Mask
 
 
-class Followed(NamedTuple):
-    """What m rows told.
+class StreamMotions(NamedTuple):
+    """Motions of m rows of odometry.
 
     Attributes
     ----------
-    motions : (m,) the motion from the row before to each; NaN where it is not known, where it takes
-        no time and ends at the row's own stamp
-    faults : (m,) which rows could not be used, or told a motion that cannot be
-    example : what was wrong with the first of them, and what to do; empty if nothing was
+    motions : (m,) the motion from the previous row to each row; NaN where it is unknown, with
+        duration 0 and the row's own stamp
+    faults : (m,) rows that are unusable, or whose motion is impossible
+    example : description of the first fault and its remedy; empty if there is none
     """
 
     motions: Motions
@@ -27,42 +27,42 @@ class Followed(NamedTuple):
     example: str
 
 
-class Follower:
-    """Follows a stream of readings; it keeps the last one, from which the next motion begins."""
+class OdometryStream:
+    """Computes motions from a stream of readings; keeps the last reading between batches."""
 
     def __init__(self, odometry: Odometry) -> None:
         self._odometry = odometry
         self._last: Columns | None = None
 
-    def follow(self, rows: Columns) -> Followed:
-        """Return the motions of the stream's next rows."""
+    def motions(self, rows: Columns) -> StreamMotions:
+        """Return the motions of the next rows of the stream."""
         usable = self._odometry.usable(rows)
         kept = np.ones(len(rows), np.bool_) if self._odometry.holds else usable
         used = rows if kept.all() else rows.take(kept)
         readings = used if self._last is None else join(self._last, used)
-        lead = len(readings) - len(used)  # 1 if the first row has one before it, else 0
-        motions = self._motions(readings)
-        told = ~np.isnan(motions.d_pose[:, 0])
-        if len(told) < len(rows) or not told.all():
+        lead = len(readings) - len(used)  # 1 if there is a reading before the first row, else 0
+        motions = self._compute(readings)
+        known = ~np.isnan(motions.d_pose[:, 0])
+        if len(known) < len(rows) or not known.all():
             places = np.flatnonzero(kept)[1 - lead :]
-            motions = _spread(motions.take(told), rows.stamps, places[told])
-        faults = ~usable | np.isnan(motions.d_pose[:, 0]) & self._begun(usable, kept)
+            motions = _spread(motions.take(known), rows.stamps, places[known])
+        faults = ~usable | np.isnan(motions.d_pose[:, 0]) & self._has_previous(usable, kept)
         example = ""
         if faults.any():
             first = int(np.argmax(faults))
             place = lead + int(kept[:first].sum())
             example = self._example(rows, readings, first, place, usable)
         self._keep(used, usable)
-        return Followed(motions, faults, example)
+        return StreamMotions(motions, faults, example)
 
-    def _motions(self, readings: Columns) -> Motions:
+    def _compute(self, readings: Columns) -> Motions:
         if len(readings) < 2:
-            return nothing_told(readings.stamps[:0])
-        with np.errstate(over="ignore", invalid="ignore"):  # of readings that jump by 1e300
+            return unknown_motions(readings.stamps[:0])
+        with np.errstate(over="ignore", invalid="ignore"):  # readings may jump by 1e300
             return self._odometry.motions(readings)
 
-    def _begun(self, usable: Mask, kept: Mask) -> Mask:
-        """Tell for which rows there is a usable reading from which a motion to them begins."""
+    def _has_previous(self, usable: Mask, kept: Mask) -> Mask:
+        """Return (m,) which rows have a usable reading before them, where their motion starts."""
         before = np.empty(len(usable), np.bool_)
         before[:1] = self._last is not None
         if self._odometry.holds:
@@ -74,7 +74,7 @@ class Follower:
     def _example(
         self, rows: Columns, readings: Columns, first: int, place: int, usable: Mask
     ) -> str:
-        """Explain a row; `place` is its place among the readings, if it is one of them."""
+        """Describe the fault of a row; `place` is its index in the readings, if it is one of them."""
         if not usable[first]:
             return self._odometry.fault(rows.take(slice(first, first + 1)))
         return self._odometry.fault(readings.take(slice(place - 1, place + 1)))
@@ -86,16 +86,16 @@ class Follower:
             self._last = used.take(slice(-1, None))
 
 
-def nothing_told(stamps: Array) -> Motions:
-    """Return motions that are not known, of rows with these stamps."""
+def unknown_motions(stamps: Array) -> Motions:
+    """Return unknown (NaN) motions with duration 0 that end at these stamps (m,)."""
     m = len(stamps)
     d_pose, covariance = np.full((m, 3), np.nan), np.full((m, 3, 3), np.nan)
     return Motions(stamps.copy(), d_pose, covariance, np.zeros(m))
 
 
 def _spread(motions: Motions, stamps: Array, places: Ints) -> Motions:
-    """Return motions as those of the rows at some places; NaN at the others."""
-    spread = nothing_told(stamps)
+    """Return m motions: the given ones at `places`, unknown ones elsewhere."""
+    spread = unknown_motions(stamps)
     for column, given in zip(spread, motions, strict=True):
         column[places] = given
     return spread

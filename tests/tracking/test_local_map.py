@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from impslam.geometry.se2 import rotation
-from impslam.tracking.local_map import REACH, LocalMap, nearest, normals
+from impslam.tracking.local_map import ROOM, add, empty_map, nearest, size
+from impslam.tracking.surfels import REACH, _prepare, thin
 
 METRES = st.floats(-20.0, 20.0, allow_subnormal=False)
 LIMIT = 0.5
@@ -19,19 +20,28 @@ def points(longest=40):
     return st.integers(0, longest).flatmap(lambda n: arrays(np.float64, (n, 2), elements=METRES))
 
 
+def rows_of(places):
+    """Return points (n, 2) as rows of `Surfels`, on a surface with its normal along x."""
+    places = np.asarray(places, float).reshape(-1, 2)
+    return np.column_stack([places, np.tile([1.0, 0.0, 1.0, 1.0], (len(places), 1))])
+
+
 def surfaces(places, cell=0.25):
     """All points, however near to each other, in cells."""
-    known = LocalMap(cell, 1e-12, 1.0)
-    n = len(places)
-    known.add(np.asarray(places, float).reshape(-1, 2), np.zeros((n, 2)), np.zeros(n, bool), 0.0)
-    return known.surfaces
+    known = empty_map(cell)
+    add(known, rows_of(places), 1e-12, 1.0)
+    return known
 
 
-def assert_nearest(x, y, limit, known):
+def held(known):
+    """Return the points (n, 2) in the order in which they came."""
+    return known.rows[np.arange(*known.ring) % ROOM, :2]
+
+
+def assert_nearest(x, y, limit, known, hint=-1):
     """The point found is as near as brute force's; the interpreter checks the bounds."""
-    found = nearest(x, y, limit, known)
-    assert found == nearest.py_func(x, y, limit, known)  # IndexError beyond an array's end
-    apart = np.hypot(known.points[:, 0] - x, known.points[:, 1] - y)
+    found = nearest(x, y, limit, known, hint)
+    apart = np.hypot(*(held(known) - [x, y]).T)
     least = apart.min(initial=math.inf)
     if found >= 0:
         assert apart[found] == pytest.approx(least, abs=1e-12)
@@ -41,9 +51,10 @@ def assert_nearest(x, y, limit, known):
 
 
 @settings(max_examples=100, deadline=None)
-@given(points(), METRES, METRES, st.floats(0.01, 10.0), st.floats(0.1, 3.0))
-def test_nearest_equals_brute_force(places, x, y, limit, cell):
-    assert_nearest(x, y, limit, surfaces(places, cell))
+@given(points(), METRES, METRES, st.floats(0.01, 10.0), st.floats(0.1, 3.0), st.integers(-1, 39))
+def test_nearest_equals_brute_force_whatever_the_hint(places, x, y, limit, cell, hint):
+    known = surfaces(places, cell)
+    assert_nearest(x, y, limit, known, min(hint, size(known) - 1))
 
 
 @settings(max_examples=50, deadline=None)
@@ -52,33 +63,46 @@ def test_points_far_outside_have_no_partner_and_stay_in_bounds(places, x, y):
     assert_nearest(x, y, LIMIT, surfaces(places))
 
 
+@pytest.mark.parametrize("x", [np.nan, np.inf, -np.inf, 1e300])
+def test_what_is_no_place_has_no_nearest(x):
+    known = surfaces([[0.0, 0.0]])
+    assert nearest(x, 0.0, LIMIT, known, -1) == nearest(x, 0.0, LIMIT, known, 0) == -1
+
+
 def test_nearest_in_a_crowd(rng):
     """Many points to a cell, asked from inside, from the border and from beyond all four sides."""
     known = surfaces(rng.uniform(-3.0, -1.0, (500, 2)))
     for x, y in rng.uniform(-4.0, 0.0, (300, 2)):
         assert_nearest(float(x), float(y), LIMIT, known)
-    for x, y in known.points[:50]:
-        assert known.points[nearest(x, y, LIMIT, known)].tolist() == [x, y]
+    for x, y in held(known)[:50]:
+        assert known.rows[nearest(x, y, LIMIT, known, -1), :2].tolist() == [x, y]
+
+
+def test_places_that_share_a_cell_are_told_apart():
+    """Cells repeat every 64 m."""
+    places = [[0.1, 0.1], [64.1, 0.1], [0.1, -63.9], [64.1, 64.1]]
+    known = surfaces(places)
+    for k, (x, y) in enumerate(places):
+        assert nearest(x, y, LIMIT, known, -1) == k
 
 
 def test_an_empty_map_has_no_nearest():
     known = surfaces([])
     for x, y in ((0.0, 0.0), (-3.0, 2.0), (1e6, -1e6)):
-        assert_nearest(x, y, LIMIT, known)
-        assert nearest(x, y, LIMIT, known) == -1
-
-
-def test_every_point_is_in_its_cell_once(rng):
-    known = surfaces(rng.uniform(-5.0, 5.0, (200, 2)))
-    assert sorted(known.order) == list(range(200))
-    assert len(known.starts) == known.nx * known.ny + 1
-    for cell in range(known.nx * known.ny):
-        inside = known.points[known.order[known.starts[cell] : known.starts[cell + 1]]]
-        expected = np.floor((inside - known.origin) / known.cell)
-        np.testing.assert_array_equal(expected, np.tile(divmod(cell, known.ny), (len(inside), 1)))
+        assert nearest(x, y, LIMIT, known, -1) == -1
 
 
 # --------------------------------------------------------------------------- normals
+
+
+def normals(points, gap):
+    """Return unit normals (n, 2) of points in beam order, and which lie on a straight surface."""
+    n, rows = len(points), np.empty((len(points), 6))
+    valid, gaps = np.ones((1, n), np.bool_), np.array([gap])
+    points = np.ascontiguousarray(points, float)[None]
+    assert _prepare(points, valid, gaps, 0.0, rows, np.zeros(2, np.int64)) == n
+    np.testing.assert_array_equal(rows[:, :2], points[0])
+    return rows[:, 2:4], rows[:, 4] > 0.0
 
 
 @pytest.mark.parametrize("angle", np.linspace(-3.0, 3.0, 7))
@@ -131,24 +155,58 @@ def test_surfaces_end_where_the_points_jump():
 
 
 def entered(known, places, way):
-    n = len(places)
-    known.add(np.asarray(places, float), np.tile([1.0, 0.0], (n, 1)), np.ones(n, bool), way)
-    return known.surfaces
+    known.way[0] = way
+    add(known, rows_of(places), 0.05, 6.0)
+    return held(known)
 
 
 def test_points_near_to_known_ones_are_not_entered_again():
-    known = LocalMap(0.25, 0.05, 6.0)
+    known = empty_map(0.25)
     entered(known, [[0.0, 0.0], [1.0, 0.0]], 0.0)
     seen = entered(known, [[0.049, 0.0], [1.051, 0.0]], 1.0)
-    np.testing.assert_array_equal(seen.points, [[0.0, 0.0], [1.0, 0.0], [1.051, 0.0]])
+    np.testing.assert_array_equal(seen, [[0.0, 0.0], [1.0, 0.0], [1.051, 0.0]])
 
 
 def test_points_are_forgotten_after_the_memory():
-    known = LocalMap(0.25, 0.05, 6.0)
-    entered(known, [[0.0, 0.0]], 0.0)
-    assert len(entered(known, [[1.0, 0.0]], 3.0).points) == 2
-    assert len(entered(known, [[2.0, 0.0]], 5.9).points) == 3
+    known = empty_map(0.25)
+    entered(known, [[0.0, 0.0], [0.1, 0.0]], 0.0)
+    assert len(entered(known, [[1.0, 0.0]], 3.0)) == 3
+    assert len(entered(known, [[2.0, 0.0]], 5.9)) == 4
     left = entered(known, [[3.0, 0.0]], 6.0)
-    np.testing.assert_array_equal(left.points[:, 0], [1.0, 2.0, 3.0])
-    assert len(left.normals) == len(left.flat) == len(left.order) == 3
-    assert entered(known, np.empty((0, 2)), 100.0).points.shape == (0, 2)
+    np.testing.assert_array_equal(left[:, 0], [1.0, 2.0, 3.0])
+    assert nearest(0.0, 0.0, LIMIT, known, -1) == -1
+    assert entered(known, np.empty((0, 2)), 100.0).shape == (0, 2)
+
+
+def test_what_is_left_after_forgetting_is_found(rng):
+    """Cells hold points of all ages; the chains of the ring's second lap are as good."""
+    known = empty_map(0.25)
+    for lap in range(60):
+        left = entered(known, rng.uniform(-20.0, 20.0, (1000, 2)), 0.2 * lap)
+        assert size(known) <= ROOM
+    assert known.ring[1] > ROOM
+    for k in range(0, len(left), 97):
+        row = nearest(*left[k], LIMIT, known, -1)
+        np.testing.assert_array_equal(known.rows[row, :2], left[k])
+
+
+def test_a_full_map_forgets_the_oldest():
+    known = empty_map(0.25)
+    places = np.column_stack([0.1 * np.arange(ROOM + 10), np.zeros(ROOM + 10)])
+    assert len(entered(known, places, 0.0)) == ROOM
+    np.testing.assert_array_equal(held(known), places[10:])
+    assert nearest(0.0, 0.0, 0.09, known, -1) == -1
+
+
+def test_points_stand_in_the_frame_of_the_map():
+    known = empty_map(0.25)
+    known.pose[:] = 1.0, 2.0, math.pi / 2
+    np.testing.assert_allclose(entered(known, [[3.0, 0.5]], 0.0), [[0.5, 5.0]])
+    np.testing.assert_allclose(known.rows[0, 2:4], [0.0, 1.0], atol=1e-15)
+
+
+def test_thinning_keeps_points_apart_and_on_request_surfaces_only():
+    rows = rows_of(np.column_stack([0.03 * np.arange(10), np.zeros(10)]))
+    rows[3, 5] = 0.0
+    assert thin(rows, 0.05, False)[:, 0] == pytest.approx([0.0, 0.06, 0.12, 0.18, 0.24])
+    assert thin(rows[2:5], 0.01, True)[:, 0] == pytest.approx([0.06, 0.12])

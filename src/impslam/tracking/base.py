@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from pydantic import PrivateAttr
@@ -20,10 +20,9 @@ from impslam.geometry.kernels import kernel
 from impslam.map import Keyframe, Track
 from impslam.parameters import Parameters
 from impslam.sources.base import Problems
+from impslam.tracking.check import OdometryCheck
+from impslam.tracking.surfels import Surfels, prepare
 from impslam.types import Array, Increment, Mask
-
-if TYPE_CHECKING:
-    from impslam.tracking.check import OdometryCheck
 
 _CONTRADICTED = (
     "the scan at {:.3f} s shows another motion than odometry; the pose follows the scans: check "
@@ -81,8 +80,6 @@ class Tracker(Component):
 
     def start(self, start: Array, gate: KeyframeGate) -> None:
         """Begin at a pose (3,) of the odometry's path; the first sweep is a keyframe."""
-        from impslam.tracking.check import OdometryCheck  # noqa: PLC0415  it matches scans as `icp`
-
         self._gate = np.array([gate.distance, gate.angle, gate.seconds])
         self._travelled = {}
         self._since = np.zeros(3), np.zeros((3, 3))
@@ -105,13 +102,18 @@ class Tracker(Component):
         """`T_odom_base` (3,) at the middle of the newest sweep, by dead reckoning."""
         return self._odometry
 
-    def refine(self, motions: Motions, sweeps: Sweeps) -> Motions:
+    @property
+    def thinning(self) -> float:
+        """The least distance of a sweep's points in beam order, m, that `refine` has a use for."""
+        return OdometryCheck.spacing
+
+    def refine(self, motions: Motions, sweeps: Sweeps, surfels: Surfels | None) -> Motions:
         """Return the motions to these sweeps as well as they can be told, with covariance.
 
-        The motions given are those of odometry. Where a sweep tells nothing its motion comes back
-        as it was.
+        The motions given are those of odometry; `surfels` are the points of the sweeps, None where
+        the sensor has none. Where a sweep tells nothing its motion comes back as it was.
         """
-        del sweeps
+        del sweeps, surfels
         return motions
 
     def follow(self, motions: Motions, sweeps: Sweeps) -> Iterator[Track]:
@@ -120,11 +122,13 @@ class Tracker(Component):
         `motions` are by odometry, from the middle of the sweep before to that of each.
         """
         by_odometry = motions
-        motions, contradicted = self._check.check(motions, sweeps)
+        scans = sweeps.scans
+        surfels = None if scans is None else prepare(scans, self.thinning)
+        motions, contradicted = self._check.check(motions, surfels)
         for k in np.flatnonzero(contradicted).tolist():
             stamp = sweeps.columns.stamps[k]
             self._problems.add("odometry against scans", _CONTRADICTED.format(stamp))
-        refined = self.refine(motions, sweeps)
+        refined = self.refine(motions, sweeps, surfels)
         ends = self._ends(sweeps.sensor, motions)
         odometry, at_stamp = _dead_reckon(self._odometry, by_odometry.d_pose, sweeps.T_middle_stamp)
         self._odometry = odometry[-1] if len(odometry) else self._odometry

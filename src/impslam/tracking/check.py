@@ -2,7 +2,7 @@
 
 A wheel that slips, an encoder that freezes or falls silent: odometry then says little or nothing, and
 says it with no covariance, for its noise grows with the way that it tells of. That an encoder stands is no
-proof that the robot does. Here each scan is matched to the last metres with a prior so wide that odometry
+proof that the robot does. Here scans are matched to the last metres with a prior so wide that odometry
 cannot bind it. Over a few seconds the two motions must agree: their difference d has the covariance S of
 odometry and of matching, and d^T S^-1 d is chi-square distributed with three degrees of freedom
 (Bar-Shalom et al. 2001, ch. 5.4). Beyond the gate the scans' motion takes the place of odometry's, from the
@@ -13,19 +13,17 @@ stands is not contradicted, so that its covariance does not grow.
 from __future__ import annotations
 
 import math
-from collections import deque
-from contextlib import suppress
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from impslam.columns import Motions, Sweeps
-from impslam.errors import NumericalError
-from impslam.geometry.se2 import between, compose, rotation
-from impslam.tracking.icp import Icp, gap
-from impslam.tracking.local_map import REACH
-from impslam.types import Array, Increment, Mask, Scan
+from impslam.columns import Motions
+from impslam.geometry.chain import advance, advance_pose
+from impslam.geometry.kernels import kernel
+from impslam.tracking.local_map import LocalMap, empty_map
+from impslam.tracking.matching import UNSOLVED, Settings, between, match, solve, turned
+from impslam.tracking.surfels import Surfels, thin
+from impslam.types import Array, Ints, Mask
 
 SECONDS = 3.0
 """s over which both motions are compared: a robot that creeps at 5 cm/s goes 15 cm, which is seen."""
@@ -48,11 +46,23 @@ Odometry that tells more than happened, or another direction, is left to its own
 bushes, of people or of a long corridor can show anything, but seldom a way that was not gone."""
 LEAST = (0.05, 0.1)
 """m, rad: what has to lack at least; matching is off by less (`SPREAD`, to three sigma)."""
-FEWEST = 2 * REACH + 1
-"""Points without a gap between them that tell which way a surface runs."""
-
-
-START = np.zeros(3)
+STRIDE = np.array([0.25, 0.2, 0.2])
+"""s, m, rad: a scan is matched when so much has gone by since the last that was. Both motions are compared
+over 3 s, of which these are steps; a scan still overlaps the last one, and its points find their partners
+though odometry stands. While odometry is contradicted each scan is matched, because each takes its motion
+from there."""
+MEMORY = 6.0
+"""m of way after which points are forgotten."""
+SETTINGS = Settings(
+    sigma=0.02,
+    reach=0.5,
+    spacing=0.1,
+    memory=MEMORY,
+    iterations=15,
+    min_share=0.5,
+    drift=np.array([0.03, 0.02, 0.02, 0.04]),
+)
+"""How scans are matched: as by `icp`, with points farther apart and surer of their partners."""
 
 
 class Checked(NamedTuple):
@@ -62,15 +72,39 @@ class Checked(NamedTuple):
     contradicted: Mask
 
 
-class _Place(NamedTuple):
-    """Where each chain of motions is at a time (s): as matched, by odometry, and as handed on."""
+class Places(NamedTuple):
+    """Where each chain of motions was at the matched scans of the last seconds, in a ring.
 
-    time: float
+    Attributes
+    ----------
+    time : (MOST,) s
+    matched, odometry, used : (MOST, 3) as matched, by odometry, and as handed on
+    spread : (MOST, 3, 3) odometry's covariance added up, along the axes of its first place
+    ring : (2,) number of places forgotten, and of places that ever were
+    """
+
+    time: Array
     matched: Array
     odometry: Array
     used: Array
     spread: Array
-    """(3, 3) odometry's covariance added up, along the axes of its first place."""
+    ring: Ints
+
+
+class Pending(NamedTuple):
+    """Odometry's motion since the last scan that was matched.
+
+    Attributes
+    ----------
+    pose, covariance : (3,), (3, 3)
+    clock : (2,) s, how long it took, and the newest stamp
+    doubt : (1,) whether that scan contradicted odometry
+    """
+
+    pose: Array
+    covariance: Array
+    clock: Array
+    doubt: Mask
 
 
 class OdometryCheck:
@@ -80,105 +114,169 @@ class OdometryCheck:
     a tracker which matches scans itself finds the motion from there.
     """
 
+    spacing = SETTINGS.spacing
+
     def __init__(self, *, follow: bool = True) -> None:
         self._follow = follow
-        self._icp = Icp(spacing=0.1, min_share=0.5)
-        self._places: deque[_Place] = deque(maxlen=MOST)
-        self._stamp = 0.0
+        matched, odometry, used = (np.zeros((MOST, 3)) for _ in range(3))
+        spread, ring = np.zeros((MOST, 3, 3)), np.zeros(2, np.int64)
+        self._places = Places(np.zeros(MOST), matched, odometry, used, spread, ring)
+        self._pending = Pending(np.zeros(3), np.zeros((3, 3)), np.zeros(2), np.zeros(1, np.bool_))
+        self._known = empty_map(0.5 * SETTINGS.reach)
 
-    def check(self, motions: Motions, sweeps: Sweeps) -> Checked:
+    def check(self, motions: Motions, surfels: Surfels | None) -> Checked:
         """Return the motions to these sweeps as they are best taken; call it once for each sweep."""
-        contradicted = np.zeros(len(sweeps), np.bool_)
-        if sweeps.scans is None:
-            return Checked(motions, contradicted)
+        if surfels is None:
+            return Checked(motions, np.zeros(len(motions.stamps), np.bool_))
         d_pose, covariance = motions.d_pose.copy(), motions.covariance.copy()
-        for k in range(len(sweeps)):
-            increment = motions.row(k)
-            with suppress(NumericalError):  # where scans tell nothing, odometry stands
-                chosen = self.agreed(increment, sweeps.scans.row(k))
-                contradicted[k] = chosen is not increment
-                d_pose[k], covariance[k] = chosen.d_pose, chosen.covariance
-        return Checked(motions._replace(d_pose=d_pose, covariance=covariance), contradicted)
-
-    def agreed(self, increment: Increment, scan: Scan) -> Increment:
-        """Return the motion since the previous scan as it is best taken: itself, if both agree."""
-        last = self._places[-1] if self._places else None
-        # A clock may be set, back or ahead.
-        elapsed = 0.0 if last is None else min(max(increment.stamp - self._stamp, 0.0), SECONDS)
-        self._stamp = increment.stamp
-        wide = increment.covariance + np.diag(np.square(RATES) * elapsed)
-        matched = self._icp.match(replace(increment, covariance=wide), _supported(scan))
-        if last is None:
-            self._places.append(_Place(0.0, START, START, START, np.zeros((3, 3))))
-            return increment
-        place = _Place(
-            last.time + elapsed,
-            compose(last.matched, matched.d_pose),
-            compose(last.odometry, increment.d_pose),
-            last.used,
-            last.spread + _turned(increment.covariance, last.odometry[2]),
+        taken = motions._replace(d_pose=d_pose, covariance=covariance)
+        return Checked(
+            taken,
+            _check(
+                taken, surfels, self._known, SETTINGS, self._places, self._pending, self._follow
+            ),
         )
-        while len(self._places) > 1 and self._places[1].time < place.time - SECONDS:
-            self._places.popleft()
-        first = self._places[0]
-        contradicted = _lost_motion(first, place) and _distance2(first, place) > GATE
-        chosen = increment
-        if contradicted:
-            unsure = replace(increment, covariance=wide)
-            chosen = self._instead(first, place, matched) if self._follow else unsure
-        self._places.append(place._replace(used=compose(last.used, chosen.d_pose)))
-        return chosen
-
-    def _instead(self, first: _Place, place: _Place, matched: Increment) -> Increment:
-        """Return the motion that takes what was used so far to where matching is.
-
-        What that makes good on top of the newest motion has perhaps been made good by landmarks before,
-        so all of it is unsure.
-        """
-        motion = between(first.matched, place.matched)
-        d_pose = between(between(first.used, place.used), motion)
-        late = between(matched.d_pose, d_pose)
-        way, turn = math.hypot(matched.d_pose[0], matched.d_pose[1]), abs(float(matched.d_pose[2]))
-        off = SHARE**2 * self._icp.memory * np.array([way, way, turn])
-        covariance = matched.covariance + np.diag(off) + np.outer(late, late)
-        return replace(matched, d_pose=d_pose, covariance=covariance)
 
 
-def _lost_motion(first: _Place, place: _Place) -> bool:
-    """Tell whether odometry lacks a good part of the way, or of the turn, that the scans show."""
-    told = between(first.odometry, place.odometry)
-    shown = between(first.matched, place.matched)
-    way, seen = math.hypot(told[0], told[1]), math.hypot(shown[0], shown[1])
-    return bool(way < LACKS * seen - LEAST[0] or abs(told[2]) < LACKS * abs(shown[2]) - LEAST[1])
+@kernel
+def _check(
+    motions: Motions,
+    surfels: Surfels,
+    known: LocalMap,
+    settings: Settings,
+    places: Places,
+    pending: Pending,
+    follow: bool,
+) -> Mask:
+    """Change in place the motions that the scans contradict; return which these are, (m,)."""
+    stamps, d_pose, covariance, _ = motions
+    out, before = np.zeros(len(d_pose), np.bool_), np.empty(3)
+    for k in range(len(d_pose)):
+        # A clock may be set, back or ahead.
+        elapsed = min(max(stamps[k] - pending.clock[1], 0.0), SECONDS) if places.ring[1] else 0.0
+        pending.clock[0] += elapsed
+        pending.clock[1] = stamps[k]
+        before[:] = pending.pose
+        advance(pending.pose, pending.covariance, d_pose[k], covariance[k])
+        if not _due(places, pending):
+            continue
+        points = surfels.rows[surfels.starts[k] : surfels.starts[k + 1]]
+        points = thin(points, settings.spacing, True)
+        motion, wide = pending.pose.copy(), pending.covariance.copy()
+        _widen(wide, pending.clock[0])
+        if match(motion, wide, points, known, settings) != UNSOLVED:
+            out[k] = _contradicted(before, motion, places, pending)
+            if out[k] and follow:
+                _instead(d_pose[k], covariance[k], before, motion, wide, places)
+            elif out[k]:
+                _widen(covariance[k], pending.clock[0])
+            advance_pose(places.used[(places.ring[1] - 1) % MOST], d_pose[k])
+        pending.doubt[0] = out[k]
+        pending.pose[:], pending.covariance[:], pending.clock[0] = 0.0, 0.0, 0.0
+    return out
 
 
-def _distance2(first: _Place, place: _Place) -> float:
-    """Return d^T S^-1 d of the two motions from the first place on."""
-    told = between(first.odometry, place.odometry)
-    d = between(told, between(first.matched, place.matched))
-    S = _turned(place.spread - first.spread, -place.odometry[2])
-    lever = np.array([told[1], told[0], 0.0])  # of a heading that was wrong all the way, at most
-    shown = between(first.matched, place.matched)
-    way = np.maximum(np.abs(told), np.abs(shown))
-    off = np.square(SPREAD) + np.square(SHARE * np.array([way[:2].max(), way[:2].max(), way[2]]))
-    S += np.diag(off + np.square(lever) * S[2, 2])
-    return float(d @ np.linalg.solve(S, d))
+@kernel
+def _due(places: Places, pending: Pending) -> bool:
+    """Tell whether a scan is to be matched."""
+    if places.ring[1] == 0 or pending.doubt[0]:
+        return True
+    way = math.hypot(pending.pose[0], pending.pose[1])
+    late, far = pending.clock[0] >= STRIDE[0], way >= STRIDE[1]
+    return bool(late or far or abs(pending.pose[2]) >= STRIDE[2])
 
 
-def _turned(covariance: Array, angle: float) -> Array:
-    """Return a covariance (3, 3) of [x, y, theta] along axes turned back by an angle in rad."""
-    V = np.eye(3)
-    V[:2, :2] = rotation(angle)
-    return np.asarray(V @ covariance @ V.T)
+@kernel
+def _widen(covariance: Array, seconds: float) -> None:
+    """Let nothing be believed of odometry for some time."""
+    for a in range(3):
+        covariance[a, a] += RATES[a] ** 2 * seconds
 
 
-def _supported(scan: Scan) -> Scan:
-    """Return the scan without points that are too few together to tell a surface.
+@kernel
+def _contradicted(before: Array, matched: Array, places: Places, pending: Pending) -> bool:
+    """Enter a scan that was matched; tell whether it contradicts odometry.
 
-    The far end of a wall that beams graze is such points; it comes along with the robot.
+    `before` is the pending motion without that of the newest sweep, `matched` all of it as the scans
+    show it. Of `used` the newest motion is still to come.
     """
-    points = np.where(scan.valid[:, None], scan.points, np.inf)
-    with np.errstate(invalid="ignore"):
-        apart = ~(np.hypot(*np.diff(points, axis=0).T) < gap(scan))
-    groups = np.concatenate([[0], np.cumsum(apart)])
-    return replace(scan, valid=scan.valid & (np.bincount(groups)[groups] >= FEWEST))
+    last, new = (places.ring[1] - 1) % MOST, places.ring[1] % MOST
+    places.ring[1] += 1
+    if places.ring[1] == 1:
+        return False  # the first place is the origin of all chains
+    for chain, motion in (
+        (places.matched, matched),
+        (places.odometry, pending.pose),
+        (places.used, before),
+    ):
+        chain[new] = chain[last]
+        advance_pose(chain[new], motion)
+    places.time[new] = places.time[last] + pending.clock[0]
+    places.spread[new] = places.spread[last] + turned(pending.covariance, places.odometry[last, 2])
+    places.ring[0] = max(places.ring[0], places.ring[1] - MOST)
+    while (
+        places.ring[1] - places.ring[0] > 2
+        and places.time[(places.ring[0] + 1) % MOST] < places.time[new] - SECONDS
+    ):
+        places.ring[0] += 1
+    return _distance2(places) > GATE
+
+
+@kernel
+def _distance2(places: Places) -> float:
+    """Return d^T S^-1 d of the two motions from the first place to the newest.
+
+    It is 0 where odometry lacks no good part of the way, or of the turn, that the scans show.
+    """
+    first, new = places.ring[0] % MOST, (places.ring[1] - 1) % MOST
+    told, shown, d = np.empty(3), np.empty(3), np.empty(3)
+    between(places.odometry[first], places.odometry[new], told)
+    between(places.matched[first], places.matched[new], shown)
+    way, seen = math.hypot(told[0], told[1]), math.hypot(shown[0], shown[1])
+    if way >= LACKS * seen - LEAST[0] and abs(told[2]) >= LACKS * abs(shown[2]) - LEAST[1]:
+        return 0.0
+    between(told, shown, d)
+    S = turned(places.spread[new] - places.spread[first], -places.odometry[new, 2])
+    way = max(abs(told[0]), abs(shown[0]), abs(told[1]), abs(shown[1]))
+    turn = max(abs(told[2]), abs(shown[2]))
+    # Odometry's heading was wrong all the way, at most: the way is its lever.
+    by_heading = S[2, 2]
+    S[0, 0] += SPREAD[0] ** 2 + (SHARE * way) ** 2 + told[1] ** 2 * by_heading
+    S[1, 1] += SPREAD[1] ** 2 + (SHARE * way) ** 2 + told[0] ** 2 * by_heading
+    S[2, 2] += SPREAD[2] ** 2 + (SHARE * turn) ** 2
+    x = d.copy()
+    if not solve(S, x):
+        return 0.0
+    return float(d[0] * x[0] + d[1] * x[1] + d[2] * x[2])
+
+
+@kernel
+def _instead(
+    d_pose: Array,
+    covariance: Array,
+    before: Array,
+    matched: Array,
+    spread: Array,
+    places: Places,
+) -> None:
+    """Put in place the motion that takes what was used so far to where matching is.
+
+    What that makes good on top of the newest motion has perhaps been made good by landmarks before,
+    so all of it is unsure.
+    """
+    first, new = places.ring[0] % MOST, (places.ring[1] - 1) % MOST
+    shown, used, instead, late = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    between(places.matched[first], places.matched[new], shown)
+    between(places.used[first], places.used[new], used)
+    between(used, shown, instead)
+    if before.any():
+        between(d_pose, instead, late)
+    else:
+        between(matched, instead, late)
+    way, turn = math.hypot(matched[0], matched[1]), abs(matched[2])
+    off = SHARE**2 * MEMORY
+    d_pose[:] = instead
+    for a in range(3):
+        for b in range(3):
+            covariance[a, b] = spread[a, b] + late[a] * late[b]
+        covariance[a, a] += off * (turn if a == 2 else way)

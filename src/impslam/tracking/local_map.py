@@ -1,4 +1,9 @@
-"""The points that a robot saw on its last metres, with normals, in cells for quick look-up."""
+"""The points that a robot saw on its last metres, with normals, in cells for quick look-up.
+
+Points stand in a ring in the order in which they came, so that the oldest are forgotten without a
+search. Cells are square and repeat every `SIDE` of them: points of places so far apart share one,
+which costs time and changes nothing, because each distance is looked at.
+"""
 
 from __future__ import annotations
 
@@ -6,147 +11,141 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from impslam.geometry.kernels import kernel
-from impslam.types import Array, Ints, Mask
+from impslam.types import Array, Ints
 
-REACH = 3  # beams on either side that a normal is fitted to at least
-WINDOW = 0.15  # m on either side that it is fitted to: long against the noise of a beam, 1 to 3 cm
-
-
-@kernel
-def normals(points: Array, gap: float) -> tuple[Array, Mask]:
-    """Return unit normals (n, 2) of points in beam order, and which lie on a straight surface.
-
-    A surface needs three neighbours no farther apart than `gap` m, and a scatter across it of less
-    than a fifth of that along it.
-    """
-    n = len(points)
-    out, flat = np.zeros((n, 2)), np.zeros(n, np.bool_)
-    for i in range(n):
-        low = high = i
-        while (
-            low > 0
-            and _near(points, low, low - 1, gap)
-            and (i - low < REACH or _near(points, i, low - 1, WINDOW))
-        ):
-            low -= 1
-        while (
-            high < n - 1
-            and _near(points, high, high + 1, gap)
-            and (high - i < REACH or _near(points, i, high + 1, WINDOW))
-        ):
-            high += 1
-        if high - low < 3:
-            continue
-        mx, my = points[low : high + 1, 0].mean(), points[low : high + 1, 1].mean()
-        xx = xy = yy = 0.0
-        for k in range(low, high + 1):
-            dx, dy = points[k, 0] - mx, points[k, 1] - my
-            xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
-        mid, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
-        along = 0.5 * math.atan2(2.0 * xy, xx - yy)
-        out[i, 0], out[i, 1] = -math.sin(along), math.cos(along)
-        flat[i] = mid - half < 0.04 * (mid + half)
-    return out, flat
+ROOM = 1 << 15
+"""Points at most; beyond, the oldest are forgotten. At 5 cm they line 1.6 km of walls."""
+SIDE = 256
+"""Cells to a side until they repeat, a power of two: 64 m with cells of 25 cm."""
 
 
-@kernel
-def _near(points: Array, a: int, b: int, gap: float) -> bool:
-    return math.hypot(points[a, 0] - points[b, 0], points[a, 1] - points[b, 1]) < gap
+class LocalMap(NamedTuple):
+    """Where the robot is, and the points it knows there. Kernels change all of it in place.
 
-
-class Surfaces(NamedTuple):
-    """Known points (n, 2), their normals (n, 2) and flatness (n,), sorted into square cells.
-
-    The points of cell (x, y) are `order[starts[x * ny + y] : starts[x * ny + y + 1]]`.
+    Attributes
+    ----------
+    rows : (ROOM, 6) x, y, the normal, 1 on a straight surface, and the way (m) at which it came
+    older, newer : (ROOM,) the neighbours of a point in its cell's chain, -1 at the ends
+    cells : (SIDE * SIDE,) the newest point of each cell, -1 in an empty one
+    ring : (2,) number of points forgotten, and of points that ever came
+    pose : (3,) of base_link
+    way : (1,) m, of it so far
+    cell : m, a cell's side
     """
 
-    points: Array
-    normals: Array
-    flat: Mask
-    starts: Ints
-    order: Ints
-    origin: Array
+    rows: Array
+    older: npt.NDArray[np.int32]
+    newer: npt.NDArray[np.int32]
+    cells: npt.NDArray[np.int32]
+    ring: Ints
+    pose: Array
+    way: Array
     cell: float
-    nx: int
-    ny: int
+
+
+def empty_map(cell: float) -> LocalMap:
+    """Return a map without points, the robot at its origin."""
+    return LocalMap(
+        np.empty((ROOM, 6)),
+        np.empty(ROOM, np.int32),
+        np.empty(ROOM, np.int32),
+        np.full(SIDE * SIDE, -1, np.int32),
+        np.zeros(2, np.int64),
+        np.zeros(3),
+        np.zeros(1),
+        cell,
+    )
 
 
 @kernel
-def _sort_into_cells(points: Array, cell: float) -> tuple[Ints, Ints, Array, int, int]:
-    """Return `starts`, `order`, `origin`, `nx` and `ny` of `Surfaces` for points (n, 2)."""
-    low, high = np.zeros(2), np.zeros(2)
-    for i in range(len(points)):
-        for axis in range(2):
-            value = points[i, axis]
-            low[axis] = value if i == 0 else min(low[axis], value)
-            high[axis] = value if i == 0 else max(high[axis], value)
-    nx, ny = int((high[0] - low[0]) / cell) + 1, int((high[1] - low[1]) / cell) + 1
-    starts, order = np.zeros(nx * ny + 1, np.int64), np.empty(len(points), np.int64)
-    cells = np.empty(len(points), np.int64)
-    for i in range(len(points)):
-        x, y = int((points[i, 0] - low[0]) / cell), int((points[i, 1] - low[1]) / cell)
-        cells[i] = x * ny + y
-        starts[cells[i] + 1] += 1
-    for c in range(nx * ny):
-        starts[c + 1] += starts[c]
-    filled = starts[:-1].copy()
-    for i in range(len(points)):
-        order[filled[cells[i]]] = i
-        filled[cells[i]] += 1
-    return starts, order, low, nx, ny
+def size(known: LocalMap) -> int:
+    """Return the number of points."""
+    return int(known.ring[1] - known.ring[0])
 
 
 @kernel
-def nearest(x: float, y: float, limit: float, known: Surfaces) -> int:
-    """Return the index of the nearest known point within `limit`, or -1."""
-    dx, dy = x - known.origin[0], y - known.origin[1]
+def nearest(x: float, y: float, limit: float, known: LocalMap, hint: int) -> int:
+    """Return the row of the nearest point within `limit` m, or -1.
+
+    `hint` is the row of a point that is perhaps near, or -1: it spares looking farther than there.
+    """
     best, found = limit * limit, -1
-    low = max(math.floor((dy - limit) / known.cell), 0)
-    high = min(math.floor((dy + limit) / known.cell) + 1, known.ny)
-    if low >= high:
-        return -1
-    left = max(math.floor((dx - limit) / known.cell), 0)
-    right = min(math.floor((dx + limit) / known.cell) + 1, known.nx)
-    for i in range(left, right):
-        for k in range(known.starts[i * known.ny + low], known.starts[i * known.ny + high]):
-            j = known.order[k]
-            dx, dy = known.points[j, 0] - x, known.points[j, 1] - y
-            if dx * dx + dy * dy < best:
-                best, found = dx * dx + dy * dy, j
+    if hint >= 0:
+        best, found = _nearer(x, y, hint, known, best, found)
+    i, j = math.floor(x / known.cell), math.floor(y / known.cell)
+    best, found = _search(x, y, i, j, known, best, found)
+    reach = math.sqrt(best)
+    low, high = math.floor((y - reach) / known.cell), math.floor((y + reach) / known.cell)
+    for a in range(math.floor((x - reach) / known.cell), math.floor((x + reach) / known.cell) + 1):
+        for b in range(low, high + 1):
+            if a != i or b != j:
+                best, found = _search(x, y, a, b, known, best, found)
     return found
 
 
 @kernel
-def _new(candidates: Array, spacing: float, known: Surfaces) -> Mask:
-    """Tell which candidates (n, 2) have no known point within `spacing`."""
-    out = np.empty(len(candidates), np.bool_)
-    for i in range(len(candidates)):
-        out[i] = nearest(candidates[i, 0], candidates[i, 1], spacing, known) < 0
-    return out
+def _search(
+    x: float, y: float, i: int, j: int, known: LocalMap, best: float, found: int
+) -> tuple[float, int]:
+    """Return the least squared distance, and to which point, after looking into cell (i, j)."""
+    row = known.cells[_place(i, j)]
+    while row >= 0:
+        best, found = _nearer(x, y, row, known, best, found)
+        row = known.older[row]
+    return best, found
 
 
-class LocalMap:
-    """The surfaces seen on the last `memory` metres of way."""
+@kernel
+def _nearer(
+    x: float, y: float, row: int, known: LocalMap, best: float, found: int
+) -> tuple[float, int]:
+    dx, dy = known.rows[row, 0] - x, known.rows[row, 1] - y
+    apart2 = dx * dx + dy * dy
+    return (apart2, row) if apart2 < best else (best, found)
 
-    def __init__(self, cell: float, spacing: float, memory: float) -> None:
-        self._cell, self._spacing, self._memory = cell, spacing, memory
-        self._way = np.empty(0)
-        self.surfaces = self._sorted(np.empty((0, 2)), np.empty((0, 2)), np.empty(0, np.bool_))
 
-    def add(self, points: Array, directions: Array, flat: Mask, way: float) -> None:
-        """Enter the points that are new here, and forget those seen too long ago."""
-        known = self.surfaces
-        new = _new(points, self._spacing, known)
-        old = self._way > way - self._memory
-        self._way = np.concatenate([self._way[old], np.full(int(new.sum()), way)])
-        self.surfaces = self._sorted(
-            np.concatenate([known.points[old], points[new]]),
-            np.concatenate([known.normals[old], directions[new]]),
-            np.concatenate([known.flat[old], flat[new]]),
-        )
+@kernel
+def _place(i: int, j: int) -> int:
+    return (i & (SIDE - 1)) * SIDE + (j & (SIDE - 1))
 
-    def _sorted(self, points: Array, directions: Array, flat: Mask) -> Surfaces:
-        starts, order, origin, nx, ny = _sort_into_cells(points, self._cell)
-        return Surfaces(points, directions, flat, starts, order, origin, self._cell, nx, ny)
+
+@kernel
+def add(known: LocalMap, points: Array, spacing: float, memory: float) -> None:
+    """Enter the points that are new here, `Surfels.rows` of a sweep; forget those seen too long ago."""
+    while size(known) and known.rows[known.ring[0] % ROOM, 5] <= known.way[0] - memory:
+        _forget(known)
+    c, s = math.cos(known.pose[2]), math.sin(known.pose[2])
+    for k in range(len(points)):
+        x = known.pose[0] + c * points[k, 0] - s * points[k, 1]
+        y = known.pose[1] + s * points[k, 0] + c * points[k, 1]
+        if nearest(x, y, spacing, known, -1) >= 0:
+            continue
+        if size(known) == ROOM:
+            _forget(known)
+        row = known.ring[1] % ROOM
+        known.rows[row, 0], known.rows[row, 1] = x, y
+        known.rows[row, 2] = c * points[k, 2] - s * points[k, 3]
+        known.rows[row, 3] = s * points[k, 2] + c * points[k, 3]
+        known.rows[row, 4], known.rows[row, 5] = points[k, 4], known.way[0]
+        cell = _place(math.floor(x / known.cell), math.floor(y / known.cell))
+        newest = known.cells[cell]
+        known.older[row], known.newer[row], known.cells[cell] = newest, -1, row
+        if newest >= 0:
+            known.newer[newest] = row
+        known.ring[1] += 1
+
+
+@kernel
+def _forget(known: LocalMap) -> None:
+    """Take the oldest point out, which is the last one of its cell's chain."""
+    row = known.ring[0] % ROOM
+    newer = known.newer[row]
+    if newer >= 0:
+        known.older[newer] = -1
+    else:
+        x, y = known.rows[row, 0], known.rows[row, 1]
+        known.cells[_place(math.floor(x / known.cell), math.floor(y / known.cell))] = -1
+    known.ring[0] += 1

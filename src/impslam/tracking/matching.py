@@ -1,0 +1,266 @@
+"""Scan matching against the last metres of way: iterated closest points with a motion prior.
+
+The pose [x, y, theta] of the new scan in a local frame maximises the posterior of odometry and
+scan: odometry is a Gaussian prior; each point of the scan adds its distance to the surface it falls on
+(point to line, Censi 2008), or to a lone point such as a table leg (point to point). Wrong pairs are
+weighed down by the Geman-McClure kernel. Along a bare corridor the scan says nothing and the prior
+stands, because it is in the same sum. Errors are additive on [x, y, theta].
+
+The frame is only local: points are forgotten after a few metres, so that this stays odometry, whose
+increments compose, and closing loops stays the filter's work.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.geometry.chain import advance_pose
+from impslam.geometry.kernels import kernel
+from impslam.tracking.local_map import LocalMap, add, nearest, size
+from impslam.types import Array, Ints
+
+AS_GIVEN, MATCHED, UNSOLVED = 0, 1, 2
+"""What came of a match: the scan told nothing; it did; prior and scan admit no solution."""
+FEWEST_POINTS = 10
+"""Of a scan and of the map, below which nothing is matched."""
+_TINY = 1e-6  # m, rad: floor of the prior's standard deviations, so that it has an inverse
+
+
+_MOVED = 1e-3
+"""m, rad: a pose that has moved by less keeps its pairs, for points lie centimetres apart."""
+
+
+class Settings(NamedTuple):
+    """How scans are matched; see the parameters of `Icp`. `drift` (4,) are those of its `drift`."""
+
+    sigma: float
+    reach: float
+    spacing: float
+    memory: float
+    iterations: int
+    min_share: float
+    drift: Array
+
+
+@kernel
+def match(
+    d_pose: Array, covariance: Array, points: Array, known: LocalMap, settings: Settings
+) -> int:
+    """Refine in place the motion (3,), (3, 3) since the last scan; take the scan into the map.
+
+    `points` are `Surfels.rows` of the scan. Without a solution nothing is changed. Returns one of
+    `AS_GIVEN`, `MATCHED` and `UNSOLVED`.
+    """
+    status = AS_GIVEN
+    if len(points) >= FEWEST_POINTS and size(known) >= FEWEST_POINTS:
+        status = _refine(d_pose, covariance, points, known, settings)
+        if status == UNSOLVED:
+            return status
+    advance_pose(known.pose, d_pose)
+    known.way[0] += math.hypot(d_pose[0], d_pose[1]) + abs(d_pose[2])
+    add(known, points, settings.spacing, settings.memory)
+    return status
+
+
+@kernel
+def _refine(
+    d_pose: Array, covariance: Array, points: Array, known: LocalMap, settings: Settings
+) -> int:
+    angle = known.pose[2]
+    prior, guess = turned(covariance, angle), known.pose.copy()
+    for a in range(3):
+        prior[a, a] += _TINY**2
+    advance_pose(guess, d_pose)
+    if not invert(prior):
+        return UNSOLVED
+    pose, information = guess.copy(), prior.copy()
+    paired = _descend(pose, guess, prior, information, points, known, settings)
+    if not (np.isfinite(pose).all() and invert(information)):
+        return UNSOLVED
+    if paired < settings.min_share * len(points):
+        return AS_GIVEN
+    between(known.pose, pose, d_pose)
+    covariance[:] = turned(information, -angle)
+    way, turn = math.hypot(d_pose[0], d_pose[1]), abs(d_pose[2])
+    covariance[0, 0] += settings.drift[0] ** 2 * way
+    covariance[1, 1] += settings.drift[1] ** 2 * way
+    covariance[2, 2] += settings.drift[2] ** 2 * way + settings.drift[3] ** 2 * turn
+    return MATCHED
+
+
+@kernel
+def _descend(
+    pose: Array,
+    guess: Array,
+    prior: Array,
+    information: Array,
+    points: Array,
+    known: LocalMap,
+    settings: Settings,
+) -> int:
+    """Bring `pose` to the best one, and `information` (3, 3) to that there; return the number of pairs.
+
+    `prior` (3, 3) is the information of the guess. Partners are trusted from `reach` down to sigma as
+    the pose settles, and sought no farther than ten sigma or four times what is trusted: beyond, the
+    kernel gives them no weight.
+    """
+    sigma, reach, scale = settings.sigma, settings.reach, settings.reach
+    partners, total, step = np.full(len(points), -1), np.empty(9), np.empty(3)
+    paired, since = 0, np.full(3, math.inf)  # the way since points were paired
+    for _ in range(settings.iterations):
+        limit = min(max(4.0 * scale, 10.0 * sigma), reach)
+        if np.abs(since).max() > _MOVED:
+            _pair(pose, points, limit, known, partners)
+            since[:] = 0.0
+        paired = _accumulate(pose, points, scale, limit, known, partners, total)
+        total /= sigma**2
+        k = 0
+        for a in range(3):
+            step[a] = total[6 + a]
+            for b in range(3):
+                step[a] -= prior[a, b] * (pose[b] - guess[b])
+            for b in range(a, 3):
+                information[a, b] = information[b, a] = prior[a, b] + total[k]
+                k += 1
+        if not solve(information, step):
+            pose[:] = math.nan
+            break
+        pose += step
+        since += step
+        if np.abs(step).max() < 1e-4 and scale <= sigma:
+            break
+        scale = max(0.5 * scale, sigma)
+    return paired
+
+
+@kernel
+def _pair(pose: Array, points: Array, limit: float, known: LocalMap, partners: Ints) -> None:
+    """Fill `partners` (n,) with the rows of the nearest known points, -1 where there is none."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    last = -1
+    for i in range(len(points)):
+        x = pose[0] + c * points[i, 0] - s * points[i, 1]
+        y = pose[1] + s * points[i, 0] + c * points[i, 1]
+        hint = partners[i] if partners[i] >= 0 else last
+        last = partners[i] = nearest(x, y, limit, known, hint)
+
+
+@kernel
+def _accumulate(
+    pose: Array,
+    points: Array,
+    scale: float,
+    limit: float,
+    known: LocalMap,
+    partners: Ints,
+    total: Array,
+) -> int:
+    """Sum up J^T W J and J^T W e as `_add` does, for a sigma of 1 m; return how many points pair."""
+    paired = 0
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    total[:] = 0.0
+    for i in range(len(points)):
+        rx, ry = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
+        x, y = pose[0] + rx, pose[1] + ry
+        k = partners[i]
+        if k < 0:
+            continue
+        dx, dy = known.rows[k, 0] - x, known.rows[k, 1] - y
+        if dx * dx + dy * dy >= limit * limit:
+            continue
+        flat = known.rows[k, 4] > 0.0
+        # A point of a surface that meets a lone one is that surface's end in view, which moves along.
+        if points[i, 4] > 0.0 and not flat:
+            continue
+        paired += 1
+        if flat:
+            nx, ny = known.rows[k, 2], known.rows[k, 3]
+            _add(total, nx, ny, ny * rx - nx * ry, nx * dx + ny * dy, scale)
+        else:
+            _add(total, 1.0, 0.0, -ry, dx, scale)
+            _add(total, 0.0, 1.0, rx, dy, scale)
+    return paired
+
+
+@kernel
+def _add(total: Array, nx: float, ny: float, t: float, e: float, scale: float) -> None:
+    """Add a point e off along (nx, ny), whose Jacobian is [nx, ny, t].
+
+    To J^T W J as its entries xx, xy, xt, yy, yt, tt, then to J^T W e as x, y, t.
+    """
+    w = 1.0 / (1.0 + (e / scale) ** 2) ** 2
+    wx, wy, wt = w * nx, w * ny, w * t
+    total[0] += wx * nx
+    total[1] += wx * ny
+    total[2] += wx * t
+    total[3] += wy * ny
+    total[4] += wy * t
+    total[5] += wt * t
+    total[6] += wx * e
+    total[7] += wy * e
+    total[8] += wt * e
+
+
+@kernel
+def between(T_a_b: Array, T_a_c: Array, T_b_c: Array) -> None:
+    """Fill `T_b_c` (3,), frame c seen from frame b."""
+    c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
+    x, y = T_a_c[0] - T_a_b[0], T_a_c[1] - T_a_b[1]
+    turn = T_a_c[2] - T_a_b[2]
+    T_b_c[0], T_b_c[1] = c * x + s * y, c * y - s * x
+    T_b_c[2] = math.pi - (math.pi - turn) % (2.0 * math.pi)
+
+
+@kernel
+def turned(C: Array, angle: float) -> Array:
+    """Return a covariance (3, 3) of [x, y, theta] along axes turned back by an angle in rad."""
+    c, s = math.cos(angle), math.sin(angle)
+    out = np.empty((3, 3))
+    out[0, 0] = c * c * C[0, 0] - 2.0 * c * s * C[0, 1] + s * s * C[1, 1]
+    out[1, 1] = s * s * C[0, 0] + 2.0 * c * s * C[0, 1] + c * c * C[1, 1]
+    out[0, 1] = out[1, 0] = c * s * (C[0, 0] - C[1, 1]) + (c * c - s * s) * C[0, 1]
+    out[0, 2] = out[2, 0] = c * C[0, 2] - s * C[1, 2]
+    out[1, 2] = out[2, 1] = s * C[0, 2] + c * C[1, 2]
+    out[2, 2] = C[2, 2]
+    return out
+
+
+@kernel
+def solve(A: Array, b: Array) -> bool:
+    """Turn b (3,) into x of A x = b; False unless A (3, 3) is symmetric positive definite."""
+    # A = L L^T by Cholesky, of L only the entries below its diagonal and the inverse of that.
+    p = A[0, 0]
+    if not 0.0 < p < math.inf:
+        return False
+    p = 1.0 / math.sqrt(p)
+    l10, l20 = A[1, 0] * p, A[2, 0] * p
+    q = A[1, 1] - l10 * l10
+    if not 0.0 < q < math.inf:
+        return False
+    q = 1.0 / math.sqrt(q)
+    l21 = (A[2, 1] - l20 * l10) * q
+    r = A[2, 2] - l20 * l20 - l21 * l21
+    if not 0.0 < r < math.inf:
+        return False
+    y0 = b[0] * p
+    y1 = (b[1] - l10 * y0) * q
+    b[2] = (b[2] - l20 * y0 - l21 * y1) / r
+    b[1] = (y1 - l21 * b[2]) * q
+    b[0] = (y0 - l10 * b[1] - l20 * b[2]) * p
+    return True
+
+
+@kernel
+def invert(A: Array) -> bool:
+    """Turn A (3, 3) into its inverse; False, and nothing done, unless it is positive definite."""
+    inverse = np.eye(3)
+    for k in range(3):
+        if not solve(A, inverse[k]):
+            return False
+    for a in range(3):
+        for b in range(3):
+            A[a, b] = 0.5 * (inverse[a, b] + inverse[b, a])
+    return True

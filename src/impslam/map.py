@@ -8,7 +8,7 @@ T_keyframe_base`. When an estimator moves keyframes, the path moves along and no
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +19,17 @@ from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
 from impslam.maps import archive
 from impslam.maps.grid import OccupancyGrid, PlacedScans
-from impslam.types import Array, Increment, Ints, Landmark, Mask, Match, Observation, Scan
+from impslam.types import (
+    Array,
+    Increment,
+    Ints,
+    Landmark,
+    Mask,
+    Match,
+    Observation,
+    Scan,
+    check_shape,
+)
 
 UPPER = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
 """Rows and columns of a symmetric matrix's distinct entries, in the order of trajectory.csv."""
@@ -255,9 +265,9 @@ class Map:
         Raises
         ------
         ImpError
-            If the file is missing, damaged, or of a newer version.
+            If the file is missing, no map, damaged, or of a newer version.
         """
-        return _from_arrays(*archive.load(Path(path)))
+        return archive.load(Path(path), _LAYOUT, _from_arrays)
 
 
 @kernel
@@ -274,10 +284,24 @@ def hang(
     return poses, out
 
 
-_COLUMNS = (
-    *("stamps", "anchors", "T_anchor_base", "track_covariances", "odometry_poses", "live_poses"),
-)
+_LAYOUT: archive.Layout = {
+    "stamps": ("f8", ("sweeps",)),
+    "anchors": ("i8", ("sweeps",)),
+    "T_anchor_base": ("f8", ("sweeps", 3)),
+    "track_covariances": ("f8", ("sweeps", 6)),
+    "odometry_poses": ("f8", ("sweeps", 3)),
+    "live_poses": ("f8", ("sweeps", 3)),
+    "keyframes/stamps": ("f8", ("keyframes",)),
+    "keyframes/poses": ("f8", ("keyframes", 3)),
+    "keyframes/covariances": ("f8", ("keyframes", 3, 3)),
+    "keyframes/innovations": ("f8", ("keyframes", 3)),
+    "keyframes/origins": ("f8", ("keyframes", 2)),
+    "keyframes/starts": ("i8", ("starts",)),
+    "keyframes/points": ("f4", ("points", 2)),
+    "landmarks": ("u1", ("bytes",)),  # JSON
+}
 _KEYFRAMES = tuple(f.name for f in fields(Keyframes))
+_COLUMNS = tuple(name for name in _LAYOUT if "/" not in name and name != "landmarks")
 
 
 def _to_arrays(known: Map) -> dict[str, np.ndarray[Any, Any]]:
@@ -290,12 +314,39 @@ def _to_arrays(known: Map) -> dict[str, np.ndarray[Any, Any]]:
 
 def _from_arrays(arrays: dict[str, np.ndarray[Any, Any]], about: dict[str, Any]) -> Map:
     keyframes = Keyframes(**{name: arrays[f"keyframes/{name}"] for name in _KEYFRAMES})
+    _check_places(keyframes, arrays["anchors"])
     marks = tuple(_landmark(m) for m in json.loads(arrays["landmarks"].tobytes()))
     return Map(keyframes, marks, **{name: arrays[name] for name in _COLUMNS}, about=about)
 
 
+def _check_places(keyframes: Keyframes, anchors: Ints) -> None:
+    """Refuse places outside of the columns: compiled code does not look."""
+    starts = keyframes.starts
+    if len(starts) != len(keyframes) + 1 or starts[0] != 0 or starts[-1] != len(keyframes.points):
+        raise ValueError("keyframes/starts does not fit the points")
+    if (np.diff(starts) < 0).any():
+        raise ValueError("keyframes/starts falls")
+    if ((anchors < 0) | (anchors >= len(keyframes))).any():
+        raise ValueError("anchors are no keyframes")
+
+
 def _landmark(mark: dict[str, Any]) -> Landmark:
-    for name in ("position", "covariance", "end_points"):
-        if mark[name] is not None:
-            mark[name] = np.array(mark[name], np.float64)
-    return Landmark(**mark)
+    known = Landmark(**mark)
+    position, covariance = (np.array(v, np.float64) for v in (known.position, known.covariance))
+    ends = known.end_points if known.end_points is None else np.array(known.end_points, np.float64)
+    check_shape("position", position, 2)
+    check_shape("covariance", covariance, len(covariance), len(covariance))
+    if ends is not None:
+        check_shape("end_points", ends, 2, 2)
+    if not isinstance(known.kind, str) or not isinstance(known.parameters, dict):
+        raise TypeError("a landmark has no kind, or no parameters")
+    return replace(
+        known,
+        id=int(known.id),
+        observations=int(known.observations),
+        first_stamp=float(known.first_stamp),
+        last_stamp=float(known.last_stamp),
+        position=position,
+        covariance=covariance,
+        end_points=ends,
+    )

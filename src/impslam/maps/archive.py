@@ -6,11 +6,15 @@ a reader finds the old file or the new one, whole.
 
 from __future__ import annotations
 
+import io
 import json
+import math
 import os
+import struct
 import zipfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +25,9 @@ VERSION = 1
 """Counts up when a file of an older version can no longer be read as it is."""
 
 Arrays: TypeAlias = dict[str, npt.NDArray[Any]]
+Layout: TypeAlias = Mapping[str, tuple[str, tuple[int | str, ...]]]
+"""Type and shape of each array by its name; a length that has a name is the same wherever it stands."""
+Built = TypeVar("Built")
 
 
 def save(path: Path, arrays: Arrays, about: dict[str, Any]) -> Path:
@@ -37,7 +44,8 @@ def save(path: Path, arrays: Arrays, about: dict[str, Any]) -> Path:
         try:
             with part.open("wb") as stream:
                 header = np.frombuffer(table.encode(), np.uint8)
-                np.savez(stream, **{"about": header, **arrays})  # type: ignore[arg-type]
+                rows = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+                np.savez(stream, **{"about": header, **rows})  # type: ignore[arg-type]
                 stream.flush()
                 os.fsync(stream.fileno())
             part.replace(path)
@@ -50,35 +58,95 @@ def save(path: Path, arrays: Arrays, about: dict[str, Any]) -> Path:
     return path
 
 
-def load(path: Path) -> tuple[Arrays, dict[str, Any]]:
-    """Return the arrays and the table of a map's file.
+def load(path: Path, layout: Layout, build: Callable[[Arrays, dict[str, Any]], Built]) -> Built:
+    """Return what `build` makes of the arrays and the table of a map's file.
+
+    The arrays are those of the layout, read-only; `build` raises ValueError where they do not fit
+    each other.
 
     Raises
     ------
     ImpError
-        If the file is missing, is no map, is damaged, or comes from a newer version.
+        If the file is missing, is no map, is damaged, or comes from another version.
     """
     if not path.is_file():
         raise ImpError(f"{path}: no such file; give a map that impslam has saved")
     try:
-        arrays = _read(path)
-        table = json.loads(arrays.pop("about").tobytes())
-        version, about = int(table["version"]), dict(table["about"])
-    except (OSError, KeyError, ValueError, TypeError, MemoryError, zipfile.BadZipFile) as error:
-        raise ImpError(f"{path}: not a map, or damaged ({error}); save it again") from None
+        with zipfile.ZipFile(path) as packed:
+            about = _about(packed)
+            return build(_arrays(packed, layout), about)
+    except _Version as error:
+        raise ImpError(f"{path}: {error}") from None
+    except _DAMAGE as error:
+        said = " ".join(str(error).split())[:200] or type(error).__name__
+        raise ImpError(f"{path}: not a map, or damaged ({said}); save it again") from None
+
+
+class _Version(Exception):
+    """The file is of another version."""
+
+
+_DAMAGE = (
+    *(
+        OSError,
+        EOFError,
+        KeyError,
+        ValueError,
+        TypeError,
+        MemoryError,
+        RecursionError,
+        struct.error,
+    ),
+    *(
+        NotImplementedError,
+        RuntimeError,
+        zipfile.BadZipFile,
+    ),  # of zips that are encrypted, or newer
+)
+
+
+def _about(packed: zipfile.ZipFile) -> dict[str, Any]:
+    table = json.loads(_array(packed, "about", np.dtype(np.uint8)).tobytes())
+    version, about = int(table["version"]), dict(table["about"])
     if version > VERSION:
-        raise ImpError(
-            f"{path}: is of version {version}, this program reads up to {VERSION}; update impslam"
+        raise _Version(
+            f"is of version {version}, this program reads up to {VERSION}; update impslam"
         )
-    return arrays, about
+    if version < 1:
+        raise ValueError(f"there is no version {version}")
+    return about
 
 
-def _read(path: Path) -> Arrays:
-    with zipfile.ZipFile(path) as packed:
-        # What is stored uncompressed is no larger than the file: memory cannot be taken by a lie.
-        if any(member.compress_type != zipfile.ZIP_STORED for member in packed.infolist()):
-            raise ValueError("a part of it is compressed")
-        if (bad := packed.testzip()) is not None:
-            raise ValueError(f"the checksum of {bad} is wrong")
-    with np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
+def _arrays(packed: zipfile.ZipFile, layout: Layout) -> Arrays:
+    """Return the arrays of a layout; lengths that it calls by one name are the same."""
+    arrays: Arrays = {}
+    lengths: dict[str, int] = {}
+    for name, (kind, shape) in layout.items():
+        arrays[name] = array = _array(packed, name, np.dtype(kind))
+        wanted = tuple(
+            lengths.setdefault(side, have) if isinstance(side, str) else side
+            for side, have in zip(shape, array.shape, strict=False)
+        )
+        if array.ndim != len(shape) or array.shape != wanted:
+            raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
+    return arrays
+
+
+def _array(packed: zipfile.ZipFile, name: str, kind: np.dtype[Any]) -> npt.NDArray[Any]:
+    """Return an array, whose memory is that of its bytes in the file: what it says of its size may lie."""
+    try:
+        member = packed.getinfo(f"{name}.npy")
+    except KeyError:
+        raise ValueError(f"it lacks {name}") from None
+    if member.compress_type != zipfile.ZIP_STORED or member.compress_size != member.file_size:
+        raise ValueError(f"{name} is compressed")
+    data = packed.read(member)  # the checksum is tested on the way
+    stream = io.BytesIO(data)
+    if np.lib.format.read_magic(stream) != (1, 0):
+        raise ValueError(f"{name} is of another format")
+    shape, by_columns, dtype = np.lib.format.read_array_header_1_0(stream)
+    if dtype != kind or by_columns:
+        raise ValueError(f"{name} holds {dtype}, expected {kind} by rows")
+    if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != len(data) - stream.tell():
+        raise ValueError(f"{name} is not as long as it says")
+    return np.frombuffer(data, kind, offset=stream.tell()).reshape(shape)

@@ -18,6 +18,7 @@ import difflib
 import functools
 import importlib
 import importlib.util
+import inspect
 import pkgutil
 import re
 import sys
@@ -199,7 +200,10 @@ def _guarded(what: str, load: Callable[[], object]) -> None:
     except ConfigError:
         raise
     except Exception as error:
-        raise ConfigError(f"{what}: cannot be imported: {type(error).__name__}: {error}") from error
+        said = f"{what}: cannot be imported: {type(error).__name__}: {error}"
+        if isinstance(error, ImportError) and str(error.name).startswith("impslam."):
+            said += "; it is written for another version of impslam, see CHANGELOG.md"
+        raise ConfigError(said) from error
 
 
 _load_entry_points_once = functools.cache(load_entry_points)
@@ -260,10 +264,27 @@ def build(role: str, table: Any, where: str = "") -> Any:
     if "kind" not in rest:
         raise ConfigError(f"[{where or role}] lacks 'kind'; known: {', '.join(components(role))}")
     cls = find(role, str(rest.pop("kind")))
+    _check_whole(cls)
     try:
         return cls(**rest)
     except ValidationError as error:
         raise ConfigError(explain(error, where or role, cls.model_fields)) from None
+
+
+def _check_whole(cls: type[Component]) -> None:
+    """Refuse a component that lacks what its role promises, as one for an older impslam does."""
+    lacks = set(getattr(cls, "__abstractmethods__", ()))
+    for base in cls.__mro__:
+        if base.__module__.startswith("impslam."):
+            named = inspect.get_annotations(base).items()
+            lacks |= {n for n, kind in named if "ClassVar" in str(kind) and not hasattr(cls, n)}
+    if lacks:
+        contract = next(base for base in reversed(cls.__mro__) if getattr(base, "role", ""))
+        raise ConfigError(
+            f"{cls.role} {cls.name!r} ({cls.__module__}.{cls.__qualname__}) lacks "
+            f"{', '.join(sorted(lacks))}: write it for this version of impslam, the contract is "
+            f"{contract.__qualname__} in {contract.__module__}"
+        )
 
 
 def explain(error: ValidationError, where: str, known: Any) -> str:

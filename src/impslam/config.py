@@ -258,7 +258,9 @@ def load(base: str | Path | Table = "default", settings: Sequence[str] = ()) -> 
     ConfigError
         One line that names the key and what to do: the near miss of a typo, the bound broken.
     """
-    table = _without_none(_merged(base, settings))
+    table = _merged(base, settings)
+    _refuse_former(table)
+    table = _without_none(table)
     _load_plugins(table)
     try:
         config = Config(**table)
@@ -268,6 +270,18 @@ def load(base: str | Path | Table = "default", settings: Sequence[str] = ()) -> 
     config.make_tracker()
     config.make_estimator()
     return config
+
+
+def _refuse_former(table: Table) -> None:
+    """Say what has changed since a config was written."""
+    if "matcher" in table:
+        raise ConfigError(
+            'matcher is called tracker now: rename [matcher] to [tracker], and its kind = "none" '
+            'to "odometry"'
+        )
+    for role, instead in (("tracker", "odometry"), ("estimator", "landmarks")):
+        if isinstance(table.get(role), dict) and table[role].get("kind") == "none":
+            raise ConfigError(f'{role}.kind = "none": every run has one; use kind = "{instead}"')
 
 
 def load_plugins(base: str | Path = "default", settings: Sequence[str] = ()) -> None:

@@ -124,6 +124,6 @@ def test_an_accumulator_beyond_memory_is_refused(key: str) -> None:
 
 
 @pytest.mark.parametrize("key", ["reach=1e-9", "sigma=0", "kind=nope"])
-def test_the_matcher_is_checked_with_the_rest(key: str) -> None:
-    with pytest.raises(ConfigError, match="matcher"):
-        load("default", [f"matcher.{key}"])
+def test_the_tracker_is_checked_with_the_rest(key: str) -> None:
+    with pytest.raises(ConfigError, match="tracker"):
+        load("default", [f"tracker.{key}"])

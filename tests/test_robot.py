@@ -271,9 +271,9 @@ def test_a_stream_that_is_not_there_is_named_with_its_near_miss():
     with pytest.raises(
         ConfigError, match=r"sensors\.a\.stream = 'frnt': no such.*'front'"
     ) as error:
-        robot.check(["front", "odom"])
+        robot.check({"front": True, "odom": True})
     assert "\n" not in str(error.value)
-    lidars(a="front", b="").check(["front"])
+    lidars(a="front", b="").check({"front": True})
 
 
 def test_a_stream_of_another_kind_is_refused():

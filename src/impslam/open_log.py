@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -26,7 +27,7 @@ def open_log(
     SourceError
         If the log cannot be read.
     ConfigError
-        If the config cannot be used.
+        If the config cannot be used, or names a stream that the log does not have.
     """
     if not isinstance(log, str | Path):
         raise SourceError(f"log = {shorten(log)}: expected the path of a file or folder")
@@ -43,10 +44,19 @@ def open_log(
             config = load(config, settings)
     if "path" in config.source:
         raise ConfigError("source.path is not a parameter; the log is given by itself")
+    robot = config.make_robot()
+    wanted = dict.fromkeys((*config.source.get("wanted", ()), *robot.wanted))
+    parameters = {**config.source, "wanted": tuple(wanted)}
+    if robot.wanted:
+        with _source(log, parameters) as source:
+            robot.check({stream.name: stream.used for stream in source.streams()})
+    return config, _source(log, parameters)
+
+
+def _source(log: Path, parameters: Mapping[str, Any]) -> Source:
     kind = recognise(log)
-    wanted = (*config.source.get("wanted", ()), *config.make_robot().wanted)
     try:
-        return config, kind(path=log, **{**config.source, "wanted": tuple(dict.fromkeys(wanted))})
+        return kind(path=log, **parameters)
     except ValidationError as error:
         known = set(kind.model_fields) - {"path"}
         raise ConfigError(explain(error, f"source ({kind.name})", known)) from None

@@ -9,7 +9,7 @@ batches does not change the result: see `impslam.odometry.synchroniser`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -62,8 +62,8 @@ class Robot:
         """Set the streams to use by type of message where the config names none (else: the first)."""
         self._streams.choose(defaults)
 
-    def check(self, streams: Iterable[str]) -> None:
-        """Raise `ConfigError` if the config names a stream that is not in `streams`."""
+    def check(self, streams: Mapping[str, bool]) -> None:
+        """Raise `ConfigError` if the config names a stream that is not among these, or of no use."""
         self._streams.check(streams)
 
     def check_reads(self, kind: type[Message], stream: str) -> None:

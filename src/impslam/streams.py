@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from impslam.columns import Batch, Columns
@@ -47,15 +47,19 @@ class Streams:
             if not reader.stream and reader.consumes in defaults:
                 reader.stream = defaults[reader.consumes]
 
-    def check(self, names: Iterable[str]) -> None:
-        """Refuse a config that names a stream which a log does not have."""
-        known = list(names)
+    def check(self, streams: Mapping[str, bool]) -> None:
+        """Refuse a config that names a stream which a log does not have, or cannot be mapped.
+
+        `streams` tells by name whether each can be.
+        """
         for reader in self._all:
-            if reader.named and reader.stream not in known:
-                raise ConfigError(
-                    f"{reader.place}.stream = {reader.stream!r}: no such stream in the log; "
-                    f"{near_miss(reader.stream, known)}"
-                )
+            if reader.named and not streams.get(reader.stream):
+                named = f"{reader.place}.stream = {reader.stream!r}"
+                if reader.stream in streams:
+                    what = reader.consumes.__name__
+                    raise ConfigError(f"{named}: it holds no {what}; name another stream")
+                hint = near_miss(reader.stream, streams)
+                raise ConfigError(f"{named}: no such stream in the log; {hint}")
 
     def check_reads(self, kind: type[Message], stream: str) -> None:
         """Refuse rows that nobody reads: of a kind, or of a stream, that the config has no use for."""

@@ -26,11 +26,16 @@ def rows_of(places):
     return np.column_stack([places, np.tile([1.0, 0.0, 1.0, 1.0], (len(places), 1))])
 
 
-def surfaces(places, cell=0.25):
+def surfaces(places):
     """All points, however near to each other, in cells."""
-    known = empty_map(cell)
+    known = empty_map()
     add(known, rows_of(places), 1e-12, 1.0)
     return known
+
+
+def look_up(x, y, limit, known, hint=-1):
+    """Return the row of the nearest known point."""
+    return nearest(x, y, limit, hint, known.rows, known.older, known.cells)
 
 
 def held(known):
@@ -40,7 +45,7 @@ def held(known):
 
 def assert_nearest(x, y, limit, known, hint=-1):
     """The point found is as near as brute force's; the interpreter checks the bounds."""
-    found = nearest(x, y, limit, known, hint)
+    found = look_up(x, y, limit, known, hint)
     apart = np.hypot(*(held(known) - [x, y]).T)
     least = apart.min(initial=math.inf)
     if found >= 0:
@@ -51,9 +56,9 @@ def assert_nearest(x, y, limit, known, hint=-1):
 
 
 @settings(max_examples=100, deadline=None)
-@given(points(), METRES, METRES, st.floats(0.01, 10.0), st.floats(0.1, 3.0), st.integers(-1, 39))
-def test_nearest_equals_brute_force_whatever_the_hint(places, x, y, limit, cell, hint):
-    known = surfaces(places, cell)
+@given(points(), METRES, METRES, st.floats(0.01, 10.0), st.integers(-1, 39))
+def test_nearest_equals_brute_force_whatever_the_hint(places, x, y, limit, hint):
+    known = surfaces(places)
     assert_nearest(x, y, limit, known, min(hint, size(known) - 1))
 
 
@@ -66,7 +71,7 @@ def test_points_far_outside_have_no_partner_and_stay_in_bounds(places, x, y):
 @pytest.mark.parametrize("x", [np.nan, np.inf, -np.inf, 1e300])
 def test_what_is_no_place_has_no_nearest(x):
     known = surfaces([[0.0, 0.0]])
-    assert nearest(x, 0.0, LIMIT, known, -1) == nearest(x, 0.0, LIMIT, known, 0) == -1
+    assert look_up(x, 0.0, LIMIT, known, -1) == look_up(x, 0.0, LIMIT, known, 0) == -1
 
 
 def test_nearest_in_a_crowd(rng):
@@ -75,21 +80,21 @@ def test_nearest_in_a_crowd(rng):
     for x, y in rng.uniform(-4.0, 0.0, (300, 2)):
         assert_nearest(float(x), float(y), LIMIT, known)
     for x, y in held(known)[:50]:
-        assert known.rows[nearest(x, y, LIMIT, known, -1), :2].tolist() == [x, y]
+        assert known.rows[look_up(x, y, LIMIT, known, -1), :2].tolist() == [x, y]
 
 
 def test_places_that_share_a_cell_are_told_apart():
-    """Cells repeat every 64 m."""
-    places = [[0.1, 0.1], [64.1, 0.1], [0.1, -63.9], [64.1, 64.1]]
+    """Cells repeat every 32 m."""
+    places = [[0.1, 0.1], [32.1, 0.1], [0.1, -31.9], [32.1, 64.1]]
     known = surfaces(places)
     for k, (x, y) in enumerate(places):
-        assert nearest(x, y, LIMIT, known, -1) == k
+        assert look_up(x, y, LIMIT, known, -1) == k
 
 
 def test_an_empty_map_has_no_nearest():
     known = surfaces([])
     for x, y in ((0.0, 0.0), (-3.0, 2.0), (1e6, -1e6)):
-        assert nearest(x, y, LIMIT, known, -1) == -1
+        assert look_up(x, y, LIMIT, known, -1) == -1
 
 
 # --------------------------------------------------------------------------- normals
@@ -161,45 +166,45 @@ def entered(known, places, way):
 
 
 def test_points_near_to_known_ones_are_not_entered_again():
-    known = empty_map(0.25)
+    known = empty_map()
     entered(known, [[0.0, 0.0], [1.0, 0.0]], 0.0)
     seen = entered(known, [[0.049, 0.0], [1.051, 0.0]], 1.0)
     np.testing.assert_array_equal(seen, [[0.0, 0.0], [1.0, 0.0], [1.051, 0.0]])
 
 
 def test_points_are_forgotten_after_the_memory():
-    known = empty_map(0.25)
+    known = empty_map()
     entered(known, [[0.0, 0.0], [0.1, 0.0]], 0.0)
     assert len(entered(known, [[1.0, 0.0]], 3.0)) == 3
     assert len(entered(known, [[2.0, 0.0]], 5.9)) == 4
     left = entered(known, [[3.0, 0.0]], 6.0)
     np.testing.assert_array_equal(left[:, 0], [1.0, 2.0, 3.0])
-    assert nearest(0.0, 0.0, LIMIT, known, -1) == -1
+    assert look_up(0.0, 0.0, LIMIT, known, -1) == -1
     assert entered(known, np.empty((0, 2)), 100.0).shape == (0, 2)
 
 
 def test_what_is_left_after_forgetting_is_found(rng):
     """Cells hold points of all ages; the chains of the ring's second lap are as good."""
-    known = empty_map(0.25)
+    known = empty_map()
     for lap in range(60):
         left = entered(known, rng.uniform(-20.0, 20.0, (1000, 2)), 0.2 * lap)
         assert size(known) <= ROOM
     assert known.ring[1] > ROOM
     for k in range(0, len(left), 97):
-        row = nearest(*left[k], LIMIT, known, -1)
+        row = look_up(*left[k], LIMIT, known, -1)
         np.testing.assert_array_equal(known.rows[row, :2], left[k])
 
 
 def test_a_full_map_forgets_the_oldest():
-    known = empty_map(0.25)
+    known = empty_map()
     places = np.column_stack([0.1 * np.arange(ROOM + 10), np.zeros(ROOM + 10)])
     assert len(entered(known, places, 0.0)) == ROOM
     np.testing.assert_array_equal(held(known), places[10:])
-    assert nearest(0.0, 0.0, 0.09, known, -1) == -1
+    assert look_up(0.0, 0.0, 0.09, known, -1) == -1
 
 
 def test_points_stand_in_the_frame_of_the_map():
-    known = empty_map(0.25)
+    known = empty_map()
     known.pose[:] = 1.0, 2.0, math.pi / 2
     np.testing.assert_allclose(entered(known, [[3.0, 0.5]], 0.0), [[0.5, 5.0]])
     np.testing.assert_allclose(known.rows[0, 2:4], [0.0, 1.0], atol=1e-15)

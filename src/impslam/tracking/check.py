@@ -122,7 +122,7 @@ class OdometryCheck:
         spread, ring = np.zeros((MOST, 3, 3)), np.zeros(2, np.int64)
         self._places = Places(np.zeros(MOST), matched, odometry, used, spread, ring)
         self._pending = Pending(np.zeros(3), np.zeros((3, 3)), np.zeros(2), np.zeros(1, np.bool_))
-        self._known = empty_map(0.5 * SETTINGS.reach)
+        self._known = empty_map()
 
     def check(self, motions: Motions, surfels: Surfels | None) -> Checked:
         """Return the motions to these sweeps as they are best taken; call it once for each sweep."""

@@ -63,7 +63,7 @@ class Icp(Tracker):
 
     def model_post_init(self, context: object) -> None:
         """Begin with an empty map."""
-        self._known, self._settings = empty_map(0.5 * self.reach), self.settings()
+        self._known, self._settings = empty_map(), self.settings()
 
     def settings(self) -> Settings:
         """Return the parameters as kernels take them."""

@@ -8,7 +8,7 @@ which costs time and changes nothing, because each distance is looked at.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -16,10 +16,13 @@ import numpy.typing as npt
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
 
+Links: TypeAlias = npt.NDArray[np.int32]
 ROOM = 1 << 15
 """Points at most; beyond, the oldest are forgotten. At 5 cm they line 1.6 km of walls."""
+CELL = 0.125
+"""m, a cell's side: a few points, of which a surface has one every 5 cm."""
 SIDE = 256
-"""Cells to a side until they repeat, a power of two: 64 m with cells of 25 cm."""
+"""Cells to a side until they repeat, a power of two: every 32 m."""
 
 
 class LocalMap(NamedTuple):
@@ -33,20 +36,18 @@ class LocalMap(NamedTuple):
     ring : (2,) number of points forgotten, and of points that ever came
     pose : (3,) of base_link
     way : (1,) m, of it so far
-    cell : m, a cell's side
     """
 
     rows: Array
-    older: npt.NDArray[np.int32]
-    newer: npt.NDArray[np.int32]
-    cells: npt.NDArray[np.int32]
+    older: Links
+    newer: Links
+    cells: Links
     ring: Ints
     pose: Array
     way: Array
-    cell: float
 
 
-def empty_map(cell: float) -> LocalMap:
+def empty_map() -> LocalMap:
     """Return a map without points, the robot at its origin."""
     return LocalMap(
         np.empty((ROOM, 6)),
@@ -56,7 +57,6 @@ def empty_map(cell: float) -> LocalMap:
         np.zeros(2, np.int64),
         np.zeros(3),
         np.zeros(1),
-        cell,
     )
 
 
@@ -67,44 +67,41 @@ def size(known: LocalMap) -> int:
 
 
 @kernel
-def nearest(x: float, y: float, limit: float, known: LocalMap, hint: int) -> int:
-    """Return the row of the nearest point within `limit` m, or -1.
+def nearest(
+    x: float,
+    y: float,
+    limit: float,
+    hint: int,
+    rows: Array,
+    older: Links,
+    cells: Links,
+) -> int:
+    """Return the row of the nearest point of a map within `limit` m, or -1.
 
     `hint` is the row of a point that is perhaps near, or -1: it spares looking farther than there.
+    The map's arrays come one by one, because taking them out of a tuple costs as much as a look-up.
     """
     best, found = limit * limit, -1
     if hint >= 0:
-        best, found = _nearer(x, y, hint, known, best, found)
-    i, j = math.floor(x / known.cell), math.floor(y / known.cell)
-    best, found = _search(x, y, i, j, known, best, found)
+        dx, dy = rows[hint, 0] - x, rows[hint, 1] - y
+        if dx * dx + dy * dy < best:
+            best, found = dx * dx + dy * dy, hint
     reach = math.sqrt(best)
-    low, high = math.floor((y - reach) / known.cell), math.floor((y + reach) / known.cell)
-    for a in range(math.floor((x - reach) / known.cell), math.floor((x + reach) / known.cell) + 1):
-        for b in range(low, high + 1):
-            if a != i or b != j:
-                best, found = _search(x, y, a, b, known, best, found)
+    low, high = _cell(y - reach), _cell(y + reach)
+    for i in range(_cell(x - reach), _cell(x + reach) + 1):
+        for j in range(low, high + 1):
+            row = cells[_place(i, j)]
+            while row >= 0:
+                dx, dy = rows[row, 0] - x, rows[row, 1] - y
+                if dx * dx + dy * dy < best:
+                    best, found = dx * dx + dy * dy, row
+                row = older[row]
     return found
 
 
 @kernel
-def _search(
-    x: float, y: float, i: int, j: int, known: LocalMap, best: float, found: int
-) -> tuple[float, int]:
-    """Return the least squared distance, and to which point, after looking into cell (i, j)."""
-    row = known.cells[_place(i, j)]
-    while row >= 0:
-        best, found = _nearer(x, y, row, known, best, found)
-        row = known.older[row]
-    return best, found
-
-
-@kernel
-def _nearer(
-    x: float, y: float, row: int, known: LocalMap, best: float, found: int
-) -> tuple[float, int]:
-    dx, dy = known.rows[row, 0] - x, known.rows[row, 1] - y
-    apart2 = dx * dx + dy * dy
-    return (apart2, row) if apart2 < best else (best, found)
+def _cell(along: float) -> int:
+    return math.floor(along * (1.0 / CELL))
 
 
 @kernel
@@ -117,25 +114,25 @@ def add(known: LocalMap, points: Array, spacing: float, memory: float) -> None:
     """Enter the points that are new here, `Surfels.rows` of a sweep; forget those seen too long ago."""
     while size(known) and known.rows[known.ring[0] % ROOM, 5] <= known.way[0] - memory:
         _forget(known)
-    c, s = math.cos(known.pose[2]), math.sin(known.pose[2])
+    rows, older, newer, cells, ring, pose, way = known
+    c, s = math.cos(pose[2]), math.sin(pose[2])
     for k in range(len(points)):
-        x = known.pose[0] + c * points[k, 0] - s * points[k, 1]
-        y = known.pose[1] + s * points[k, 0] + c * points[k, 1]
-        if nearest(x, y, spacing, known, -1) >= 0:
+        x = pose[0] + c * points[k, 0] - s * points[k, 1]
+        y = pose[1] + s * points[k, 0] + c * points[k, 1]
+        if nearest(x, y, spacing, -1, rows, older, cells) >= 0:
             continue
-        if size(known) == ROOM:
+        if ring[1] - ring[0] == ROOM:
             _forget(known)
-        row = known.ring[1] % ROOM
-        known.rows[row, 0], known.rows[row, 1] = x, y
-        known.rows[row, 2] = c * points[k, 2] - s * points[k, 3]
-        known.rows[row, 3] = s * points[k, 2] + c * points[k, 3]
-        known.rows[row, 4], known.rows[row, 5] = points[k, 4], known.way[0]
-        cell = _place(math.floor(x / known.cell), math.floor(y / known.cell))
-        newest = known.cells[cell]
-        known.older[row], known.newer[row], known.cells[cell] = newest, -1, row
+        row, cell = ring[1] % ROOM, _place(_cell(x), _cell(y))
+        rows[row, 0], rows[row, 1] = x, y
+        rows[row, 2] = c * points[k, 2] - s * points[k, 3]
+        rows[row, 3] = s * points[k, 2] + c * points[k, 3]
+        rows[row, 4], rows[row, 5] = points[k, 4], way[0]
+        newest = cells[cell]
+        older[row], newer[row], cells[cell] = newest, -1, row
         if newest >= 0:
-            known.newer[newest] = row
-        known.ring[1] += 1
+            newer[newest] = row
+        ring[1] += 1
 
 
 @kernel
@@ -146,6 +143,5 @@ def _forget(known: LocalMap) -> None:
     if newer >= 0:
         known.older[newer] = -1
     else:
-        x, y = known.rows[row, 0], known.rows[row, 1]
-        known.cells[_place(math.floor(x / known.cell), math.floor(y / known.cell))] = -1
+        known.cells[_place(_cell(known.rows[row, 0]), _cell(known.rows[row, 1]))] = -1
     known.ring[0] += 1

@@ -29,8 +29,10 @@ FEWEST_POINTS = 10
 _TINY = 1e-6  # m, rad: floor of the prior's standard deviations, so that it has an inverse
 
 
+_SETTLED = 1e-4
+"""m, rad: the last step of a pose is smaller, and so is its way since points were paired."""
 _MOVED = 1e-3
-"""m, rad: a pose that has moved by less keeps its pairs, for points lie centimetres apart."""
+"""m, rad: until then, a pose that has moved by less keeps its pairs: points lie centimetres apart."""
 
 
 class Settings(NamedTuple):
@@ -109,13 +111,13 @@ def _descend(
     """
     sigma, reach, scale = settings.sigma, settings.reach, settings.reach
     partners, total, step = np.full(len(points), -1), np.empty(9), np.empty(3)
-    paired, since = 0, np.full(3, math.inf)  # the way since points were paired
+    paired, settled, since = 0, False, np.full(3, math.inf)  # the way since points were paired
     for _ in range(settings.iterations):
         limit = min(max(4.0 * scale, 10.0 * sigma), reach)
-        if np.abs(since).max() > _MOVED:
+        if settled or np.abs(since).max() > _MOVED:
             _pair(pose, points, limit, known, partners)
             since[:] = 0.0
-        paired = _accumulate(pose, points, scale, limit, known, partners, total)
+        paired = _accumulate(pose, points, scale, limit, known.rows, partners, total)
         total /= sigma**2
         k = 0
         for a in range(3):
@@ -130,7 +132,8 @@ def _descend(
             break
         pose += step
         since += step
-        if np.abs(step).max() < 1e-4 and scale <= sigma:
+        settled = np.abs(step).max() < _SETTLED and scale <= sigma
+        if settled and np.abs(since).max() < _SETTLED:
             break
         scale = max(0.5 * scale, sigma)
     return paired
@@ -139,13 +142,14 @@ def _descend(
 @kernel
 def _pair(pose: Array, points: Array, limit: float, known: LocalMap, partners: Ints) -> None:
     """Fill `partners` (n,) with the rows of the nearest known points, -1 where there is none."""
+    rows, older, cells = known.rows, known.older, known.cells
     c, s = math.cos(pose[2]), math.sin(pose[2])
     last = -1
     for i in range(len(points)):
         x = pose[0] + c * points[i, 0] - s * points[i, 1]
         y = pose[1] + s * points[i, 0] + c * points[i, 1]
         hint = partners[i] if partners[i] >= 0 else last
-        last = partners[i] = nearest(x, y, limit, known, hint)
+        last = partners[i] = nearest(x, y, limit, hint, rows, older, cells)
 
 
 @kernel
@@ -154,7 +158,7 @@ def _accumulate(
     points: Array,
     scale: float,
     limit: float,
-    known: LocalMap,
+    rows: Array,
     partners: Ints,
     total: Array,
 ) -> int:
@@ -168,16 +172,16 @@ def _accumulate(
         k = partners[i]
         if k < 0:
             continue
-        dx, dy = known.rows[k, 0] - x, known.rows[k, 1] - y
+        dx, dy = rows[k, 0] - x, rows[k, 1] - y
         if dx * dx + dy * dy >= limit * limit:
             continue
-        flat = known.rows[k, 4] > 0.0
+        flat = rows[k, 4] > 0.0
         # A point of a surface that meets a lone one is that surface's end in view, which moves along.
         if points[i, 4] > 0.0 and not flat:
             continue
         paired += 1
         if flat:
-            nx, ny = known.rows[k, 2], known.rows[k, 3]
+            nx, ny = rows[k, 2], rows[k, 3]
             _add(total, nx, ny, ny * rx - nx * ry, nx * dx + ny * dy, scale)
         else:
             _add(total, 1.0, 0.0, -ry, dx, scale)

@@ -23,25 +23,26 @@ Known: TypeAlias = tuple[Array, Array, Array]
 
 @kernel
 def _spread(P: Array, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
-    """Return a bound (k,) on the trace of each landmark's H P H^T, from few entries of P.
+    """Return a bound (k, dz) on the diagonal of each landmark's H P H^T, from few entries of P.
 
-    With H = [H_pose, H_m] and any positive semidefinite P, H P H^T is at most twice
-    H_pose P_pose H_pose^T + H_m P_m H_m^T, and the trace of the latter at most |H_m|^2 tr P_m.
+    With a row h = [h_pose, h_m] and any positive semidefinite P, h P h^T is at most twice
+    h_pose P_pose h_pose^T + h_m P_m h_m^T, and the latter at most |h_m|^2 tr P_m.
     """
     k, dz, dim = z_D_m.shape
-    out = np.empty(k)
+    out = np.empty((k, dz))
     for i in range(k):
-        of_pose, square, trace = 0.0, 0.0, 0.0
+        trace = 0.0
+        for p in range(dim):
+            trace += P[offsets[i] + p, offsets[i] + p]
         for a in range(dz):
+            of_pose, square = 0.0, 0.0
             for p in range(POSE):
                 of_pose += z_D_pose[i, a, p] ** 2 * P[p, p]
                 for q in range(p):
                     of_pose += 2.0 * z_D_pose[i, a, p] * z_D_pose[i, a, q] * P[p, q]
             for p in range(dim):
                 square += z_D_m[i, a, p] ** 2
-        for p in range(dim):
-            trace += P[offsets[i] + p, offsets[i] + p]
-        out[i] = 2.0 * (of_pose + square * trace)
+            out[i, a] = 2.0 * (of_pose + square * trace)
     return out
 
 
@@ -51,24 +52,23 @@ def _near(
 ) -> tuple[Ints, Ints, Ints]:
     """Return the pairs that may be in the gate: observations (p,) and landmarks (p,), and the latter once.
 
-    Landmarks are numbered among those `used` (u,). nu^T S^-1 nu is at least |nu|^2 / tr S, so that
-    pairs with |nu|^2 beyond gate tr S are out.
+    Landmarks are numbered among those `used` (u,). nu^T S^-1 nu is at least nu_p^2 / S_pp for every p,
+    so that pairs with one nu_p^2 beyond gate S_pp are out.
     """
     (a, dz), k = z.shape, len(known)
     first, second = np.empty(a * k, np.int64), np.empty(a * k, np.int64)
     number, count = np.full(k, -1), 0
     for i in range(a):
-        noise = 0.0
-        for p in range(dz):
-            noise += R[i, p, p]
         for j in range(k):
-            apart = 0.0
+            inside = True
             for p in range(dz):
                 value = z[i, p] - known[j, p]
                 if angles[p]:
                     value = wrap_in_kernel(value)
-                apart += value * value
-            if gate == math.inf or not apart > gate * (spread[j] + noise):
+                if value * value > gate * (spread[j, p] + R[i, p, p]):
+                    inside = False
+                    break
+            if inside or gate == math.inf:
                 first[count], second[count] = i, j
                 number[j] = 0
                 count += 1
@@ -121,7 +121,10 @@ def _scored(
     spread = _spread(P, offsets, z_D_pose, z_D_m)
     a, k, places = _near(z, predicted, spread, R, angles, gate)
     HPH = innovation_blocks(P, offsets[places], z_D_pose[places], z_D_m[places])
-    return a, places[k], _distances((a, k), z, predicted[places], HPH, R, angles)
+    nu, S, distance2, log_det = _distances((a, k), z, predicted[places], HPH, R, angles)
+    inside = ~(distance2 > gate)
+    scores = nu[inside], S[inside], distance2[inside], log_det[inside]
+    return a[inside], places[k[inside]], scores
 
 
 def score(

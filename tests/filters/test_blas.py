@@ -5,7 +5,6 @@ import sys
 
 import numpy as np
 import pytest
-import scipy.linalg.blas
 
 from impslam.filters import blas
 
@@ -19,10 +18,6 @@ def test_it_is_scipys_own(first: str) -> None:
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (said.stdout, said.stderr) == ("True 2.0\n", "")
-
-
-def test_it_is_found_where_scipy_keeps_it_elsewhere() -> None:
-    assert blas.load("_elsewhere", "blas") is scipy.linalg.blas
 
 
 @pytest.mark.parametrize("n", [1, 127, 128, 129, 300])

@@ -8,8 +8,10 @@ from operator import attrgetter
 import numpy as np
 
 from impslam.association.base import Assignment, Hypotheses
+from impslam.geometry.scipy_extension import load
 from impslam.types import Array, Ints, Mask, Match, Observation
 
+linear_sum_assignment = load("scipy.optimize._lsap", "scipy.optimize").linear_sum_assignment
 _FORBIDDEN = 1e9
 
 
@@ -24,8 +26,6 @@ def one_to_one(rows: Ints, columns: Ints, cost: Array) -> list[int]:
     a, k = (sorted(set(side)) for side in zip(*wanted, strict=True))
     if len(a) == len(k) == len(wanted):  # nobody competes
         return list(range(len(wanted)))
-    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  0.2 s that few runs need
-
     table = np.full((len(a), len(k)), _FORBIDDEN)
     place = {(a.index(row), k.index(column)): p for p, (row, column) in enumerate(wanted)}
     table[tuple(zip(*place, strict=True))] = cost

@@ -3,32 +3,13 @@
 from __future__ import annotations
 
 import ctypes
-import importlib.util
-import sys
 from functools import cache
-from importlib.machinery import PathFinder
-from pathlib import Path
 from typing import Any
 
+from impslam.geometry.scipy_extension import load
 from impslam.types import Array
 
-
-def load(extension: str, public: str) -> Any:
-    """Return an extension module of `scipy.linalg` alone, or else the public module around it."""
-    name = f"scipy.linalg.{extension}"
-    scipy = importlib.util.find_spec("scipy")
-    places = (scipy and scipy.submodule_search_locations) or ()
-    spec = PathFinder.find_spec(name, [str(Path(place, "linalg")) for place in places])
-    # On Windows it needs the libraries that scipy makes known to the system when it is imported.
-    if sys.platform == "win32" or spec is None or spec.loader is None:
-        return importlib.import_module(f"scipy.linalg.{public}")
-    if name not in sys.modules:  # where scipy itself looks for it when it is imported later
-        sys.modules[name] = module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-    return sys.modules[name]
-
-
-_blas = load("_fblas", "blas")
+_blas = load("scipy.linalg._fblas", "scipy.linalg.blas")
 dtrsm = _blas.dtrsm
 _PANEL = 128  # columns at a time: 2 MB of 2000 rows, which a core's second cache holds
 

@@ -9,8 +9,8 @@ from tests.tracking.sweeps import match, same
 
 from impslam.geometry.se2 import between, compose
 from impslam.noise import MotionNoise
+from impslam.tracking.algebra import invert, solve
 from impslam.tracking.icp import Icp
-from impslam.tracking.matching import invert, solve
 from impslam.types import Increment
 
 ROOM = room(-2.0, 3.0, -1.5, 2.2)

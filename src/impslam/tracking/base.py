@@ -162,18 +162,7 @@ class Tracker(Component):
         self._duration += float(motions.duration[rows.start : upto].sum())
         m, keyframe = rows.stop - rows.start, None
         if ends:
-            stamp = float(sweeps.columns.stamps[rows.stop])
-            keyframe = Keyframe(
-                id=self._keyframes,
-                stamp=stamp,
-                motion=Increment(float(motions.stamps[rows.stop]), T[m], spread[m], self._duration),
-                odometry=odometry[rows.stop],
-                T_keyframe_stamp=sweeps.T_middle_stamp[rows.stop],
-                stamp_covariance=sweeps.stamp_covariance[rows.stop],
-                sweeps=sweeps,
-                row=rows.stop,
-                contradicted=bool(contradicted[rows.stop]),
-            )
+            keyframe = self._keyframe(tracked, rows.stop, T[m], spread[m])
             self._since, self._duration = (np.zeros(3), np.zeros((3, 3))), 0.0
         elif m:
             self._since = T[m - 1], spread[m - 1]
@@ -190,6 +179,22 @@ class Tracker(Component):
         )
         self._keyframes += ends
         return track
+
+    def _keyframe(self, tracked: _Tracked, row: int, d_pose: Array, covariance: Array) -> Keyframe:
+        """Return the keyframe in a row, with the motion to it from the one before."""
+        motions, sweeps, odometry, contradicted = tracked
+        stamp = float(motions.stamps[row])
+        return Keyframe(
+            id=self._keyframes,
+            stamp=float(sweeps.columns.stamps[row]),
+            motion=Increment(stamp, d_pose, covariance, self._duration),
+            odometry=odometry[row],
+            T_keyframe_stamp=sweeps.T_middle_stamp[row],
+            stamp_covariance=sweeps.stamp_covariance[row],
+            sweeps=sweeps,
+            row=row,
+            contradicted=bool(contradicted[row]),
+        )
 
 
 @kernel

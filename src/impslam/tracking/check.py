@@ -20,8 +20,9 @@ import numpy as np
 from impslam.columns import Motions
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
+from impslam.tracking.algebra import between, solve, turned
 from impslam.tracking.local_map import LocalMap, empty_map
-from impslam.tracking.matching import UNSOLVED, Settings, between, match, solve, turned
+from impslam.tracking.matching import UNSOLVED, Settings, match
 from impslam.tracking.surfels import Surfels, thin
 from impslam.types import Array, Ints, Mask
 

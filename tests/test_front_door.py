@@ -106,7 +106,7 @@ def test_progress_is_told_and_never_falls(log):
         ("log", 7, (), ConfigError, "config = 7: expected a preset's name or a file"),
         ("log", "imp", "seed=1", ConfigError, "settings = 'seed=1': expected a list"),
         ("log", "imp", ["sede=1"], ConfigError, "did you mean 'seed'?"),
-        ("log", load("imp"), ["seed=1"], ConfigError, "settings go with a preset or a file"),
+        ("log", load("imp"), ["seed=1"], ConfigError, "settings apply to a preset or a file"),
         ("log", "default", (), SourceError, "no OdometryPose for odometry 'odometry_pose'"),
     ],
 )

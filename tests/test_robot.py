@@ -277,7 +277,7 @@ def test_a_stream_that_is_not_there_is_named_with_its_near_miss():
 
 
 def test_a_stream_of_another_kind_is_refused():
-    with pytest.raises(ConfigError, match=r"sensors\.a\.stream = 'odom': it holds WheelAngles"):
+    with pytest.raises(ConfigError, match=r"sensors\.a\.stream = 'odom': it contains WheelAngles"):
         lidars(a="odom").sense(single_row("odom", WheelAngles(0.0, 0.0, 0.0), 0))
 
 

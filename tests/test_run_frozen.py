@@ -54,22 +54,22 @@ def test_a_frozen_encoder_is_no_silent_divergence(arena, wheels, tmp_path):
     messages = list(frozen(arena, begin + 0.4 * (end - begin), 5.0, np.array(wheels)))
     error, outcome, summary, run = mapped(messages, tmp_path / "log")
     assert error < 0.05
-    assert outcome.health.doubted > 20
+    assert outcome.health.unreliable > 20
     assert outcome.health.at_end == ""
-    assert summary["health"]["doubted_scans"] == outcome.health.doubted
+    assert summary["health"]["unreliable_scans"] == outcome.health.unreliable
     assert "another motion than odometry" in summary["health"]["first"]
     assert "odometry against scans" in summary["dropped"]
-    assert outcome.health.words in (run / "report.html").read_text()
+    assert outcome.health.summary in (run / "report.html").read_text()
 
 
 def test_an_unperturbed_run_is_trusted_throughout(arena, tmp_path):
     error, outcome, summary, run = mapped(arena, tmp_path / "log")
     assert error < 0.01
     assert summary["health"] == {
-        "doubted_scans": 0,
+        "unreliable_scans": 0,
         "first_stamp": None,
         "first": "",
         "at_end": "",
     }
     assert outcome.dropped == {}
-    assert "Pose: to be trusted throughout." in (run / "report.html").read_text()
+    assert "Pose: reliable throughout." in (run / "report.html").read_text()

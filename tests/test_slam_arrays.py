@@ -303,10 +303,10 @@ def test_wrong_scans_are_refused_in_one_line(wrong, said):
 @pytest.mark.parametrize(
     ("config", "add", "said"),
     [
-        ("default", lambda s: s.add_wheels(0, 1, 2), "no use for WheelAngles, it takes LaserScan"),
-        ("default", lambda s: s.add_velocities(0, 1, 2), "no use for Velocity"),
-        ("imp", lambda s: s.add_odometry(0, [0, 0, 0]), "no use for OdometryPose"),
-        ("mrclam", lambda s: s.add_scans(0, RANGES[0], ANGLES), "no use for LaserScan"),
+        ("default", lambda s: s.add_wheels(0, 1, 2), "does not use WheelAngles, but LaserScan"),
+        ("default", lambda s: s.add_velocities(0, 1, 2), "does not use Velocity"),
+        ("imp", lambda s: s.add_odometry(0, [0, 0, 0]), "does not use OdometryPose"),
+        ("mrclam", lambda s: s.add_scans(0, RANGES[0], ANGLES), "does not use LaserScan"),
     ],
 )
 def test_what_the_config_has_no_use_for_is_refused(config, add, said):
@@ -339,7 +339,7 @@ def refuses(add, said):
         ("default", [1], "settings = [1]: expected a list"),
         ("default", ["seed"], "expected key=value"),
         ("default", ["sede=1"], "did you mean 'seed'?"),
-        (load("default"), ["seed=1"], "settings go with a preset or a file"),
+        (load("default"), ["seed=1"], "settings apply to a preset or a file"),
     ],
 )
 def test_a_wrong_config_is_refused_in_one_line(config, settings, said):

@@ -1,4 +1,4 @@
-"""What is told of a run beside its map: counts, times and problems."""
+"""Counts, times and problems of a run."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from impslam.sources.base import Problems
 
 
 class Stopwatch:
-    """Seconds per stage, one entry each time."""
+    """Measures seconds per stage, with one entry per execution."""
 
     def __init__(self) -> None:
         self.stages: dict[str, array[float]] = {}
@@ -22,18 +22,18 @@ class Stopwatch:
 
     @property
     def elapsed(self) -> float:
-        """Seconds since it was made."""
+        """Seconds since creation."""
         return time.perf_counter() - self._begin
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
-        """Time a block."""
+        """Measure the duration of a block."""
         begin = time.perf_counter()
         yield
         self._add(stage, begin)
 
     def each(self, stage: str, items: Iterable[Any]) -> Iterator[Any]:
-        """Yield items, and time how long each takes to come."""
+        """Yield items, and measure how long each takes to compute."""
         iterator, begin = iter(items), time.perf_counter()
         for item in iterator:
             self._add(stage, begin)
@@ -45,7 +45,7 @@ class Stopwatch:
 
 
 def dropped(many: Iterable[Problems]) -> dict[str, Dropped]:
-    """Join what several parts could not use."""
+    """Merge the problems of several parts."""
     return {
         kind: Dropped(count, problems.examples[kind])
         for problems in many
@@ -54,7 +54,7 @@ def dropped(many: Iterable[Problems]) -> dict[str, Dropped]:
 
 
 def about(outcome: Outcome) -> dict[str, Any]:
-    """Return where a map comes from, in plain values that are the same for the same run."""
+    """Return the origin of a map as plain values, which are equal for equal runs."""
     return {
         "log": outcome.log.name,
         "log_sha256": outcome.log_sha256,

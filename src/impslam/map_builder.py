@@ -1,4 +1,4 @@
-"""Gathers what a run learns; its `map` is a value at any time."""
+"""Collects the tracks and revisions of a run, and returns the map as a value at any time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from impslam.types import Array, Landmark, Mask, Scan
 
 
 class _Column:
-    """An array that grows by rows; what it once gave out does not change by growth."""
+    """An array that grows by rows; views returned earlier do not change."""
 
     def __init__(self, *shape: int, dtype: npt.DTypeLike = np.float64) -> None:
         self._rows: npt.NDArray[Any] = np.empty((64, *shape), dtype)
@@ -35,20 +35,20 @@ class _Column:
         self._count = end
 
     def replace(self, at: npt.NDArray[Any], rows: npt.NDArray[Any]) -> None:
-        """Change rows; arrays that were given out keep what they hold."""
+        """Change rows; views returned earlier keep their values."""
         self._rows = self._rows.copy()
         self._rows[at] = rows
 
     @property
     def array(self) -> npt.NDArray[Any]:
-        """What it holds now, (n, ...), read-only."""
+        """The current rows (n, ...), read-only."""
         view = self._rows[: self._count]
         view.flags.writeable = False
         return view
 
 
 class MapBuilder:
-    """Hangs tracks on keyframes and keeps the keyframes' scans."""
+    """Stores poses of sweeps relative to keyframes, and the scans of the keyframes."""
 
     def __init__(self) -> None:
         self._stamps, self._anchors = _Column(), _Column(dtype=np.int64)
@@ -64,13 +64,13 @@ class MapBuilder:
         return len(self._stamps)
 
     def follow(self, track: Track) -> PathRows:
-        """Hang a track on its keyframe; return its sweeps' poses as they are known now."""
+        """Add a track; return the current estimate of its sweeps' poses."""
         return self._hang(
             track.anchor, track.stamps, track.T_anchor_base, track.covariance, track.odometry
         )
 
     def revise(self, keyframe: Keyframe, revision: Revision) -> PathRows:
-        """Add a keyframe, move those that have moved; return the pose at the keyframe's stamp."""
+        """Add a keyframe and update revised ones; return the pose at the keyframe's stamp."""
         own = revision.ids == keyframe.id
         self._key_stamps.append(np.array([keyframe.stamp]))
         self._poses.append(revision.poses[own])
@@ -117,7 +117,7 @@ class MapBuilder:
         return PathRows(stamps, poses, covariances, odometry)
 
     def locate(self, stamp: float, T: Array, spread: Array, odometry: Array) -> PathRows:
-        """Return where `T_keyframe_base` (3,) is, seen from the newest keyframe; keep nothing."""
+        """Return the pose at `T_keyframe_base` (3,) from the newest keyframe, without storing it."""
         newest = slice(len(self._poses) - 1, None)
         poses, covariances = hang(
             self._poses.array[newest], self._pose_covariances.array[newest], T[None], spread[None]
@@ -125,7 +125,7 @@ class MapBuilder:
         return PathRows(np.array([stamp]), poses, covariances, odometry[None])
 
     def keyframes(self) -> Keyframes:
-        """Return the keyframes by now."""
+        """Return the current keyframes."""
         return Keyframes(
             self._key_stamps.array,
             self._poses.array,
@@ -137,7 +137,7 @@ class MapBuilder:
         )
 
     def map(self, landmarks: tuple[Landmark, ...], about: dict[str, Any] | None = None) -> Map:
-        """Return all by now as a value; what comes later does not change it."""
+        """Return the current map; later data do not change it."""
         return Map(
             self.keyframes(),
             landmarks,
@@ -152,7 +152,7 @@ class MapBuilder:
 
 
 def valid_points(scan: Scan) -> npt.NDArray[np.float32]:
-    """Return where the valid beams of a scan ended, (n, 2) m in base_link."""
+    """Return the end points of the valid beams of a scan, (n, 2) m in base_link."""
     return _valid_points(scan.points, scan.valid)
 
 

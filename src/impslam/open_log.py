@@ -1,4 +1,4 @@
-"""From the path of a log to the reader and the config that fit it."""
+"""Selects the reader and the config for a log."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ def open_log(
 ) -> tuple[Config, Source]:
     """Return the config of a run and the reader of its log, which is not open yet.
 
-    `config` is a preset's name, a file, or a config; without one, the preset that fits the log.
-    `settings` are laid over it, each as "key=value".
+    `config` is the name of a preset, a file, or a config; by default the preset that fits the log.
+    `settings` override it, each as "key=value".
 
     Raises
     ------
     SourceError
         If the log cannot be read.
     ConfigError
-        If the config cannot be used, or names a stream that the log does not have.
+        If the config is invalid, or names a stream that the log does not have.
     """
     if not isinstance(log, str | Path):
         raise SourceError(f"log = {shorten(log)}: expected the path of a file or folder")
@@ -43,7 +43,7 @@ def open_log(
         else:
             config = load(config, settings)
     if "path" in config.source:
-        raise ConfigError("source.path is not a parameter; the log is given by itself")
+        raise ConfigError("source.path is not a parameter; give the log as an argument")
     robot = config.make_robot()
     wanted = dict.fromkeys((*config.source.get("wanted", ()), *robot.wanted))
     parameters = {**config.source, "wanted": tuple(wanted)}
@@ -63,15 +63,17 @@ def _source(log: Path, parameters: Mapping[str, Any]) -> Source:
 
 
 def finished(config: str | Path | Config, settings: Sequence[str] = ()) -> Config:
-    """Return the config of a preset's name or a file with `settings` laid over it, or itself.
+    """Return the config of a preset or file with `settings` applied; return a `Config` as it is.
 
     Raises
     ------
     ConfigError
-        If it cannot be used, or settings are given for a config that is finished.
+        If it is invalid, or if settings are given together with a `Config`.
     """
     if not isinstance(config, Config):
         return load(config, settings)
     if settings:
-        raise ConfigError("settings go with a preset or a file, not with a finished config")
+        raise ConfigError(
+            "settings apply to a preset or a file, not to a Config; change the Config instead"
+        )
     return config

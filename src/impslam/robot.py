@@ -63,11 +63,11 @@ class Robot:
         self._streams.choose(defaults)
 
     def check(self, streams: Mapping[str, bool]) -> None:
-        """Raise `ConfigError` if the config names a stream that is not among these, or of no use."""
+        """Raise `ConfigError` if the config names a stream that the log lacks or that cannot be mapped."""
         self._streams.check(streams)
 
     def check_reads(self, kind: type[Message], stream: str) -> None:
-        """Raise `ConfigError` unless rows of a kind and stream are of use."""
+        """Raise `ConfigError` if no part of the robot reads this type of message from this stream."""
         self._streams.check_reads(kind, stream)
 
     # ------------------------------------------------------------------ sensing

@@ -1,7 +1,7 @@
-"""From a source to a map: the loop on one page.
+"""The main loop: from a log source to a map.
 
-Batches of columns come in; the robot turns them into motions and sweeps, the tracker into tracks,
-the estimator revises the map at each keyframe. Observers see it all and change nothing.
+The robot turns batches of columns into motions and sweeps, the tracker turns these into tracks, and the
+estimator revises the map at each keyframe. Observers receive tracks and revisions.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from impslam.geometry.se2 import compose, compose_uncertain
 from impslam.map import Keyframe, Keyframes, Map, PathRows, Track
 from impslam.map_builder import MapBuilder
 from impslam.observers.base import Observer, Outcome
-from impslam.observers.trust import Trust
+from impslam.observers.health import HealthMonitor
 from impslam.open_log import open_log
 from impslam.provenance import fingerprint
 from impslam.sources.base import Problems, Source
@@ -31,7 +31,7 @@ from impslam.threads import OneBlasThread
 from impslam.types import Message, TruePose
 
 Progress = Callable[[int, int | None], None]
-"""Called now and then with how far in the log a run is, and how long the log is, if that is known."""
+"""Called with the position in the log and the length of the log, or None if the length is unknown."""
 
 
 def run(
@@ -48,16 +48,16 @@ def run(
     ----------
     log : a file or folder; its format is recognised from its content
     config : a preset's name, a file, or a config; by default the preset that fits the log
-    settings : laid over it, each as "key=value"
-    observers : what else is to see the run
+    settings : overrides of the config, each as "key=value"
+    observers : additional observers of the run
     progress : called with the position in the log and its length, in the source's own unit
 
     Raises
     ------
     SourceError
-        If the log cannot be read, or holds no scan that could be used, or no odometry.
+        If the log cannot be read, or contains no usable scan or no odometry.
     ConfigError
-        If the config cannot be used.
+        If the config is invalid.
 
     Examples
     --------
@@ -89,7 +89,7 @@ def map_log(
     observers: Iterable[Observer] = (),
     progress: Progress | None = None,
 ) -> Map:
-    """Map the log of a source; see `run`."""
+    """Map the log that a source reads; see `run`."""
     course = Run(config, observers)
     with source:
         course.robot.choose(source.defaults())
@@ -102,15 +102,15 @@ def map_log(
 
 
 class Run:
-    """A run in progress: batches in, a map out at any time.
+    """A run in progress: takes batches, returns the current map at any time.
 
-    Logs, replays and live robots differ in where batches come from and when; this is the rest. One
+    Logs, replays and live robots share this class and differ only in the source of the batches. Only one
     thread at a time may use it.
     """
 
     def __init__(self, config: Config, observers: Iterable[Observer] = ()) -> None:
-        self.config, self._trust = config, Trust()
-        self._observers = [self._trust, *observers]
+        self.config, self._health = config, HealthMonitor()
+        self._observers = [self._health, *observers]
         self.robot, self.tracker = config.make_robot(), config.make_tracker()
         self.estimator, self._builder = config.make_estimator(), MapBuilder()
         self._rng = np.random.default_rng(config.seed)
@@ -118,7 +118,7 @@ class Run:
         self._threads = OneBlasThread()
 
     def feed(self, batch: Batch) -> None:
-        """Take in a batch; the observers see all that it completes."""
+        """Process a batch, and pass the results to the observers."""
         for columns in batch.values():
             if columns.kind is TruePose:
                 self._show_truth(columns.row(k) for k in range(len(columns)))
@@ -127,11 +127,11 @@ class Run:
         self._track(sensed)
 
     def flush(self) -> None:
-        """Use the sweeps that still wait for odometry, which will not come."""
+        """Process the sweeps that still wait for odometry, with the motion known so far."""
         self._track(self.robot.flush())
 
     def play(self, messages: Iterable[Message]) -> Map:
-        """Take in a whole drive of messages, each type of them a stream; return the map."""
+        """Map a sequence of messages, one stream per type of message; return the map."""
         for batch in batches((type(message).__name__, message) for message in messages):
             self.feed(batch)
         self.flush()
@@ -152,7 +152,7 @@ class Run:
                 observer.follow(track, path)
 
     def _look(self, keyframe: Keyframe) -> Keyframe:
-        """Return the keyframe with its scan and what is seen in it."""
+        """Return the keyframe with its scan and observations."""
         with self.clock("look"):
             sweeps, row = keyframe.sweeps, keyframe.row
             seen = self.robot.look(sweeps, row, self._rng)
@@ -174,21 +174,21 @@ class Run:
 
     @property
     def scans(self) -> int:
-        """Number of sweeps used by now."""
+        """Number of sweeps used so far."""
         return len(self._builder)
 
     def keyframes(self) -> Keyframes:
-        """Return the keyframes by now, which costs less than the map."""
+        """Return the current keyframes, which is faster than `map`."""
         return self._builder.keyframes()
 
     def map(self, about: dict[str, Any] | None = None) -> Map:
-        """Return what is learned by now; what comes later does not change it."""
+        """Return the current map; later data do not change it."""
         return self._builder.map(self.estimator.landmarks(), about)
 
     def dead_reckoned(self) -> PathRows | None:
-        """Return the newest pose, carried on by all motion since; None before the first sweep.
+        """Return the newest pose composed with all later motion; None before the first sweep.
 
-        That is where a robot is whose scans do not come. Nothing is estimated with it.
+        It gives the current pose while no scans arrive. The estimate does not change.
         """
         if not self.scans:
             return None
@@ -198,12 +198,12 @@ class Run:
         return self._builder.locate(ahead.stamp, T, spread, odometry)
 
     def finish(self, source: Source) -> Map:
-        """Tell the observers what the run of this log was, and return the map.
+        """Finish the run of a log: pass map and outcome to the observers, and return the map.
 
         Raises
         ------
         SourceError
-            If the log holds no scan that could be used, or no odometry.
+            If the log contains no usable scan, or no odometry.
         """
         self._refuse_empty(source)
         outcome = self.outcome(source.path, fingerprint(source.path), source.problems)
@@ -216,16 +216,16 @@ class Run:
         wanted = self.robot.odometry.consumes.__name__
         if self.scans == 0:
             raise SourceError(
-                f"{source.path}: no usable scan in it; `imp inspect` tells what it holds"
+                f"{source.path}: contains no usable scan; `imp inspect` lists its contents"
             )
         if not self.robot.counts.get(wanted):
             raise SourceError(
-                f"{source.path}: no {wanted} for odometry {self.config.odometry['kind']!r} in it; "
-                "`imp inspect` tells what it holds, -c or --set odometry.kind=... chooses another"
+                f"{source.path}: no {wanted} for odometry {self.config.odometry['kind']!r} in "
+                "it; `imp inspect` lists its contents; choose another with -c or --set odometry.kind=..."
             )
 
     def outcome(self, log: Path, sha256: str, *problems: Problems) -> Outcome:
-        """Return what the run is by now; `problems` are those outside of it."""
+        """Return the facts of the run so far; `problems` are those of other parts, e.g. the source."""
         numbers = {"steps": self.scans, "landmarks": len(self.estimator.landmarks())}
         parts = (*problems, self.robot.problems, self.tracker.problems, self.problems)
         return Outcome(
@@ -238,12 +238,12 @@ class Run:
             log_seconds=self.robot.elapsed,
             wall_seconds=self.clock.elapsed,
             state_size=self.estimator.state_size,
-            health=self._trust.health,
+            health=self._health.health,
         )
 
 
 class _Callable(ModuleType):
-    """The type of this module, which users call as `impslam.run(...)`."""
+    """The type of this module, which makes it callable as `impslam.run(...)`."""
 
     def __call__(self, *args: Any, **more: Any) -> Map:
         return run(*args, **more)

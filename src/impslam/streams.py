@@ -1,4 +1,4 @@
-"""Which stream of a log each part of a robot reads."""
+"""Assigns the streams of a log to the parts of the robot that read them."""
 
 from __future__ import annotations
 
@@ -13,9 +13,14 @@ from impslam.types import Message
 
 @dataclass(slots=True)
 class Reader:
-    """A part of the robot that reads a stream: its place in the config and what it understands.
+    """A part of the robot that reads a stream.
 
-    `stream` is the name that the config gives, or that was found since; empty: none yet.
+    Attributes
+    ----------
+    place : its table in the config
+    consumes : type of message that it reads
+    stream : name from the config, or of the stream found since; empty if none yet
+    named : whether the config names the stream
     """
 
     place: str
@@ -28,7 +33,7 @@ class Reader:
 
 
 class Streams:
-    """Streams by who reads them. Without a name it is the first of the kind in the log."""
+    """The readers and their streams. A reader without a name gets the first stream of its kind."""
 
     def __init__(self, odometry: Reader, sensors: Mapping[str, Reader]) -> None:
         self.odometry, self.sensors = odometry, sensors
@@ -38,36 +43,36 @@ class Streams:
 
     @property
     def wanted(self) -> tuple[str, ...]:
-        """The streams that the config names."""
+        """Names of the streams that the config names."""
         return tuple(dict.fromkeys(reader.stream for reader in self._all if reader.named))
 
     def choose(self, defaults: Mapping[type[Message], str]) -> None:
-        """Say which stream of a kind to read where the config names none."""
+        """Set the streams to read by type of message where the config names none."""
         for reader in self._all:
             if not reader.stream and reader.consumes in defaults:
                 reader.stream = defaults[reader.consumes]
 
     def check(self, streams: Mapping[str, bool]) -> None:
-        """Refuse a config that names a stream which a log does not have, or cannot be mapped.
+        """Raise `ConfigError` if the config names a stream that the log lacks or that cannot be mapped.
 
-        `streams` tells by name whether each can be.
+        `streams` maps the names of the log's streams to whether they can be mapped.
         """
         for reader in self._all:
             if reader.named and not streams.get(reader.stream):
                 named = f"{reader.place}.stream = {reader.stream!r}"
                 if reader.stream in streams:
                     what = reader.consumes.__name__
-                    raise ConfigError(f"{named}: it holds no {what}; name another stream")
+                    raise ConfigError(f"{named}: it contains no {what}; name another stream")
                 hint = near_miss(reader.stream, streams)
                 raise ConfigError(f"{named}: no such stream in the log; {hint}")
 
     def check_reads(self, kind: type[Message], stream: str) -> None:
-        """Refuse rows that nobody reads: of a kind, or of a stream, that the config has no use for."""
+        """Raise `ConfigError` if no part of the robot reads this type of message from this stream."""
         fit = [reader for reader in self._all if issubclass(kind, reader.consumes)]
         if not fit:
             known = ", ".join(sorted({reader.consumes.__name__ for reader in self._all}))
             raise ConfigError(
-                f"this config has no use for {kind.__name__}, it takes {known}; choose another "
+                f"this config does not use {kind.__name__}, but {known}; choose another "
                 "preset, or another odometry.kind"
             )
         if all(reader.stream not in ("", stream) for reader in fit):
@@ -75,7 +80,7 @@ class Streams:
             raise ConfigError(f"no part of the robot reads the stream {stream!r}; there is {read}")
 
     def used(self, batch: Batch) -> list[Columns]:
-        """Return the columns that somebody reads, in the order of their first rows."""
+        """Return the columns that have a reader, in the order of their first rows."""
         for columns in sorted(batch.values(), key=_first):
             if columns.stream not in self._seen:
                 self._find(columns)
@@ -84,7 +89,7 @@ class Streams:
         return used if len(used) < 2 else sorted(used, key=_first)
 
     def _find(self, columns: Columns) -> None:
-        """Give a stream that is new to those that read its kind or name it."""
+        """Assign a new stream to the readers of its kind, or to those that name it."""
         self._seen.add(columns.stream)
         named = {reader.stream for reader in self.sensors.values() if reader.named}
         for reader in self._all:
@@ -92,7 +97,7 @@ class Streams:
             free = reader is self.odometry or columns.stream not in named
             if reader.stream == columns.stream and not fits:
                 raise ConfigError(
-                    f"{reader.place}.stream = {reader.stream!r}: it holds {columns.kind.__name__}, "
+                    f"{reader.place}.stream = {reader.stream!r}: it contains {columns.kind.__name__}, "
                     f"not {reader.consumes.__name__}; name another stream"
                 )
             if fits and free and not reader.stream:

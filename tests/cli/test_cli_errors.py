@@ -191,7 +191,7 @@ def test_output_that_cannot_be_made(imp, room, tmp_path) -> None:
 def test_output_within_the_log(imp, tmp_path) -> None:
     (tmp_path / "a_motors.txt").write_text("M 0 0 0 0 0 0 0 0 0 0\nM 100 9 0 0 0 9 0 0 0 0\n")
     (tmp_path / "a_scan.txt").write_text("S 0 3 900 900 900\nS 100 3 900 900 900\n")
-    fails(imp("run", tmp_path, "-o", tmp_path / "run"), "within the log", "another -o")
+    fails(imp("run", tmp_path, "-o", tmp_path / "run"), "inside the log", "another -o")
     assert len(list(tmp_path.iterdir())) == 2
 
 

@@ -64,7 +64,7 @@ def test_a_log_of_detections_needs_no_scan(imp, tmp_path) -> None:
     assert "scans none" in words
     assert "no problem found" in words
     said = imp("inspect", tmp_path / "park", "-c", "imp")
-    assert "holds no LaserScan to map with" in said.out
+    assert "contains no LaserScan for mapping" in said.out
 
 
 def test_clocks_apart(imp, write) -> None:

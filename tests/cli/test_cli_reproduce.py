@@ -101,7 +101,7 @@ def test_what_cannot_be_is_refused_in_a_line(words, complaint, tmp_path, capsys)
 def test_a_folder_of_something_else_is_left_alone(tmp_path, capsys):
     (tmp_path / "letter.txt").write_text("dear")
     assert main(["reproduce", "points", "-o", str(tmp_path)]) == 2
-    assert "holds something else" in capsys.readouterr().err
+    assert "contains other files" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["letter.txt"]
 
 

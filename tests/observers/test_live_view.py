@@ -15,9 +15,9 @@ from impslam.geometry.se2 import transform
 from impslam.maps.files import FREE, OCCUPIED, UNKNOWN, map_image
 from impslam.observers import live_view as module
 from impslam.observers.base import Observer
+from impslam.observers.health import HealthMonitor
 from impslam.observers.live_view import LiveView
 from impslam.observers.thin_path import ThinPath
-from impslam.observers.trust import Trust
 from impslam.types import TruePose
 
 
@@ -282,18 +282,18 @@ def test_a_picture_of_the_map_before_is_not_shown(monkeypatch):
 
 
 class Words(Observer):
-    """What `Trust` says after each scan."""
+    """What `HealthMonitor` reports after each scan."""
 
     def __init__(self):
-        self.said, self._trust = [], Trust()
+        self.said, self._monitor = [], HealthMonitor()
 
     def follow(self, track, path):
-        self._trust.follow(track, path)
-        self.said.append(self._trust.health.at_end)
+        self._monitor.follow(track, path)
+        self.said.append(self._monitor.health.at_end)
 
     def revise(self, keyframe, revision, path):
-        self._trust.revise(keyframe, revision, path)
-        self.said.append(self._trust.health.at_end)
+        self._monitor.revise(keyframe, revision, path)
+        self.said.append(self._monitor.health.at_end)
 
 
 def said(*results, keyframe=True):
@@ -321,10 +321,10 @@ def test_a_robot_that_recognises_nothing_says_so_once_it_matters(keyframe):
         replace(still(np.hypot(3.0, 0.01 * i), matched=False), pose=np.array([0.1 * i, 0, 0]))
         for i in range(1, 40)
     ]
-    words = said(still(3.0), *drive, keyframe=keyframe)[1:]
-    assert words[24] == ""
-    assert "no known landmark for" in words[25]
-    assert "unsure by 0.3 m" in words[26]
+    reasons = said(still(3.0), *drive, keyframe=keyframe)[1:]
+    assert reasons[24] == ""
+    assert "no known landmark for" in reasons[25]
+    assert "uncertain by 0.3 m" in reasons[26]
     assert said(still(3.0), *drive, still(5.0))[-1] == ""
 
 
@@ -333,8 +333,8 @@ def test_a_standing_robot_without_landmarks_is_not_lost():
 
 
 def test_a_blind_lidar_and_a_broken_estimate_are_told():
-    assert "sees nothing" in said(still(0.1, matched=False, seen=False))[0]
-    assert "no number" in said(still(np.nan))[0]
+    assert "no valid range" in said(still(0.1, matched=False, seen=False))[0]
+    assert "not finite" in said(still(np.nan))[0]
 
 
 # --------------------------------------------------------------------------- the path
@@ -410,4 +410,4 @@ def test_a_result_without_numbers_does_not_break_the_view():
     run.step(
         replace(next(make_results(1)), pose=np.full(3, np.nan), covariance=np.full((3, 3), np.nan))
     )
-    assert "no number" in view.snapshot().lost
+    assert "not finite" in view.snapshot().lost

@@ -1,4 +1,4 @@
-"""What `imp demo` does: the arena of the thesis simulated, mapped, and printed beside the truth."""
+"""`imp demo`: simulate the arena of the thesis, map it, and print the map next to the truth."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from impslam.simulation.world import load_world
 from impslam.types import Array, Landmark, TrueLandmark
 
 WORLD = "arena"
-FELT = 0.5  # s of compiling that are worth a word
+SHOWN = 0.5  # s; shorter compile times are not printed
 
 
 def map_arena(
     seed: int, output: Path | None, config: str | None, settings: Sequence[str], quiet: bool
 ) -> None:
-    """Simulate the arena, map it, and print the map beside the truth."""
+    """Simulate the arena, map it, and print the map next to the truth."""
     clock = Clock()
     own = Path(f"{WORLD}.mcap")
     folder = run_folder(
@@ -42,7 +42,7 @@ def map_arena(
     with clock("simulate the arena"), display(quiet) as shown:
         scans = write_log(world, log, seed, shown)
     if not quiet:
-        console.say(f"{scans} scans and the wheels' turns are in {log}; mapping them ...")
+        console.say(f"recorded {scans} scans and the wheel encoders in {log}; mapping ...")
     start = list(map(float, world.robot.start))
     with clock("map and report"):
         chosen, source = open_log(log, config, [f"start={start}", f"seed={seed}", *settings])
@@ -93,11 +93,11 @@ def _show_landmarks(truth: list[TrueLandmark], known: Map) -> None:
     for number in score.false:
         console.say(f"not in the arena: {marks[number].kind} {' '.join(_place(marks[number]))}")
     for number in score.doubles:
-        console.say(f"twice in the map: {marks[number].kind} {' '.join(_place(marks[number]))}")
+        console.say(f"duplicate in the map: {marks[number].kind} {' '.join(_place(marks[number]))}")
 
 
 def _place(landmark: Landmark | TrueLandmark) -> tuple[str, str]:
-    """Return a point's x and y, a wall's distance and direction from the origin."""
+    """Return x and y of a point, or distance and direction of a wall from the origin."""
     values = landmark.parameters
     if landmark.end_points is not None:
         return f"r {values['r']:.3f} m", f"{math.degrees(values['alpha']):.2f} deg"
@@ -120,10 +120,10 @@ def _coordinates(pose: Array) -> tuple[str, str, str]:
 
 
 def _show_times(clock: Clock, outcome: Outcome | None) -> None:
-    """Say where the time went."""
+    """Print the time of each part."""
     parts = [f"{name} {seconds:.1f} s" for name, seconds in clock.parts.items()]
-    if clock.compiling > FELT:
-        parts.append(f"compile {clock.compiling:.1f} s (once; the next run has it ready)")
+    if clock.compiling > SHOWN:
+        parts.append(f"compile {clock.compiling:.1f} s (first run only)")
     console.say("time: " + ", ".join(parts))
     if outcome is not None:
         stages = {name: 1000 * float(np.median(times)) for name, times in outcome.stages.items()}

@@ -1,4 +1,4 @@
-"""`imp inspect`: what is in a log, and what is wrong with it, with the fix."""
+"""`imp inspect`: print the contents of a log and its problems."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def inspect(
     topics: Topics = (),
     common: Common | None = None,
 ) -> None:
-    """Print what is in a log, what it is used for, and what is wrong with it, with the fix.
+    """Print the contents of a log, how they are used, and problems with their fixes.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def inspect(
         streams, preset = source.streams(), source.preset
         for _ in follow(survey.read(source), source, shown, "reading"):
             pass
-    named = config or ("of its robot, in the log" if "\n" in preset else preset)
+    named = config or ("stored in the log" if "\n" in preset else preset)
     console.say(f"{log}: {source.name}, preset {named}")
     _show_streams(streams)
     _show_clocks(survey)
@@ -88,13 +88,13 @@ def _scan_facts(beams: Beams) -> dict[str, str]:
     counts = sorted(beams.counts)
     several = f" to {counts[-1]}" if len(counts) > 1 else ""
     turns = f", {len(beams.starts)} start angles" if len(beams.starts) > 1 else ""
-    sweep = f"{1000 * beams.sweep:.0f} ms" if beams.sweep else "not in the log; taken as instants"
-    said = f"{_number(low, 2)} to {_number(high, 2)} m, as the messages say"
+    sweep = f"{1000 * beams.sweep:.0f} ms" if beams.sweep else "not in the log; assumed to be 0"
+    limits = f"{_number(low, 2)} to {_number(high, 2)} m, according to the messages"
     return {
         "beams": f"{counts[0]}{several}",
         "field of view": f"{math.degrees(beams.field_of_view):.1f} deg{turns}",
         "sweep": sweep,
-        "range limits": "not in the log" if math.isnan(low) and math.isnan(high) else said,
+        "range limits": "not in the log" if math.isnan(low) and math.isnan(high) else limits,
         "valid ranges": f"{_number(beams.nearest, 2)} to {beams.farthest:.2f} m",
         "invalid beams": f"{100 * beams.share_invalid:.1f} %",
     }

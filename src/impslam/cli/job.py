@@ -52,7 +52,7 @@ def execute(
     tells them. `player` takes the log through the estimator: at once, or on a page.
     """
     if folder.resolve().is_relative_to(source.path.resolve()):
-        raise ConfigError(f"{folder}: is within the log, which would change it; give another -o")
+        raise ConfigError(f"{folder}: is inside the log and would change it; give another -o")
     empty = not folder.exists() or not any(folder.iterdir())
     _clear(folder)
     try:
@@ -95,7 +95,7 @@ def run_folder(wanted: Path | None, name: str, also: Iterable[str] = ()) -> Path
     strange = {p.name for p in wanted.iterdir()} - FILES - set(also) if wanted.exists() else set()
     if strange and not (wanted / "trajectory.tum").exists():
         raise ConfigError(
-            f"{wanted}: is not the folder of a run (it holds {min(strange)!r}); "
+            f"{wanted}: is not the folder of a run (it contains {min(strange)!r}); "
             "give -o a new or an empty one"
         )
     return wanted

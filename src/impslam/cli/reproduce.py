@@ -131,7 +131,7 @@ def _folder(wanted: Path | None) -> Path:
     if wanted.exists() and not wanted.is_dir():
         raise ConfigError(f"{wanted}: is a file; give -o a folder")
     if wanted.exists() and any(wanted.iterdir()) and not (wanted / NUMBERS).exists():
-        raise ConfigError(f"{wanted}: holds something else; give -o a new or an empty folder")
+        raise ConfigError(f"{wanted}: contains other files; give -o a new or an empty folder")
     return wanted
 
 

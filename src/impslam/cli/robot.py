@@ -221,5 +221,5 @@ def _new_password(right: str) -> str:
         return sys.stdin.readline().rstrip("\n")
     first = getpass.getpass(f"new password to {right}: ")
     if first != getpass.getpass("again: "):
-        raise ImpError("the two are not the same; nothing has changed, try again")
+        raise ImpError("the two passwords differ; nothing was changed, try again")
     return first

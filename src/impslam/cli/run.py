@@ -1,4 +1,4 @@
-"""`imp run`: a log in, a path and a map out."""
+"""`imp run`: map a log."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A page to watch a run on.
+    """Options of the live page.
 
     Parameters
     ----------
     live
-        Play the log on a page, at the pace of its stamps: pause, step, speed.
+        Replay the log on a web page at the speed of its stamps, with pause, step and speed control.
     port
-        TCP port of that page.
+        TCP port of the page.
     """
 
     live: Flag = False
@@ -75,7 +75,7 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
 
 
 def show(known: Map, outcome: Outcome, folder: Path, *, at_once: bool = True) -> None:
-    """Print what a run was, and where it is; its speed says something where nobody paused it."""
+    """Print the results of a run; `at_once` if it was not replayed, so that its speed is meaningful."""
     from impslam.observers.summary import length, real_time_factor
 
     counts, seconds = outcome.counts, outcome.log_seconds
@@ -93,5 +93,5 @@ def show(known: Map, outcome: Outcome, folder: Path, *, at_once: bool = True) ->
     )
     for kind, dropped in outcome.dropped.items():
         console.show_problem(kind, dropped.count, dropped.example)
-    console.say(f"pose: {outcome.health.words}")
+    console.say(f"pose: {outcome.health.summary}")
     console.say(f"report: {folder / 'report.html'}")

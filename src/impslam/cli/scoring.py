@@ -82,9 +82,11 @@ def _score(place: Path, by: Yardsticks) -> Scores:
     truth = run.truth if by.truth is None else by.truth
     known = run.true_landmarks if by.landmarks is None else by.landmarks
     if by.landmarks is not None and run.landmarks is None:
-        raise ConfigError(f"{place}: holds no landmarks.csv; leave out --landmarks")
+        raise ConfigError(f"{place}: contains no landmarks.csv; omit --landmarks")
     if truth is None and by.relations is None and by.landmarks is None:
-        raise ConfigError(f"{place}: knows no truth; give --truth FILE (TUM) or --relations FILE")
+        raise ConfigError(
+            f"{place}: contains no truth; give --truth FILE (TUM) or --relations FILE"
+        )
     try:
         path = None if truth is None else score_path(run, truth, by.how.align, by.how.delta)
         relations = None if by.relations is None else relation_errors(run.path, by.relations)

@@ -1,4 +1,4 @@
-"""What reading a log to its end tells about it: clocks, scans, motion, and problems with their fix."""
+"""Reads a whole log and collects statistics of clocks, scans and motion, and problems."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from impslam.sources.base import Problems, Source
 from impslam.types import LaserScan, Message
 
 MOSTLY = 0.5
-"""Share of invalid beams from which on a log's ranges deserve a word."""
+"""Share of invalid beams above which a problem is reported."""
 
 
 @dataclass(slots=True)
@@ -32,7 +32,7 @@ class Clock:
     _previous: float = math.nan
 
     def add(self, stamp: float) -> None:
-        """Take in a stamp."""
+        """Add a stamp."""
         step = stamp - self._previous
         self.backward += step < 0.0
         self.repeated += step == 0.0
@@ -44,12 +44,12 @@ class Clock:
 
     @property
     def duration(self) -> float:
-        """From the first to the last stamp, in s."""
+        """Time from the first to the last stamp, s."""
         return self.last - self.first
 
     @property
     def rate(self) -> float:
-        """Messages a second; nan for a single one."""
+        """Messages per second; NaN for a single message."""
         return (self.count - 1) / self.duration if self.duration > 0.0 else math.nan
 
 
@@ -68,7 +68,7 @@ class Beams:
     invalid: int = 0
 
     def add(self, scan: LaserScan, lidar: Lidar2D | None) -> None:
-        """Take in a scan as the lidar of the config would use it."""
+        """Add a scan, with the limits of the lidar in the config."""
         n = len(scan.ranges)
         self.counts[n] = self.counts.get(n, 0) + 1
         self.limits = scan.range_min, scan.range_max
@@ -88,12 +88,12 @@ class Beams:
 
     @property
     def share_invalid(self) -> float:
-        """Share of beams that cannot be used."""
+        """Share of invalid beams."""
         return self.invalid / self.total if self.total else 0.0
 
 
 class Survey:
-    """Reads every message of a log once, and keeps no message."""
+    """Reads every message of a log once, without keeping messages."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot, self._odometry = robot, OdometryStream(robot.odometry)
@@ -103,7 +103,7 @@ class Survey:
         self.problems = Problems()
 
     def read(self, source: Source) -> Iterator[float]:
-        """Take in an open log; yields the stamps, for whoever shows progress."""
+        """Read an open log; yield the stamps to show progress."""
         for batch in source.batches():
             for columns in batch.values():
                 if issubclass(columns.kind, self._robot.odometry.consumes):
@@ -127,13 +127,13 @@ class Survey:
         self.rotation += float(np.nansum(np.abs(motions.d_pose[:, 2])))
 
     def _judge(self) -> None:
-        """Enter what is wrong with the log as a whole."""
+        """Record problems of the log as a whole."""
         wanted = self._robot.odometry.consumes.__name__
         name, motion = self._seen(), self.clocks.get(wanted)
         if name is None:
             self.problems.add(
                 "no scan",
-                f"the log holds no {self._wanted()} to map with: record one, or name its topic with "
+                f"the log contains no {self._wanted()} for mapping: record it, or name its topic with "
                 "--topic scan=NAME",
             )
         if motion is None:
@@ -160,7 +160,7 @@ class Survey:
         others = {"OdometryPose": "odometry_pose", "WheelAngles": "encoders"}
         fix = next((k for name, k in others.items() if name in self.clocks), None)
         there = f"choose --set odometry.kind={fix}" if fix else "record wheel angles or odometry"
-        return f"odometry {kind!r} needs {wanted}, and the log holds none: {there}"
+        return f"odometry {kind!r} needs {wanted}, and the log contains none: {there}"
 
     def _judge_clocks(self, name: str, motion: Clock) -> None:
         sensor = self._robot.sensors[name]
@@ -169,6 +169,6 @@ class Survey:
             self.problems.add(
                 "clocks apart",
                 f"scans are stamped {scans.first:.3f} to {scans.last:.3f} s, odometry "
-                f"{motion.first:.3f} to {motion.last:.3f} s: bring them together with "
+                f"{motion.first:.3f} to {motion.last:.3f} s: align them with "
                 f"--set sensors.{name}.latency={scans.first - motion.first:.3f}",
             )

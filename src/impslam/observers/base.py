@@ -1,4 +1,4 @@
-"""The role of an observer: it looks at a run and cannot slow, break or change it."""
+"""The role of an observer: it receives the tracks, revisions and map of a run, and changes none."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from impslam.types import Array, TruePose
 
 @dataclass(frozen=True, slots=True)
 class Dropped:
-    """One kind of problem: how often, and the first example (what, where, what to do)."""
+    """One kind of problem: its count and first example (what, where, what to do)."""
 
     count: int
     example: str
@@ -21,45 +21,50 @@ class Dropped:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """At how many scans the pose was not to be trusted, the first time and why, and why at the end."""
+    """Reliability of the pose estimate over a run.
 
-    doubted: int = 0
+    Attributes
+    ----------
+    unreliable : number of scans at which the pose was unreliable
+    stamp, first : s, stamp of the first of these scans, and the reason
+    at_end : the reason at the end of the run, "" if the pose is reliable there
+    """
+
+    unreliable: int = 0
     stamp: float = float("nan")
     first: str = ""
     at_end: str = ""
 
     @property
-    def words(self) -> str:
-        """What to tell whoever reads the run's results, in one line."""
-        if not self.doubted:
-            return "to be trusted throughout"
-        said = (
-            f"not to be trusted at {self.doubted} scans, first at {self.stamp:.3f} s: {self.first}"
-        )
-        return said + (
-            f"; at the end: {self.at_end}" if self.at_end else "; trusted again at the end"
+    def summary(self) -> str:
+        """One line for the report and the terminal."""
+        if not self.unreliable:
+            return "reliable throughout"
+        text = f"unreliable at {self.unreliable} scans, first at {self.stamp:.3f} s: {self.first}"
+        return text + (
+            f"; at the end: {self.at_end}" if self.at_end else "; reliable again at the end"
         )
 
 
-TRUSTED = Health()
+RELIABLE = Health()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """What a run was, told once at its end; what it has learned is the `Map`.
+    """Facts about a finished run besides its `Map`.
 
     Attributes
     ----------
-    log : the log's path as the user gave it
+    log : path of the log as given by the user
     log_sha256 : its hash (of all files, for a folder)
-    config : the resolved config, nested plain values as TOML holds them
+    config : the resolved config as nested plain values
     counts : messages by type, scans, keyframes, landmarks
-    dropped : what was not used, by kind of problem
-    stages : stage -> seconds it took each time ("sense", "track", "look", "estimate")
-    log_seconds : first to last message in use, steps of the clock left out
-    wall_seconds : how long the run took
-    state_size : number of scalars in the belief at the end
-    health : whether the robot knew where it was
+    dropped : unused data by kind of problem
+    stages : durations in s by stage ("sense", "track", "look", "estimate")
+    log_seconds : from the first to the last message in use, corrected for clocks that were set
+    wall_seconds : duration of the run
+    state_size : number of scalars in the filter state at the end
+    health : reliability of the pose estimate
     """
 
     log: Path
@@ -71,20 +76,20 @@ class Outcome:
     log_seconds: float
     wall_seconds: float
     state_size: int
-    health: Health = TRUSTED
+    health: Health = RELIABLE
 
 
 class Observer:
-    """Does nothing: the null observer, and the base of the others."""
+    """Base class of observers; does nothing."""
 
     def follow(self, track: Track, path: PathRows) -> None:
-        """See a track, and its sweeps' poses in map as they are known at the time."""
+        """Receive a track, and the current estimate of its sweeps' poses in map."""
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
-        """See what a keyframe has taught, and the pose at its stamp (one row)."""
+        """Receive the revision by a keyframe, and the pose at the keyframe's stamp (one row)."""
 
     def truth(self, pose: TruePose) -> None:
-        """See the true pose, where a log carries it; the filter never does."""
+        """Receive a true pose, if the log contains it; the estimator never does."""
 
     def finish(self, known: Map, outcome: Outcome) -> None:
-        """See the map at the end of the run."""
+        """Receive the map at the end of the run."""

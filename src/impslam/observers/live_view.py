@@ -1,4 +1,4 @@
-"""The map as it is by now, for a page that looks at it while it grows."""
+"""The current map, for a page that shows it while it grows."""
 
 from __future__ import annotations
 
@@ -16,46 +16,46 @@ from impslam.map_builder import valid_points
 from impslam.maps.grid import OccupancyGrid
 from impslam.observers.base import Observer, Outcome
 from impslam.observers.grid_picture import GridPicture, paint
+from impslam.observers.health import HealthMonitor
 from impslam.observers.thin_path import Points, ThinPath
-from impslam.observers.trust import Trust
 from impslam.types import Array, Landmark, Scan, TruePose
 
 __all__ = ["GridPicture", "LiveView", "Snapshot"]
 
 LANDMARKS = 0.2
-"""s between two readings of the map: what the eye takes for at once."""
+"""s between two updates of the landmarks; a viewer does not notice this delay."""
 SHARE = 0.05
-"""Of the estimator's time that reading a large map may take; 20 us a landmark, so that from some
-500 landmarks on it is read less often."""
+"""Share of the estimator's time for reading a large map: at 20 us a landmark, maps of more than about
+500 landmarks are read less often."""
 GRID = 1.0
-"""s between two pictures of the grid, which changes slowly and is the largest thing to send."""
+"""s between two pictures of the grid, which changes slowly and is the largest item to send."""
 EXPECTED = 64
-"""Scans whose arrival is remembered: 6 s of a lidar at 10 Hz, more than ever wait."""
+"""Scans whose arrival time is stored: 6 s of a lidar at 10 Hz, more than ever wait."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """The state of a map at one moment; nothing in it changes any more.
+    """An immutable copy of the state of a map.
 
     Attributes
     ----------
-    version : counts up with each change, over all maps of a view; equal versions are equal snapshots
-    run : counts the maps of a view: another number is another map
-    stamp : s, of the newest scan in it, NaN before the first; later while none comes
-    scans : how many scans are in it
+    version : increases with each change, over all maps of a view; equal versions are equal snapshots
+    run : number of the map in this view; it changes with each new map
+    stamp : s, of the newest scan, NaN before the first; later while no scan arrives
+    scans : number of scans used
     pose, covariance : (3,) and (3, 3), `T_map_base` at `stamp`
     odometry : (3,) dead reckoning from the same start
-    path : (n, 2) float32 m in map, thinned, oldest first, its end is the pose at the newest scan; n is
+    path : (n, 2) float32 m in map, thinned, oldest first, ends at the pose of the newest scan; n is
         bounded
-    landmarks : the map, walls with their end points; at most 0.2 s older than the pose while there
-        are less than 500, and as it is after the last scan of a log
-    points : (n, 2) float32 m in map, where the valid beams of the newest scan ended, none when that
-        is long ago
-    grid : the grid's picture, None before the first; some seconds older than the pose at most
-    lost : why the pose should not be trusted, in a few words, "" where all is well
-    arrived : host time (`devices.base.now`) at which the newest scan arrived, NaN where nobody told
-    truth : (3,) the newest true pose where a log or a simulator tells it, else None
-    finished : the run is over
+    landmarks : the landmarks, walls with their end points; at most 0.2 s older than the pose for
+        fewer than 500 landmarks, and up to date after the last scan of a log
+    points : (n, 2) float32 m in map, end points of the valid beams of the newest scan, empty if it
+        is old
+    grid : picture of the occupancy grid, None before the first; at most some seconds older than the pose
+    lost : why the pose is unreliable, "" if it is reliable
+    arrived : host time (`devices.base.now`) at which the newest scan arrived, NaN if unknown
+    truth : (3,) the newest true pose from a log or a simulator, else None
+    finished : whether the run is over
     """
 
     version: int
@@ -84,20 +84,20 @@ def _empty(version: int, run: int) -> Snapshot:
 
 
 class Growing(Protocol):
-    """A run whose map grows."""
+    """A run in progress."""
 
     def map(self) -> Map:
-        """Return the map by now."""
+        """Return the current map."""
 
     def keyframes(self) -> Keyframes:
-        """Return its keyframes, which costs less."""
+        """Return the current keyframes, which is faster."""
 
 
 class LiveView(Observer):
-    """Keeps a snapshot of a run for others to look at, at no cost to them and little to the run.
+    """Keeps a snapshot of a run that any thread can read.
 
-    One thread runs the estimator and calls all but `snapshot`, which any thread may call.
-    The grid is painted in a thread of its own.
+    One thread runs the estimator and calls all methods except `snapshot`, which any thread may call.
+    The grid is painted in a separate thread.
     """
 
     def __init__(self) -> None:
@@ -108,36 +108,36 @@ class LiveView(Observer):
 
     def _forget(self, run: Growing | None, resolution: float) -> None:
         self._run, self._grid = run, OccupancyGrid(resolution)
-        self._path, self._trust = ThinPath(), Trust()
+        self._path, self._health = ThinPath(), HealthMonitor()
         self._expected: deque[tuple[float, float]] = deque(maxlen=EXPECTED)
         self._truth: Array | None = None
         self._stale, self._map_due, self._grid_due = False, 0.0, 0.0
 
     def begin(self, run: Growing, resolution: float = 0.05) -> None:
-        """Begin a new map, that of a run; `resolution` is a side of its grid's cells, m."""
+        """Start to show the map of a run; `resolution` is the side of the grid's cells in m."""
         self._forget(run, resolution)
         self._shown = _empty(self._shown.version + 1, self._shown.run + 1)
 
     def expect(self, stamp: float, arrived: float) -> None:
-        """Tell when the scan of this stamp arrived on the host, before it is estimated."""
+        """Set the host time at which the scan with this stamp arrived, before it is estimated."""
         self._expected.append((stamp, arrived))
 
     def snapshot(self) -> Snapshot:
-        """Return the state by now; it takes no time, and never waits."""
+        """Return the current state without waiting."""
         return self._shown
 
     def follow(self, track: Track, path: PathRows) -> None:
         """Show the newest sweep of a track."""
         row = track.rows.stop - 1
         points = _points(track.sweeps.scan(row), track.sweeps.T_middle_stamp[row])
-        self._trust.follow(track, path)
+        self._health.follow(track, path)
         self._show(path, points)
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
-        """Show a keyframe and what it has taught."""
+        """Show a keyframe and its revision."""
         self._stale = True
         points = _points(keyframe.scan, keyframe.T_keyframe_stamp)
-        self._trust.revise(keyframe, revision, path)
+        self._health.revise(keyframe, revision, path)
         self._show(path, points)
 
     def _show(self, path: PathRows, points: Points) -> None:
@@ -156,7 +156,7 @@ class LiveView(Observer):
             self._map(),
             _moved(path.poses[-1], points),
             self._picture_now(),
-            self._trust.health.at_end,
+            self._health.health.at_end,
             self._arrival(stamp),
             self._truth,
             finished=False,

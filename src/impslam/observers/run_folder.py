@@ -1,4 +1,4 @@
-"""The folder of a run: the same names always, and the same bytes for the same run but for times."""
+"""Writes the run folder: fixed file names, and the same bytes for the same run except for times."""
 
 from __future__ import annotations
 
@@ -24,17 +24,19 @@ NO_TRUTH = np.empty((0, 4))
 
 
 def make_run_folder(folder: Path) -> None:
-    """Make the folder of a run if need be.
+    """Create the folder of a run if it does not exist.
 
     Raises
     ------
     ImpError
-        If it cannot be made.
+        If it cannot be created.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ImpError(f"{folder}: cannot be made ({error.strerror}); choose another -o") from None
+        raise ImpError(
+            f"{folder}: cannot be created ({error.strerror}); choose another -o"
+        ) from None
 
 
 def write_run(
@@ -44,9 +46,9 @@ def write_run(
     true_path: Array = NO_TRUTH,
     true_landmarks: Sequence[TrueLandmark] = (),
 ) -> Path:
-    """Write all files of a run into a folder, which is made if need be, and return it.
+    """Write all files of a run to a folder and return the folder; create it if it does not exist.
 
-    `true_path` (m, 4) is stamp, x, y, theta, where the log tells it.
+    `true_path` (m, 4) holds stamp, x, y, theta, if the log contains them.
 
     Raises
     ------

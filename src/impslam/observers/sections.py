@@ -38,7 +38,7 @@ def heading(outcome: Outcome, history: History) -> str:
         "Speed": (f"{speed:,.0f}×", f"real time, {per_scan:.2f} ms a scan"),
     }
     title = f"<h1>{escape(outcome.log.name)}</h1><p>Mapped by impslam</p>"
-    title += f"<p>Pose: {escape(outcome.health.words)}.</p>"
+    title += f"<p>Pose: {escape(outcome.health.summary)}.</p>"
     return f"<header>{title}</header>" + tiles(facts)
 
 

@@ -1,4 +1,4 @@
-"""The facts of a run as one table: counts, what was dropped, times, versions, hashes."""
+"""The summary of a run: counts, dropped data, times, versions, hashes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from impslam.types import Array
 
 
 def summarise(outcome: Outcome, known: Map, refused: int) -> dict[str, Any]:
-    """Return what summary.json holds. All that differs from run to run stands under "time"."""
+    """Return the content of summary.json. Values that can differ between equal runs are under "time"."""
     kinds = Counter(mark.kind for mark in known.landmarks)
     return {
         "log": {
@@ -36,7 +36,7 @@ def summarise(outcome: Outcome, known: Map, refused: int) -> dict[str, Any]:
             "odometry": _round(length(known.odometry()), 6),
         },
         "health": {
-            "doubted_scans": outcome.health.doubted,
+            "unreliable_scans": outcome.health.unreliable,
             "first_stamp": _round(outcome.health.stamp),
             "first": outcome.health.first,
             "at_end": outcome.health.at_end,
@@ -56,7 +56,7 @@ def summarise(outcome: Outcome, known: Map, refused: int) -> dict[str, Any]:
 
 
 def real_time_factor(outcome: Outcome) -> float:
-    """Return how many seconds of log a second of work went through."""
+    """Return the duration of the log divided by the duration of the run."""
     return outcome.log_seconds / outcome.wall_seconds if outcome.wall_seconds > 0.0 else math.nan
 
 
@@ -70,12 +70,12 @@ def stage_times(seconds: Array) -> dict[str, float | None]:
 
 
 def length(path: Array) -> float:
-    """Return how long a path (n, 4) of stamp, x, y, theta is, m."""
+    """Return the length in m of a path (n, 4) of stamp, x, y, theta."""
     return float(np.hypot(*np.diff(path[:, 1:3], axis=0).T).sum())
 
 
 def config_toml(config: Mapping[str, Any]) -> str:
-    """Return a config as TOML, which knows no null: what is not set is left out."""
+    """Return a config as TOML. Unset values are omitted, because TOML has no null."""
     return tomli_w.dumps(_plain(config))
 
 

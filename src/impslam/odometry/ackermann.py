@@ -1,12 +1,12 @@
-"""A car: the speed of one wheel and the steering angle (the bicycle model).
+"""Odometry of a car from the speed of one wheel and the steering angle (the bicycle model).
 
-With wheelbase L the middle of the rear axle goes at speed v along an arc of curvature tan(s)/L, s
-being the angle of a single front wheel in the middle. The encoder sits at a rear wheel, which goes on
+With wheelbase L the middle of the rear axle moves at speed v along an arc of curvature tan(s)/L, where
+s is the angle of a single front wheel in the middle. The encoder is at a rear wheel, which moves along
 another arc: at a distance H to the left of the middle it rolls at v (1 - H tan(s)/L) (Guivant and Nebot
 2001, Eq. 27). Over dt the axle moves by exp([v dt, 0, v dt tan(s)/L]) in SE(2).
 
-base_link may be elsewhere on the body, at the antenna of a GPS for instance, and then swings round the
-axle in turns: with t the place of the axle on base_link, the increment is [p + t - R(a) t, a] for that
+base_link may be elsewhere on the body, e.g. at a GPS antenna, and then moves sideways in turns. With t
+the position of the axle in base_link, the increment is [p + t - R(a) t, a] for that
 of the axle, [p, a].
 """
 
@@ -29,17 +29,19 @@ _FIELDS = ("speed", "angle")
 
 @register("ackermann")
 class Ackermann(Odometry):
-    """A car's wheel speed and steering angle, each of which holds until the next one."""
+    """Wheel speed and steering angle of a car, valid until the next reading."""
 
     consumes: ClassVar[type] = Steering
     holds: ClassVar[bool] = True
 
-    wheelbase: float = parameter(..., "m", "from the rear to the front axle", gt=0)
+    wheelbase: float = parameter(..., "m", "distance from the rear to the front axle", gt=0)
     encoder_offset: float = parameter(
-        0.0, "m", "how far left of the middle of the rear axle the measured wheel runs"
+        0.0,
+        "m",
+        "distance of the measured wheel from the middle of the rear axle, positive to the left",
     )
     axle: tuple[float, float] = parameter(
-        (0.0, 0.0), "m", "place [x, y] of the middle of the rear axle on base_link"
+        (0.0, 0.0), "m", "position [x, y] of the middle of the rear axle in base_link"
     )
     speed_scale: float = parameter(
         1.0, "1", "true speed over the one in the log, from a calibration", gt=0
@@ -53,16 +55,14 @@ class Ackermann(Odometry):
     noise: MotionNoise = parameter(
         MotionNoise(forward=0.05, sideways=0.03, turn_per_distance=0.01, turn_per_turn=0.05),
         "",
-        "how far the rear axle strays: tyres' radii and slip, slip angle, play of the steering "
+        "random error of the rear axle: tyre radii and slip, slip angle, play of the steering "
         "(0.5 deg on a wheelbase of 3 m for some 10 m), a wrong wheelbase",
     )
-    max_speed: float = parameter(30.0, "m/s", "a speed beyond this is refused", gt=0)
+    max_speed: float = parameter(30.0, "m/s", "a reading with a higher speed is ignored", gt=0)
     max_angle: float = parameter(
-        0.9, "rad", "a steering angle beyond this, more than cars can do, is refused", gt=0, lt=1.5
+        0.9, "rad", "a reading with a larger steering angle is ignored", gt=0, lt=1.5
     )
-    max_hold: float = parameter(
-        2.0, "s", "after a longer silence it is not known whether speed and steering held on", gt=0
-    )
+    max_hold: float = parameter(2.0, "s", "after a longer gap the motion is unknown", gt=0)
 
     def usable(self, readings: Columns) -> Mask:
         """Return which readings are finite and within the limits; see `Odometry.usable`."""
@@ -70,7 +70,7 @@ class Ackermann(Odometry):
         return np.asarray(slow & (np.abs(readings["angle"]) <= self.max_angle))
 
     def motions(self, readings: Columns) -> Motions:
-        """Return the motions at each speed and steering until the next; see `Odometry.motions`."""
+        """Return the motions from each reading to the next; see `Odometry.motions`."""
         seconds, usable = durations(readings), self.usable(readings)
         speed, angle = (np.where(usable, readings[name], 0.0)[:-1] for name in _FIELDS)
         travel = self.speed_scale * speed * seconds
@@ -82,13 +82,13 @@ class Ackermann(Odometry):
         return known(motions, usable[:-1] & usable[1:] & (seconds <= self.max_hold))
 
     def fault(self, readings: Columns) -> str:
-        """Say what is wrong; see `Odometry.fault`."""
+        """Describe the fault; see `Odometry.fault`."""
         if self.usable(readings)[-1]:
             return silence(readings, "speed and steering")
         speed, angle, stamp = (float(readings[name][-1]) for name in (*_FIELDS, "stamp"))
         finite = math.isfinite(speed) and math.isfinite(angle)
         return (
             f"speed {speed:.3g} m/s and steering {angle:.3g} rad at {stamp:.3f} s are "
-            f"{'more than a car can do' if finite else 'not finite'}; they are left out: check the "
+            f"{'more than a car can do' if finite else 'not finite'}; they are ignored: check the "
             "log, or raise odometry.max_speed or max_angle"
         )

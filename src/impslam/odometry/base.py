@@ -1,4 +1,4 @@
-"""The role of odometry: rows of proprioceptive data in, motions out (thesis 3.5)."""
+"""The role of odometry: turns proprioceptive readings into motions (thesis 3.5)."""
 
 from __future__ import annotations
 
@@ -12,52 +12,52 @@ from impslam.component import Component, parameter
 from impslam.types import Array, Mask
 
 DIAGONAL = (slice(None), [0, 1, 2], [0, 1, 2])
-"""Of (m, 3, 3)."""
+"""Index of the diagonals of an array (m, 3, 3)."""
 
 
 class Odometry(Component):
-    """Turns readings into motions that compose. It keeps nothing: what a batch leaves is the caller's."""
+    """Turns readings into motions. It has no state; `odometry.stream` joins the batches of a log."""
 
     role: ClassVar[str] = "odometry"
     consumes: ClassVar[type]
-    """The type of message it understands."""
+    """The type of message that it reads."""
     holds: ClassVar[bool] = False
-    """Whether a reading holds until the next one, as a velocity does. Then no motion is known on
-    either side of one that cannot be used; otherwise it is passed over, and the motion across it is
-    that between its neighbours."""
+    """Whether a reading is valid until the next one, like a velocity. The motions on both sides of an
+    unusable reading are then unknown. Otherwise an unusable reading is skipped, and the motion is that
+    between its neighbours."""
 
     stream: str = parameter(
-        "", "", "the stream it reads; empty: the first one of its kind in the log"
+        "", "", "the stream that it reads; empty: the first one of its kind in the log"
     )
 
     @abstractmethod
     def usable(self, readings: Columns) -> Mask:
-        """Return (m,) which readings tell something by themselves; those that are not finite do not."""
+        """Return (m,) which readings are usable by themselves, e.g. finite."""
 
     @abstractmethod
     def motions(self, readings: Columns) -> Motions:
         """Return the m motions between m + 1 readings.
 
-        A motion that is not known is NaN: an impossible jump, a velocity that held for too long, and
-        where `holds`, one beside a reading that is not usable. Otherwise all readings must be usable.
+        A motion is NaN if it is unknown: an impossible jump, a velocity that lasts too long, or, if
+        `holds`, a motion next to an unusable reading. Without `holds` all readings must be usable.
         """
 
     @abstractmethod
     def fault(self, readings: Columns) -> str:
-        """Say in one line why a reading, or the motion to it, cannot be used, and what to do.
+        """Return one line that says why a reading, or the motion to it, is unusable, and what to do.
 
-        `readings` is that row, and before it the one from which the motion began, if any.
+        `readings` is the row, preceded by the reading where the motion starts, if there is one.
         """
 
 
 def durations(readings: Columns) -> Array:
-    """Return (m,) s between m + 1 readings; where stamps run backwards, 0."""
+    """Return the durations (m,) in s between m + 1 readings; 0 where stamps run backwards."""
     stamps = readings.stamps
     return np.maximum(stamps[1:] - stamps[:-1], 0.0)
 
 
 def known(motions: Motions, which: Mask) -> Motions:
-    """Return motions with NaN in place of those that are not known."""
+    """Return the motions with NaN where `which` (m,) is false."""
     if which.all():
         return motions
     nothing = np.where(which, 0.0, np.nan)
@@ -68,11 +68,11 @@ def known(motions: Motions, which: Mask) -> Motions:
 
 
 def silence(readings: Columns, what: str) -> str:
-    """Say that a reading was followed by too long a silence to have held until the next one."""
+    """Return the message for a gap that is too long for a reading to be valid until the next one."""
     last, stamp = map(float, readings.stamps[-2:])
     return (
-        f"no {what} for {stamp - last:.3g} s before {stamp:.3f} s; the motion in between is left "
-        "out: check the log, or raise odometry.max_hold"
+        f"no {what} for {stamp - last:.3g} s before {stamp:.3f} s; the motion in between is "
+        "ignored: check the log, or raise odometry.max_hold"
     )
 
 

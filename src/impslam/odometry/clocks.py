@@ -1,9 +1,9 @@
-"""One time line for streams whose clocks are set while they run.
+"""A common time line for streams whose clocks are set during a log.
 
-A computer's clock is set in the middle of a log, by the network or by hand: stamps step back or ahead, of
-every stream or of some. What happened still happened in the order of the log. Each stream gets a shift
-that is added to its stamps; it changes where the stream's clock was set, so that time goes on by one
-period there, and streams that were in step stay in step.
+If a clock is set in the middle of a log, by the network or by hand, the stamps of some or all streams
+step back or ahead, while the order of the log remains correct. Each stream has a shift that is added to
+its stamps. Where the clock of a stream was set, the shift changes so that time advances by one period
+there, and streams that were synchronous remain so.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
 
 JITTER = 1.0
-"""s: stamps that a busy computer gives on arrival run back by up to 0.9 s (the Intel log of the SLAM
-benchmarks) and the clock is still the same."""
+"""s: stamps that a busy computer assigns on arrival can run back by up to 0.9 s (the Intel log of the
+SLAM benchmarks) although its clock was not set."""
 LEAP = 2.0 * JITTER
-"""s: jitter takes stamps ahead by less, from one that is late to one that is early."""
+"""s: jitter moves stamps ahead by less than this, from a late one to an early one."""
 
 # Columns of a stream's newest row: its shift, its stamp, when that was, how far behind the newest of
 # all, its period, and how far other streams have leapt ahead since; all in s.
@@ -32,7 +32,7 @@ _FIRST, _NOW, _LEAPER, _LEAP_STAMP, _LEAP_BEFORE = range(5)
 class Step(NamedTuple):
     """A clock that was set: ahead by `by` s (back if negative) at a stamp of a stream.
 
-    `row` is the row that told it.
+    `row` is the row at which it was detected.
     """
 
     row: int
@@ -46,7 +46,7 @@ class Step(NamedTuple):
 
 
 class Clocks:
-    """Tells what to add to the stamps of each stream to have them on one time line."""
+    """Computes the shifts that bring the stamps of all streams onto a common time line."""
 
     def __init__(self) -> None:
         self._streams = np.zeros((0, 6))
@@ -54,13 +54,13 @@ class Clocks:
 
     @property
     def elapsed(self) -> float:
-        """How long it has been since the first row, s on the one time line."""
+        """Time since the first row, s on the common time line."""
         return float(self._all[_NOW] - self._all[_FIRST]) if len(self._streams) else 0.0
 
     def shifts(self, streams: Ints, stamps: Array) -> tuple[Array, list[Step]]:
-        """Return what to add to the stamps (m,) of rows, in the log's order, and the steps.
+        """Return the shifts (m,) s of rows in the order of the log, and the detected steps.
 
-        `streams` (m,) counts streams from 0 in the order in which they first come.
+        `stamps` (m,) are in s; `streams` (m,) numbers the streams from 0 in order of appearance.
         """
         m, known = len(stamps), len(self._streams)
         new = max(int(streams.max(initial=-1)) + 1 - known, 0)
@@ -80,7 +80,7 @@ def _shift(
     shifts: Array,
     steps: Array,
 ) -> int:
-    """Write the shift of each row, and the steps; return how many there are."""
+    """Write the shift of each row, and the steps; return the number of steps."""
     count = 0
     for k in range(len(stamps)):
         name, stamp = streams[k], stamps[k]
@@ -100,9 +100,9 @@ def _shift(
 
 @kernel
 def _nearest(table: Array, stamp: float, goal: float, low: float, high: float) -> float:
-    """Return the shift that brings a stamp nearest to a goal, of those in use; nan if none is within.
+    """Return the shift in use that brings a stamp nearest to a goal; NaN if none is within the bounds.
 
-    A clock that was set back may be set right again: 0 is always one of them.
+    0 is always a candidate, because a clock that was set wrongly may be corrected again.
     """
     best, least = np.nan, np.inf
     for i in range(-1, len(table)):
@@ -114,7 +114,7 @@ def _nearest(table: Array, stamp: float, goal: float, low: float, high: float) -
 
 @kernel
 def _expected(stream: Array, now: float) -> float:
-    """Return when the stream's next row is due, or overdue if others went on without it."""
+    """Return the expected time of the stream's next row; later if other streams have advanced."""
     due: float = stream[_TIME] + stream[_PERIOD]
     overdue: float = now - stream[_LAG]
     return overdue if overdue > due + JITTER else due
@@ -122,7 +122,7 @@ def _expected(stream: Array, now: float) -> float:
 
 @kernel
 def _follow(table: Array, every: Array, name: int, stamp: float, entry: Array) -> int:
-    """Change the stream's shift if its clock, or that of the others, was set since; 1 if told."""
+    """Update the stream's shift if its clock or the others' was set; return 1 if a step is detected."""
     stream = table[name]
     step, leapt, before = stamp - stream[_STAMP], stream[_LEAPT], stream[_SHIFT]
     expected = _expected(stream, every[_NOW])
@@ -150,7 +150,7 @@ def _follow(table: Array, every: Array, name: int, stamp: float, entry: Array) -
 
 @kernel
 def _advance(table: Array, every: Array, name: int, stamp: float) -> None:
-    """Let time go on to a stamp of a stream."""
+    """Advance the time to a stamp of a stream."""
     stream = table[name]
     time = stamp + stream[_SHIFT]
     if time > max(every[_NOW], stream[_TIME] + stream[_PERIOD]) + LEAP:

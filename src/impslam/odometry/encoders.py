@@ -1,6 +1,6 @@
 """Wheel encoders on a differential drive (thesis 3.5).
 
-The body moves on an arc: with wheel travels l and r and track w, it goes d = (l + r)/2 while turning
+The body moves on an arc: with wheel travels l and r and track w, it moves by d = (l + r)/2 while turning
 by a = (r - l)/w, so the increment is exp([d, 0, a]) in SE(2). That is thesis Eq. 3.1 and 3.3 (the
 latter with its sign corrected) in one form that is smooth through r = l, where the thesis switches
 equations and divides by (r - l)^2. The state Jacobian, Eq. 3.5-3.7, is that of composing the
@@ -41,14 +41,14 @@ class Encoders(Odometry):
     per_turn: float = parameter(
         2.0 * math.pi,
         "reading",
-        "how far a reading goes in one turn of the wheel: 2 pi for angles, the counts for ticks, "
+        "change of the reading per turn of the wheel: 2 pi for angles, the tick count for ticks, "
         "the full scale for an absolute encoder's voltage (5 V for the MA3)",
         gt=0,
     )
     wrap: float = parameter(
         0.0,
         "reading",
-        "where the reading starts again from 0: 5 (V) for the MA3, 65536 for 16-bit ticks; 0: never",
+        "value at which the reading wraps to 0: 5 (V) for the MA3, 65536 for 16-bit ticks; 0: never",
         ge=0,
     )
     wheel_noise: float = parameter(
@@ -57,10 +57,10 @@ class Encoders(Odometry):
     slip: MotionNoise = parameter(
         MotionNoise(forward=0.0, sideways=0.01, turn_per_distance=0.01, turn_per_turn=0.05),
         "",
-        "what the wheels do not tell: slip, sideways motion, a wrong track",
+        "errors that the encoders do not measure: slip, sideways motion, a wrong track",
     )
     max_speed: float = parameter(
-        5.0, "m/s", "a wheel that seems faster than this is an encoder jump and is dropped", gt=0
+        5.0, "m/s", "a faster wheel is an encoder jump; its motion is ignored", gt=0
     )
 
     def usable(self, readings: Columns) -> Mask:
@@ -74,12 +74,12 @@ class Encoders(Odometry):
         slip = self.slip.variances(0.5 * (left + right), d_pose[:, 2])
         covariance[DIAGONAL] += slip
         motions = Motions(readings.stamps[1:], d_pose, covariance, seconds)
-        # Stamps jitter by tens of milliseconds on real robots: a short interval is no proof of speed.
+        # Stamps jitter by tens of milliseconds on real robots, so short intervals overestimate the speed.
         limits = self.max_speed * np.maximum(seconds, 0.2)
         return known(motions, np.maximum(np.abs(left), np.abs(right)) <= limits)
 
     def _travels(self, readings: Columns) -> tuple[Array, Array]:
-        """Return the wheels' travels in m between the readings, the shorter way round."""
+        """Return the travels (m,) in m of both wheels between the readings, on the shorter way round."""
         per_reading = 2.0 * math.pi * self.wheel_radius / self.per_turn
         left, right = np.diff(plain(readings["left"])), np.diff(plain(readings["right"]))
         if self.wrap:
@@ -88,7 +88,7 @@ class Encoders(Odometry):
         return per_reading * left, per_reading * right * self.right_left_ratio
 
     def fault(self, readings: Columns) -> str:
-        """Say what is wrong; see `Odometry.fault`."""
+        """Describe the fault; see `Odometry.fault`."""
         left, right, stamp = (float(readings[name][-1]) for name in ("left", "right", "stamp"))
         if not self.usable(readings)[-1]:
             return (
@@ -98,5 +98,5 @@ class Encoders(Odometry):
         travel = np.abs(self._travels(readings)).max()
         return (
             f"a wheel jumps by {travel:.3g} m in {durations(readings)[-1]:.3g} s at {stamp:.3f} s; "
-            "its motion is left out: check the encoder, or raise odometry.max_speed"
+            "its motion is ignored: check the encoder, or raise odometry.max_speed"
         )

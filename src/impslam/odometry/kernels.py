@@ -1,6 +1,6 @@
-"""The arcs that readings tell, row by row.
+"""Kernels that compute motions along arcs from odometry readings.
 
-A body that goes a way d while it turns by a at a constant rate moves by exp([d, 0, a]) in SE(2):
+A body that travels a distance d while it turns by a at a constant rate moves by exp([d, 0, a]) in SE(2):
 [d sin(a)/a, d (1 - cos(a))/a, a], smooth through a = 0 by series.
 """
 

@@ -1,12 +1,12 @@
-"""Motions that no sweep has asked for yet: composed, cut and dropped in place by kernels.
+"""A ring buffer of motions that no sweep has used yet; kernels compose, split and remove them in place.
 
-They are rows of a ring, each a stamp at its end, a duration, a pose [x, y, theta] and the six distinct
-entries of the covariance of an additive error on it. Composition is that of
-`geometry.se2.compose_uncertain`, to first order; it is written out here, because every row of
-odometry passes through it.
+A row holds the stamp at the end of a motion, its duration, its pose [x, y, theta] and the six distinct
+entries of the covariance of the additive error. Motions are composed to first order, as in
+`geometry.se2.compose_uncertain`; the formulas are repeated here because this code runs for every row
+of odometry.
 
-Time never runs backwards: a motion whose stamp lies before the newest one is kept and takes no time. So
-logs whose stamps jitter are used in the order of the log.
+Time never runs backwards: a motion with a stamp before the newest one is kept with duration 0. Logs
+whose stamps jitter are therefore used in the order of the log.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ MARKS = 6
 
 
 def begin(most: int) -> tuple[Array, Ints, Array]:
-    """Return the ring of at most so many motions, where it begins and how many it holds, the marks."""
+    """Return an empty ring of at most `most` motions, its start and length (2,), and the marks."""
     marks = np.zeros(MARKS)
     marks[[NEWEST, LAST]] = -np.inf
     return np.empty((most + 1, WIDTH)), np.zeros(2, np.int64), marks
@@ -61,7 +61,7 @@ def _add_turned(P: Array, Q: Array, c: float, s: float, share: float) -> None:
 
 @kernel
 def follow(total: Array, other: Array) -> None:
-    """Let a motion be followed by another, in place."""
+    """Compose a motion with a later one, in place."""
     c, s = math.cos(total[THETA]), math.sin(total[THETA])
     dx, dy = c * other[2] - s * other[3], s * other[2] + c * other[3]
     _carry_covariance(total[COVARIANCE:], dx, dy)
@@ -100,7 +100,7 @@ def _exp(twist: Array, share: float, out: Array) -> None:
 
 @kernel
 def _split(whole: Array, fraction: float, head: Array, tail: Array) -> None:
-    """Cut a motion at a fraction of its time, at constant twist; see `Increment.split`.
+    """Split a motion at a fraction of its duration, at constant twist; see `Increment.split`.
 
     Each part has its share of the covariance, pulled back through the composition of the two, so
     that `follow` restores it. `tail` may be `whole` itself.
@@ -123,7 +123,7 @@ def _split(whole: Array, fraction: float, head: Array, tail: Array) -> None:
 def consume(
     pending: Array, ring: Ints, stamp: float, together: bool, total: Array, keep: bool
 ) -> None:
-    """Append the motion up to a stamp, or all of it, to `total`; remove it unless it is to be kept."""
+    """Compose `total` with the motion up to a stamp, or with all motion; remove it unless `keep`."""
     head = np.empty(WIDTH)
     rest = np.empty(WIDTH)
     at, count = ring[0], ring[1]
@@ -144,14 +144,14 @@ def consume(
 
 @kernel
 def add_up(pending: Array, ring: Ints, total: Array) -> None:
-    """Append all motion to `total` and leave it."""
+    """Compose `total` with all motion, without removing it."""
     for k in range(ring[1]):
         follow(total, pending[(ring[0] + k) % len(pending)])
 
 
 @kernel
 def _fold(pending: Array, ring: Ints) -> None:
-    """Make the older half of the motions one."""
+    """Merge the older half of the motions into one."""
     half = (len(pending) - 1) // 2
     total = np.zeros(WIDTH)
     for k in range(half):
@@ -164,7 +164,7 @@ def _fold(pending: Array, ring: Ints) -> None:
 def append(
     pending: Array, ring: Ints, marks: Array, stamp: float, d_pose: Array, P: Array, duration: float
 ) -> None:
-    """Take in the motion that a row of odometry told."""
+    """Add the motion of a row of odometry."""
     taken = min(duration, max(stamp - marks[NEWEST], 0.0))
     marks[LAST] = stamp
     marks[NEWEST] = max(marks[NEWEST], stamp)
@@ -186,7 +186,7 @@ def append(
 def mean_twist(
     pending: Array, ring: Ints, marks: Array, stamp: float, duration: float, out: Array
 ) -> None:
-    """Write the mean body twist from a stamp on, of what is pending, or the latest one."""
+    """Write the mean body twist after a stamp, from the pending motions or else the latest one."""
     ahead = np.zeros(WIDTH)
     for k in range(ring[1]):
         row = pending[(ring[0] + k) % len(pending)]

@@ -1,8 +1,8 @@
-"""Velocities, as a robot is commanded or reports them: speed forward and turn rate.
+"""Odometry from commanded or reported velocities: forward speed and turn rate.
 
-A velocity holds from its stamp until the next one, so that the body moves along an arc: the increment
-is exp(dt [v, 0, omega]) in SE(2). What a robot is told is not what it does. Its drive gets up to speed
-late and settles at a share of what was asked for; both are constants of a robot, to be calibrated.
+A velocity is valid from its stamp until the next one, so the body moves along an arc: the increment is
+exp(dt [v, 0, omega]) in SE(2). A robot does not execute commands exactly: it reaches a commanded velocity
+with a delay (`latency`), and settles at a fraction of it (`speed_scale`, `turn_scale`). Calibrate both.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _FIELDS = ("speed", "turn_rate")
 
 @register("velocity")
 class Velocities(Odometry):
-    """Speed and turn rate, each of which holds until the next one."""
+    """Speed and turn rate, valid until the next reading."""
 
     consumes: ClassVar[type] = Velocity
     holds: ClassVar[bool] = True
@@ -36,14 +36,14 @@ class Velocities(Odometry):
         1.0, "1", "true turn rate over the one in the log, from a calibration", gt=0
     )
     latency: float = parameter(
-        0.0, "s", "how much later than it is stamped a velocity is reached", ge=0
+        0.0, "s", "delay from the stamp of a velocity until the robot reaches it", ge=0
     )
-    noise: MotionNoise = parameter(MotionNoise(), "", "how far this odometry strays")
-    max_speed: float = parameter(10.0, "m/s", "a velocity beyond this is refused", gt=0)
-    max_turn_rate: float = parameter(10.0, "rad/s", "a turn rate beyond this is refused", gt=0)
-    max_hold: float = parameter(
-        2.0, "s", "after a longer silence it is not known whether a velocity held on", gt=0
+    noise: MotionNoise = parameter(MotionNoise(), "", "random error of this odometry")
+    max_speed: float = parameter(10.0, "m/s", "a reading with a higher speed is ignored", gt=0)
+    max_turn_rate: float = parameter(
+        10.0, "rad/s", "a reading with a higher turn rate is ignored", gt=0
     )
+    max_hold: float = parameter(2.0, "s", "after a longer gap the motion is unknown", gt=0)
 
     def usable(self, readings: Columns) -> Mask:
         """Return which velocities are finite and within the limits; see `Odometry.usable`."""
@@ -51,7 +51,7 @@ class Velocities(Odometry):
         return np.asarray(slow & (np.abs(readings["turn_rate"]) <= self.max_turn_rate))
 
     def motions(self, readings: Columns) -> Motions:
-        """Return the motions at each velocity until the next; see `Odometry.motions`."""
+        """Return the motions from each reading to the next; see `Odometry.motions`."""
         seconds, usable = durations(readings), self.usable(readings)
         speed, rate = (np.where(usable, readings[name], 0.0)[:-1] for name in _FIELDS)
         ways, turns = self.speed_scale * speed * seconds, self.turn_scale * rate * seconds
@@ -63,13 +63,13 @@ class Velocities(Odometry):
         return known(motions, usable[:-1] & usable[1:] & (seconds <= self.max_hold))
 
     def fault(self, readings: Columns) -> str:
-        """Say what is wrong; see `Odometry.fault`."""
+        """Describe the fault; see `Odometry.fault`."""
         if self.usable(readings)[-1]:
             return silence(readings, "velocity")
         speed, turn_rate, stamp = (float(readings[name][-1]) for name in (*_FIELDS, "stamp"))
         finite = math.isfinite(speed) and math.isfinite(turn_rate)
         return (
             f"velocity {speed:.3g} m/s and {turn_rate:.3g} rad/s at {stamp:.3f} s is "
-            f"{'more than the robot can do' if finite else 'not finite'}; it is left out: check the "
+            f"{'more than the robot can do' if finite else 'not finite'}; it is ignored: check the "
             "log, or raise odometry.max_speed or max_turn_rate"
         )

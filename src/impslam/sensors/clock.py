@@ -1,4 +1,4 @@
-"""The clock of a device that works at a steady rate but is stamped when its data arrive."""
+"""Smooths the stamps of a device that works at a steady rate but is stamped on arrival."""
 
 from __future__ import annotations
 
@@ -7,25 +7,23 @@ import numpy as np
 from impslam.geometry.kernels import kernel
 from impslam.types import Array
 
-_ALPHA = 0.1  # 1: share of a stamp's deviation taken over; averages jitter over some ten sweeps
-_BETA = (
-    _ALPHA**2 / 2.0
-)  # 1: the same for the period; critically damped (Kalata 1984, tracking index)
-_GAP = 50  # sweeps: after a longer pause, or a step back, the phase is taken anew
+_ALPHA = 0.1  # 1: gain of the phase; averages jitter over about ten sweeps
+_BETA = _ALPHA**2 / 2.0  # 1: gain of the period; critically damped (Kalata 1984, tracking index)
+_GAP = 50  # sweeps: after a longer pause, or a step back, the filter restarts
 
 
 class SweepClock:
-    """Smooths jittering stamps to the device's own steady clock, an alpha-beta filter on its phase.
+    """An alpha-beta filter on the phase of a steady clock.
 
-    A mirror turns at a constant rate; what jitters is the way of its data through a serial line and a
-    scheduler. At 2 rad/s a jitter of 30 ms is 3.4 degrees. Sweeps that were lost are skipped over.
+    The mirror of a lidar turns at a constant rate, but the delay of its data in the serial line and the
+    scheduler varies. At 2 rad/s a jitter of 30 ms is 3.4 degrees. Lost sweeps are taken into account.
     """
 
     def __init__(self, period: float) -> None:
         self._state = np.array([period, np.nan])  # the period, and the newest sweep's phase
 
     def smooth(self, stamps: Array) -> Array:
-        """Return the stamps (m,) of the next sweeps as the device's clock has them."""
+        """Return the smoothed stamps (m,) in s of the next sweeps."""
         return _smooth(self._state, stamps)
 
 

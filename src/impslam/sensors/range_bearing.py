@@ -1,11 +1,12 @@
-"""A sensor that detects landmarks itself: barcodes in a camera, beacons, trees by a lidar's driver.
+"""A sensor that detects landmarks itself: barcodes in a camera, beacons, trees found by a lidar driver.
 
-What it measured as range and bearing becomes Cartesian observations in base_link (`landmarks.point`);
-that they come from a range and a bearing lives on in the shape of R.
+Range and bearing are converted to Cartesian observations in base_link (`landmarks.point`); R is
+converted accordingly.
 
-A camera that tells how far a thing of known size is by its height in the picture measures its depth,
-along the optical axis (the sensor's x): the height is proportional to 1 / depth, not to 1 / range. Logs
-may call that a range. At a bearing beta the range is depth / cos(beta), 14 % more at 0.5 rad.
+A camera that estimates the distance of an object of known size from its height in the picture measures
+the depth along the optical axis (the sensor's x): the height is proportional to 1 / depth, not to
+1 / range. Some logs call this depth a range. At a bearing beta the range is depth / cos(beta), 14 % more
+at 0.5 rad.
 """
 
 from __future__ import annotations
@@ -25,50 +26,54 @@ from impslam.types import Array, Detections, Mask, Message, Observation
 
 @register("range_bearing")
 class RangeBearing(Sensor):
-    """A sensor that gives landmarks by range and bearing, with or without their identity."""
+    """A sensor that measures range and bearing of landmarks, with or without their identity."""
 
     consumes: ClassVar[type[Message]] = Detections
 
     mount: tuple[float, float, float] = parameter(
-        (0.0, 0.0, 0.0), "m, m, rad", "pose [x, y, yaw] of the sensor on base_link"
+        (0.0, 0.0, 0.0), "m, m, rad", "pose [x, y, yaw] of the sensor in base_link"
     )
     landmark: str = parameter("point", "", "kind of landmark that it detects")
-    range_min: float = parameter(0.0, "m", "nearer detections are left out", ge=0)
-    range_max: float = parameter(math.inf, "m", "farther detections are left out; inf: none", gt=0)
+    range_min: float = parameter(0.0, "m", "nearer detections are ignored", ge=0)
+    range_max: float = parameter(math.inf, "m", "farther detections are ignored; inf: none", gt=0)
     depth: bool = parameter(
-        False, "", "what is called range is depth along the sensor's x, as cameras measure it"
+        False,
+        "",
+        "the range in the log is the depth along the sensor's x axis, as cameras measure it",
     )
     range_scale: float = parameter(
         1.0, "1", "true range over measured range, from a calibration", gt=0
     )
     sigma_range: float = parameter(0.05, "m", "standard deviation of the range at range 0", gt=0)
-    sigma_range_per_m: float = parameter(0.0, "1", "how much it grows with range", ge=0)
+    sigma_range_per_m: float = parameter(
+        0.0, "1", "increase of that standard deviation per metre of range", ge=0
+    )
     sigma_bearing: float = parameter(0.01, "rad", "standard deviation of the bearing", gt=0)
     latency: float = parameter(
         0.0,
         "s",
-        "how much later than they were made detections are stamped, on the odometry's clock",
+        "delay from a detection to its stamp, on the odometry's clock",
     )
 
     def spans(self, columns: Columns) -> tuple[Array, Array]:
-        """Return the moments of the detections, (m,) s on the odometry's clock, twice."""
+        """Return the times of the detections, (m,) s on the odometry's clock, as start and end."""
         moments = columns.stamps - self.latency
         return moments, moments
 
     def usable(self, columns: Columns) -> Mask:
-        """Return which rows have a detection that is finite, or none at all."""
+        """Return (m,) which rows have a finite detection, or no detection."""
         finite = np.isfinite(columns["ranges"]) & np.isfinite(columns["bearings"])
         return np.asarray(finite.any(axis=1) | (finite.shape[1] == 0))
 
     def fault(self, message: Message) -> str:
-        """Say what is wrong with a row whose detections are not finite."""
+        """Describe the fault of a row whose detections are not finite."""
         return f"no detection at {message.stamp:.3f} s is finite; it is dropped"
 
     def sweeps(self, columns: Columns, twists: Array) -> None:
-        """Return None: detections are no scans."""
+        """Return None, because detections are not scans."""
 
     def look(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
-        """Return an observation for each detection that is usable; see `Sensor.look`."""
+        """Return an observation for each usable detection; see `Sensor.look`."""
         del rng
         message = sweeps.columns.row(k)
         assert isinstance(message, Detections)

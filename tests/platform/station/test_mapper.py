@@ -199,7 +199,7 @@ def test_a_folder_that_cannot_be_made_ends_in_one_line(room, tmp_path):
     hand(mapper, room[:300])
     wait_until(lambda: mapper.status().steps > 0)
     (tmp_path / "file").write_text("")
-    with pytest.raises(ImpError, match="cannot be made"):
+    with pytest.raises(ImpError, match="cannot be created"):
         mapper.save(tmp_path / "file" / "map")
     mapper.stop()
 

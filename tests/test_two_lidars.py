@@ -111,7 +111,10 @@ def test_lidars_taken_for_each_other_make_another_map(log, tmp_path):
             "did you mean '/scan/rear'?",
         ),
         ({"front": "front"}, "sensors.front.stream = 'front': no such stream"),
-        ({"rear": "/joint_states"}, "sensors.rear.stream = '/joint_states': it contains WheelAngles"),
+        (
+            {"rear": "/joint_states"},
+            "sensors.rear.stream = '/joint_states': it contains WheelAngles",
+        ),
         ({"rear": "/rosout"}, "sensors.rear.stream = '/rosout': it contains no LaserScan; name"),
         ({"rear": "/scan/front"}, "sensors.rear.stream = NAME"),
         ({"front": "", "rear": ""}, "sensors.rear.stream = NAME"),

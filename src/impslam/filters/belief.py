@@ -7,10 +7,13 @@ pose comes first. Everything here touches P in place and in order; nothing forms
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from impslam.filters.blas import subtract_product
-from impslam.geometry.kernels import kernel
+from impslam.geometry.angles import wrap_in_kernel
+from impslam.geometry.kernels import kernel, plain
 from impslam.types import Array, Ints
 
 POSE = 3
@@ -113,6 +116,25 @@ def _rotate_pose(P: Array, n: int, fx: float, fy: float) -> None:
     P[2, 1] += fy * tt
 
 
+@kernel
+def _drive(mean: Array, P: Array, n: int, d: Array, Q: Array) -> None:
+    """Compose the pose with a motion d (3,) of covariance Q (3, 3): F P F^T + V Q V^T."""
+    c, s = math.cos(mean[2]), math.sin(mean[2])
+    _rotate_pose(P, n, -s * d[0] - c * d[1], c * d[0] - s * d[1])
+    V, VQ = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.zeros((POSE, POSE))
+    for a in range(POSE):
+        for b in range(POSE):
+            for i in range(POSE):
+                VQ[a, b] += V[a, i] * Q[i, b]
+    for a in range(POSE):
+        for b in range(a + 1):
+            for i in range(POSE):
+                P[a, b] += VQ[a, i] * V[b, i]
+    mean[0] = mean[0] + c * d[0] - s * d[1]
+    mean[1] = mean[1] + s * d[0] + c * d[1]
+    mean[2] = wrap_in_kernel(mean[2] + d[2])
+
+
 class GaussianBelief:
     """Mean and covariance of [pose, landmark, landmark, ...]; knows sizes, not kinds."""
 
@@ -140,6 +162,10 @@ class GaussianBelief:
         """Propagate P by F, the identity but for d(x, y)/d(theta) = (fx, fy), and add noise."""
         _rotate_pose(self.P, self.n, fx, fy)
         self.P[:POSE, :POSE] += noise
+
+    def drive(self, d_pose: Array, covariance: Array) -> None:
+        """Compose the pose with a motion (3,) of covariance (3, 3), to first order."""
+        _drive(self.mean, self.P, self.n, plain(d_pose), plain(covariance))
 
     def pose_entries(self) -> tuple[Array, Array]:
         """Return copies of all that `move` changes: the pose (3,) and P's first columns (n, 3)."""

@@ -19,7 +19,6 @@ judges each observation alone, uses R itself.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -36,7 +35,6 @@ from impslam.filters.scene import Scene, Sight, stacked
 from impslam.filters.scoring import score
 from impslam.filters.update import Rows, gain, innovation_covariance, solve
 from impslam.geometry.angles import wrap
-from impslam.geometry.se2 import compose
 from impslam.landmarks.base import Initial, LandmarkModel, Prediction
 from impslam.types import Array, Increment, Ints, Landmark, Match, Observation
 
@@ -72,12 +70,8 @@ class Ekf(Filter):
 
     def predict(self, increment: Increment) -> None:
         """Move the robot: x' = x (+) u, P' = F P F^T + V Q V^T (thesis Eq. 2.23-2.26)."""
-        belief, pose, d = self._belief, self.pose, increment.d_pose
-        self._before = belief.pose_entries()
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        V = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        belief.move(-s * d[0] - c * d[1], c * d[0] - s * d[1], V @ increment.covariance @ V.T)
-        belief.mean[:POSE] = compose(pose, d)
+        self._before = self._belief.pose_entries()
+        self._belief.drive(increment.d_pose, increment.covariance)
 
     def take_back(self) -> None:
         """Undo the last prediction; see `Filter.take_back`."""

@@ -205,8 +205,9 @@ class OccupancyGrid:
 
     def probabilities(self) -> Array:
         """Return (rows, columns) the probability that a cell is occupied, 0.5 where unknown."""
-        odds = np.exp(self.logodds.astype(np.float64))
-        p: Array = odds / (1.0 + odds)
+        p: Array = self.logodds.astype(np.float64)
+        np.exp(p, out=p)
+        p /= 1.0 + p
         return p
 
     @property

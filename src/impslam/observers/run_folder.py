@@ -86,5 +86,8 @@ _ROW = "%.9f,%.9f,%.9f,%.9f" + 6 * ",%.9e" + "\n"
 def _write_table(path: Path, history: History) -> None:
     spread = history.covariances[:, UPPER[0], UPPER[1]]
     values = np.column_stack((history.path, spread))
-    text = _ROW * len(values) % tuple(values.ravel().tolist())
-    path.write_text(PATH_COLUMNS + "\n" + text, encoding="utf-8")
+    with path.open("w", encoding="utf-8") as stream:
+        stream.write(PATH_COLUMNS + "\n")
+        for begin in range(0, len(values), 1000):  # a Python number takes four times its own size
+            rows = values[begin : begin + 1000]
+            stream.write(_ROW * len(rows) % tuple(rows.ravel().tolist()))

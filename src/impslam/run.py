@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import is_dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -148,6 +148,7 @@ class Run:
     def _follow(self, track: Track) -> None:
         path = self._builder.follow(track)
         if len(path.stamps):
+            _seal(track, path)
             for observer in self._observers:
                 observer.follow(track, path)
 
@@ -164,6 +165,7 @@ class Run:
         if revision.refused:
             self.problems.add("keyframe", revision.refused)
         path = self._builder.revise(keyframe, revision)
+        _seal(keyframe, revision, path)
         for observer in self._observers:
             observer.revise(keyframe, revision, path)
 
@@ -240,6 +242,15 @@ class Run:
             state_size=self.estimator.state_size,
             health=self._health.health,
         )
+
+
+def _seal(*shown: object) -> None:
+    """Make the arrays of what observers are shown read-only; those of sweeps stay as they are."""
+    for value in shown:
+        for name in value.__dataclass_fields__ if is_dataclass(value) else value._fields:  # type: ignore[attr-defined]
+            array = getattr(value, name)
+            if isinstance(array, np.ndarray):
+                array.flags.writeable = False
 
 
 class _Callable(ModuleType):

@@ -80,7 +80,10 @@ class Outcome:
 
 
 class Observer:
-    """Base class of observers; does nothing."""
+    """Base class of observers; does nothing.
+
+    The arrays of tracks, keyframes, revisions and paths are read-only.
+    """
 
     def follow(self, track: Track, path: PathRows) -> None:
         """Receive a track, and the current estimate of its sweeps' poses in map."""

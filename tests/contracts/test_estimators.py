@@ -1,0 +1,175 @@
+"""What every estimator keeps, whatever it estimates with."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.filters.worlds import CYLINDERS, MODELS, drive, observe
+from tests.numeric import wrapped
+
+from impslam.component import build, components
+from impslam.geometry.se2 import compose
+from impslam.map import Keyframe
+from impslam.types import Increment
+
+PARTS = {"filter": "riekf", "association": "known", "lifecycle": "immediate"}
+"""Parts that are exact: what is seen is known at once, by its label."""
+
+
+@pytest.fixture(params=sorted(components("estimator")))
+def make(request):
+    """Return what makes an estimator that starts at a pose."""
+
+    def begin(pose=(0.0, 0.0, 0.0)):
+        made = build("estimator", {"kind": request.param})
+        parts = {role: build(role, {"kind": PARTS[role]}) for role in made.parts}
+        made.start(np.array(pose), models=MODELS, **parts)
+        return made
+
+    return begin
+
+
+def keyframe(k, motion, seen=()):
+    none = np.zeros((3, 3))
+    return Keyframe(
+        k, motion.stamp, motion, none[0], none[0], none, None, 0, observations=tuple(seen)
+    )
+
+
+def run(made, steps=40, rng=None):
+    """Return the true poses and the revisions of a drive."""
+    poses, revisions = [], []
+    for k, (pose, motion) in enumerate(drive(steps, rng)):
+        poses.append(pose)
+        revisions.append(made.add(keyframe(k, motion, observe(pose, rng))))
+    return poses, revisions
+
+
+def newest(revision, k):
+    """Return the pose and covariance that a revision gives its own keyframe."""
+    (at,) = np.flatnonzero(revision.ids == k)
+    return revision.poses[at], revision.covariances[at]
+
+
+def told(revision):
+    arrays = [revision.ids, revision.poses, revision.covariances]
+    return [a.tobytes() for a in arrays] + [revision.born, revision.origins, revision.gone]
+
+
+def test_a_drive_without_noise_is_exact(make):
+    made = make()
+    poses, revisions = run(made)
+    for k, (pose, revision) in enumerate(zip(poses, revisions, strict=True)):
+        assert revision.refused == ""
+        assert np.abs(wrapped(newest(revision, k)[0] - pose, 2)).max() < 1e-9
+    points = [m.position for m in made.landmarks() if m.kind == "cylinder"]
+    for centre in CYLINDERS:
+        assert np.abs(np.array(points) - centre).max(axis=1).min() < 1e-9
+
+
+def test_it_begins_where_it_is_told(make):
+    start = np.array([3.0, -2.0, 2.5])
+    poses, revisions = run(make(start), 10)
+    for k, (pose, revision) in enumerate(zip(poses, revisions, strict=True)):
+        expected = compose(start, pose)
+        assert np.abs(wrapped(newest(revision, k)[0] - expected, 2)).max() < 1e-9
+
+
+def test_a_revision_has_a_pose_and_a_covariance_for_each_keyframe(make):
+    _, revisions = run(make(), rng=np.random.default_rng(1))
+    for k, revision in enumerate(revisions):
+        m = len(revision.ids)
+        assert revision.ids.dtype == np.int64
+        assert len(set(revision.ids.tolist())) == m
+        assert ((revision.ids >= 0) & (revision.ids <= k)).all()
+        assert revision.poses.shape == (m, 3)
+        assert revision.covariances.shape == (m, 3, 3)
+        for P in revision.covariances:
+            np.testing.assert_allclose(P, P.T, atol=1e-15)
+            assert np.linalg.eigvalsh(P)[0] > 0.0
+
+
+def test_the_same_keyframes_give_the_same_bytes(make):
+    runs = [make(), make()]
+    one, two = (run(made, rng=np.random.default_rng(2))[1] for made in runs)
+    assert [told(r) for r in one] == [told(r) for r in two]
+    for a, b in zip(*(made.landmarks() for made in runs), strict=True):
+        assert a.position.tobytes() == b.position.tobytes()
+
+
+def test_landmarks_are_those_that_were_born_and_are_not_gone(make):
+    made, known, size = make(), set(), 0
+    rng = np.random.default_rng(3)
+    for k, (pose, motion) in enumerate(drive(30, rng)):
+        seen = observe(pose, rng)[: 2 + k // 3]
+        revision = made.add(keyframe(k, motion, seen))
+        assert known.isdisjoint(revision.born)
+        assert len(revision.origins) == len(revision.born)
+        assert all(0 <= origin < len(seen) for origin in revision.origins)
+        assert set(revision.gone) <= known | set(revision.born)
+        assert {m.landmark for m in revision.matches} <= known
+        known = (known | set(revision.born)) - set(revision.gone)
+        assert {mark.id for mark in made.landmarks()} == known
+        assert made.state_size >= size or revision.gone
+        size = made.state_size
+    assert len(known) == 9
+
+
+BAD = {
+    "z is not a number": lambda o: replace(o, z=np.full_like(o.z, np.nan)),
+    "R is not a number": lambda o: replace(o, R=np.full_like(o.R, np.nan)),
+    "R is infinite": lambda o: replace(o, R=np.full_like(o.R, np.inf)),
+    "R is no covariance": lambda o: replace(o, R=-np.eye(len(o.z))),
+}
+
+
+@pytest.mark.parametrize("spoil", BAD.values(), ids=BAD)
+def test_a_keyframe_that_cannot_be_used_moves_the_robot_and_nothing_else(make, spoil):
+    """It goes on as a twin does that was shown the motion alone."""
+    made, twin = make(), make()
+    rng, again = np.random.default_rng(4), np.random.default_rng(4)
+    run(made, 12, rng)
+    run(twin, 12, again)
+    motion = Increment(13.0, np.array([0.3, 0.0, 0.15]), np.diag([0.02, 0.01, 0.02]) ** 2, 1.0)
+    seen = observe(compose(np.zeros(3), motion.d_pose))
+    revision = made.add(keyframe(12, motion, (spoil(seen[0]), *seen[1:])))
+    by_motion = twin.add(keyframe(12, motion))
+    assert "\n" not in revision.refused
+    assert "13.000 s" in revision.refused
+    assert revision.matches == revision.born == revision.gone == ()
+    np.testing.assert_array_equal(revision.poses, by_motion.poses)
+    np.testing.assert_array_equal(revision.covariances, by_motion.covariances)
+    for k, (pose, motion) in enumerate(drive(5), 13):
+        later = keyframe(k, replace(motion, stamp=float(k + 1)), observe(pose))
+        assert told(made.add(later)) == told(twin.add(later))
+
+
+def test_a_keyframe_of_which_nothing_is_known_changes_nothing(make):
+    made, twin = make(), make()
+    run(made, 12)
+    run(twin, 12)
+    lost = Increment(13.0, np.zeros(3), np.full((3, 3), np.nan), 1.0)
+    assert "not finite" in made.add(keyframe(12, lost)).refused
+    for a, b in zip(made.landmarks(), twin.landmarks(), strict=True):
+        np.testing.assert_array_equal(a.position, b.position)
+        np.testing.assert_array_equal(a.covariance, b.covariance)
+
+
+def test_nothing_given_is_changed(make):
+    made = make()
+    run(made, 5)
+    ((pose, motion),) = drive(1)
+    seen = observe(pose)
+    before = [a.copy() for o in seen for a in (o.z, o.R)] + [motion.d_pose.copy()]
+    made.add(keyframe(5, motion, seen))
+    after = [a for o in seen for a in (o.z, o.R)] + [motion.d_pose]
+    for a, b in zip(before, after, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_revision_does_not_change_later(make):
+    made = make()
+    _, revisions = run(made, 5)
+    before = [told(revision) for revision in revisions]
+    run(made, 10)
+    assert [told(revision) for revision in revisions] == before

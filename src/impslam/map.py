@@ -1,8 +1,8 @@
-"""The map as a value: keyframes, the path that hangs on them, and landmarks.
+"""The map as a value: keyframes, the path relative to them, and landmarks.
 
-Poses of sweeps are kept relative to the keyframe before them, `T_map_base = T_map_keyframe *
-T_keyframe_base`. When an estimator moves keyframes, the path moves along and nothing is rewritten
-(the trajectory of kiss-slam is kept alike, Guadagnino et al. 2025).
+The pose of each sweep is stored relative to the previous keyframe, `T_map_base = T_map_keyframe *
+T_keyframe_base`. When an estimator moves keyframes, the path moves with them, and no stored pose changes
+(kiss-slam stores its trajectory in the same way, Guadagnino et al. 2025).
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from impslam.types import (
 )
 
 UPPER = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
-"""Rows and columns of a symmetric matrix's distinct entries, in the order of trajectory.csv."""
+"""Row and column indices of the distinct entries of a symmetric (3, 3) matrix, as in trajectory.csv."""
 SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)
-"""Where the entries of the (3, 3) matrix stand among the distinct ones."""
+"""Indices of the nine entries of a symmetric (3, 3) matrix in its six distinct ones."""
 
 
 class PathRows(NamedTuple):
@@ -56,20 +56,20 @@ class PathRows(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keyframe:
-    """A sweep that the estimator is shown: what moved since the last one, and what is seen.
+    """A sweep for the estimator: the motion since the previous keyframe, and the observations.
 
     Attributes
     ----------
     id : 0, 1, ... in the order of the run
     stamp : s, of the sweep in the log
-    motion : from the keyframe before (from the start, for the first one) to the sweep's middle, with
-        its stamp on a time line that goes on where clocks are set
+    motion : from the previous keyframe (or the start of the run) to the middle of the sweep, with its
+        stamp on the common time line, which is continuous where clocks are set
     odometry : (3,) `T_odom_base` at `stamp`, dead reckoning from the start of the run
     T_keyframe_stamp, stamp_covariance : (3,), (3, 3) motion from the sweep's middle to `stamp`
-    sweeps, row : where the sweep stands in the data of its sensor
-    contradicted : the scans show another motion than odometry, which follows the scans
+    sweeps, row : the sweep is this row of its sensor's data
+    contradicted : whether the scans contradict odometry; the motion is then that of the scans
     scan : the sweep in base_link at its middle, None for a sensor that has none
-    observations : what the extractors found in it
+    observations : landmarks that the extractors found in the scan
     """
 
     id: int
@@ -87,18 +87,18 @@ class Keyframe:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """The way since a keyframe: m sweeps that hang on it, and the sweep that is to be the next one.
+    """The motion since a keyframe: m sweeps relative to it, and the next keyframe.
 
     Attributes
     ----------
-    anchor : id of the keyframe, -1 before the first one: then m is 0
+    anchor : id of the keyframe; -1 before the first one, with m = 0
     stamps : (m,) s, the log's own
     T_anchor_base : (m, 3) at these stamps
     covariance : (m, 3, 3) of that motion
     odometry : (m, 3) `T_odom_base` at these stamps
     sweeps, rows : the m sweeps are these rows of their sensor's data
     contradicted : (m,) whether the scans show another motion than odometry at each of them
-    keyframe : what ends the track, None where it goes on
+    keyframe : the keyframe that ends the track, None if the track continues
     """
 
     anchor: int
@@ -114,17 +114,17 @@ class Track:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Revision:
-    """What a keyframe has taught the estimator.
+    """Changes of the map by a keyframe.
 
     Attributes
     ----------
-    ids : (r,) keyframes whose pose is new: its own, and others where the past has moved
+    ids : (r,) keyframes whose pose is new: the keyframe itself, and earlier ones that were moved
     poses : (r, 3) `T_map_base` at the middle of their sweeps
     covariances : (r, 3, 3)
-    matches : observations taken for known landmarks
-    born, origins : ids of landmarks that came, and the observation that each was made of
-    gone : ids of landmarks that were dropped
-    refused : why the keyframe could not be used, "" where it was
+    matches : observations that were matched to known landmarks
+    born, origins : ids of new landmarks, and the observation from which each was created
+    gone : ids of removed landmarks
+    refused : why the keyframe could not be used, "" if it was used
     """
 
     ids: Ints
@@ -146,9 +146,9 @@ class Keyframes:
     stamps : (k,) s
     poses, covariances : (k, 3) `T_map_base` at the middle of the sweep, and (k, 3, 3)
     innovations : (k, 3) number of matches, normalised innovation squared, its degrees of freedom
-    origins : (k, 2) m, where the laser was in base_link
+    origins : (k, 2) m, position of the laser in base_link
     starts : (k + 1,) the points of keyframe i are `points[starts[i] : starts[i + 1]]`
-    points : (p, 2) float32 m, where valid beams ended, in base_link at the middle of the sweep
+    points : (p, 2) float32 m, end points of valid beams, in base_link at the middle of the sweep
     """
 
     stamps: Array
@@ -163,25 +163,25 @@ class Keyframes:
         return len(self.stamps)
 
     def draw(self, grid: OccupancyGrid) -> None:
-        """Enter the scans into a grid that has perhaps seen the first of them before."""
+        """Draw the scans into a grid, which may already contain the first of them."""
         grid.draw(PlacedScans(self.poses, self.origins, self.starts, self.points))
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Map:
-    """All that a run has learned.
+    """The result of a run.
 
     Attributes
     ----------
-    keyframes : where the robot looked, and what the lidar showed there
+    keyframes : poses and scans of the keyframes
     landmarks : walls, cylinders, ... with their covariances
     stamps : (n,) s of all sweeps, in processing order
-    anchors : (n,) row of the keyframe that each sweep hangs on
-    T_anchor_base : (n, 3) pose of base_link at the stamp, seen from that keyframe
+    anchors : (n,) row of the keyframe that each sweep is relative to
+    T_anchor_base : (n, 3) pose of base_link at the stamp, relative to that keyframe
     track_covariances : (n, 6) distinct entries of that motion's covariance, in the order of `UPPER`
     odometry_poses : (n, 3) dead reckoning
-    live_poses : (n, 3) `T_map_base` of each sweep as it was known at the time
-    about : where the map comes from: log, config, counts, versions; plain values as JSON holds them
+    live_poses : (n, 3) `T_map_base` of each sweep as it was estimated at the time
+    about : origin of the map: log, config, counts, versions, as JSON values
 
     Examples
     --------
@@ -209,12 +209,12 @@ class Map:
     about: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        """Say how much is in it: the arrays themselves would fill a screen."""
+        """Return the sizes of the map instead of its arrays."""
         counts = (len(self.stamps), len(self.keyframes), len(self.landmarks))
         return "<Map: {} scans, {} keyframes, {} landmarks>".format(*counts)
 
     def rows(self) -> PathRows:
-        """Return the path with its covariances, as it is known now."""
+        """Return the current estimate of the path with covariances."""
         keyframes = self.keyframes
         poses, covariances = hang(
             keyframes.poses[self.anchors],
@@ -229,7 +229,7 @@ class Map:
         return np.column_stack((self.stamps, self.rows().poses))
 
     def live_path(self) -> Array:
-        """Return (n, 4) stamp, x, y, theta as each was known at the time of its sweep."""
+        """Return (n, 4) stamp, x, y, theta as each was estimated at the time of its sweep."""
         return np.column_stack((self.stamps, self.live_poses))
 
     def odometry(self) -> Array:
@@ -249,7 +249,7 @@ class Map:
         return grid
 
     def save(self, path: str | Path) -> Path:
-        """Write the map to one file, whole or not at all, and return its path.
+        """Write the map to one file, completely or not at all, and return its path.
 
         Raises
         ------
@@ -320,7 +320,7 @@ def _from_arrays(arrays: dict[str, np.ndarray[Any, Any]], about: dict[str, Any])
 
 
 def _check_places(keyframes: Keyframes, anchors: Ints) -> None:
-    """Refuse places outside of the columns: compiled code does not look."""
+    """Raise an error for indices out of bounds, which compiled code does not check."""
     starts = keyframes.starts
     if len(starts) != len(keyframes) + 1 or starts[0] != 0 or starts[-1] != len(keyframes.points):
         raise ValueError("keyframes/starts does not fit the points")

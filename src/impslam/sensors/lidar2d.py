@@ -1,4 +1,4 @@
-"""A 2D lidar: from what it sent to points in base_link at one instant; the geometry is in `placing`."""
+"""A 2D lidar: turns its messages into de-skewed scans in base_link; the geometry is in `placing`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from impslam.types import Array, LaserScan, Mask, Message, Observation, Scan
 
 @register("lidar2d")
 class Lidar2D(Sensor):
-    """A planar laser scanner with the extractors that hang on it."""
+    """A 2D lidar and its extractors."""
 
     consumes: ClassVar[type[Message]] = LaserScan
 
@@ -83,7 +83,7 @@ class Lidar2D(Sensor):
         }
 
     def spans(self, columns: Columns) -> tuple[Array, Array]:
-        """Return when the first and the last beams were fired, (m,) s on the odometry's clock."""
+        """Return the times of the first and last beams, (m,) s on the odometry's clock."""
         stamps = self._clock.smooth(plain(columns.stamps)) if self.period else columns.stamps
         begins = stamps - self.latency
         return begins, begins + self._sweep(columns["time_offsets"])
@@ -93,11 +93,11 @@ class Lidar2D(Sensor):
         return float(time_offsets.max(initial=0.0)) if self.deskew else 0.0
 
     def usable(self, columns: Columns) -> Mask:
-        """Return which rows have beams: all or none."""
+        """Return (m,) which rows have beams: all or none."""
         return np.full(len(columns), len(columns["angles"]) > 0)
 
     def fault(self, message: Message) -> str:
-        """Say what is wrong with a scan without beams."""
+        """Describe the fault of a scan without beams."""
         return f"the scan at {message.stamp:.3f} s has no beams; it is dropped"
 
     def sweeps(self, columns: Columns, twists: Array) -> Scans:
@@ -128,7 +128,7 @@ class Lidar2D(Sensor):
         return (0.0 if math.isnan(low) else low), (math.inf if math.isnan(high) else high)
 
     def _in_field(self, angles: Array) -> Mask:
-        """Return (n,) which beams the limits of the angle let through."""
+        """Return (n,) which beams are within the limits of the angle."""
         # Beams of a full turn may be given as 0 to 2 pi: compare directions, not numbers.
         field = self.angle_max - self.angle_min
         turned = np.mod(angles - self.angle_min, 2.0 * np.pi)

@@ -21,7 +21,7 @@ from impslam.types import Message, TrueLandmark
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """One stream in a log, as `imp inspect` shows it.
+    """One stream of a log, as shown by `imp inspect`.
 
     Attributes
     ----------
@@ -43,13 +43,13 @@ class Stream:
 
 @dataclass(slots=True)
 class Problems:
-    """What was wrong: a count and the first example of each kind of problem."""
+    """Problems of a log or run: the count and first example of each kind."""
 
     counts: dict[str, int] = field(default_factory=dict)
     examples: dict[str, str] = field(default_factory=dict)
 
     def add(self, kind: str, example: str, count: int = 1) -> None:
-        """Count problems of a kind; `example` says of the first what, where and what to do."""
+        """Count problems of a kind; `example` describes the first one: what, where, what to do."""
         self.counts[kind] = self.counts.get(kind, 0) + count
         self.examples.setdefault(kind, example)
 
@@ -78,7 +78,7 @@ class Source(Component):
     @classmethod
     @abstractmethod
     def recognises(cls, path: Path) -> bool:
-        """Tell from the content, not the name, whether this is a log of this format."""
+        """Return whether the content (not the name) is a log of this format."""
 
     @abstractmethod
     def __enter__(self) -> Self:
@@ -146,7 +146,7 @@ class Source(Component):
 
     @abstractmethod
     def streams(self) -> list[Stream]:
-        """Return what is in the log; call it while the source is open."""
+        """Return the streams of the log; the source must be open."""
 
     @property
     def preset(self) -> str:
@@ -155,7 +155,7 @@ class Source(Component):
 
     @property
     def problems(self) -> Problems:
-        """What was dropped so far, and why."""
+        """Data dropped so far, and the reasons."""
         return self._problems
 
     @property
@@ -168,12 +168,12 @@ class Source(Component):
 
     @property
     def position(self) -> int:
-        """How far of `total` the iteration has come."""
+        """Position of the iteration, from 0 to `total`."""
         return 0
 
 
 def recognise(path: Path) -> type[Source]:
-    """Return the source class whose format the path's content has.
+    """Return the source class for the format of a log, recognised from its content.
 
     Raises
     ------

@@ -80,7 +80,8 @@ class Places(NamedTuple):
     ----------
     time : (MOST,) s
     matched, odometry, used : (MOST, 3) as matched, by odometry, and as handed on
-    spread : (MOST, 3, 3) odometry's covariance added up, along the axes of its first place
+    spread : (MOST, 3, 3) covariance of odometry and of matching added up, along the axes of odometry's
+        first place: along a corridor matching tells little
     ring : (2,) number of places forgotten, and of places that ever were
     """
 
@@ -166,7 +167,7 @@ def _check(
         motion, wide = pending.pose.copy(), pending.covariance.copy()
         _widen(wide, pending.clock[0])
         if match(motion, wide, points, known, settings) != UNSOLVED:
-            out[k] = _contradicted(before, motion, places, pending)
+            out[k] = _contradicted(before, motion, wide, places, pending)
             if out[k] and follow:
                 _instead(d_pose[k], covariance[k], before, motion, wide, places)
             elif out[k]:
@@ -195,11 +196,13 @@ def _widen(covariance: Array, seconds: float) -> None:
 
 
 @kernel
-def _contradicted(before: Array, matched: Array, places: Places, pending: Pending) -> bool:
+def _contradicted(
+    before: Array, matched: Array, spread: Array, places: Places, pending: Pending
+) -> bool:
     """Enter a scan that was matched; tell whether it contradicts odometry.
 
     `before` is the pending motion without that of the newest sweep, `matched` all of it as the scans
-    show it. Of `used` the newest motion is still to come.
+    show it, with the covariance `spread`. Of `used` the newest motion is still to come.
     """
     last, new = (places.ring[1] - 1) % MOST, places.ring[1] % MOST
     places.ring[1] += 1
@@ -213,7 +216,8 @@ def _contradicted(before: Array, matched: Array, places: Places, pending: Pendin
         chain[new] = chain[last]
         advance_pose(chain[new], motion)
     places.time[new] = places.time[last] + pending.clock[0]
-    places.spread[new] = places.spread[last] + turned(pending.covariance, places.odometry[last, 2])
+    both = pending.covariance + spread
+    places.spread[new] = places.spread[last] + turned(both, places.odometry[last, 2])
     places.ring[0] = max(places.ring[0], places.ring[1] - MOST)
     while (
         places.ring[1] - places.ring[0] > 2

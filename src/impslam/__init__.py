@@ -23,7 +23,6 @@
 from __future__ import annotations
 
 import importlib
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -40,6 +39,8 @@ _PLACES = {"ImpError": "errors", "Map": "map", "Slam": "slam", "run": "run"}
 def __getattr__(name: str) -> Any:
     """Import what is asked for when it is asked for: the command line needs little of it."""
     if name == "__version__":
+        from importlib.metadata import version  # noqa: PLC0415  25 ms that no command needs
+
         return version("impslam")
     if name not in _PLACES:
         raise AttributeError(f"module 'impslam' has no attribute {name!r}")

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.types import Array
 
@@ -15,9 +16,8 @@ def between(T_a_b: Array, T_a_c: Array, T_b_c: Array) -> None:
     """Fill `T_b_c` (3,), frame c seen from frame b."""
     c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
     x, y = T_a_c[0] - T_a_b[0], T_a_c[1] - T_a_b[1]
-    turn = T_a_c[2] - T_a_b[2]
     T_b_c[0], T_b_c[1] = c * x + s * y, c * y - s * x
-    T_b_c[2] = math.pi - (math.pi - turn) % (2.0 * math.pi)
+    T_b_c[2] = wrap_in_kernel(T_a_c[2] - T_a_b[2])
 
 
 @kernel

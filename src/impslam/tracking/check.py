@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.columns import Motions
+from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.tracking.algebra import between, solve, turned
@@ -47,6 +48,9 @@ Odometry that tells more than happened, or another direction, is left to its own
 bushes, of people or of a long corridor can show anything, but seldom a way that was not gone."""
 LEAST = (0.05, 0.1)
 """m, rad: what has to lack at least; matching is off by less (`SPREAD`, to three sigma)."""
+SPIN = 0.3
+"""rad within 3 s that odometry turns more or less than the scans show: one wheel that stands on a straight
+drive of 4 cm/s, on a track of 0.4 m, tells so much. Scans show turns even along a bare corridor."""
 STRIDE = np.array([0.25, 0.2, 0.2])
 """s, m, rad: a scan is matched when so much has gone by since the last that was. Both motions are compared
 over 3 s, of which these are steps; a scan still overlaps the last one, and its points find their partners
@@ -231,14 +235,16 @@ def _contradicted(
 def _distance2(places: Places) -> float:
     """Return d^T S^-1 d of the two motions from the first place to the newest.
 
-    It is 0 where odometry lacks no good part of the way, or of the turn, that the scans show.
+    It is 0 where odometry lacks no good part of the way or of the turn that the scans show, and tells
+    of no turn that they do not.
     """
     first, new = places.ring[0] % MOST, (places.ring[1] - 1) % MOST
     told, shown, d = np.empty(3), np.empty(3), np.empty(3)
     between(places.odometry[first], places.odometry[new], told)
     between(places.matched[first], places.matched[new], shown)
     way, seen = math.hypot(told[0], told[1]), math.hypot(shown[0], shown[1])
-    if way >= LACKS * seen - LEAST[0] and abs(told[2]) >= LACKS * abs(shown[2]) - LEAST[1]:
+    goes = way >= LACKS * seen - LEAST[0] and abs(told[2]) >= LACKS * abs(shown[2]) - LEAST[1]
+    if goes and abs(wrap_in_kernel(told[2] - shown[2])) < SPIN:
         return 0.0
     between(told, shown, d)
     S = turned(places.spread[new] - places.spread[first], -places.odometry[new, 2])

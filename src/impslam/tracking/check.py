@@ -5,8 +5,9 @@ says it with no covariance, for its noise grows with the way that it tells of. T
 proof that the robot does. Here scans are matched to the last metres with a prior so wide that odometry
 cannot bind it. Over a few seconds the two motions must agree: their difference d has the covariance S of
 odometry and of matching, and d^T S^-1 d is chi-square distributed with three degrees of freedom
-(Bar-Shalom et al. 2001, ch. 5.4). Beyond the gate the scans' motion takes the place of odometry's, from the
-beginning of those seconds on, with a noise that grows with time where scans tell nothing. A robot that
+(Bar-Shalom et al. 2001, ch. 5.4). Only odometry that lacks motion, or tells of a turn that the scans do not
+show, is tested. Beyond the gate the scans' motion replaces odometry's, from the beginning of those seconds
+on. A tracker that matches scans itself gets odometry's motion with a wide covariance instead. A robot that
 stands is not contradicted, so that its covariance does not grow.
 """
 

@@ -14,7 +14,7 @@ from typing import Any, cast
 
 import httpx
 from fastapi import Request
-from nicegui import Client, ui
+from nicegui import Client, core, ui
 
 from impslam.platform.console.accounts import Accounts, write_private
 from impslam.platform.console.model import Model
@@ -82,6 +82,21 @@ class Running:
         return httpx.Client(
             base_url=self.origin, verify=self.verify, timeout=10.0, trust_env=False, **options
         )
+
+    def close_pages(self) -> None:
+        """Delete every page, also those that nicegui would delete when their socket stays away."""
+        done = threading.Event()
+
+        def close() -> None:
+            for page in list(Client.instances.values()):
+                for task in page._delete_tasks.values():
+                    task.cancel()
+                page.delete()
+            done.set()
+
+        assert core.loop is not None
+        core.loop.call_soon_threadsafe(close)
+        assert done.wait(10.0)
 
     @contextlib.contextmanager
     def logged_in(self, password: str = DRIVE) -> Iterator[httpx.Client]:

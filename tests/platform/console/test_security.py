@@ -38,7 +38,7 @@ def served(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def calm(served):
     """Every test begins with nothing counted, no page open and nobody waiting."""
-    Client.instances.clear()
+    served.close_pages()
     served.server.authenticator.refusals.flush(everything=True)
     served.clock.ahead += FORGET
 

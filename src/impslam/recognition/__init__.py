@@ -1,0 +1,1 @@
+"""Places seen before: found by search, and verified by what the scans contradict."""

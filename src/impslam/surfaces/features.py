@@ -1,0 +1,115 @@
+"""Points of a scan with the normals of the surfaces they lie on."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from impslam.geometry.kernels import kernel
+from impslam.types import Array, Mask, Scan
+
+Features: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
+"""(n, 5) x, y in m; the unit normal on the lidar's side; and the weight of that normal.
+
+The weight is 1 on a surface, 0.5 at its end, where neighbours lie on one side only, and 0 where there
+is no surface: the normal is then meaningless. Rows are in beam order.
+"""
+
+REACH = (
+    0.25  # m on either side that a normal is fitted to: long against the noise of a beam, 1 to 3 cm
+)
+BEAMS = 8  # neighbours on either side at most: close to the lidar, more of them tell nothing new
+GAP, STEPS = 0.12, 6.0  # m, and beam spacings: neighbours farther apart lie on two surfaces
+LONGEST = 0.8  # m: and so do any farther apart than this
+GRAZING = 0.12  # cosine of incidence (83 degrees): beyond, the beam's width smears the range
+FLAT, ROUGH = (
+    0.05,
+    4e-4,
+)  # scatter across a surface: below this share of that along it, plus (2 cm)^2
+
+
+def features(scan: Scan, thin: float) -> Features:
+    """Return the features of a scan, each at least `thin` m from the last one kept, in base_link."""
+    out = np.empty((len(scan.ranges), 5), np.float32)
+    spacing = beam_spacing(scan.angles)
+    count = find_features(scan.points, scan.valid, scan.ranges, scan.origins, spacing, thin, out)
+    return out[:count].copy()
+
+
+def beam_spacing(angles: Array) -> float:
+    """Return the mean angle between neighbouring beams, rad."""
+    return abs(float(angles[-1] - angles[0])) / max(len(angles) - 1, 1)
+
+
+@kernel
+def find_features(
+    points: Array,
+    valid: Mask,
+    ranges: Array,
+    origins: Array,
+    spacing: float,
+    thin: float,
+    out: Features,
+) -> int:
+    """Fill `out` (n, 5) with the features of n beams; return how many there are.
+
+    points, origins (n, 2) are each beam's end and start, in one frame; `spacing` is the angle between
+    neighbouring beams.
+    """
+    count, last = 0, -1
+    for i in range(len(points)):
+        if not valid[i]:
+            continue
+        x, y = points[i, 0], points[i, 1]
+        if last >= 0 and (points[last, 0] - x) ** 2 + (points[last, 1] - y) ** 2 < thin * thin:
+            continue
+        last = i
+        out[count, 0], out[count, 1] = x, y
+        nx, ny, weight = _normal(points, valid, ranges, origins, spacing, i)
+        out[count, 2], out[count, 3], out[count, 4] = nx, ny, weight
+        count += 1
+    return count
+
+
+@kernel
+def _normal(
+    points: Array, valid: Mask, ranges: Array, origins: Array, spacing: float, i: int
+) -> tuple[float, float, float]:
+    """Return the normal at point i and its weight: the minor axis of its neighbours' scatter."""
+    x, y = points[i, 0], points[i, 1]
+    n, ends = 1.0, 0
+    sx = sy = xx = xy = yy = 0.0
+    for step in (-1, 1):
+        before = i
+        for k in range(1, BEAMS + 1):
+            j = i + step * k
+            if j < 0 or j >= len(points) or not valid[j]:
+                break
+            gap = max(GAP, STEPS * min(ranges[j], ranges[before]) * spacing)
+            apart2 = (points[j, 0] - points[before, 0]) ** 2 + (
+                points[j, 1] - points[before, 1]
+            ) ** 2
+            if apart2 > min(gap, LONGEST) ** 2:
+                break
+            dx, dy = points[j, 0] - x, points[j, 1] - y
+            if k > 1 and dx * dx + dy * dy > REACH * REACH:
+                break
+            n, sx, sy = n + 1.0, sx + dx, sy + dy
+            xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
+            before = j
+        ends += before == i
+    if n < 3.0:
+        return 0.0, 0.0, 0.0
+    xx, xy, yy = xx / n - (sx / n) ** 2, xy / n - sx * sy / n**2, yy / n - (sy / n) ** 2
+    mean, half = 0.5 * (xx + yy), 0.5 * math.sqrt((xx - yy) ** 2 + 4.0 * xy * xy)
+    angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
+    nx, ny = -math.sin(angle), math.cos(angle)
+    towards = (nx * (origins[i, 0] - x) + ny * (origins[i, 1] - y)) / ranges[i]
+    if towards < 0.0:
+        nx, ny, towards = -nx, -ny, -towards
+    flat = mean - half < FLAT * (mean + half) + ROUGH
+    if not flat or towards <= GRAZING:
+        return nx, ny, 0.0
+    return nx, ny, 0.5 if ends else 1.0

@@ -3,7 +3,7 @@
 Each surface element (surfel) keeps the mean of the points that fell into its cell, and their mean
 normal. The grid finds the surfel for a point with one look-up, and the surfel gives the distance below
 the size of a cell. Points are weighed by the squared Geman-McClure weight, whose scale narrows while the
-pose settles; a wide Gaussian or Cauchy prior holds what the surfaces leave open (Censi 2008 for the
+pose settles; a prior holds what the surfaces leave open (Censi 2008 for the
 point-to-line error; Chebrolu et al. 2021 for narrowing kernels). Poses are [x, y, theta] with additive
 errors.
 """
@@ -22,7 +22,13 @@ from impslam.types import Array, Ints
 
 CELL = 0.05  # m: two surfels of one wall lie in neighbouring cells
 REACH = 8  # cells: a point finds a surfel up to 0.4 m away
+FACING = 0.6  # cosine of 53 degrees: normals farther apart belong to two surfaces
+LONE, ODD = (
+    0.2,
+    0.1,
+)  # weight of a point without surface, and of one whose surfel has one, or reversely
 _X, _Y, _NX, _NY, _COUNT, _WEIGHT, _X0, _Y0 = range(8)
+_INSIDE, _INLIERS, _SQUARES, _WEIGHTS = range(4)
 
 
 class SurfaceMap(NamedTuple):
@@ -34,14 +40,14 @@ class SurfaceMap(NamedTuple):
     closeness : (h, w) uint8, `REACH**2 + 1` minus the squared distance to that surfel's cell, in cells
     surfels : (n, 8) x, y of the mean point, normal, number of points, weight of the normal, and the
         point that founded it
-    count : (1,) number of surfels
+    size : (1,) number of surfels
     corner : (2,) m, the lower left corner of the grid
     """
 
     nearest: np.ndarray[tuple[int, ...], np.dtype[np.int32]]
     closeness: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
     surfels: Array
-    count: Ints
+    size: Ints
     corner: Array
 
 
@@ -54,6 +60,8 @@ class Alignment(NamedTuple):
     wide, narrow : m, scale of the robust kernel at the start and at the end
     information : 1/m^2, of the distance of one point
     step : every step-th feature is used
+    slack2 : squared Mahalanobis distance from the prior, beyond which it counts for less and less
+        (Cauchy); inf: never
     """
 
     iterations: int
@@ -61,6 +69,27 @@ class Alignment(NamedTuple):
     narrow: float
     information: float
     step: int
+    slack2: float
+
+
+class Evidence(NamedTuple):
+    """What the points of a scan say of its pose, in units of one point.
+
+    Attributes
+    ----------
+    H, g : (3, 3), (3,) of the normal equations
+    sums : (4,) points on the grid; the sum of their inlier weights, by Geman and McClure; over the
+        points on surfaces, the weighted sum of squared distances, m^2, and that of the weights
+    """
+
+    H: Array
+    g: Array
+    sums: Array
+
+
+def no_evidence() -> Evidence:
+    """Return room for the evidence of a scan."""
+    return Evidence(np.zeros((3, 3)), np.zeros(3), np.zeros(4))
 
 
 def empty_surface_map(width: float, height: float, surfels: int) -> SurfaceMap:
@@ -79,14 +108,14 @@ def empty_surface_map(width: float, height: float, surfels: int) -> SurfaceMap:
 def clear(known: SurfaceMap, corner: Array) -> None:
     """Remove all surfels, and move the grid's corner (2,) m."""
     height, width = known.nearest.shape
-    for k in range(known.count[0]):
+    for k in range(known.size[0]):
         column = int((known.surfels[k, _X0] - known.corner[0]) / CELL)
         row = int((known.surfels[k, _Y0] - known.corner[1]) / CELL)
         for r in range(max(0, row - REACH), min(height, row + REACH + 1)):
             for c in range(max(0, column - REACH), min(width, column + REACH + 1)):
                 known.nearest[r, c] = 0
                 known.closeness[r, c] = 0
-    known.count[0] = 0
+    known.size[0] = 0
     known.corner[:] = corner
 
 
@@ -111,11 +140,11 @@ def add(known: SurfaceMap, features: Features, pose: Array, most: float) -> None
         weight = float(features[i, 4])
         if known.closeness[row, column] == REACH * REACH + 1:
             _refresh(known.surfels[known.nearest[row, column] - 1], x, y, nx, ny, weight, most)
-        elif known.count[0] < len(known.surfels):
-            surfel = known.surfels[known.count[0]]
+        elif known.size[0] < len(known.surfels):
+            surfel = known.surfels[known.size[0]]
             surfel[_X], surfel[_Y], surfel[_NX], surfel[_NY] = x, y, nx, ny
             surfel[_COUNT], surfel[_WEIGHT], surfel[_X0], surfel[_Y0] = 1.0, weight, x, y
-            known.count[0] += 1
+            known.size[0] += 1
             _found(known, row, column)
 
 
@@ -127,7 +156,7 @@ def _found(known: SurfaceMap, row: int, column: int) -> None:
             close = REACH * REACH + 1 - dr * dr - dc * dc
             if close > known.closeness[row + dr, column + dc]:
                 known.closeness[row + dr, column + dc] = close
-                known.nearest[row + dr, column + dc] = known.count[0]
+                known.nearest[row + dr, column + dc] = known.size[0]
 
 
 @kernel
@@ -154,26 +183,14 @@ def _refresh(
 
 @kernel
 def normal_equations(
-    known: SurfaceMap,
-    features: Features,
-    pose: Array,
-    scale: float,
-    step: int,
-    H: Array,
-    g: Array,
-    residual: Array,
-) -> float:
-    """Fill H (3, 3) and g (3,) of the robust distances at a pose (3,), in units of one point.
-
-    residual (2,) is filled with the weighted sum of squared distances to surfaces, m^2, and the sum of
-    their weights. Returns the inlier share: the mean Geman-McClure weight of the points on the grid.
-    """
+    known: SurfaceMap, features: Features, pose: Array, scale: float, step: int, out: Evidence
+) -> None:
+    """Fill `out` with what every `step`-th feature says of a pose (3,); `scale` m is the kernel's."""
     height, width = known.nearest.shape
     c, s = math.cos(pose[2]), math.sin(pose[2])
     reach = min(float(REACH), max(3.0 * scale / CELL, 2.0))
     least = REACH * REACH + 1 - reach * reach
-    xx = xy = xt = yy = yt = tt = gx = gy = gt = inliers = squares = weights = 0.0
-    inside = 0
+    out.H[:], out.g[:], out.sums[:] = 0.0, 0.0, 0.0
     for i in range(0, len(features), step):
         rx = c * features[i, 0] - s * features[i, 1]
         ry = s * features[i, 0] + c * features[i, 1]
@@ -181,39 +198,45 @@ def normal_equations(
         v = (pose[1] + ry - known.corner[1]) / CELL
         if u < 0.0 or v < 0.0 or u >= width or v >= height:
             continue
-        inside += 1
+        out.sums[_INSIDE] += 1.0
         k = known.nearest[int(v), int(u)] - 1
         if k < 0 or known.closeness[int(v), int(u)] < least:
             continue
-        ex, ey = pose[0] + rx - known.surfels[k, _X], pose[1] + ry - known.surfels[k, _Y]
-        on, weight = known.surfels[k, _WEIGHT], float(features[i, 4])
-        if on > 0.0 and weight > 0.0:
-            nx, ny = known.surfels[k, _NX], known.surfels[k, _NY]
-            mx = c * features[i, 2] - s * features[i, 3]
-            my = s * features[i, 2] + c * features[i, 3]
-            if mx * nx + my * ny < 0.6:  # 53 degrees: another surface
+        surfel, weight = known.surfels[k], float(features[i, 4])
+        ex, ey = pose[0] + rx - surfel[_X], pose[1] + ry - surfel[_Y]
+        if surfel[_WEIGHT] > 0.0 and weight > 0.0:
+            nx, ny = surfel[_NX], surfel[_NY]
+            along = c * (features[i, 2] * nx + features[i, 3] * ny)
+            along += s * (features[i, 2] * ny - features[i, 3] * nx)
+            if along < FACING:
                 continue
-            distance, lever = nx * ex + ny * ey, ny * rx - nx * ry
+            distance = nx * ex + ny * ey
             share = 1.0 / (1.0 + (distance / scale) ** 2)
-            w = on * weight * share * share
-            xx, xy, xt = xx + w * nx * nx, xy + w * nx * ny, xt + w * nx * lever
-            yy, yt, tt = yy + w * ny * ny, yt + w * ny * lever, tt + w * lever * lever
-            e = w * distance
-            gx, gy, gt = gx + e * nx, gy + e * ny, gt + e * lever
-            squares += share * share * distance * distance
-            weights += share * share
+            _weigh(out, nx, ny, ny * rx - nx * ry, distance, surfel[_WEIGHT] * weight * share**2)
+            out.sums[_SQUARES] += share * share * distance * distance
+            out.sums[_WEIGHTS] += share * share
         else:
             share = 1.0 / (1.0 + (ex * ex + ey * ey) / (scale * scale))
-            w = (0.2 if on == weight else 0.1) * share * share
-            xx, yy, xt, yt = xx + w, yy + w, xt - w * ry, yt + w * rx
-            tt += w * (rx * rx + ry * ry)
-            gx, gy, gt = gx + w * ex, gy + w * ey, gt + w * (rx * ey - ry * ex)
-        inliers += share
-    H[0, 0], H[0, 1], H[0, 2], H[1, 1], H[1, 2], H[2, 2] = xx, xy, xt, yy, yt, tt
-    H[1, 0], H[2, 0], H[2, 1] = xy, xt, yt
-    g[0], g[1], g[2] = gx, gy, gt
-    residual[0], residual[1] = squares, weights
-    return inliers / max(inside, 1)
+            w = (LONE if surfel[_WEIGHT] == weight else ODD) * share * share
+            _weigh(out, 1.0, 0.0, -ry, ex, w)
+            _weigh(out, 0.0, 1.0, rx, ey, w)
+        out.sums[_INLIERS] += share
+    out.H[1, 0], out.H[2, 0], out.H[2, 1] = out.H[0, 1], out.H[0, 2], out.H[1, 2]
+
+
+@kernel
+def _weigh(out: Evidence, nx: float, ny: float, lever: float, distance: float, w: float) -> None:
+    """Add the row (nx, ny, lever) with a residual of `distance` m and weight w."""
+    H, g = out.H, out.g
+    H[0, 0] += w * nx * nx
+    H[0, 1] += w * nx * ny
+    H[0, 2] += w * nx * lever
+    H[1, 1] += w * ny * ny
+    H[1, 2] += w * ny * lever
+    H[2, 2] += w * lever * lever
+    g[0] += w * nx * distance
+    g[1] += w * ny * distance
+    g[2] += w * lever * distance
 
 
 @kernel
@@ -222,31 +245,24 @@ def align(
     features: Features,
     pose: Array,
     prior: Array,
-    kernel_scale2: float,
     how: Alignment,
-    H: Array,
-    residual: Array,
+    out: Evidence,
 ) -> float:
     """Move pose (3,) in place to where the features fit the map best, and return the inlier share.
 
-    prior (3,) is the information of the pose as given, 1/m^2, 1/m^2 and 1/rad^2; errors beyond
-    sqrt(kernel_scale2) standard deviations count for less and less (Cauchy). H (3, 3) becomes the
-    information from the scan alone; for residual see `normal_equations`.
+    prior (3,) is the information of the pose as given, 1/m^2, 1/m^2 and 1/rad^2; see `Alignment.slack2`.
+    `out` becomes what the scan alone says of the pose that is returned.
     """
-    given = pose.copy()
-    g, A = np.empty(3), np.empty((3, 3))
-    share = 0.0
+    given, g, A = pose.copy(), np.empty(3), np.empty((3, 3))
     for i in range(how.iterations):
         narrowing = min(1.0, i / (0.5 * how.iterations))
         scale = how.wide * (how.narrow / how.wide) ** narrowing
-        share = normal_equations(known, features, pose, scale, how.step, H, g, residual)
-        H *= how.information
-        g *= how.information
+        normal_equations(known, features, pose, scale, how.step, out)
         ex, ey = pose[0] - given[0], pose[1] - given[1]
         et = wrap_in_kernel(pose[2] - given[2])
         chi2 = prior[0] * ex * ex + prior[1] * ey * ey + prior[2] * et * et
-        w = 1.0 / (1.0 + chi2 / kernel_scale2)
-        A[:] = H
+        w = 1.0 / (1.0 + chi2 / how.slack2)
+        A[:], g[:] = how.information * out.H, how.information * out.g
         for a in range(3):
             A[a, a] += w * prior[a]
         g[0] += w * prior[0] * ex
@@ -259,7 +275,7 @@ def align(
         if abs(dx) + abs(dy) < 2e-4 and abs(dt) < 1e-4 and scale == how.narrow:
             break
     pose[2] = wrap_in_kernel(pose[2])
-    return share
+    return float(out.sums[_INLIERS] / max(out.sums[_INSIDE], 1.0))
 
 
 @kernel

@@ -115,6 +115,25 @@ def test_code_is_compiled_anew_where_a_kernel_that_it_calls_has_changed(tmp_path
         assert said.stdout == f"{by} {hits}\n"
 
 
+def test_loaded_code_is_compiled_into_a_new_caller(tmp_path: Path) -> None:
+    package = tmp_path / "joined"
+    package.mkdir()
+    (package / "callee.py").write_text(CALLEE.format(name="add", by=1.0))
+    (package / "caller.py").write_text(CALLER.format(package="joined", name="add"))
+    hits = "print(add.stats.cache_hits.total())"
+    code = "from joined.callee import add; print(add(0.0));" + hits
+    more = "from joined.caller import caller, add; print(add(0.0), caller(1.0));" + hits
+    for words, expected in ((code, "1.0\n0\n"), (more, "1.0 2.0\n1\n"), (more, "1.0 2.0\n1\n")):
+        said = subprocess.run(
+            [sys.executable, "-B", "-c", words],
+            capture_output=True,
+            text=True,
+            check=True,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])},
+        )
+        assert said.stdout == expected
+
+
 def test_loaded_code_imports_no_compiler(tmp_path: Path) -> None:
     """And what is compiled after it can be kept all the same."""
     code = (

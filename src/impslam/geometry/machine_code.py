@@ -1,7 +1,8 @@
 """Where the machine code of kernels is kept between runs, and how it is loaded in little time.
 
 numba's own cache knows the file of a function, not the kernels of other files that are compiled into
-it; and it loads machine code as if it were to compile: 0.3 s of imports, much of scipy among them.
+it; and it loads machine code as if it were to compile: 0.3 s of imports, much of scipy among them, and
+3 ms a kernel for its bitcode, which only a kernel that calls it is compiled from.
 """
 
 from __future__ import annotations
@@ -17,8 +18,10 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
+from llvmlite import binding
 from numba.core import environment
 from numba.core.caching import FunctionCache
+from numba.core.codegen import JITCodeLibrary
 from numba.core.runtime.nrt import rtsys
 
 
@@ -28,7 +31,7 @@ class MachineCode(FunctionCache):
     The first of these that can be written is used. Code that cannot be kept still runs.
     """
 
-    def load_overload(self, sig: object, target_context: object) -> object:
+    def load_overload(self, sig: object, target_context: Any) -> object:
         """Return a function compiled before from the same source, or None.
 
         Machine code needs the runtime alone. Where there is none, numba imports the rest itself when
@@ -36,7 +39,11 @@ class MachineCode(FunctionCache):
         """
         self._cache_file._source_stamp = source_stamp(self._py_func)
         rtsys.initialize(target_context)
-        with self._guard_against_spurious_io_errors(), _bare_environments():
+        with (
+            self._guard_against_spurious_io_errors(),
+            _bare_environments(),
+            _ready_libraries(target_context.codegen()),
+        ):
             return self._load_overload(sig, target_context)
 
     def save_overload(self, sig: object, data: object) -> None:
@@ -108,3 +115,40 @@ def _rebuild_bare(module: str, constants: list[object], name: str) -> object:
     bare.env_name = name
     environment.Environment._memo[name] = bare
     return bare
+
+
+@contextmanager
+def _ready_libraries(codegen: Any) -> Iterator[None]:
+    """Load machine code as it was kept, and its bitcode when a kernel that calls it is compiled."""
+    codegen._library_class = _ReadyLibrary
+    try:
+        yield
+    finally:
+        del codegen._library_class  # that of the class again
+
+
+class _ReadyLibrary(JITCodeLibrary):
+    """The machine code of one kernel and of what it calls."""
+
+    _bitcode: bytes
+
+    @classmethod
+    def _unserialize(cls, codegen: Any, state: tuple[str, str, tuple[bytes, bytes]]) -> Any:
+        name, _, (machine_code, bitcode) = state
+        library = cls(codegen, name)
+        library._bitcode = bitcode
+        library.enable_object_caching()
+        library._set_compiled_object(machine_code)
+        library._finalize_final_module()
+        return library
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return the address of a kernel or of its wrapper for Python, which are always there."""
+        address: int = self._codegen._engine.get_function_address(name)
+        return address
+
+    def _get_module_for_linking(self) -> Any:
+        if self._shared_module is None:
+            self._shared_module = binding.parse_bitcode(self._bitcode)
+            self._codegen._engine._load_defined_symbols(self._shared_module)
+        return self._shared_module

@@ -1,0 +1,129 @@
+"""Neighbouring keyframes as one value: their points in one frame, and the free space they saw."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from impslam.geometry.kernels import kernel
+from impslam.geometry.se2 import between, compose
+from impslam.surfaces.features import Features, features
+from impslam.types import Array, Ints, Scan
+
+Floats: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
+
+BEARINGS = 180  # bins of 2 degrees: at least one beam of a common lidar (0.25 to 1 degree) in each
+FARTHEST = 28.0  # m: there a bin is 1 m wide, and what stands between two beams stays unseen
+_NONE = np.iinfo(np.int64).min  # of a hash table: this entry is empty
+
+
+class View(NamedTuple):
+    """What a keyframe saw, in its base_link.
+
+    Attributes
+    ----------
+    features : (n, 5), see `impslam.surfaces.features`
+    laser : (2,) m, where the lidar was
+    free : (BEARINGS,) m, how far from the lidar space is free; 0 where nothing is known of it. Bin b
+        begins at the direction -pi + b * 2 pi / BEARINGS of base_link.
+    """
+
+    features: Features
+    laser: Array
+    free: Floats
+
+
+class Submap(NamedTuple):
+    """What several keyframes saw, in one frame.
+
+    Attributes
+    ----------
+    features : (n, 5), at most one in each cell
+    vantages : (k, 3) where the lidar was, and the heading of base_link
+    free : (k, BEARINGS) m, see `View.free`
+    """
+
+    features: Features
+    vantages: Array
+    free: Floats
+
+
+def view(scan: Scan, thin: float = 0.04) -> View:
+    """Return what a scan saw; its features lie at least `thin` m apart."""
+    return View(features(scan, thin), scan.laser[:2].copy(), free_ranges(scan))
+
+
+def free_ranges(scan: Scan) -> Floats:
+    """Return the nearest range (BEARINGS,) m for each bearing: up to it, space is free.
+
+    A beam without a valid range tells nothing (an absorbing surface and open space look alike), nor
+    does any other one of its bin.
+    """
+    offsets = scan.points - scan.laser[:2]
+    ranges = np.where(scan.valid, np.minimum(np.hypot(offsets[:, 0], offsets[:, 1]), FARTHEST), 0.0)
+    bearings = np.where(scan.valid, np.arctan2(offsets[:, 1], offsets[:, 0]), scan.directions)
+    bins = np.floor((bearings + math.pi) * (BEARINGS / (2.0 * math.pi))).astype(np.int64) % BEARINGS
+    table = np.full(BEARINGS, np.inf, np.float32)
+    np.minimum.at(table, bins, ranges.astype(np.float32))
+    table[np.isinf(table)] = 0.0
+    return table
+
+
+def gather(
+    views: Sequence[View], poses: Array, frame: Array, cell: float, reach: float = math.inf
+) -> Submap:
+    """Return keyframes at poses (k, 3) seen from a frame (3,), all in map.
+
+    The first feature in each cell of `cell` m is kept, of those up to `reach` m from the frame.
+    """
+    poses = between(frame, poses)
+    rows = np.concatenate([v.features for v in views])
+    ends = np.cumsum([len(v.features) for v in views], dtype=np.int64)
+    out = np.empty_like(rows)
+    count = _merge(rows, ends, poses, cell, reach, out)
+    offsets = np.zeros((len(views), 3))
+    offsets[:, :2] = [v.laser for v in views]
+    return Submap(out[:count].copy(), compose(poses, offsets), np.stack([v.free for v in views]))
+
+
+@kernel
+def _merge(
+    rows: Features, ends: Ints, poses: Array, cell: float, reach: float, out: Features
+) -> int:
+    """Fill `out` with rows moved by their keyframes' poses, one in a cell; return their number."""
+    size = 16
+    while size < 2 * len(rows):
+        size *= 2
+    table = np.full(size, _NONE)
+    count, i = 0, 0
+    for k in range(len(ends)):
+        c, s = math.cos(poses[k, 2]), math.sin(poses[k, 2])
+        while i < ends[k]:
+            row = rows[i]
+            i += 1
+            x, y = poses[k, 0] + c * row[0] - s * row[1], poses[k, 1] + s * row[0] + c * row[1]
+            if x * x + y * y > reach * reach:
+                continue
+            if not _enter(table, math.floor(x / cell), math.floor(y / cell)):
+                continue
+            out[count, 0], out[count, 1], out[count, 4] = x, y, row[4]
+            out[count, 2], out[count, 3] = c * row[2] - s * row[3], s * row[2] + c * row[3]
+            count += 1
+    return count
+
+
+@kernel
+def _enter(table: Ints, column: int, row: int) -> bool:
+    """Enter a cell into a hash table (Teschner et al. 2003); False where it is there already."""
+    mask = len(table) - 1
+    key = (column << 32) + row
+    at = ((column * 73856093) ^ (row * 19349663)) & mask
+    while table[at] != _NONE:
+        if table[at] == key:
+            return False
+        at = (at + 1) & mask
+    table[at] = key
+    return True

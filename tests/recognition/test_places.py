@@ -1,0 +1,126 @@
+"""Places are found exactly, whatever the guess; what is not one place is refused."""
+
+import math
+
+import numpy as np
+import pytest
+from tests.recognition.plans import (
+    CORRIDOR,
+    OFFICE,
+    QUERY_CELL,
+    REFERENCE_CELL,
+    moved,
+    place,
+    walls,
+    way,
+)
+
+from impslam.geometry.se2 import between, compose
+from impslam.recognition.correlative import Window
+from impslam.recognition.places import Recogniser
+from impslam.recognition.verify import Verdict
+
+THERE, BACK = way(-6.0, -0.3, 5.0, -0.2, 12), way(1.5, 0.2, -0.5, 0.1, 5)
+REFERENCE = place(OFFICE, THERE, THERE[6], REFERENCE_CELL)
+QUERY = place(OFFICE, BACK, BACK[2], QUERY_CELL, seed=1)
+TRUTH = between(THERE[6], BACK[2])
+
+
+def assert_at(closure, truth, metres=0.02, radians=0.004):
+    assert closure is not None
+    x, y, heading = between(truth, closure.pose)
+    assert math.hypot(x, y) < metres
+    assert abs(heading) < radians
+
+
+@pytest.mark.parametrize("size", [0.5, 1.2, 4.0, 8.0])
+def test_the_pose_is_found_from_anywhere_in_the_window(size, rng):
+    recogniser = Recogniser()
+    for _ in range(20):
+        half = np.array([size, size, min(0.1 * size, 0.5)])
+        guess = TRUTH + half * rng.uniform(-0.95, 0.95, 3)
+        closure = recogniser.close(REFERENCE, QUERY, guess, Window(*half))
+        assert_at(closure, TRUTH)
+        assert closure.verdict == Verdict.STRONG
+        assert np.linalg.eigvalsh(closure.information)[0] > 0.0
+
+
+def test_the_pose_is_found_without_any_guess():
+    closure = Recogniser().close(REFERENCE, QUERY, np.zeros(3), Window(15.0, 8.0, math.pi))
+    assert_at(closure, TRUTH)
+
+
+def test_frames_do_not_matter(rng):
+    for _ in range(5):
+        T, U = (rng.uniform([-30, -30, -3], [30, 30, 3]) for _ in range(2))
+        truth = compose(compose(T, TRUTH), np.zeros(3))
+        reference = moved(REFERENCE, T)
+        query = moved(QUERY, np.array([0.0, 0.0, U[2]]))
+        truth = compose(truth, np.array([0.0, 0.0, -U[2]]))
+        guess = truth + np.array([1.0, -0.8, 0.1])
+        assert_at(Recogniser().close(reference, query, guess, Window(2.0, 2.0, 0.3)), truth)
+
+
+def test_a_corridor_is_ambiguous():
+    there, back = way(-3.0, 0.0, 3.0, 0.0, 8), way(1.0, 0.1, -1.0, 0.1, 5)
+    reference = place(CORRIDOR, there, there[4], REFERENCE_CELL)
+    query = place(CORRIDOR, back, back[2], QUERY_CELL, seed=1)
+    recogniser = Recogniser()
+    guess = between(there[4], back[2]) + np.array([1.0, 0.0, 0.0])
+    assert recogniser.close(reference, query, guess, Window(4.0, 4.0, 0.3)) is None
+    assert recogniser.counts["ambiguous"] == 1
+
+
+def test_a_corridor_leaves_open_where_along_it():
+    there, back = way(-3.0, 0.0, 3.0, 0.0, 8), way(1.0, 0.1, -1.0, 0.1, 5)
+    reference = place(CORRIDOR, there, there[4], REFERENCE_CELL)
+    query = place(CORRIDOR, back, back[2], QUERY_CELL, seed=1)
+    truth = between(there[4], back[2])
+    closure = Recogniser().close(reference, query, truth, Window(0.4, 0.4, 0.1))
+    along, across = closure.information[0, 0], closure.information[1, 1]
+    assert across > 100.0 * along
+
+
+def test_a_place_that_looks_partly_alike_is_refused():
+    """The same room, but for a wall where the query saw free space."""
+    divided = np.concatenate([OFFICE, walls([0.3, -1.5, 0.3, 1.0], [-2.5, -1.5, -2.5, 1.0])])
+    there = way(-2.0, -0.3, 0.0, -0.2, 6)
+    reference = place(divided, there, there[3], REFERENCE_CELL)
+    recogniser = Recogniser()
+    truth = between(there[3], BACK[2])
+    for size in (0.4, 2.0):
+        assert recogniser.close(reference, QUERY, truth, Window(size, size, 0.2)) is None
+    assert recogniser.counts["contradicted"] + recogniser.counts["no peak"] == 2
+
+
+@pytest.mark.parametrize("size", [0.5, 3.0])
+def test_a_true_place_half_hidden_is_found(size):
+    """People stand around the robot, and the reference was seen from the other end."""
+    people = np.array([[0.9, 0.9, 0.2], [0.6, -0.7, 0.2], [-0.4, 0.8, 0.15], [1.9, -0.9, 0.25]])
+    query = place(OFFICE, BACK, BACK[2], QUERY_CELL, circles=people, seed=2)
+    there = way(-5.0, -0.3, -1.0, -0.2, 8)
+    reference = place(OFFICE, there, there[5], REFERENCE_CELL)
+    truth = between(there[5], BACK[2])
+    guess = truth + 0.5 * np.array([size, -size, 0.1])
+    closure = Recogniser().close(reference, query, guess, Window(size, size, 0.2))
+    assert_at(closure, truth, 0.03, 0.006)
+
+
+def test_results_are_the_same_to_the_byte_whatever_came_before(rng):
+    used = Recogniser()
+    for _ in range(3):
+        guess = TRUTH + rng.uniform(-1.0, 1.0, 3) * [2.0, 2.0, 0.2]
+        window = Window(2.5, 2.5, 0.3)
+        used.close(moved(REFERENCE, rng.normal(size=3)), QUERY, guess, window)
+        first = used.close(REFERENCE, QUERY, guess, window)
+        again = Recogniser().close(REFERENCE, QUERY, guess, window)
+        assert first.pose.tobytes() == again.pose.tobytes()
+        assert first.information.tobytes() == again.information.tobytes()
+        assert (first.support, first.score) == (again.support, again.score)
+
+
+def test_too_few_points_are_counted():
+    recogniser = Recogniser()
+    few = QUERY._replace(features=QUERY.features[:59].copy())
+    assert recogniser.close(REFERENCE, few, TRUTH, Window(1.0, 1.0, 0.1)) is None
+    assert recogniser.counts["attempts"] == recogniser.counts["too few points"] == 1

@@ -217,10 +217,11 @@ class Map:
         """Return the current estimate of the path with covariances."""
         keyframes = self.keyframes
         poses, covariances = hang(
-            keyframes.poses[self.anchors],
-            keyframes.covariances[self.anchors],
+            keyframes.poses,
+            keyframes.covariances,
+            self.anchors,
             self.T_anchor_base,
-            self.track_covariances[:, SYMMETRIC].reshape(-1, 3, 3),
+            self.track_covariances,
         )
         return PathRows(self.stamps, poses, covariances, self.odometry_poses)
 
@@ -272,15 +273,24 @@ class Map:
 
 @kernel
 def hang(
-    anchors: Array, anchor_covariances: Array, T_anchor_base: Array, covariances: Array
+    keyframes: Array, spreads: Array, anchors: Ints, T_anchor_base: Array, covariances: Array
 ) -> tuple[Array, Array]:
     """Return `T_map_base` (m, 3) and its covariance (m, 3, 3) to first order.
 
-    anchors (m, 3) are `T_map_anchor`; the errors of both parts are independent and additive.
+    keyframes (k, 3) and spreads (k, 3, 3) are `T_map_keyframe`, of which anchors (m,) are the rows;
+    covariances (m, 6) are of `T_anchor_base`, in the order of `UPPER`. The errors of both parts are
+    independent and additive.
     """
-    poses, out = anchors.copy(), anchor_covariances.copy()
+    poses, out, motion = (
+        np.empty((len(anchors), 3)),
+        np.empty((len(anchors), 3, 3)),
+        np.empty((3, 3)),
+    )
     for k in range(len(anchors)):
-        advance(poses[k], out[k], T_anchor_base[k], covariances[k])
+        poses[k], out[k] = keyframes[anchors[k]], spreads[anchors[k]]
+        for i in range(9):
+            motion[i // 3, i % 3] = covariances[k, SYMMETRIC[i]]
+        advance(poses[k], out[k], T_anchor_base[k], motion)
     return poses, out
 
 

@@ -7,9 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
 from impslam.map import UPPER, Keyframe, Keyframes, Map, PathRows, Revision, Track, hang
 from impslam.types import Array, Landmark, Mask, Scan
+
+_DISTINCT = np.ravel_multi_index(UPPER, (3, 3))
+"""Where the entries of `UPPER` are in a matrix's nine."""
 
 
 class _Column:
@@ -22,9 +26,9 @@ class _Column:
     def __len__(self) -> int:
         return self._count
 
-    def append(self, rows: npt.NDArray[Any]) -> None:
-        """Append rows (m, ...)."""
-        end = self._count + len(rows)
+    def append(self, rows: npt.ArrayLike, m: int = 1) -> None:
+        """Append m rows (m, ...), or one value to each of m rows."""
+        end = self._count + m
         if end > len(self._rows):
             grown = np.empty(
                 (max(end, 2 * len(self._rows)), *self._rows.shape[1:]), self._rows.dtype
@@ -57,7 +61,7 @@ class MapBuilder:
         self._key_stamps, self._poses, self._pose_covariances = _Column(), _Column(3), _Column(3, 3)
         self._innovations, self._origins = _Column(3), _Column(2)
         self._starts, self._points = _Column(dtype=np.int64), _Column(2, dtype=np.float32)
-        self._starts.append(np.zeros(1, np.int64))
+        self._starts.append(0)
 
     def __len__(self) -> int:
         """Return the number of sweeps."""
@@ -72,10 +76,10 @@ class MapBuilder:
     def revise(self, keyframe: Keyframe, revision: Revision) -> PathRows:
         """Add a keyframe and update revised ones; return the pose at the keyframe's stamp."""
         own = revision.ids == keyframe.id
-        self._key_stamps.append(np.array([keyframe.stamp]))
+        self._key_stamps.append(keyframe.stamp)
         self._poses.append(revision.poses[own])
         self._pose_covariances.append(revision.covariances[own])
-        if not own.all():
+        if len(own) > 1:
             self._poses.replace(revision.ids[~own], revision.poses[~own])
             self._pose_covariances.replace(revision.ids[~own], revision.covariances[~own])
         self._keep(keyframe, revision)
@@ -90,38 +94,40 @@ class MapBuilder:
     def _keep(self, keyframe: Keyframe, revision: Revision) -> None:
         nis = sum(match.distance2 for match in revision.matches)
         dof = sum(len(match.innovation) for match in revision.matches)
-        self._innovations.append(np.array([[len(revision.matches), nis, dof]]))
+        self._innovations.append((len(revision.matches), nis, dof))
         scan = keyframe.scan
         if scan is None:
-            self._origins.append(np.zeros((1, 2)))
+            self._origins.append(0.0)
         else:
-            self._origins.append(scan.laser[None, :2])
-            self._points.append(valid_points(scan))
-        self._starts.append(np.array([len(self._points)]))
+            points = valid_points(scan)
+            self._origins.append(scan.laser[:2])
+            self._points.append(points, len(points))
+        self._starts.append(len(self._points))
 
     def _hang(
         self, anchor: int, stamps: Array, T_anchor_base: Array, covariance: Array, odometry: Array
     ) -> PathRows:
         m = len(stamps)
-        if m == 0:
-            return PathRows(stamps, np.empty((0, 3)), np.empty((0, 3, 3)), odometry)
-        self._stamps.append(stamps)
-        self._anchors.append(np.full(m, anchor))
-        self._T_anchor_base.append(T_anchor_base)
-        self._covariances.append(covariance[:, UPPER[0], UPPER[1]])
-        self._odometry.append(odometry)
-        pose = np.repeat(self._poses.array[anchor][None], m, axis=0)
-        spread = np.repeat(self._pose_covariances.array[anchor][None], m, axis=0)
-        poses, covariances = hang(pose, spread, T_anchor_base, covariance)
-        self._live.append(poses)
+        self._stamps.append(stamps, m)
+        self._anchors.append(anchor, m)
+        self._T_anchor_base.append(T_anchor_base, m)
+        self._covariances.append(covariance.reshape(m, 9).take(_DISTINCT, axis=1), m)
+        self._odometry.append(odometry, m)
+        poses, covariances = self._place(m)
+        self._live.append(poses, m)
         return PathRows(stamps, poses, covariances, odometry)
+
+    def _place(self, m: int) -> tuple[Array, Array]:
+        """Return the poses (m, 3) of the newest sweeps, and their covariances (m, 3, 3)."""
+        new = (self._anchors, self._T_anchor_base, self._covariances)
+        return hang(
+            self._poses.array, self._pose_covariances.array, *(c.array[len(c) - m :] for c in new)
+        )
 
     def locate(self, stamp: float, T: Array, spread: Array, odometry: Array) -> PathRows:
         """Return the pose at `T_keyframe_base` (3,) from the newest keyframe, without storing it."""
-        newest = slice(len(self._poses) - 1, None)
-        poses, covariances = hang(
-            self._poses.array[newest], self._pose_covariances.array[newest], T[None], spread[None]
-        )
+        poses, covariances = self._poses.array[-1:].copy(), self._pose_covariances.array[-1:].copy()
+        advance(poses[0], covariances[0], T, spread)
         return PathRows(np.array([stamp]), poses, covariances, odometry[None])
 
     def keyframes(self) -> Keyframes:

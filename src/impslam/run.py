@@ -6,9 +6,11 @@ estimator revises the map at each keyframe. Observers receive tracks and revisio
 
 from __future__ import annotations
 
+import functools
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import is_dataclass, replace
+from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -146,8 +148,8 @@ class Run:
                         self._revise(self._look(track.keyframe))
 
     def _follow(self, track: Track) -> None:
-        path = self._builder.follow(track)
-        if len(path.stamps):
+        if len(track.stamps):
+            path = self._builder.follow(track)
             _seal(track, path)
             for observer in self._observers:
                 observer.follow(track, path)
@@ -247,10 +249,15 @@ class Run:
 def _seal(*shown: object) -> None:
     """Make the arrays of what observers are shown read-only; those of sweeps stay as they are."""
     for value in shown:
-        for name in value.__dataclass_fields__ if is_dataclass(value) else value._fields:  # type: ignore[attr-defined]
-            array = getattr(value, name)
-            if isinstance(array, np.ndarray):
-                array.flags.writeable = False
+        kind: Any = type(value)
+        for part in _parts_of(kind)(value):
+            if isinstance(part, np.ndarray):
+                part.flags.writeable = False
+
+
+@functools.cache
+def _parts_of(kind: type[Any]) -> Callable[[object], tuple[object, ...]]:
+    return attrgetter(*(getattr(kind, "_fields", None) or kind.__dataclass_fields__))
 
 
 class _Callable(ModuleType):

@@ -10,7 +10,7 @@ import numpy as np
 
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer, Outcome
-from impslam.observers.run_folder import make_run_folder, write_run
+from impslam.observers.run_folder import make_run_folder, write_end
 from impslam.observers.trajectory import TrajectoryWriter
 from impslam.types import Array, TrueLandmark, TruePose
 
@@ -62,4 +62,4 @@ class Recorder(Truth):
     def finish(self, known: Map, outcome: Outcome) -> None:
         """Write what is known only at the end."""
         self._live.finish(known, outcome)
-        write_run(self._folder, known, outcome, self.path, self._known)
+        write_end(self._folder, known, outcome, self.path, self._known)

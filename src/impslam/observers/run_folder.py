@@ -56,28 +56,46 @@ def write_run(
         If a file cannot be written.
     """
     make_run_folder(folder)
+    try:
+        write_tum(folder / LIVE, known.live_path())
+        if len(true_path):
+            write_tum(folder / TRUTH, true_path)
+    except OSError as error:
+        raise _unwritable(folder, error) from None
+    write_end(folder, known, outcome, true_path, true_landmarks)
+    return folder
+
+
+def write_end(
+    folder: Path,
+    known: Map,
+    outcome: Outcome,
+    true_path: Array,
+    true_landmarks: Sequence[TrueLandmark],
+) -> None:
+    """Write the files that are not written while the robot drives; see `write_run`."""
     history, grid = History(known, true_path), known.grid(outcome.config["grid"]["resolution"])
     try:
         write_tum(folder / "trajectory.tum", history.path)
-        write_tum(folder / LIVE, known.live_path())
         write_tum(folder / "odometry.tum", history.odometry)
         _write_table(folder / "trajectory.csv", history)
-        if len(true_path):
-            write_tum(folder / TRUTH, true_path)
         write_landmarks(folder / "landmarks.csv", known.landmarks)
         if true_landmarks:
             write_true_landmarks(folder / TRUE_LANDMARKS, true_landmarks)
         known.save(folder / "map.imp")
         image = map_image(grid)
         write_map(folder, image)
-        facts = summarise(outcome, known, grid.refused)
+        facts = summarise(outcome, history, grid.refused)
         text = json.dumps(facts, indent=2, ensure_ascii=False) + "\n"
         (folder / "summary.json").write_text(text, encoding="utf-8")
         (folder / "config.toml").write_text(config_toml(outcome.config), encoding="utf-8")
         write_report(folder, history, outcome, image, true_landmarks)
     except OSError as error:
-        raise ImpError(f"{folder}: cannot be written ({error.strerror}); choose another") from None
-    return folder
+        raise _unwritable(folder, error) from None
+
+
+def _unwritable(folder: Path, error: OSError) -> ImpError:
+    return ImpError(f"{folder}: cannot be written ({error.strerror}); choose another")
 
 
 _ROW = "%.9f,%.9f,%.9f,%.9f" + 6 * ",%.9e" + "\n"

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from impslam.map import Map
 from impslam.observers.base import Outcome
+from impslam.observers.history import History
 from impslam.provenance import versions
 from impslam.types import Array
 
 
-def summarise(outcome: Outcome, known: Map, refused: int) -> dict[str, Any]:
+def summarise(outcome: Outcome, history: History, refused: int) -> dict[str, Any]:
     """Return the content of summary.json. Values that can differ between equal runs are under "time"."""
-    kinds = Counter(mark.kind for mark in known.landmarks)
+    kinds = Counter(mark.kind for mark in history.known.landmarks)
     return {
         "log": {
             "path": str(outcome.log),
@@ -32,8 +32,8 @@ def summarise(outcome: Outcome, known: Map, refused: int) -> dict[str, Any]:
         "landmarks": dict(sorted(kinds.items())),
         "state_size": outcome.state_size,
         "path_length_m": {
-            "slam": _round(length(known.path()), 6),
-            "odometry": _round(length(known.odometry()), 6),
+            "slam": _round(length(history.path), 6),
+            "odometry": _round(length(history.odometry), 6),
         },
         "health": {
             "unreliable_scans": outcome.health.unreliable,

@@ -10,7 +10,7 @@ from impslam.errors import ImpError
 from impslam.evaluation.tum import TRUTH, tum_rows
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer, Outcome
-from impslam.types import TruePose
+from impslam.types import Array, TruePose
 
 LIVE = "trajectory.live.tum"
 FLUSH = 100
@@ -18,24 +18,26 @@ FLUSH = 100
 
 
 class Rows:
-    """A text file that grows by rows; it is open only while it is written to."""
+    """A text file that grows by poses; it is open only while it is written to."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._pending: list[str] = []
+        self._pending: list[tuple[Array, Array]] = []
         self._count = 0
         _append(path, "", "w")
 
-    def add(self, rows: str, count: int) -> None:
-        """Append so many rows, line ends included."""
-        self._pending.append(rows)
-        self._count += count
+    def add(self, stamps: Array, poses: Array) -> None:
+        """Append poses (m, 3) at stamps (m,), s."""
+        self._pending.append((stamps, poses))
+        self._count += len(stamps)
         if self._count >= FLUSH:
             self.flush()
 
     def flush(self) -> None:
         """Write what is pending."""
-        _append(self.path, "".join(self._pending), "a")
+        if self._pending:
+            stamps, poses = (np.concatenate(part) for part in zip(*self._pending, strict=True))
+            _append(self.path, tum_rows(stamps, poses), "a")
         self._pending.clear()
         self._count = 0
 
@@ -59,18 +61,18 @@ class TrajectoryWriter(Observer):
     def follow(self, track: Track, path: PathRows) -> None:
         """Append the poses of a track."""
         del track
-        self._path.add(tum_rows(path.stamps, path.poses), len(path.stamps))
+        self._path.add(path.stamps, path.poses)
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
         """Append the pose at a keyframe."""
         del keyframe, revision
-        self._path.add(tum_rows(path.stamps, path.poses), 1)
+        self._path.add(path.stamps, path.poses)
 
     def truth(self, pose: TruePose) -> None:
         """Append a true pose."""
         if self._truth is None:
             self._truth = Rows(self._folder / TRUTH)
-        self._truth.add(tum_rows(np.array([pose.stamp]), pose.pose[None]), 1)
+        self._truth.add(np.array([pose.stamp]), pose.pose[None])
 
     def finish(self, known: Map, outcome: Outcome) -> None:
         """Write the last rows."""

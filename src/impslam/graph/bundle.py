@@ -1,0 +1,222 @@
+"""Joint refinement of keyframes: all pairs that overlap, and the graph's edges, in one least squares.
+
+Points of keyframe j lie on the surfaces that keyframe i has seen: each adds its distance to the line
+through the nearest point of i, n . (T_i_j p - q) (point to line, Censi 2008), weighed down by the
+squared Geman-McClure weight, in one Gauss-Newton problem over all poses (Lu and Milios 1997; with
+points in place of a chain of alignments: Borrmann et al. 2008). Errors are additive on [x, y, theta].
+The gates narrow from round to round, as poses settle.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.geometry.angles import wrap_in_kernel
+from impslam.geometry.kernels import kernel, plain
+from impslam.graph.bearings import Fans, Scans, nearest_feature, sort_by_bearing
+from impslam.graph.block_system import (
+    BlockSystem,
+    add_relative,
+    clear_system,
+    empty_system,
+    solve_system,
+)
+from impslam.types import Array, Ints, Mask
+
+
+class Edges(NamedTuple):
+    """Relative poses that are known.
+
+    Attributes
+    ----------
+    i, j : (e,) keyframes
+    T_i_j : (e, 3)
+    information : (e, 3, 3) inverse of the covariance of T_i_j
+    """
+
+    i: Ints
+    j: Ints
+    T_i_j: Array
+    information: Array
+
+
+class Fit(NamedTuple):
+    """How keyframes are laid on each other.
+
+    Attributes
+    ----------
+    rounds : linearisations; after the second, poses move by millimetres
+    gates : m, distance of partners in the first and in the last round: what loops leave of error
+        between passes, and what the first round leaves
+    scales : m, of the robust kernel in the first and in the last round; the last is that of the noise
+        of a point, 1 to 3 cm
+    information : 1/m^2, of the distance of one point; see `refine`
+    share : of the points of j that have to find partners; with fewer, i and j look at different rooms
+    """
+
+    rounds: int = 2
+    gates: tuple[float, float] = (0.3, 0.15)
+    scales: tuple[float, float] = (0.1, 0.04)
+    information: float = 0.2 / 0.03**2
+    share: float = 0.35
+
+
+FACING = 0.7  # cosine of 45 degrees: normals farther apart belong to two surfaces
+
+
+class Refinement(NamedTuple):
+    """Keyframes refined.
+
+    Attributes
+    ----------
+    poses : (k, 3)
+    pairs : (m, 2) keyframes i, j that were laid on each other
+    information : (m, 3, 3) of T_i_j by the points of each pair, in the last round; zero where they
+        did not fit. As that of `Edges`
+    shares : (m,) of the points of j that found partners
+    """
+
+    poses: Array
+    pairs: Ints
+    information: Array
+    shares: Array
+
+
+def refine(
+    poses: Array,
+    scans: Scans,
+    edges: Edges,
+    pairs: Ints,
+    fixed: Mask | None = None,
+    fit: Fit | None = None,
+) -> Refinement:
+    """Return keyframes refined; poses (k, 3) of their bases, pairs (m, 2) as `overlaps` tells them.
+
+    `fixed` (k,) are held where they are: by default the first one, since nothing else says where
+    the map lies. A keyframe without overlap is moved by its edges alone.
+
+    A point is taken for a fifth of an independent one of 3 cm: points lie 4 cm apart, normals are
+    fitted over 25 cm, and a surface's own error (its brightness, its texture, the angle of
+    incidence) repeats from beam to beam over about so much. What is claimed with this is how
+    precisely two scans fit. Errors that all scans have in common (a scale of ranges, a bent mount)
+    are not in it, and one pass that is paired with several others counts its own noise each time:
+    for a covariance of poses, add `information` to that of the edges, and take it for a lower bound.
+    """
+    fixed = np.arange(len(poses)) == 0 if fixed is None else fixed
+    m = len(pairs)
+    done = Refinement(plain(poses).copy(), pairs, np.zeros((m, 3, 3)), np.zeros(m))
+    if len(poses) > 1:
+        lasers = plain(np.broadcast_to(scans.lasers, (len(poses), 2)))
+        _refine(done, scans._replace(lasers=lasers), edges, fixed, Fit() if fit is None else fit)
+    return done
+
+
+@kernel
+def _refine(done: Refinement, scans: Scans, edges: Edges, fixed: Mask, fit: Fit) -> None:
+    """Refine `done.poses` in place, and fill in the rest."""
+    fans, poses, m = sort_by_bearing(scans), done.poses, len(done.pairs)
+    i, j = np.empty(m + len(edges.i), np.int64), np.empty(m + len(edges.i), np.int64)
+    i[:m], j[:m], i[m:], j[m:] = done.pairs[:, 0], done.pairs[:, 1], edges.i, edges.j
+    system, x = empty_system(i, j, fixed), np.empty_like(poses)
+    for r in range(fit.rounds):
+        narrowing = min(1.0, r / max(1, fit.rounds - 2))
+        gate = fit.gates[0] + narrowing * (fit.gates[1] - fit.gates[0])
+        scale = fit.scales[0] + narrowing * (fit.scales[1] - fit.scales[0])
+        linearise(done, fans, edges, fit, (gate, scale), system)
+        solve_system(system, x)
+        for k in np.flatnonzero(~fixed):
+            poses[k] += x[k]
+            poses[k, 2] = wrap_in_kernel(poses[k, 2])
+
+
+@kernel
+def linearise(
+    done: Refinement,
+    fans: Fans,
+    edges: Edges,
+    fit: Fit,
+    limits: tuple[float, float],
+    system: BlockSystem,
+) -> None:
+    """Fill `system` with the normal equations at `done.poses`: of all pairs, then of all edges.
+
+    Also fills in what `done` says of the pairs. `limits` are the distance of partners and the scale of
+    the kernel, m.
+    """
+    poses, pairs, starts = done.poses, len(done.pairs), fans.scans.starts
+    g, d = np.empty(3), np.empty(3)
+    clear_system(system)
+    for row in range(len(system.i)):
+        i, j = system.i[row], system.j[row]
+        _between(poses[i], poses[j], d)
+        if row < pairs:
+            H = done.information[row]
+            found = lay(fans, i, j, d, limits, H, g)
+            done.shares[row] = found / max(1, starts[j + 1] - starts[j])
+            if done.shares[row] < fit.share:
+                H[:] = 0.0
+                continue
+            H *= fit.information
+            g *= fit.information
+        else:
+            H = edges.information[row - pairs]
+            _times_error(H, d, edges.T_i_j[row - pairs], g)
+        add_relative(system, row, poses, H, g)
+
+
+@kernel
+def _between(T_a_b: Array, T_a_c: Array, T_b_c: Array) -> None:
+    c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
+    x, y = T_a_c[0] - T_a_b[0], T_a_c[1] - T_a_b[1]
+    T_b_c[0], T_b_c[1] = c * x + s * y, c * y - s * x
+    T_b_c[2] = wrap_in_kernel(T_a_c[2] - T_a_b[2])
+
+
+@kernel
+def _times_error(H: Array, d: Array, T_i_j: Array, g: Array) -> None:
+    """Fill g (3,) with H (d - T_i_j)."""
+    ex, ey, et = d[0] - T_i_j[0], d[1] - T_i_j[1], wrap_in_kernel(d[2] - T_i_j[2])
+    for a in range(3):
+        g[a] = H[a, 0] * ex + H[a, 1] * ey + H[a, 2] * et
+
+
+@kernel
+def lay(
+    fans: Fans, i: int, j: int, T_i_j: Array, limits: tuple[float, float], H: Array, g: Array
+) -> int:
+    """Fill H (3, 3) and g (3,) with what the points of scan j on the lines of i say of T_i_j (3,).
+
+    In units of one point; `limits` as for `linearise`. Returns how many points have a partner.
+    """
+    features, starts = fans.scans.features, fans.scans.starts
+    c, s = math.cos(T_i_j[2]), math.sin(T_i_j[2])
+    H[:], g[:], found = 0.0, 0.0, 0
+    for p in range(starts[j], starts[j + 1]):
+        rx = c * features[p, 0] - s * features[p, 1]
+        ry = s * features[p, 0] + c * features[p, 1]
+        x, y = T_i_j[0] + rx, T_i_j[1] + ry
+        q = nearest_feature(fans, i, x, y, limits[0])
+        if q < 0 or features[q, 4] == 0.0:
+            continue
+        nx, ny = float(features[q, 2]), float(features[q, 3])
+        along = c * (features[p, 2] * nx + features[p, 3] * ny)
+        along += s * (features[p, 2] * ny - features[p, 3] * nx)
+        if features[p, 4] > 0.0 and along < FACING:
+            continue
+        e = nx * (x - features[q, 0]) + ny * (y - features[q, 1])
+        w = features[q, 4] / (1.0 + (e / limits[1]) ** 2) ** 2
+        lever, found = ny * rx - nx * ry, found + 1
+        H[0, 0] += w * nx * nx
+        H[0, 1] += w * nx * ny
+        H[0, 2] += w * nx * lever
+        H[1, 1] += w * ny * ny
+        H[1, 2] += w * ny * lever
+        H[2, 2] += w * lever * lever
+        g[0] += w * nx * e
+        g[1] += w * ny * e
+        g[2] += w * lever * e
+    H[1, 0], H[2, 0], H[2, 1] = H[0, 1], H[0, 2], H[1, 2]
+    return found

@@ -1,0 +1,105 @@
+"""Which keyframes have seen the same surfaces: those close by, spread over the passes of a place.
+
+Neighbours of one pass tell little that the tracker has not used already; the other passes are what
+makes a map single-walled. So each keyframe is paired with a few of its own pass and with one of each
+other pass nearby.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.geometry.angles import wrap_in_kernel
+from impslam.geometry.kernels import kernel, plain
+from impslam.types import Array, Ints
+
+
+class Nearness(NamedTuple):
+    """Which keyframes are paired.
+
+    Attributes
+    ----------
+    distance : m; from farther away, much is hidden that one of them sees
+    turn : rad; beyond, lidars of 180 to 270 degrees look at different walls. pi for one that sees
+        all around
+    partners : of each keyframe at most; from 4 to 10 the map comes out the same
+    same_pass : of these at most so many from the same pass
+    pass_way : m of way; keyframes closer than this along the way are of one pass
+    apart : m of way between two partners from other passes
+    """
+
+    distance: float = 3.0
+    turn: float = 2.0
+    partners: int = 6
+    same_pass: int = 4
+    pass_way: float = 8.0
+    apart: float = 3.0
+
+
+PER_RADIAN = 0.7  # m: a turn of 1 rad hides about as much as so many metres of distance
+
+
+def overlaps(poses: Array, nearness: Nearness | None = None) -> Ints:
+    """Return the pairs (m, 2) of keyframes i, j that overlap: the points of j fall on surfaces of i.
+
+    `poses` (k, 3) are those of all keyframes, in the order of the drive. Pairs are ordered by j, and
+    for each j from the nearest i to the farthest. Both (i, j) and (j, i) may be there.
+    """
+    poses = plain(poses)
+    if len(poses) < 2:
+        return np.empty((0, 2), np.int64)
+    step = np.diff(poses[:, :2], axis=0)
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]))])
+    nearness = Nearness() if nearness is None else nearness
+    order = np.argsort(poses[:, 0], kind="stable")
+    first = np.searchsorted(poses[order, 0], poses[:, 0] - nearness.distance)
+    out = np.empty((len(poses) * nearness.partners, 2), np.int64)
+    return out[: _overlaps(poses, way, order, first, nearness, out)]
+
+
+@kernel
+def _overlaps(
+    poses: Array, way: Array, order: Ints, first: Ints, nearness: Nearness, out: Ints
+) -> int:
+    """Fill `out` with pairs and return how many; `order` (k,) is by x, where j's begin at first[j]."""
+    near, cost, count = np.empty(len(poses), np.int64), np.empty(len(poses)), 0
+    for j in range(len(poses)):
+        found = _candidates(poses, order[first[j] :], j, nearness, near, cost)
+        same = 0
+        for _ in range(nearness.partners):
+            k = np.argmin(cost[:found]) if found else 0
+            if found == 0 or cost[k] == np.inf:
+                break
+            i = near[k]
+            out[count, 0], out[count, 1] = i, j
+            count += 1
+            own = abs(way[i] - way[j]) < nearness.pass_way
+            same += own
+            for q in range(found):
+                if own and same >= nearness.same_pass:
+                    if abs(way[near[q]] - way[j]) < nearness.pass_way:
+                        cost[q] = np.inf
+                elif not own and abs(way[near[q]] - way[i]) < nearness.apart:
+                    cost[q] = np.inf
+            cost[k] = np.inf
+    return count
+
+
+@kernel
+def _candidates(
+    poses: Array, order: Ints, j: int, nearness: Nearness, near: Ints, cost: Array
+) -> int:
+    """Fill `near` with the keyframes around j and `cost` with their distance; return how many."""
+    found = 0
+    for i in order:
+        dx, dy = poses[i, 0] - poses[j, 0], poses[i, 1] - poses[j, 1]
+        if dx > nearness.distance:
+            break
+        turn = abs(wrap_in_kernel(poses[i, 2] - poses[j, 2]))
+        distance = np.sqrt(dx * dx + dy * dy)
+        if i != j and distance < nearness.distance and turn < nearness.turn:
+            near[found], cost[found] = i, distance + PER_RADIAN * turn
+            found += 1
+    return found

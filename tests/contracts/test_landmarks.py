@@ -150,6 +150,15 @@ def test_no_observation_tells_of_a_motion_of_everything(model, rng):
     np.testing.assert_allclose(total, 0.0, atol=1e-7)
 
 
+def test_carrying_is_moving_and_telling_how_the_motion_jacobian_changes(model, rng):
+    m = landmarks(model, rng, np.array([2.0, -3.0, 2.5]))
+    delta = 0.3 * rng.normal(size=m.shape)
+    after, change = model.carry(m, delta)
+    np.testing.assert_allclose(after, model.retract(m, delta), atol=1e-12)
+    expected = model.m_D_motion(after) - model.m_D_motion(m)
+    np.testing.assert_allclose(change, expected, atol=1e-12)
+
+
 def test_what_is_somewhere_else_is_apart(model, rng):
     m = landmarks(model, rng, np.zeros(3), 5)
     metres, radians = model.distance(m, m)

@@ -43,15 +43,15 @@ def test_update_is_the_kalman_update(rng, landmarks):
     innovation, before = rng.normal(size=len(H)), rng.normal(size=belief.n)
     S = H @ P @ H.T + R
     K = P @ H.T @ np.linalg.inv(S)
-    np.testing.assert_allclose(innovation_covariance(rows, belief.among(entries))[0], S, atol=1e-10)
-    U, y, step, sound = solve(rows, belief.among(entries), innovation, before[entries])
+    np.testing.assert_allclose(innovation_covariance(rows, belief.P, entries)[0], S, atol=1e-10)
+    U, y, step, sound = solve(rows, belief.P, entries, innovation, before[entries])
     assert sound
     expected = K @ (innovation + H @ before)
     np.testing.assert_allclose(step, expected[entries], atol=1e-10)
-    of_seen = belief.rows_of(entries)
-    np.testing.assert_allclose(of_seen[:, : belief.n], P[entries], atol=1e-12)
-    W_T = gain(rows, of_seen, U)
-    np.testing.assert_allclose((y @ W_T)[: belief.n], expected, atol=1e-10)
+    W_T, step, of_pose = gain(rows, belief.P, belief.n, entries, U, y)
+    np.testing.assert_allclose(of_pose[:, : belief.n], P[:POSE], atol=1e-12)
+    np.testing.assert_allclose(step[: belief.n], expected, atol=1e-10)
+    assert not W_T[:, belief.n :].any()
     belief.subtract(W_T, W_T)
     np.testing.assert_allclose(belief.covariance, P - K @ H @ P, atol=1e-10)
 
@@ -61,7 +61,7 @@ def test_what_has_no_factor_has_no_step(rng, value):
     belief, _, offsets, dims = random_belief(rng)
     rows, _, _, entries = random_rows(rng, belief.n, offsets, dims, [5, 0, 69, 33])
     rows.noise[3, 1] = value
-    assert not solve(rows, belief.among(entries), np.zeros(8), np.zeros(len(entries)))[-1]
+    assert not solve(rows, belief.P, entries, np.zeros(8), np.zeros(len(entries)))[-1]
 
 
 def test_innovation_blocks_are_h_p_ht(rng):

@@ -10,7 +10,7 @@ from tests.numeric import jacobian
 
 from impslam.component import components
 from impslam.filters.riekf import RightInvariantEkf, factors
-from impslam.filters.symmetry import pose_D_motion, state_D_motion
+from impslam.filters.symmetry import pose_D_motion
 from impslam.geometry.se2 import compose, exp, inverse, transform
 from impslam.landmarks.base import LandmarkModel
 from impslam.landmarks.point import Point
@@ -22,10 +22,13 @@ def test_one_pass_corrects_and_carries_over(rng, k):
     """P becomes S (P - W W^T) S^T with S = I + A xi_D_pose on the pose."""
     belief, P, _, _ = random_belief(rng)
     n, size = belief.n, len(belief.P)
-    A, xi_D_pose, W = rng.normal(size=(n, k)), rng.normal(size=(k, 3)), rng.normal(size=(n, 4))
-    A_T, W_T = np.zeros((k, size)), np.zeros((4, size))
-    A_T[:, :n], W_T[:, :n] = A.T, 0.01 * W.T
-    belief.subtract(*factors(W_T, A_T, xi_D_pose, belief.rows_of(np.arange(3))))
+    A, xi_D_pose, W = rng.normal(size=(n, 3)), rng.normal(size=(3, 3)), rng.normal(size=(n, 4))
+    A[:, k:] = 0.0
+    A_T, W_T, of_pose = np.zeros((3, size)), np.zeros((4, size)), np.zeros((3, size))
+    A_T[:, :n], W_T[:, :n], of_pose[:, :n] = A.T, 0.01 * W.T, P[:3]
+    L, R = factors(W_T, A_T, xi_D_pose, of_pose)
+    assert len(L) == 4 + 2 * k
+    belief.subtract(L, R)
     S = np.eye(n)
     S[:, :3] += A @ xi_D_pose
     np.testing.assert_allclose(belief.covariance, S @ (P - 1e-4 * W @ W.T) @ S.T, atol=1e-10)
@@ -51,7 +54,10 @@ def noisy_run(belief, steps=80):
 
 def about_a_motion_of_everything(belief):
     """Return the information (3, 3) that a belief holds about where robot and map lie as a whole."""
-    G = state_D_motion(belief.belief, belief._atlas)
+    G = np.empty((belief.state_size, 3))
+    G[:3] = pose_D_motion(belief.pose)
+    for table in belief._atlas.tables():
+        G[table.columns] = table.model.m_D_motion(table.states(belief.belief.mean))
     return G.T @ np.linalg.solve(belief.belief.covariance, G)
 
 

@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from impslam.errors import ConfigError
 from impslam.filters.belief import GaussianBelief
+from impslam.filters.columns import Columns, ScanColumns, end_points
 from impslam.landmarks.base import LandmarkModel
 from impslam.types import Array, Ints, Landmark, Match, Observation
-
-_NOWHERE = np.zeros((2, 2))
-
-
-def end_points(observations: Sequence[Observation]) -> Array:
-    """Return where in base_link observations begin and end (k, 2, 2), m; 0 for those of points."""
-    return np.array([_NOWHERE if o.end_points is None else o.end_points for o in observations])
 
 
 class Table:
     """The landmarks of one kind, in columns of length k; ids ascend."""
 
-    def __init__(self, model: LandmarkModel) -> None:
-        self.model = model
+    def __init__(self, kind: str, model: LandmarkModel) -> None:
+        self.kind, self.model = kind, model
+        self.places: dict[int, int] = {}
         self.ids: Ints = np.empty(0, np.int64)
         self.labels: Ints = np.empty(0, np.int64)
         self.extents: Array = np.empty((0, 2))
@@ -37,13 +33,14 @@ class Table:
         self.offsets: Ints = offsets
         self.columns: Ints = offsets[:, None] + np.arange(self.model.dim)
 
-    def states(self, mean: Array, places: Ints | None = None) -> Array:
+    def states(self, mean: Array, places: Ints | list[int] | None = None) -> Array:
         """Return the states (k, dim) of all landmarks, or of those at some places."""
         columns = self.columns if places is None else self.columns[places]
         return mean.take(columns)
 
     def append(self, row: tuple[int, int, int], extent: Array, stamp: float) -> None:
         """Add a landmark: (id, label, offset)."""
+        self.places[row[0]] = len(self.ids)
         self.ids, self.labels, offsets = (
             np.append(column, value)
             for column, value in zip((self.ids, self.labels, self.offsets), row, strict=True)
@@ -53,6 +50,13 @@ class Table:
         self.counts = np.append(self.counts, 1)
         self.stamps = np.vstack([self.stamps, [stamp, stamp]])
 
+    def average(self, place: int, attributes: Mapping[str, float]) -> None:
+        """Take what was measured beside z into a landmark's averages; it is counted already."""
+        average = self.attributes[int(self.ids[place])]
+        for name, value in attributes.items():
+            old = average.get(name, value)
+            average[name] = old + (value - old) / float(self.counts[place])
+
     def strike(self, places: list[int]) -> None:
         """Forget the landmarks at these places."""
         for number in self.ids[places].tolist():
@@ -61,7 +65,25 @@ class Table:
         keep[places] = False
         for name in ("ids", "labels", "extents", "counts", "stamps"):
             setattr(self, name, getattr(self, name)[keep])
+        self.places = {number: place for place, number in enumerate(self.ids.tolist())}
         self.move(self.offsets[keep])
+
+
+class Pairs(NamedTuple):
+    """Matched landmarks of one kind and what is seen of them.
+
+    Attributes
+    ----------
+    table, places : the landmarks and where they stand in it
+    seen, rows : the observations of the kind, and which of them was matched with which landmark
+    which : indices of the matches
+    """
+
+    table: Table
+    places: list[int]
+    seen: Columns
+    rows: list[int]
+    which: list[int]
 
 
 class Atlas:
@@ -69,12 +91,13 @@ class Atlas:
 
     def __init__(self, models: Mapping[str, LandmarkModel]) -> None:
         self._models = models
+        self._newest: tuple[Sequence[Observation], ScanColumns] = ((), ScanColumns(()))
         self._tables: dict[str, Table] = {}
         self._next_id = 0
 
     def tables(self) -> list[Table]:
-        """Return the tables of the kinds met so far."""
-        return list(self._tables.values())
+        """Return the tables that hold landmarks."""
+        return [table for table in self._tables.values() if table.places]
 
     def table(self, kind: str) -> Table:
         """Return the table of a kind."""
@@ -83,29 +106,36 @@ class Atlas:
                 raise ConfigError(
                     f"no landmark model for observations of kind {kind!r}; register one"
                 )
-            self._tables[kind] = Table(self._models[kind])
+            self._tables[kind] = Table(kind, self._models[kind])
         return self._tables[kind]
 
-    def by_kind(self, observations: Sequence[Observation]) -> Iterator[tuple[Table, Ints]]:
-        """Yield each kind's table, where it has landmarks, with the observations of the kind."""
-        kinds: dict[str, list[int]] = {}
-        for i, observation in enumerate(observations):
-            kinds.setdefault(observation.kind, []).append(i)
-        for kind, indices in kinds.items():
-            table = self.table(kind)
-            if len(table.ids):
-                yield table, np.array(indices)
+    def columns(self, observations: Sequence[Observation]) -> ScanColumns:
+        """Return observations as columns; those of the newest scan are kept."""
+        known, columns = self._newest
+        if observations is not known or not isinstance(known, tuple):
+            columns = ScanColumns(observations)
+            self._newest = observations, columns
+        return columns
 
-    def of(self, matches: Sequence[Match]) -> Iterator[tuple[Table, Ints, Ints]]:
-        """Yield each table, the places in it of matched landmarks, and the indices of the matches."""
-        ids = np.array([match.landmark for match in matches], np.int64)
+    def by_kind(self, observations: Sequence[Observation]) -> Iterator[tuple[Table, Columns]]:
+        """Yield each kind's table, where it has landmarks, with the observations of the kind."""
+        for kind, columns in self.columns(observations).kinds.items():
+            table = self.table(kind)
+            if table.places:
+                yield table, columns
+
+    def pairs(
+        self, observations: Sequence[Observation], matches: Sequence[Match]
+    ) -> Iterator[Pairs]:
+        """Yield kind by kind the landmarks that are matched, in the order of the tables."""
+        scan = self.columns(observations)
         for table in self._tables.values():
-            if not len(table.ids):
-                continue
-            places = table.ids.searchsorted(ids)
-            which = np.flatnonzero(table.ids.take(places, mode="clip") == ids)
-            if len(which):
-                yield table, places[which], which
+            which = [i for i, match in enumerate(matches) if match.landmark in table.places]
+            if which:
+                some = [matches[i] for i in which]
+                places = [table.places[match.landmark] for match in some]
+                rows = [scan.rows[match.observation] for match in some]
+                yield Pairs(table, places, scan.kinds[table.kind], rows, which)
 
     def add(
         self, pose: Array, observation: Observation, offset: int, m: Array, stamp: float
@@ -142,24 +172,23 @@ class Atlas:
         stamp: float,
     ) -> None:
         """Widen extents, count, stamp and average the attributes of matched landmarks."""
-        for table, places, which in self.of(matches):
-            seen = [observations[matches[i].observation] for i in which]
-            own = table.model.extents(pose, table.states(mean, places), end_points(seen))
-            known = table.extents[places]
-            known[:, 0] = np.minimum(known[:, 0], own[:, 0])
-            known[:, 1] = np.maximum(known[:, 1], own[:, 1])
-            table.extents[places] = known
+        for table, places, seen, rows, which in self.pairs(observations, matches):
+            if table.model.has_extent:
+                own = table.model.extents(pose, table.states(mean, places), seen.ends[rows])
+                known = table.extents[places]
+                known[:, 0] = np.minimum(known[:, 0], own[:, 0])
+                known[:, 1] = np.maximum(known[:, 1], own[:, 1])
+                table.extents[places] = known
             table.counts[places] += 1
             table.stamps[places, 1] = stamp
-            for place, observation in zip(places, seen, strict=True):
-                average = table.attributes[int(table.ids[place])]
-                for name, value in observation.attributes.items():
-                    old = average.get(name, value)
-                    average[name] = old + (value - old) / float(table.counts[place])
+            for place, i in zip(places, which, strict=True):
+                attributes = observations[matches[i].observation].attributes
+                if attributes:
+                    table.average(place, attributes)
 
     def outlines(self, mean: Array) -> tuple[Ints, Array]:
         """Return the ids (k,) of all landmarks and their visible ends (k, 2, 2) in map."""
-        tables = [table for table in self._tables.values() if len(table.ids)]
+        tables = self.tables()
         if not tables:
             return np.empty(0, np.int64), np.empty((0, 2, 2))
         ends = [table.model.outline(table.states(mean), table.extents) for table in tables]

@@ -57,34 +57,6 @@ def innovation_blocks(P: Array, offsets: Ints, z_D_pose: Array, z_D_m: Array) ->
 
 
 @kernel
-def _among(P: Array, entries: Ints) -> Array:
-    """Return P[entries][:, entries] (q, q) from the lower triangle."""
-    q = len(entries)
-    out = np.empty((q, q))
-    for a in range(q):
-        for b in range(a + 1):
-            i, j = max(entries[a], entries[b]), min(entries[a], entries[b])
-            out[a, b] = out[b, a] = P[i, j]
-    return out
-
-
-@kernel
-def _rows_of(P: Array, n: int, entries: Ints) -> Array:
-    """Return P[entries] (q, len(P)) from the lower triangle, zero beyond n."""
-    q = len(entries)
-    out = np.zeros((q, len(P)))
-    for i in range(n):  # column by column, as P lies in memory
-        for a in range(q):
-            if entries[a] > i:
-                out[a, i] = P[entries[a], i]
-    for a in range(q):
-        column = entries[a]
-        for i in range(column, n):
-            out[a, i] = P[i, column]
-    return out
-
-
-@kernel
 def _symmetric(P: Array, o: int, dim: int) -> Array:
     """Return P[o:o + dim, o:o + dim], full."""
     block = np.empty((dim, dim))
@@ -178,14 +150,6 @@ class GaussianBelief:
     def innovation_blocks(self, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
         """Return H P H^T (k, dz, dz) of k landmarks, each measured alone."""
         return innovation_blocks(self.P, offsets, z_D_pose, z_D_m)
-
-    def among(self, entries: Ints) -> Array:
-        """Return P[entries][:, entries] (q, q)."""
-        return _among(self.P, entries)
-
-    def rows_of(self, entries: Ints) -> Array:
-        """Return P[entries] (q, len(P)): contiguous copies of a few rows, zero beyond n."""
-        return _rows_of(self.P, self.n, entries)
 
     def subtract(self, left: Array, right: Array) -> None:
         """Subtract a symmetric product left^T right from P; both (k, len(P))."""

@@ -10,7 +10,6 @@ from impslam.geometry.scipy_extension import load
 from impslam.types import Array
 
 _blas = load("scipy.linalg._fblas", "scipy.linalg.blas")
-dtrsm = _blas.dtrsm
 _PANEL = 128  # columns at a time: 2 MB of 2000 rows, which a core's second cache holds
 
 

@@ -20,7 +20,6 @@ judges each observation alone, uses R itself.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from pydantic import PrivateAttr
@@ -82,17 +81,17 @@ class Ekf(Filter):
     ) -> list[Hypotheses]:
         """Score the pairings of observations with landmarks of their kind, within a gate."""
         return [
-            score(self._belief, table, observations, indices, reach(table.model.dim_z))
-            for table, indices in self._atlas.by_kind(observations)
+            score(self._belief, table, asked, reach(table.model.dim_z))
+            for table, asked in self._atlas.by_kind(observations)
         ]
 
     def joint(
         self, observations: Sequence[Observation], pairs: Sequence[Match]
     ) -> tuple[Array, Array]:
         """Return innovation and S = H P H^T + R of all pairs, correlations between them included."""
-        scene = self._scene(observations, pairs)
+        scene = Scene(self._belief.mean, self._atlas.pairs(observations, pairs))
         rows, innovation = self._linearise(scene, scene.pose, scene.states)
-        S, _ = innovation_covariance(rows, self._belief.among(scene.entries))
+        S, _ = innovation_covariance(rows, self._belief.P, scene.entries)
         return innovation[scene.order], S[np.ix_(scene.order, scene.order)]
 
     def correct(self, observations: Sequence[Observation], matches: Sequence[Match]) -> None:
@@ -103,13 +102,13 @@ class Ekf(Filter):
         """
         if not matches:
             return
-        belief = self._belief
-        scene = self._scene(self._doubted(observations, matches), matches)
-        P, pose, states = belief.among(scene.entries), scene.pose, scene.states
+        belief, pairs = self._belief, self._atlas.pairs(observations, matches)
+        scene = Scene(belief.mean, pairs, self._doubt(matches))
+        pose, states = scene.pose, scene.states
         step = np.zeros(len(scene.entries))
         for _ in range(self.iterations):
             rows, innovation = self._linearise(scene, pose, states)
-            U, y, moved, sound = solve(rows, P, innovation, step)
+            U, y, moved, sound = solve(rows, belief.P, scene.entries, innovation, step)
             if not sound:
                 raise NumericalError(
                     "the innovations' covariance is not positive definite: check the noise of the "
@@ -119,9 +118,7 @@ class Ekf(Filter):
             if turned < self.tolerance:
                 break
             pose, states = scene.moved(step)
-        of_seen = belief.rows_of(scene.entries)
-        W_T = gain(rows, of_seen, U)
-        self._finish(W_T, y @ W_T, of_seen[:POSE])
+        self._finish(*gain(rows, belief.P, belief.n, scene.entries, U, y))
 
     def _finish(self, W_T: Array, step: Array, of_pose: Array) -> None:
         """Move the mean by a step (size,) and correct the covariance by W^T (rows, size).
@@ -182,38 +179,31 @@ class Ekf(Filter):
         """Number of scalars in the belief."""
         return self._belief.n
 
-    def _scene(self, observations: Sequence[Observation], matches: Sequence[Match]) -> Scene:
-        """Return what is seen of which landmarks, kind by kind."""
-        return Scene(self._belief.mean, self._atlas.of(matches), observations, matches)
-
     def _linearise(self, scene: Scene, pose: Array, states: list[Array]) -> tuple[Rows, Array]:
         """Return H at some estimates of the pose (3,) and of each kind's landmarks, and nu."""
         residuals, h_pose, h_m = [], [], []
         for sight, m in zip(scene.sights, states, strict=True):
             prediction = self._expect(sight, pose, m)
-            residuals.append(sight.table.model.residual(sight.z, prediction.z).ravel())
+            residuals.append(sight.table.model.residual(sight.z, prediction.z).reshape(-1))
             h_pose.append(prediction.z_D_pose.reshape(-1, POSE))
             h_m.append(prediction.z_D_m.reshape(len(h_pose[-1]), -1))
         rows = Rows(scene.slots, scene.blocks, scene.noise, stacked(h_pose), stacked(h_m))
-        return rows, stacked(residuals)
+        return rows, np.concatenate(residuals)
 
-    def _doubted(
-        self, observations: Sequence[Observation], matches: Sequence[Match]
-    ) -> Sequence[Observation]:
-        """Return the observations with R as wide as repetition and their innovations make it.
+    def _doubt(self, matches: Sequence[Match]) -> Array | None:
+        """Return how many times R counts (matches,) for repetition and innovations; None: once.
 
         The latter once, by the belief before the correction: its S tells what is far off from what is
         merely unknown yet, and given these R the correction is Gaussian, its covariance as good as
         ever. No R shrinks: that an innovation is small by chance does not make a sensor better.
         """
         if not self.tails and self.repeats == 1.0:
-            return observations
-        wider = list(observations)
-        for match in matches:
-            seen, k = observations[match.observation], len(match.innovation)
-            doubt = (self.tails + match.distance2) / (self.tails + k) if self.tails else 1.0
-            wider[match.observation] = replace(seen, R=self.repeats * max(1.0, doubt) * seen.R)
-        return wider
+            return None
+        if not self.tails:
+            return np.full(len(matches), self.repeats)
+        distance2, k = np.array([(match.distance2, len(match.innovation)) for match in matches]).T
+        doubt: Array = np.maximum(1.0, (self.tails + distance2) / (self.tails + k))
+        return self.repeats * doubt
 
     def _expect(self, sight: Sight, pose: Array, states: Array) -> Prediction:
         """Return how landmarks are seen from estimates of a correction; Jacobians at the same."""
@@ -223,17 +213,16 @@ class Ekf(Filter):
         """Return the landmark an observation begins; Jacobians at the newest estimate."""
         return table.model.initialise(self.pose, observation)
 
-    def _retract(self, step: Array) -> list[tuple[Table, Array, Array]]:
-        """Move the mean by a step in the perturbations of pose and landmarks.
+    def _retract(self, step: Array) -> None:
+        """Move the mean by a step in the perturbations of pose and landmarks."""
+        mean = self._move_pose(step)
+        for table in self._atlas.tables():
+            states = table.model.retract(table.states(mean), table.states(step))
+            mean[table.columns] = states
 
-        Return of each kind the states (k, dim) before and after.
-        """
-        mean, moved = self._belief.mean, []
+    def _move_pose(self, step: Array) -> Array:
+        """Move the pose by a step (3, ...); return the mean."""
+        mean = self._belief.mean
         mean[:POSE] += step[:POSE]
         mean[2] = wrap(float(mean[2]))
-        for table in self._atlas.tables():
-            if len(table.ids):
-                before = table.states(mean)
-                mean[table.columns] = after = table.model.retract(before, table.states(step))
-                moved.append((table, before, after))
-        return moved
+        return mean

@@ -47,18 +47,19 @@ from impslam.filters.ekf import Ekf
 from impslam.filters.scene import Sight
 from impslam.filters.symmetry import pose_D_motion
 from impslam.geometry.kernels import kernel
-from impslam.landmarks.base import LandmarkModel, Prediction
+from impslam.landmarks.base import Prediction
 from impslam.types import Array, Ints, Landmark
 
 
 @kernel
-def _put_change(A_T: Array, offsets: Ints, m_D_motion: Array) -> None:
-    """Enter how m_D_motion (2, k, dim, 3) of landmarks has changed into A^T (3, size)."""
-    _, k, dim, _ = m_D_motion.shape
-    for i in range(k):
-        for c in range(dim):
+def _enter(columns: Ints, states: tuple[Array, Array], change: tuple[Array, Array]) -> None:
+    """Put states (k, dim) into the mean, and the change (k, dim, 3) of their m_D_motion into A^T."""
+    (mean, after), (A_T, D) = states, change
+    for i in range(len(columns)):
+        for c in range(columns.shape[1]):
+            mean[columns[i, c]] = after[i, c]
             for x in range(3):
-                A_T[x, offsets[i] + c] = m_D_motion[1, i, c, x] - m_D_motion[0, i, c, x]
+                A_T[x, columns[i, c]] = D[i, c, x]
 
 
 @kernel
@@ -75,43 +76,47 @@ def _add_product(out: Array, A: Array, B: Array) -> None:
 def factors(W_T: Array, A_T: Array, xi_D_pose: Array, of_pose: Array) -> tuple[Array, Array]:
     """Return L and R (rows + 2 k, n): P - L^T R is P - W W^T, carried on to delta + A xi.
 
-    A^T is (k, n), xi = xi_D_pose delta_pose with xi_D_pose (k, 3); `of_pose` (3, n) are P's first rows.
-    The change is A b^T + b A^T with b = cov(delta, xi) + 1/2 A cov(xi), after P - W W^T.
+    A^T is (3, n), xi = xi_D_pose delta_pose with xi_D_pose (3, 3); `of_pose` (3, n) are P's first rows.
+    k rows of A^T are not zero: points alone leave only the heading's. The change is A b^T + b A^T with
+    b = cov(delta, xi) + 1/2 A cov(xi), after P - W W^T.
     """
-    (rows, n), k = W_T.shape, len(A_T)
-    after, b, of_xi = of_pose.copy(), np.zeros((k, n)), np.zeros((k, k))
-    _add_product(after, -W_T[:, :POSE].T, W_T)
-    _add_product(b, xi_D_pose, after)
-    _add_product(of_xi, 0.5 * b[:, :POSE], xi_D_pose.T)
-    _add_product(b, of_xi, A_T)
+    rows, n = W_T.shape
+    changed = np.array([x for x in range(len(A_T)) if A_T[x].any()], np.int64)
+    A, to_xi, k = A_T[changed], xi_D_pose[changed], len(changed)
     L, R = np.empty((rows + 2 * k, n)), np.empty((rows + 2 * k, n))
-    L[:rows], L[rows : rows + k], L[rows + k :] = W_T, A_T, b
-    R[:rows], R[rows : rows + k], R[rows + k :] = W_T, -b, -A_T
+    L[:rows], R[:rows] = W_T, W_T
+    after, b, of_xi = of_pose.copy(), L[rows + k :], np.zeros((k, k))
+    b[:] = 0.0
+    _add_product(after, -W_T[:, :POSE].T, W_T)
+    _add_product(b, to_xi, after)
+    _add_product(of_xi, 0.5 * b[:, :POSE], to_xi.T)
+    _add_product(b, of_xi, A)
+    L[rows : rows + k], R[rows : rows + k], R[rows + k :] = A, -b, -A
     return L, R
 
 
 @kernel
-def _carried_back(z_D_pose: Array, z_D_m: Array, A_pose: Array, A_m: Array, xi: Array) -> Array:
-    """Return z_D_pose + (z_D_pose A_pose + z_D_m A_m) xi, (k, dim_z, 3)."""
-    k, dz, dim = z_D_m.shape
+def _carried_back(
+    z_D_pose: Array, z_D_m: Array, poses: tuple[Array, Array], m_D_motion: Array
+) -> Array:
+    """Return z_D_pose + (z_D_pose A_pose + z_D_m A_m) xi_D_pose, (k, dim_z, 3).
+
+    A is how G has changed between two `poses` and from m_D_motion[:k] to [k:] of the landmarks.
+    """
+    (k, dz, dim), (before, after) = z_D_m.shape, poses
+    x, y = before[0], before[1]
     out, row = z_D_pose.copy(), np.empty(POSE)
     for i in range(k):
         for a in range(dz):
-            for x in range(POSE):
-                row[x] = 0.0
-                for p in range(POSE):
-                    row[x] += z_D_pose[i, a, p] * A_pose[p, x]
-                for p in range(dim):
-                    row[x] += z_D_m[i, a, p] * A_m[1, i, p, x] - z_D_m[i, a, p] * A_m[0, i, p, x]
-            for p in range(POSE):
-                for x in range(POSE):
-                    out[i, a, p] += row[x] * xi[x, p]
+            row[:] = 0.0
+            row[2] = z_D_pose[i, a, 1] * (after[0] - x) - z_D_pose[i, a, 0] * (after[1] - y)
+            for p in range(dim):
+                for c in range(POSE):
+                    row[c] += z_D_m[i, a, p] * (m_D_motion[k + i, p, c] - m_D_motion[i, p, c])
+            out[i, a, 0] += row[0]
+            out[i, a, 1] += row[1]
+            out[i, a, 2] += row[2] + row[0] * y - row[1] * x
     return out
-
-
-def _of_both(model: LandmarkModel, old: Array, new: Array) -> Array:
-    """Return m_D_motion (2, k, dim, 3) of landmarks at two states (k, dim)."""
-    return model.m_D_motion(np.concatenate([old, new])).reshape(2, *old.shape, 3)
 
 
 def _arc(with_heading: Array) -> Array:
@@ -131,12 +136,12 @@ class RightInvariantEkf(Ekf):
     def _finish(self, W_T: Array, step: Array, of_pose: Array) -> None:
         """Correct, and carry the covariance over to the new state in the same pass over P."""
         before, A_T = self.pose, np.zeros_like(of_pose)
-        for table, old, new in self._retract(step):
-            _put_change(A_T, table.offsets, _of_both(table.model, old, new))
-        A_T[:, :POSE] = (pose_D_motion(self.pose) - pose_D_motion(before)).T
-        changed = A_T.any(axis=1)  # points alone leave only the heading's
-        xi_D_pose = pose_D_motion(-before)[changed]
-        self._belief.subtract(*factors(W_T, A_T[changed], xi_D_pose, of_pose))
+        mean = self._move_pose(step)
+        for table in self._atlas.tables():
+            after, change = table.model.carry(table.states(mean), table.states(step))
+            _enter(table.columns, (mean, after), (A_T, change))
+        A_T[2, 0], A_T[2, 1] = before[1] - mean[1], mean[0] - before[0]
+        self._belief.subtract(*factors(W_T, A_T, pose_D_motion(-before), of_pose))
 
     @property
     def covariance(self) -> Array:
@@ -164,7 +169,6 @@ class RightInvariantEkf(Ekf):
         now = super()._expect(sight, pose, states)
         if pose is sight.pose:
             return now
-        A_pose = pose_D_motion(pose) - pose_D_motion(sight.pose)
-        A_m = _of_both(sight.table.model, sight.states, states)
-        back = pose_D_motion(-sight.pose)
-        return replace(now, z_D_pose=_carried_back(now.z_D_pose, now.z_D_m, A_pose, A_m, back))
+        D = sight.table.model.m_D_motion(np.concatenate([sight.states, states]))
+        z_D_pose = _carried_back(now.z_D_pose, now.z_D_m, (sight.pose, pose), D)
+        return Prediction(now.z, z_D_pose, now.z_D_m)

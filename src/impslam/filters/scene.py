@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
-from impslam.filters.atlas import Table
+from impslam.filters.atlas import Pairs, Table
 from impslam.filters.belief import POSE
 from impslam.geometry.angles import wrap
 from impslam.geometry.kernels import kernel
-from impslam.types import Array, Ints, Match, Observation
+from impslam.types import Array, Ints
 
 _POSE = np.arange(POSE)
 
 
 @kernel
-def _repeated(first: int, step: int, k: int, times: int) -> Ints:
-    """Return first, first + step, ..., k of them, each so many times."""
-    out = np.empty(k * times, np.int64)
-    for i in range(k):
-        out[i * times : (i + 1) * times] = first + i * step
-    return out
+def _layout(shapes: Ints) -> tuple[Ints, Ints]:
+    """Return `slots` and `blocks` of `Rows` for sights of shapes (s, 3): k, dim_z and dim."""
+    total = 0
+    for k, dz, _ in shapes:
+        total += k * dz
+    slots, blocks = np.empty(total, np.int64), np.empty(total, np.int64)
+    q, row = POSE, 0
+    for k, dz, dim in shapes:
+        for _ in range(k):
+            slots[row : row + dz], blocks[row : row + dz] = q, row
+            q, row = q + dim, row + dz
+    return slots, blocks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +40,7 @@ class Sight:
     """
 
     table: Table
-    places: Ints
+    places: Ints | list[int]
     z: Array
     pose: Array
     states: Array
@@ -53,31 +57,28 @@ class Scene:
     order : (rows,) indices of the rows that put them in the order of the matches
     """
 
-    def __init__(
-        self,
-        mean: Array,
-        groups: Iterable[tuple[Table, Ints, Ints]],
-        observations: Sequence[Observation],
-        matches: Sequence[Match],
-    ) -> None:
+    def __init__(self, mean: Array, pairs: Iterable[Pairs], doubt: Array | None = None) -> None:
+        """Look at pairs from a mean; R counts `doubt` (matches,) times."""
         self.pose = mean[:POSE].copy()
         self.sights: list[Sight] = []
-        entries, slots, blocks, noise = [_POSE], [], [], []
-        self._which: list[Ints] = []
-        q, row = POSE, 0
-        for table, places, which in groups:
-            seen = [observations[matches[i].observation] for i in which.tolist()]
-            columns, k = table.columns[places], len(seen)
-            z = np.concatenate([o.z for o in seen]).reshape(k, -1)
-            noise.append(np.concatenate([o.R for o in seen]))
-            self.sights.append(Sight(table, places, z, self.pose, mean[columns]))
+        entries, noise, shapes = [_POSE], [], []
+        self._which: list[list[int]] = []
+        for table, places, seen, rows, which in pairs:
+            columns, z, R = (
+                table.columns.take(places, 0),
+                seen.z.take(rows, 0),
+                seen.R.take(rows, 0),
+            )
+            if doubt is not None:
+                R *= doubt[which, None, None]
+            noise.append(R.reshape(z.size, -1))
+            self.sights.append(Sight(table, places, z, self.pose, mean.take(columns)))
             entries.append(columns.ravel())
-            slots.append(_repeated(q, columns.shape[1], k, z.shape[1]))
-            blocks.append(_repeated(row, z.shape[1], k, z.shape[1]))
+            shapes.append((*z.shape, columns.shape[1]))
             self._which.append(which)
-            q, row = q + columns.size, row + z.size
         self.entries = np.concatenate(entries)
-        self.slots, self.blocks, self.noise = stacked(slots), stacked(blocks), stacked(noise)
+        self.slots, self.blocks = _layout(np.array(shapes))
+        self.noise = stacked(noise)
 
     @property
     def order(self) -> Ints:
@@ -103,16 +104,11 @@ class Scene:
         return pose, states
 
 
-T = TypeVar("T", np.float64, np.int64)
-
-
-def stacked(parts: list[npt.NDArray[T]]) -> npt.NDArray[T]:
-    """Return arrays (rows, columns) or (rows,) one after another, the narrower filled up with 0."""
+def stacked(parts: list[Array]) -> Array:
+    """Return arrays (rows, columns) one after another, the narrower filled up with 0."""
     if len(parts) == 1:
         return parts[0]
-    if parts[0].ndim == 1:
-        return np.concatenate(parts)
-    out = np.zeros((sum(map(len, parts)), max(part.shape[1] for part in parts)), parts[0].dtype)
+    out = np.zeros((sum(map(len, parts)), max(part.shape[1] for part in parts)))
     begin = 0
     for part in parts:
         out[begin : begin + len(part), : part.shape[1]] = part

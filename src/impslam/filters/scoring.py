@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import cache
 from typing import TypeAlias
 
 import numpy as np
 
 from impslam.association.base import Hypotheses
-from impslam.filters.atlas import Table, end_points
+from impslam.filters.atlas import Table
 from impslam.filters.belief import POSE, GaussianBelief, innovation_blocks
+from impslam.filters.columns import Columns
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.landmarks.base import LandmarkModel
-from impslam.types import Array, Ints, Mask, Observation
+from impslam.types import Array, Ints, Mask
 
 Known: TypeAlias = tuple[Array, Array, Array]
 """z (k, dz), z_D_pose (k, dz, 3) and z_D_m (k, dz, dim) of all landmarks."""
@@ -127,21 +127,13 @@ def _scored(
     return a[inside], places[k[inside]], scores
 
 
-def score(
-    belief: GaussianBelief,
-    table: Table,
-    observations: Sequence[Observation],
-    indices: Ints,
-    gate: float,
-) -> Hypotheses:
-    """Return the pairings of the observations at `indices` with a table's landmarks in a gate.
+def score(belief: GaussianBelief, table: Table, asked: Columns, gate: float) -> Hypotheses:
+    """Return the pairings of the observations of a kind with its landmarks in a gate.
 
     All landmarks are predicted, for that is cheap; P is read for those near enough.
     """
     model, pose = table.model, belief.mean[:POSE].copy()
-    states, asked = table.states(belief.mean), [observations[i] for i in indices.tolist()]
-    z = np.concatenate([o.z for o in asked]).reshape(len(asked), -1)
-    R = np.concatenate([o.R for o in asked]).reshape(*z.shape, -1)
+    states, (indices, z, R, ends) = table.states(belief.mean), asked
     seen = model.predict(pose, states)
     known = seen.z, seen.z_D_pose, seen.z_D_m
     angles = angle_mask(type(model))
@@ -153,9 +145,9 @@ def score(
 
     possible = np.ones(len(a), np.bool_)
     if model.has_extent and len(a):
-        possible = _possible(belief, table, end_points(asked)[a], rows, m)
+        possible = _possible(belief, table, ends[a], rows, m)
     ids, labels = table.ids[rows], table.labels[rows]
-    return Hypotheses(asked[0].kind, indices, indices[a], ids, labels, *scores, apart, possible)
+    return Hypotheses(table.kind, indices, indices[a], ids, labels, *scores, apart, possible)
 
 
 @cache

@@ -8,20 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from impslam.filters.atlas import Atlas
-from impslam.filters.belief import POSE, GaussianBelief
 from impslam.types import Array
 
 
 def pose_D_motion(pose: Array) -> Array:
     """Return the Jacobian (3, 3) of a pose by a small rigid motion about the map origin."""
     return np.array([[1.0, 0.0, -pose[1]], [0.0, 1.0, pose[0]], [0.0, 0.0, 1.0]])
-
-
-def state_D_motion(belief: GaussianBelief, atlas: Atlas) -> Array:
-    """Return G (n, 3): how pose and landmarks change as everything moves rigidly by a little."""
-    G = np.empty((belief.n, 3))
-    G[:POSE] = pose_D_motion(belief.mean)
-    for table in atlas.tables():
-        G[table.columns] = table.model.m_D_motion(table.states(belief.mean))
-    return G

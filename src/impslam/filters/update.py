@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.filters.blas import dtrsm
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
 
 POSE = 3
+_CHUNK = 128  # columns of the gain at a time, which a core's first cache holds
 
 
 class Rows(NamedTuple):
@@ -34,19 +34,41 @@ class Rows(NamedTuple):
 
 
 @kernel
-def _measured(rows: Rows, P: Array) -> Array:
-    """Return H P (rows, q) for P (q, q) or the q rows (q, n) of P."""
-    slots, _, _, h_pose, h_m = rows
-    count, width, n = len(slots), h_m.shape[1], P.shape[1]
-    out = np.zeros((count, n))
-    for r in range(count):
-        for c in range(POSE + width):
-            h = h_pose[r, c] if c < POSE else h_m[r, c - POSE]
-            if h != 0.0:
-                row = P[c if c < POSE else slots[r] + c - POSE]
-                for i in range(n):
-                    out[r, i] += h * row[i]
+def among(P: Array, entries: Ints) -> Array:
+    """Return P[entries][:, entries] (q, q) from the lower triangle."""
+    q = len(entries)
+    out = np.empty((q, q))
+    for a in range(q):
+        for b in range(a + 1):
+            i, j = max(entries[a], entries[b]), min(entries[a], entries[b])
+            out[a, b] = out[b, a] = P[i, j]
     return out
+
+
+@kernel
+def _rows_of(P: Array, entries: Ints, begin: int, end: int, out: Array) -> None:
+    """Fill out (q, ...) with P[entries, begin:end] from the lower triangle."""
+    for a in range(len(entries)):
+        entry, row = entries[a], out[a]
+        for i in range(begin, min(end, entry)):
+            row[i - begin] = P[entry, i]
+        for i in range(max(begin, entry), end):
+            row[i - begin] = P[i, entry]
+
+
+@kernel
+def _measure(rows: Rows, P: Array, out: Array) -> None:
+    """Fill out (rows, n) with H P for the q rows (q, >= n) of P."""
+    slots, _, _, h_pose, h_m = rows
+    for r in range(len(slots)):
+        measured, x, y, theta = out[r], P[0], P[1], P[2]
+        for i in range(out.shape[1]):
+            measured[i] = h_pose[r, 0] * x[i] + h_pose[r, 1] * y[i] + h_pose[r, 2] * theta[i]
+        for c in range(h_m.shape[1]):
+            if h_m[r, c] != 0.0:
+                row = P[slots[r] + c]
+                for i in range(out.shape[1]):
+                    measured[i] += h_m[r, c] * row[i]
 
 
 @kernel
@@ -64,11 +86,12 @@ def _seen(rows: Rows, step: Array) -> Array:
 
 
 @kernel
-def innovation_covariance(rows: Rows, P: Array) -> tuple[Array, Array]:
-    """Return S = H P H^T + R (rows, rows), its lower triangle, and H P (rows, q) for P (q, q)."""
+def innovation_covariance(rows: Rows, P: Array, entries: Ints) -> tuple[Array, Array]:
+    """Return S = H P H^T + R (rows, rows) and H P (rows, q) for P among the q entries."""
     slots, blocks, noise, h_pose, h_m = rows
     count, width = len(slots), h_m.shape[1]
-    HP, S = _measured(rows, P), np.empty((count, count))
+    HP, S = np.empty((count, len(entries))), np.empty((count, count))
+    _measure(rows, among(P, entries), HP)
     for a in range(count):
         for b in range(a + 1):
             total = noise[a, b - blocks[a]] if b >= blocks[a] else 0.0
@@ -100,13 +123,13 @@ def factorise(S: Array) -> bool:
 
 @kernel
 def solve(
-    rows: Rows, P: Array, innovation: Array, before: Array
+    rows: Rows, P: Array, entries: Ints, innovation: Array, before: Array
 ) -> tuple[Array, Array, Array, bool]:
     """Return U of S = U^T U, y = U^-T (nu + H d), the step (q,) = P H^T U^-1 y, and if there is one.
 
     d = `before` (q,) is the step at whose end H and nu were taken (Gauss-Newton); zero at first.
     """
-    U, HP = innovation_covariance(rows, P)
+    U, HP = innovation_covariance(rows, P, entries)
     y, step = innovation + _seen(rows, before), np.zeros(HP.shape[1])
     count = len(U)
     if not factorise(U):
@@ -125,11 +148,33 @@ def solve(
     return U, y, step, True
 
 
-def gain(rows: Rows, P: Array, U: Array) -> Array:
-    """Return W^T = U^-T H P (rows, n) for the q rows (q, n) of P.
+@kernel
+def gain(
+    rows: Rows, P: Array, n: int, entries: Ints, U: Array, y: Array
+) -> tuple[Array, Array, Array]:
+    """Return W^T = U^-T H P (rows, size), K nu = W y (size,) and P's rows of the pose (3, size).
 
-    P - W W^T is the covariance after the correction, and K nu = W y.
+    P - W W^T is the covariance after the correction. Columns from n on are zero; size is that of P.
     """
-    cross = _measured(rows, P)
-    W: Array = dtrsm(1.0, U.T, cross.T, side=1, lower=1, trans_a=1, overwrite_b=1)
-    return W.T
+    count, size = len(U), len(P)
+    W_T, step, of_pose = np.zeros((count, size)), np.zeros(size), np.zeros((POSE, size))
+    of_seen, W = np.zeros((len(entries), _CHUNK)), np.empty((count, _CHUNK))
+    for begin in range(0, n, _CHUNK):
+        width = min(_CHUNK, n - begin)
+        _rows_of(P, entries, begin, begin + width, of_seen)
+        _measure(rows, of_seen, W)
+        for r in range(count):
+            row, moved = W[r], step[begin : begin + width]
+            for b in range(r):
+                above, u = W[b], U[b, r]
+                for i in range(_CHUNK):
+                    row[i] -= u * above[i]
+            u = 1.0 / U[r, r]
+            for i in range(_CHUNK):
+                row[i] *= u
+            for i in range(width):
+                moved[i] += y[r] * row[i]
+            W_T[r, begin : begin + width] = row[:width]
+        for c in range(POSE):
+            of_pose[c, begin : begin + width] = of_seen[c, :width]
+    return W_T, step, of_pose

@@ -155,6 +155,11 @@ class LandmarkModel(Component):
         prediction = self.predict(np.zeros(3), m)
         return np.asarray(-np.linalg.solve(prediction.z_D_m, prediction.z_D_pose), np.float64)
 
+    def carry(self, m: Array, delta: Array) -> tuple[Array, Array]:
+        """Return landmarks m (k, dim) moved by delta (k, dim), and the change of `m_D_motion`."""
+        after = self.retract(m, delta)
+        return after, self.m_D_motion(after) - self.m_D_motion(m)
+
     def report(self, m: Array) -> Report:
         """Return one landmark (dim,) in the form users read."""
         values = dict(zip(self.values, m[2:].tolist(), strict=True))

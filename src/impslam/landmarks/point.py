@@ -60,7 +60,7 @@ class Point(LandmarkModel):
     def outline(self, m: Array, extents: Array) -> Array:
         """Return each point twice."""
         del extents
-        return np.stack([m, m], axis=-2)
+        return np.repeat(m[..., None, :], 2, axis=-2)
 
     def predict(self, pose: Array, m: Array) -> Prediction:
         """Return `observe` with its Jacobians in closed form."""
@@ -78,6 +78,12 @@ class Point(LandmarkModel):
         out[:, 0, 0] = out[:, 1, 1] = 1.0
         out[:, 0, 2], out[:, 1, 2] = -m[:, 1], m[:, 0]
         return out
+
+    def carry(self, m: Array, delta: Array) -> tuple[Array, Array]:
+        """Return the points moved, and the change of (-y, x); see `LandmarkModel.carry`."""
+        change = np.zeros((len(m), 2, 3))
+        change[:, 0, 2], change[:, 1, 2] = -delta[:, 1], delta[:, 0]
+        return m + delta, change
 
 
 @register("cylinder")

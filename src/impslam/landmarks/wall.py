@@ -54,13 +54,15 @@ def _predict(poses: Array, m: Array) -> tuple[Array, Array, Array]:
 
 
 @kernel
-def _extents(m: Array, ends: Array) -> Array:
-    """Return (p, 2) where along walls m (p, 3) the ends (p, 2, 2), in map, lie, in order."""
+def _extents(pose: Array, m: Array, ends: Array) -> Array:
+    """Return (p, 2) where along walls m (p, 3) the ends (p, 2, 2), in base_link, lie, in order."""
     out = np.empty((len(m), 2))
     for p in range(len(m)):
-        tx, ty = -math.sin(m[p, 2]), math.cos(m[p, 2])
-        one = (ends[p, 0, 0] - m[p, 0]) * tx + (ends[p, 0, 1] - m[p, 1]) * ty
-        two = (ends[p, 1, 0] - m[p, 0]) * tx + (ends[p, 1, 1] - m[p, 1]) * ty
+        dx, dy = pose[0] - m[p, 0], pose[1] - m[p, 1]
+        origin = math.cos(m[p, 2]) * dy - math.sin(m[p, 2]) * dx
+        c, s = math.cos(m[p, 2] - pose[2]), math.sin(m[p, 2] - pose[2])
+        one = origin + c * ends[p, 0, 1] - s * ends[p, 0, 0]
+        two = origin + c * ends[p, 1, 1] - s * ends[p, 1, 0]
         out[p, 0], out[p, 1] = min(one, two), max(one, two)
     return out
 
@@ -76,6 +78,18 @@ def _m_D_motion(m: Array) -> Array:
         D[1, 2] = c * m[k, 0] + s * m[k, 1]
         D[2, 2] = 1.0
     return out
+
+
+@kernel
+def _carry(m: Array, delta: Array) -> tuple[Array, Array]:
+    """Return walls m (k, 3) moved by delta (k, 3), and the change of `_m_D_motion`."""
+    after = np.empty_like(m)
+    for k in range(len(m)):
+        c, s = math.cos(m[k, 2]), math.sin(m[k, 2])
+        after[k, 0] = m[k, 0] + c * delta[k, 0] - s * delta[k, 1]
+        after[k, 1] = m[k, 1] + s * delta[k, 0] + c * delta[k, 1]
+        after[k, 2] = wrap_in_kernel(m[k, 2] + delta[k, 2])
+    return after, _m_D_motion(after) - _m_D_motion(m)
 
 
 @kernel
@@ -163,6 +177,10 @@ class Wall(LandmarkModel):
         """Return R(phi)^T [I, (-y, x)] over [0, 0, 1]; see `LandmarkModel.m_D_motion`."""
         return _m_D_motion(m)
 
+    def carry(self, m: Array, delta: Array) -> tuple[Array, Array]:
+        """Return `retract` and the change of `m_D_motion` in one kernel."""
+        return _carry(m, delta)
+
     def report(self, m: Array) -> Report:
         """Return the foot of the normal from the map origin, r >= 0 and alpha (thesis Fig. 20)."""
         c, s = math.cos(m[2]), math.sin(m[2])
@@ -184,7 +202,7 @@ class Wall(LandmarkModel):
 
     def extents(self, pose: Array, m: Array, ends: Array) -> Array:
         """Return where along each wall its observed piece begins and ends, from the frame, m."""
-        return _extents(m, transform(pose, ends))
+        return _extents(pose, m, ends)
 
     def overlap(self, pose: Array, m: Array, known: Array, seen: Array) -> Overlap:
         """Return the gaps between known and seen pieces; see `LandmarkModel.overlap`."""

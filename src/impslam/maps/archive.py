@@ -14,7 +14,7 @@ import struct
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import IO, Any, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -44,8 +44,7 @@ def save(path: Path, arrays: Arrays, about: dict[str, Any]) -> Path:
         try:
             with part.open("wb") as stream:
                 header = np.frombuffer(table.encode(), np.uint8)
-                rows = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-                np.savez(stream, **{"about": header, **rows})  # type: ignore[arg-type]
+                _write(stream, {"about": header, **arrays})
                 stream.flush()
                 os.fsync(stream.fileno())
             part.replace(path)
@@ -56,6 +55,17 @@ def save(path: Path, arrays: Arrays, about: dict[str, Any]) -> Path:
             f"{path}: cannot be written ({error.strerror or error}); choose another place"
         ) from None
     return path
+
+
+def _write(stream: IO[bytes], arrays: Arrays) -> None:
+    """Write what `np.savez` would, but an array from its own memory: `savez` copies each first."""
+    with zipfile.ZipFile(stream, "w") as packed:
+        for name, array in arrays.items():
+            rows = np.ascontiguousarray(array)
+            with packed.open(f"{name}.npy", "w", force_zip64=True) as member:
+                facts = np.lib.format.header_data_from_array_1_0(rows)
+                np.lib.format.write_array_header_1_0(member, facts)
+                member.write(rows.reshape(-1).view(np.uint8).data)
 
 
 def load(path: Path, layout: Layout, build: Callable[[Arrays, dict[str, Any]], Built]) -> Built:

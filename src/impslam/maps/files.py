@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -52,11 +53,11 @@ class MapImage:
 
 def map_image(grid: OccupancyGrid) -> MapImage:
     """Return the grid in three greys, cut to what is known."""
-    p = grid.probabilities()
-    pixels = np.full(p.shape, UNKNOWN, np.uint8)
-    pixels[p < FREE_BELOW] = FREE
-    pixels[p > OCCUPIED_ABOVE] = OCCUPIED
-    rows, columns = (np.flatnonzero((p != 0.5).any(axis=axis)) for axis in (1, 0))
+    free, occupied = (math.log(p / (1.0 - p)) for p in (FREE_BELOW, OCCUPIED_ABOVE))
+    pixels = np.full(grid.logodds.shape, UNKNOWN, np.uint8)
+    pixels[grid.logodds < free] = FREE
+    pixels[grid.logodds > occupied] = OCCUPIED
+    rows, columns = (np.flatnonzero((grid.logodds != 0.0).any(axis=axis)) for axis in (1, 0))
     if len(rows) == 0:
         nothing = np.full((1, 1), UNKNOWN, np.uint8)
         return MapImage(nothing, grid.resolution, np.zeros(2))

@@ -33,14 +33,29 @@ class Key(NamedTuple):
 
 
 class Frame:
-    """The axes of a canvas that shows the rectangle left, right, bottom, top, m."""
+    """The axes of a canvas that shows the rectangle left, right, bottom, top, m, and the key above.
 
-    def __init__(self, canvas: Canvas, bounds: tuple[float, float, float, float]) -> None:
+    The canvas is from now on a part of a sheet: what is drawn on it is drawn on the sheet.
+    """
+
+    def __init__(
+        self, canvas: Canvas, bounds: tuple[float, float, float, float], keys: Sequence[Key]
+    ) -> None:
         self._map, self._bounds = canvas, bounds
         left, right, bottom, top = bounds
         about = [max(2.0, 7.0 * side / max(canvas.pixels.shape)) for side in self._size]
         self._x = [v for v in round_numbers(left, right, about[0]) if left <= v <= right]
         self._y = [v for v in round_numbers(bottom, top, about[1]) if bottom <= v <= top]
+        columns, rows = self._size
+        width = max(LEFT + columns + RIGHT, 620)
+        self._keys = list(_wrapped(keys, width - 2 * RIGHT))
+        self._height = BELOW + rows + ROW * len(self._keys) + RIGHT
+        sheet = (0.0, width, 0.0, self._height)
+        self._sheet = Canvas(sheet, max(width, self._height), "#ffffff")  # a pixel is 1 m wide
+        above = self._height - BELOW - rows
+        part = self._sheet.pixels[above : above + rows, LEFT : LEFT + columns]
+        part[:] = canvas.pixels
+        canvas.pixels = part
 
     @property
     def _size(self) -> tuple[int, int]:
@@ -58,20 +73,15 @@ class Frame:
             self._map.line(np.array([[left, y], [right, y]]), INK, 1)
         self._map.fade(before, 0.12)
 
-    def around(self, keys: Sequence[Key]) -> Canvas:
-        """Return the map with its axes and the key above; a pixel of this canvas is 1 m wide."""
+    def around(self) -> Canvas:
+        """Return the sheet: the map with its axes, and the key above."""
         columns, rows = self._size
-        width = max(LEFT + columns + RIGHT, 620)
-        lines = list(_wrapped(keys, width - 2 * RIGHT))
-        height = BELOW + rows + ROW * len(lines) + RIGHT
-        sheet = Canvas((0.0, width, 0.0, height), max(width, height), "#ffffff")
-        above = height - BELOW - rows
-        sheet.pixels[above : above + rows, LEFT : LEFT + columns] = self._map.pixels
+        sheet = self._sheet
         corners = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]])
         sheet.line(corners + np.array([LEFT, BELOW]), "#d4d9de", 2, closed=True)
         self._figures(sheet)
-        for i, line in enumerate(lines):
-            _draw_keys(sheet, line, height - ROW * (i + 0.7))
+        for i, line in enumerate(self._keys):
+            _draw_keys(sheet, line, self._height - ROW * (i + 0.7))
         return sheet
 
     def _figures(self, sheet: Canvas) -> None:

@@ -41,15 +41,15 @@ def map_png(scene: Scene) -> bytes:
     """Return the map with paths and landmarks as a PNG."""
     left, right, bottom, top = bounds = _bounds(scene)
     canvas = Canvas(bounds, SIZE, colours.UNSEEN)
+    frame = Frame(canvas, bounds, _keys(scene))
     _draw_grid(canvas, scene.image)
-    frame = Frame(canvas, bounds)
     frame.rule()
     thickness = float(np.clip(15.0 / max(right - left, top - bottom), 0.5, 1.0))
     _draw_paths(canvas, scene, thickness)
     _draw_landmarks(canvas, scene.landmarks, thickness)
     _draw_ends(canvas, scene.path)
     _draw_numbers(canvas, scene.landmarks)
-    return png(frame.around(_keys(scene)).pixels)
+    return png(frame.around().pixels)
 
 
 def _bounds(scene: Scene) -> tuple[float, float, float, float]:

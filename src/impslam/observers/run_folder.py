@@ -83,9 +83,10 @@ def write_end(
         if true_landmarks:
             write_true_landmarks(folder / TRUE_LANDMARKS, true_landmarks)
         known.save(folder / "map.imp")
-        image = map_image(grid)
+        image, refused = map_image(grid), grid.refused
+        del grid  # its memory serves the picture
         write_map(folder, image)
-        facts = summarise(outcome, history, grid.refused)
+        facts = summarise(outcome, history, refused)
         text = json.dumps(facts, indent=2, ensure_ascii=False) + "\n"
         (folder / "summary.json").write_text(text, encoding="utf-8")
         (folder / "config.toml").write_text(config_toml(outcome.config), encoding="utf-8")

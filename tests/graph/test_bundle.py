@@ -1,12 +1,13 @@
 import numpy as np
 import pytest
+from tests.graph.test_block_system import dense
 from tests.rooms import FRONT, MOUNTS, drive, scans_at
 
 from impslam.geometry import se2
 from impslam.geometry.angles import wrap
 from impslam.graph.bearings import Scans, sort_by_bearing
-from impslam.graph.block_system import empty_system
-from impslam.graph.bundle import Edges, Fit, Refinement, lay, linearise, refine
+from impslam.graph.block_system import add_relative, clear_system, empty_system
+from impslam.graph.bundle import Edges, Fit, Refinement, lay, linearise, pair_edges, refine
 from impslam.graph.overlaps import Nearness, overlaps
 
 PRECISE = Fit(rounds=6)
@@ -15,7 +16,8 @@ PRECISE = Fit(rounds=6)
 def chain(poses, sigmas=(0.05, 0.05, 0.02)):
     T = se2.between(poses[:-1], poses[1:])
     information = np.tile(np.diag(np.array(sigmas) ** -2.0), (len(T), 1, 1))
-    return Edges(np.arange(len(T)), np.arange(1, len(T) + 1), T, information)
+    none = np.full(len(T), np.inf)
+    return Edges(np.arange(len(T)), np.arange(1, len(T) + 1), T, information, none)
 
 
 def perturbed(poses, seed=3):
@@ -33,7 +35,7 @@ def off(one, two):
 def test_perturbed_keyframes_are_recovered(mount):
     truth = drive()
     guess = perturbed(truth)
-    nearness = Nearness(turn=3.2) if MOUNTS[mount].beams > 400 else None
+    nearness = Nearness(turn=np.pi) if MOUNTS[mount].beams > 400 else None
     scans = scans_at(truth, MOUNTS[mount])
     done = refine(
         guess, scans, chain(guess, (0.5, 0.5, 0.2)), overlaps(guess, nearness), fit=PRECISE
@@ -128,6 +130,7 @@ def test_a_keyframe_without_overlap_moves_by_its_edge_alone():
     edges = Edges(
         np.append(some.i, k - 1), np.append(some.j, k), np.vstack([some.T_i_j, T]),
         np.concatenate([some.information, np.diag([100.0, 100.0, 1000.0])[None]]),
+        np.append(some.kernel, np.inf),
     )  # fmt: skip
     done = refine(guess, scans, edges, overlaps(guess), fit=PRECISE)
     np.testing.assert_allclose(se2.between(done.poses[k - 1], done.poses[k]), T, atol=2e-3)
@@ -150,10 +153,8 @@ def test_keyframes_that_are_fixed_stay():
 
 
 def test_nothing_or_one_keyframe_comes_back_as_it_is():
-    empty = Edges(
-        np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3, 3))
-    )
-    none = np.empty((0, 2), np.int64)
+    no, none = np.empty(0, np.int64), np.empty((0, 2), np.int64)
+    empty = Edges(no, no, np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0))
     scans = Scans(np.empty((0, 5), np.float32), np.zeros(1, np.int64), np.zeros(2))
     assert refine(np.empty((0, 3)), scans, empty, none).poses.shape == (0, 3)
     one = refine(drive()[:1], scans_at(drive()[:1]), empty, none)
@@ -204,3 +205,51 @@ def test_information_is_not_more_than_the_noise_allows():
         chi2.append(e @ done.information[0] @ e)
     assert np.mean(chi2) < 3.0
     assert np.mean(chi2) > 0.3  # nor so unsure that nothing is said
+
+
+def covariance(poses, *several):
+    """Return the covariance (3k - 3, 3k - 3) of all poses but the first, by dense algebra."""
+    k = len(poses)
+    H = np.zeros((3 * k, 3 * k))
+    for edges in several:
+        system = empty_system(edges.i, edges.j, np.zeros(k, bool))
+        clear_system(system)
+        for row, information in enumerate(edges.information):
+            add_relative(system, row, poses, information, np.zeros(3))
+        H += dense(system)
+    return np.linalg.inv(H[3:, 3:])
+
+
+@pytest.mark.parametrize(("sigma", "shared"), [(0.03, 0.0), (0.015, 0.01)])
+def test_the_covariance_covers_the_errors(sigma, shared):
+    # Noise of each beam, and what eight neighbours have in common.
+    truth = drive()[::2]
+    rng, edges, pairs = np.random.default_rng(7), chain(truth, (0.5, 0.5, 0.2)), overlaps(truth)
+    nees = []
+    for _ in range(12):
+        noise = rng.normal(0, sigma, (len(truth), FRONT.beams))
+        noise += np.repeat(rng.normal(0, shared, (len(truth), 46)), 8, 1)[:, : FRONT.beams]
+        done = refine(truth, scans_at(truth, noise=noise), edges, pairs, fit=Fit(rounds=4))
+        P = covariance(done.poses, edges, pair_edges(done))
+        e = done.poses - truth
+        e[:, 2] = wrap(e[:, 2])
+        for j in range(1, len(truth)):
+            block = slice(3 * j - 3, 3 * j)
+            nees.append(e[j] @ np.linalg.solve(P[block, block], e[j]))
+    assert 0.5 < np.mean(nees) < 3.0
+
+
+def test_an_edge_that_contradicts_the_scans_counts_for_little():
+    truth = drive()
+    scans, edges, pairs = scans_at(truth), chain(truth, (0.5, 0.5, 0.2)), overlaps(truth)
+
+    def with_a_wrong_loop(kernel):
+        wrong = Edges(
+            np.append(edges.i, 3), np.append(edges.j, 60), np.vstack([edges.T_i_j, [1.0, 4.0, 1.0]]),
+            np.concatenate([edges.information, np.diag([400.0, 400.0, 2500.0])[None]]),
+            np.append(edges.kernel, kernel),
+        )  # fmt: skip
+        return off(refine(truth, scans, wrong, pairs).poses, truth)
+
+    assert (with_a_wrong_loop(9.0) < 2e-3).all()
+    assert (with_a_wrong_loop(np.inf) > 5e-3).any()

@@ -16,8 +16,10 @@ from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Mask
 
 TOLERANCE, MOST_STEPS = 1e-3, 60
-"""Residual over that of the start at which a solution is good enough: the next linearisation mends
-it; and steps at most."""
+"""Residual over that of the start at which a solution is good enough, since the next linearisation
+mends the rest; and steps at most. A step carries what a pose knows to those it is paired with, so few
+steps leave alone what is held only over many poses; a thousand steps moved the shape of buildings by
+a decimetre, and made their maps no more accurate."""
 _DAMPING = 1e-6  # of rows that nothing holds, so that they have an inverse and stay where they are
 
 
@@ -185,10 +187,10 @@ def _beside(system: BlockSystem) -> Array:
     out = np.zeros_like(system.diagonal)
     for e in range(len(system.off)):
         i, j = system.i[e], system.j[e]
-        if j == i + 1:
-            out[j] += system.off[e].T
-        elif i == j + 1:
-            out[i] += system.off[e]
+        if abs(i - j) == 1:
+            for a in range(3):
+                for b in range(3):
+                    out[max(i, j), a, b] += system.off[e, b, a] if j > i else system.off[e, a, b]
     return out
 
 

@@ -7,6 +7,7 @@ other pass nearby.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,8 @@ from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel, plain
 from impslam.types import Array, Ints
 
+COMMON = 0.36  # of the view of two keyframes at least: with less, too few points find partners
+
 
 class Nearness(NamedTuple):
     """Which keyframes are paired.
@@ -22,8 +25,7 @@ class Nearness(NamedTuple):
     Attributes
     ----------
     distance : m; from farther away, much is hidden that one of them sees
-    turn : rad; beyond, lidars of 180 to 270 degrees look at different walls. pi for one that sees
-        all around
+    turn : rad; beyond, they look at different walls; see `largest_turn`, by default that of 180 degrees
     partners : of each keyframe at most; from 4 to 10 the map comes out the same
     same_pass : of these at most so many from the same pass
     pass_way : m of way; keyframes closer than this along the way are of one pass
@@ -31,7 +33,7 @@ class Nearness(NamedTuple):
     """
 
     distance: float = 3.0
-    turn: float = 2.0
+    turn: float = (1.0 - COMMON) * math.pi
     partners: int = 6
     same_pass: int = 4
     pass_way: float = 8.0
@@ -39,6 +41,11 @@ class Nearness(NamedTuple):
 
 
 PER_RADIAN = 0.7  # m: a turn of 1 rad hides about as much as so many metres of distance
+
+
+def largest_turn(field_of_view: float) -> float:
+    """Return by how much two keyframes of a lidar that sees so far around, rad, may differ in heading."""
+    return min(math.pi, (1.0 - COMMON) * field_of_view)
 
 
 def overlaps(poses: Array, nearness: Nearness | None = None) -> Ints:
@@ -99,7 +106,7 @@ def _candidates(
             break
         turn = abs(wrap_in_kernel(poses[i, 2] - poses[j, 2]))
         distance = np.sqrt(dx * dx + dy * dy)
-        if i != j and distance < nearness.distance and turn < nearness.turn:
+        if i != j and distance < nearness.distance and turn <= nearness.turn:
             near[found], cost[found] = i, distance + PER_RADIAN * turn
             found += 1
     return found

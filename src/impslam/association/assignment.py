@@ -21,13 +21,12 @@ def one_to_one(rows: Ints, columns: Ints, cost: Array) -> list[int]:
     Of as many, those of least total cost; pairs that are not listed are not allowed.
     """
     wanted = list(zip(rows.tolist(), columns.tolist(), strict=True))
-    if not wanted:
-        return []
-    a, k = (sorted(set(side)) for side in zip(*wanted, strict=True))
+    a, k = {row for row, _ in wanted}, {column for _, column in wanted}
     if len(a) == len(k) == len(wanted):  # nobody competes
         return list(range(len(wanted)))
+    in_a, in_k = ({key: i for i, key in enumerate(sorted(keys))} for keys in (a, k))
     table = np.full((len(a), len(k)), _FORBIDDEN)
-    place = {(a.index(row), k.index(column)): p for p, (row, column) in enumerate(wanted)}
+    place = {(in_a[row], in_k[column]): p for p, (row, column) in enumerate(wanted)}
     table[tuple(zip(*place, strict=True))] = cost
     chosen = zip(*(side.tolist() for side in linear_sum_assignment(table)), strict=True)
     return [place[pair] for pair in chosen if pair in place]
@@ -44,6 +43,7 @@ def collect(
         if pairs:
             matches += group.matches(pairs)
         taken.update(group.observations[near].tolist())
-    taken.update(match.observation for match in matches)
-    new = tuple(i for i in range(len(observations)) if i not in taken)
-    return Assignment(tuple(sorted(matches, key=attrgetter("observation"))), new)
+    taken.update([match.observation for match in matches])
+    new = tuple([i for i in range(len(observations)) if i not in taken])
+    matches.sort(key=attrgetter("observation"))
+    return Assignment(tuple(matches), new)

@@ -56,10 +56,10 @@ class Mahalanobis(Association):
     def _choose(self, group: Hypotheses) -> tuple[list[int], Mask]:
         dim = group.innovation.shape[-1]
         # -2 log of the odds that this is the landmark, against that it is another like it.
-        cost = group.distance2 + group.log_det + dim * math.log(2.0 * math.pi)
-        cost += 2.0 * math.log(self.density)
-        allowed = (group.distance2 < quantile(self.gate, dim)) & group.possible & (cost < 0.0)
-        near = (group.distance2 < quantile(self.new_gate, dim)) & group.possible & (cost < _DOUBT)
+        odds = dim * math.log(2.0 * math.pi) + 2.0 * math.log(self.density)
+        distance2, cost = group.distance2, group.distance2 + group.log_det + odds
+        allowed = (distance2 < quantile(self.gate, dim)) & group.possible & (cost < 0.0)
+        near = (distance2 < quantile(self.new_gate, dim)) & group.possible & (cost < _DOUBT)
         pairs = allowed.nonzero()[0]
         best = one_to_one(group.observations[pairs], group.landmarks[pairs], cost[pairs])
         return pairs[best].tolist(), near

@@ -116,8 +116,8 @@ class Landmarks(Estimator):
 
 
 def _check_finite(keyframe: Keyframe) -> None:
-    numbers = [part.ravel() for o in keyframe.observations for part in (o.z, o.R)]
     if not np.isfinite(keyframe.motion.covariance).all():
         raise NumericalError("the motion's covariance is not finite")
-    if numbers and not np.isfinite(np.concatenate(numbers)).all():
+    numbers = [part for o in keyframe.observations for part in (o.z, o.R)]
+    if numbers and not np.isfinite(np.concatenate(numbers, axis=None)).all():
         raise NumericalError("an extractor's observation is not finite")

@@ -175,13 +175,12 @@ class Atlas:
         for table, places, seen, rows, which in self.pairs(observations, matches):
             if table.model.has_extent:
                 own = table.model.extents(pose, table.states(mean, places), seen.ends[rows])
-                known = table.extents[places]
-                known[:, 0] = np.minimum(known[:, 0], own[:, 0])
-                known[:, 1] = np.maximum(known[:, 1], own[:, 1])
-                table.extents[places] = known
-            table.counts[places] += 1
-            table.stamps[places, 1] = stamp
+                for place, (begin, end) in zip(places, own.tolist(), strict=True):
+                    known = table.extents[place]
+                    known[0], known[1] = min(known[0], begin), max(known[1], end)
             for place, i in zip(places, which, strict=True):
+                table.counts[place] += 1
+                table.stamps[place, 1] = stamp
                 attributes = observations[matches[i].observation].attributes
                 if attributes:
                     table.average(place, attributes)

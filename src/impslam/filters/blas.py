@@ -40,7 +40,7 @@ def subtract_product(P: Array, n: int, L: Array, R: Array) -> None:
     rows = ctypes.addressof(integers)
     columns, inner, stride = rows + 4, rows + 8, rows + 12
     minus, one = ctypes.addressof(numbers), ctypes.addressof(numbers) + 8
-    p, left, right = P.ctypes.data, L.ctypes.data, R.ctypes.data
+    p, left, right = (array.__array_interface__["data"][0] for array in (P, L, R))
     for j in range(0, n, _PANEL):
         integers[0], integers[1] = n - j, min(_PANEL, n - j)
         a, b, c = left + 8 * j, right + 8 * j, p + 8 * j * (size + 1)

@@ -38,6 +38,8 @@ class Columns(NamedTuple):
 
 def end_points(observations: Sequence[Observation]) -> Array:
     """Return where in base_link observations begin and end (k, 2, 2), m; 0 for those of points."""
+    if all(o.end_points is None for o in observations):
+        return np.zeros((len(observations), 2, 2))
     ends = [_NOWHERE if o.end_points is None else o.end_points for o in observations]
     return np.concatenate(ends).reshape(-1, 2, 2)
 

@@ -68,28 +68,35 @@ def _extents(pose: Array, m: Array, ends: Array) -> Array:
 
 
 @kernel
+def _put_m_D_motion(m: Array, c: float, s: float, out: Array) -> None:
+    """Fill out (3, 3) with R(phi)^T [I, (-y, x)] over [0, 0, 1] of a wall, c and s those of phi."""
+    out[0, 0], out[0, 1], out[0, 2] = c, s, s * m[0] - c * m[1]
+    out[1, 0], out[1, 1], out[1, 2] = -s, c, c * m[0] + s * m[1]
+    out[2, 0], out[2, 1], out[2, 2] = 0.0, 0.0, 1.0
+
+
+@kernel
 def _m_D_motion(m: Array) -> Array:
-    """Return R(phi)^T [I, (-y, x)] over [0, 0, 1] (k, 3, 3) of walls m (k, 3)."""
-    out = np.zeros((len(m), 3, 3))
+    """Return `LandmarkModel.m_D_motion` (k, 3, 3) of walls m (k, 3)."""
+    out = np.empty((len(m), 3, 3))
     for k in range(len(m)):
-        c, s, D = math.cos(m[k, 2]), math.sin(m[k, 2]), out[k]
-        D[0, 0], D[0, 1], D[1, 0], D[1, 1] = c, s, -s, c
-        D[0, 2] = s * m[k, 0] - c * m[k, 1]
-        D[1, 2] = c * m[k, 0] + s * m[k, 1]
-        D[2, 2] = 1.0
+        _put_m_D_motion(m[k], math.cos(m[k, 2]), math.sin(m[k, 2]), out[k])
     return out
 
 
 @kernel
 def _carry(m: Array, delta: Array) -> tuple[Array, Array]:
     """Return walls m (k, 3) moved by delta (k, 3), and the change of `_m_D_motion`."""
-    after = np.empty_like(m)
+    after, change, before = np.empty_like(m), np.empty((len(m), 3, 3)), np.empty((3, 3))
     for k in range(len(m)):
         c, s = math.cos(m[k, 2]), math.sin(m[k, 2])
         after[k, 0] = m[k, 0] + c * delta[k, 0] - s * delta[k, 1]
         after[k, 1] = m[k, 1] + s * delta[k, 0] + c * delta[k, 1]
         after[k, 2] = wrap_in_kernel(m[k, 2] + delta[k, 2])
-    return after, _m_D_motion(after) - _m_D_motion(m)
+        _put_m_D_motion(m[k], c, s, before)
+        _put_m_D_motion(after[k], math.cos(after[k, 2]), math.sin(after[k, 2]), change[k])
+        change[k] -= before
+    return after, change
 
 
 @kernel

@@ -23,7 +23,6 @@ from impslam.component import parameter, register
 from impslam.filters.base import Filter
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
-from impslam.geometry.se2 import compose
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
 from impslam.types import Array, Increment, Ints, Mask, Match, Observation, Scan
@@ -125,42 +124,50 @@ def _seen_through(
 
 
 @kernel
-def _into(pose: Array, points: Array) -> Array:
-    """Return points (n, 2) as seen from a pose (3,)."""
-    c, s, out = math.cos(pose[2]), math.sin(pose[2]), np.empty((len(points), 2))
+def _into(pose: Array, points: Array, out: Array) -> None:
+    """Fill out (n, 2) with points (n, 2) as seen from a pose (3,)."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
     for i in range(len(points)):
         x, y = points[i, 0] - pose[0], points[i, 1] - pose[1]
         out[i, 0], out[i, 1] = c * x + s * y, c * y - s * x
-    return out
 
 
 @kernel
 def _balances(
-    beams: tuple[Array, Array, Mask], poses: Array, outlines: Array, matched: Mask, limits: Array
+    beams: tuple[Array, Array, Mask],
+    poses: tuple[Array, Array],
+    outlines: Array,
+    matched: Mask,
+    limits: tuple[float, float],
 ) -> Array:
     """Return for each landmark (k,) the balance of its places where it is negative, else 0 or more.
 
-    `beams` are points (n, 2) and directions (n,) in base_link and which are valid; `poses` (3, 3) are
-    `T_map_base`, `T_map_laser` and `T_base_laser`; `limits` (2,) are margin and width, m. A landmark
-    farther than the farthest beam ends is left out, as is one that is `matched` (k,).
+    `beams` are points (n, 2) and directions (n,) in base_link and which are valid; `poses` are
+    `T_map_base` and `T_base_laser`, (3,); `limits` are margin and width, m. A landmark farther than the
+    farthest beam ends is left out, as is one that is `matched` (k,).
     """
-    out, order = np.zeros(len(outlines)), np.argsort(beams[1], kind="mergesort")
-    directions, valid = beams[1][order] - poses[2, 2], beams[2][order]
-    points, limit = _into(poses[2], beams[0][order]), 0.0
-    ranges = np.hypot(points[:, 0], points[:, 1])
-    for b in range(len(valid)):
-        if beams[2][b]:
-            limit = max(limit, math.hypot(beams[0][b, 0], beams[0][b, 1]))
+    out, (points, directions, valid), (base, laser) = np.zeros(len(outlines)), beams, poses
     if valid.sum() < 2:
         return out
+    limit2 = 0.0
+    for b in range(len(valid)):
+        if valid[b]:
+            limit2 = max(limit2, points[b, 0] ** 2 + points[b, 1] ** 2)
+    if (directions[1:] < directions[:-1]).any():
+        order = np.argsort(directions, kind="mergesort")
+        points, directions, valid = points[order], directions[order], valid[order]
+    in_laser, ends = np.empty((len(points), 2)), np.empty((len(outlines), 2, 2))
+    _into(laser, points, in_laser)
+    _into(base, outlines.reshape(-1, 2), ends.reshape(-1, 2))
+    directions, ranges = directions - laser[2], np.hypot(in_laser[:, 0], in_laser[:, 1])
     for i in range(len(out)):
-        x = 0.5 * (outlines[i, 0, 0] + outlines[i, 1, 0]) - poses[0, 0]
-        y = 0.5 * (outlines[i, 0, 1] + outlines[i, 1, 1]) - poses[0, 1]
-        if matched[i] or math.hypot(x, y) >= limit:
+        x, y = 0.5 * (ends[i, 0, 0] + ends[i, 1, 0]), 0.5 * (ends[i, 0, 1] + ends[i, 1, 1])
+        if matched[i] or x * x + y * y >= limit2:
             continue
-        ends = _into(poses[1], outlines[i])
-        if not _hidden(ends, directions, ranges, valid, limits[0], limits[1]):
-            out[i] = _seen_through(ends, directions, points, valid, limits[0], limits[1])
+        seen = np.empty((2, 2))
+        _into(laser, ends[i], seen)
+        if not _hidden(seen, directions, ranges, valid, limits[0], limits[1]):
+            out[i] = _seen_through(seen, directions, in_laser, valid, limits[0], limits[1])
     return out
 
 
@@ -265,10 +272,10 @@ class Tentative(Lifecycle):
         """Lower the scores of what is seen through; return those that have sunk too low."""
         balance = _balances(
             (scan.points, scan.directions, scan.valid),
-            np.stack((pose, compose(pose, scan.laser), scan.laser)),
+            (pose, scan.laser),
             outlines,
-            np.isin(ids, list(matched)),
-            np.array([self.margin, self.width]),
+            np.array([number in matched for number in ids.tolist()]),
+            (self.margin, self.width),
         )
         lost = []
         for k in (balance < 0.0).nonzero()[0].tolist():

@@ -251,8 +251,8 @@ def _seal(*shown: object) -> None:
     for value in shown:
         kind: Any = type(value)
         for part in _parts_of(kind)(value):
-            if isinstance(part, np.ndarray):
-                part.flags.writeable = False
+            if type(part) is np.ndarray:
+                part.setflags(write=False)
 
 
 @functools.cache

@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from impslam.geometry.kernels import kernel
-from impslam.types import Array, Ints
+from impslam.types import Array, Ints, Mask
 
 NONE = -1
 _FRESH = -2  # not looked at yet
@@ -22,6 +22,10 @@ _FRESH = -2  # not looked at yet
 
 System: TypeAlias = tuple[Array, Array]
 """S (rows, rows) and the innovation nu (rows,) of all pairs at once."""
+Pairs: TypeAlias = tuple[Ints, Ints]
+"""First row of each pair and the end of the last (pairs + 1,), and its landmark (pairs,)."""
+Sums: TypeAlias = tuple[Ints, Ints, Array, Array]
+"""Rows, pairs, d^2, and d^2 + log det S of the pairs of the observations before i, each (n + 1,)."""
 Factor: TypeAlias = tuple[Ints, Array, Array]
 """Rows of S, the factor L of their block, and y with L y = nu; filled up to some length."""
 
@@ -52,6 +56,41 @@ def _append(system: System, factor: Factor, top: int, start: int, stop: int) -> 
 
 
 @kernel
+def _price(
+    system: System,
+    factor: Factor,
+    top: int,
+    pairs: Pairs,
+    group: tuple[int, int],
+    used: Mask,
+    cost: Array,
+) -> int:
+    """Write what each pair of a group would add to d^2 + log det S; return how many were looked at."""
+    starts, landmarks = pairs
+    looked = 0
+    for p in range(*group):
+        cost[p] = np.inf
+        if not used[landmarks[p]]:
+            distance2, log_det = _append(system, factor, top, starts[p], starts[p + 1])
+            cost[p] = distance2 + log_det
+            looked += 1
+    return looked
+
+
+@kernel
+def _follow(system: System, factor: Factor, starts: Ints, p: int, i: int, sums: Sums) -> None:
+    """Write the sums after observation i takes pair p, or NONE."""
+    top, count, d2, score = sums
+    top[i + 1], count[i + 1], d2[i + 1], score[i + 1] = top[i], count[i], d2[i], score[i]
+    if p != NONE:
+        distance2, log_det = _append(system, factor, top[i], starts[p], starts[p + 1])
+        d2[i + 1] += distance2
+        score[i + 1] += distance2 + log_det
+        top[i + 1] += starts[p + 1] - starts[p]
+        count[i + 1] += 1
+
+
+@kernel
 def _cheapest(cost: Array, first: int, last: int) -> int:
     """Return the cheapest pair left in first:last, NONE when all have been tried."""
     best, least = NONE, np.inf
@@ -64,7 +103,7 @@ def _cheapest(cost: Array, first: int, last: int) -> int:
 @kernel
 def search(
     system: System,
-    pairs: tuple[Ints, Ints],
+    pairs: Pairs,
     groups: Ints,
     rest: Ints,
     floor: Array,
@@ -95,6 +134,7 @@ def search(
     used, cost = np.zeros(len(landmarks), np.bool_), np.empty(len(landmarks))
     top, count = np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)
     d2, score = np.zeros(n + 1), np.zeros(n + 1)
+    sums = top, count, d2, score
     most, least, i = 0, np.inf, 0
     while i >= 0:
         if choice[i] >= 0:
@@ -107,23 +147,12 @@ def search(
             i -= 1
             continue
         if choice[i] == _FRESH:
-            for p in range(groups[i], groups[i + 1]):
-                cost[p] = np.inf
-                if not used[landmarks[p]]:
-                    distance2, log_det = _append(system, factor, top[i], starts[p], starts[p + 1])
-                    cost[p] = distance2 + log_det
-                    budget -= 1
-        p = _cheapest(cost, groups[i], groups[i + 1])
-        choice[i] = p
-        top[i + 1], count[i + 1], d2[i + 1], score[i + 1] = top[i], count[i], d2[i], score[i]
+            budget -= _price(system, factor, top[i], pairs, (groups[i], groups[i + 1]), used, cost)
+        p = choice[i] = _cheapest(cost, groups[i], groups[i + 1])
+        _follow(system, factor, starts, p, i, sums)
         i += 1
         if p != NONE:
-            distance2, log_det = _append(system, factor, top[i], starts[p], starts[p + 1])
             cost[p], used[landmarks[p]] = np.inf, True
-            d2[i] += distance2
-            score[i] += distance2 + log_det
-            top[i] += starts[p + 1] - starts[p]
-            count[i] += 1
         better = count[i] > most or (count[i] == most and score[i] < least)
         if better and d2[i] <= limits[top[i]]:
             most, least = count[i], score[i]

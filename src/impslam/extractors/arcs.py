@@ -108,24 +108,10 @@ def _fit_arc(
         return False
     middle = points[len(points) // 2]
     away = math.hypot(middle[0] - origin[0], middle[1] - origin[1])
-    start = _start(points, beams, limits, away)
-    i, j = 0, len(points)
-    for _ in range(_FITS):
-        if j - i < limits[3]:
-            return False
-        edges = _edges(
-            beams[i:j], sides[i:j], origin, math.hypot(_EDGE * limits[6] * away, _FADE * start[2])
-        )
-        good, circle, cov, bias, chi2 = fit_circle_core(
-            points[i:j], beams[i:j], variances[i:j], edges, start, known
-        )
-        if not good:
-            return False
-        first, last = i, j
-        i, j = _trimmed(points, beams, variances, circle, i, j)
-        if i == first and j == last:
-            break
-    i, j = first, last
+    enough, fit, i, j = _fit_without_ends(points, beams, variances, sides, limits, origin, away)
+    good, circle, cov, bias, chi2 = fit
+    if not (good and enough):
+        return False
     dof = j - i + 2 - (2 if known else 3)
     if chi2 > limits[4] * dof or math.sqrt(cov[2, 2]) > limits[5] * circle[2]:
         return False
@@ -136,6 +122,38 @@ def _fit_arc(
     out[8:11] = bias
     out[11] = chi2 / dof
     return True
+
+
+@kernel
+def _fit_without_ends(
+    points: Array,
+    beams: Array,
+    variances: Array,
+    sides: Array,
+    limits: Array,
+    origin: Array,
+    away: float,
+) -> tuple[bool, tuple[bool, Array, Array, Array, float], int, int]:
+    """Fit to a segment without outliers at its ends.
+
+    Returns whether enough points are left, the fit of `fit_circle_core` to the points [i, j), i and j.
+    """
+    known, start = not math.isnan(limits[0]), _start(points, beams, limits, away)
+    edge = math.hypot(_EDGE * limits[6] * away, _FADE * start[2])
+    i, j, enough = 0, len(points), True
+    for _ in range(_FITS):
+        if j - i < limits[3]:
+            enough = False
+            break
+        edges = _edges(beams[i:j], sides[i:j], origin, edge)
+        fit = fit_circle_core(points[i:j], beams[i:j], variances[i:j], edges, start, known)
+        first, last = i, j
+        if not fit[0]:
+            break
+        i, j = _trimmed(points, beams, variances, fit[1], i, j)
+        if i == first and j == last:
+            break
+    return enough, fit, first, last
 
 
 @kernel

@@ -7,18 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from impslam.extractors.line_splitting import MIN_PIECE, across, split
 from impslam.extractors.segmentation import Cloud
 from impslam.geometry.kernels import kernel
 from impslam.geometry.lines import fit_line_core
 from impslam.types import Array, Ints
 
-_CORNER = 4.5  # standard deviations off the chord: 1 of 500 straight segments of 300 points
 _OUTLIER = 3.5  # standard deviations: 1 of 2000 Gaussian residuals is beyond
-_BEND_GAIN = 25.0  # chi-square of three parameters (two lines for one, and where): p = 1.5e-5
-_BEND_FLAT = 3.0  # a bend that stands out less than this many `flatness` is the wall's own shape
 _COLLINEAR = 13.8  # chi-square of two degrees of freedom at 99.9 %
 _THROUGH = 0.05  # m: a beam this far beyond a wall (and its noise) went through an opening
-_MIN_PIECE = 4  # points: two make a line, two more tell that it is one
 _MANY = 20  # points from which on the outermost, perhaps half on what is behind, are not needed
 _AHEAD = 6  # pieces to look past for the other side of something in front of a wall
 _LINE = 8  # columns of a fit: rho, alpha, rr, ra, aa, bias r, bias a, chi2
@@ -66,129 +63,6 @@ def find_segments(cloud: Cloud, flatness: float, gap: float) -> Segments:
     lengths = np.hypot(ends[:, 1, 0] - ends[:, 0, 0], ends[:, 1, 1] - ends[:, 0, 1])
     reduced = lines[:, 7] / np.maximum(counts - 2, 1)
     return Segments(lines, ends, counts, lengths, reduced, label, cloud.index)
-
-
-@kernel
-def _farthest(
-    points: Array, beams: Array, variances: Array, flat2: float, i: int, j: int
-) -> tuple[int, float]:
-    """Return the point of [i, j) farthest off the chord, and by how many standard deviations."""
-    cx, cy = points[j - 1, 0] - points[i, 0], points[j - 1, 1] - points[i, 1]
-    length = math.hypot(cx, cy)
-    if length == 0.0:
-        return i, 0.0
-    tx, ty = cx / length, cy / length
-    best, where = 0.0, i
-    for k in range(i + 1, j - 1):
-        off = abs(tx * (points[k, 1] - points[i, 1]) - ty * (points[k, 0] - points[i, 0]))
-        if off > best:
-            best, where = off, k
-    along = (
-        tx * (points[where, 0] - points[i, 0]) + ty * (points[where, 1] - points[i, 1])
-    ) / length
-    variance = _across(beams, variances, flat2, where, tx, ty)
-    variance += (1.0 - along) ** 2 * _across(beams, variances, flat2, i, tx, ty)
-    variance += along**2 * _across(beams, variances, flat2, j - 1, tx, ty)
-    return where, best / math.sqrt(variance)
-
-
-@kernel
-def _across(beams: Array, variances: Array, flat2: float, k: int, tx: float, ty: float) -> float:
-    """Return the variance of a point across a line along (tx, ty)."""
-    cosine = tx * beams[k, 1] - ty * beams[k, 0]
-    variance: float = variances[k] * (cosine * cosine + 1e-6) + flat2
-    return variance
-
-
-@kernel
-def _misfit(sums: Array, a: int, b: int) -> float:
-    """Return the squared residuals of the regression line through points [a, b)."""
-    w = sums[b, 0] - sums[a, 0]
-    x = (sums[b, 1] - sums[a, 1]) / w
-    y = (sums[b, 2] - sums[a, 2]) / w
-    xx = sums[b, 3] - sums[a, 3] - w * x * x
-    xy = sums[b, 4] - sums[a, 4] - w * x * y
-    yy = sums[b, 5] - sums[a, 5] - w * y * y
-    misfit: float = yy - xy * xy / xx if xx > 0.0 else yy
-    return misfit
-
-
-@kernel
-def _sums(points: Array, beams: Array, variances: Array, flat2: float, i: int, j: int) -> Array:
-    """Return running sums of w, x, y, xx, xy, yy in the frame of the chord of [i, j)."""
-    cx, cy = points[j - 1, 0] - points[i, 0], points[j - 1, 1] - points[i, 1]
-    length = max(math.hypot(cx, cy), 1e-9)
-    tx, ty = cx / length, cy / length
-    sums = np.zeros((j - i + 1, 6))
-    for k in range(i, j):
-        dx, dy = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1]
-        x, y = tx * dx + ty * dy, tx * dy - ty * dx
-        w = 1.0 / _across(beams, variances, flat2, k, tx, ty)
-        at = k - i
-        sums[at + 1, 0] = sums[at, 0] + w
-        sums[at + 1, 1] = sums[at, 1] + w * x
-        sums[at + 1, 2] = sums[at, 2] + w * y
-        sums[at + 1, 3] = sums[at, 3] + w * x * x
-        sums[at + 1, 4] = sums[at, 4] + w * x * y
-        sums[at + 1, 5] = sums[at, 5] + w * y * y
-    return sums
-
-
-@kernel
-def _bend(
-    points: Array, beams: Array, variances: Array, flat2: float, i: int, j: int
-) -> tuple[int, float, float]:
-    """Return where [i, j) is best taken as two lines, the gain in chi2, and the gain per point."""
-    sums = _sums(points, beams, variances, flat2, i, j)
-    n = j - i
-    one = _misfit(sums, 0, n)
-    best, where = one, 0
-    for k in range(_MIN_PIECE, n - _MIN_PIECE + 1):
-        two = _misfit(sums, 0, k) + _misfit(sums, k, n)
-        if two < best:
-            best, where = two, k
-    # Mean square that the second line takes away, in m^2: the square of the bend's height.
-    return i + where, one - best, (one - best) / max(sums[n, 0], 1e-300)
-
-
-@kernel
-def _split_at(points: Array, beams: Array, variances: Array, flat2: float, i: int, j: int) -> int:
-    """Return where to split [i, j), or i if it is straight."""
-    where, off = _farthest(points, beams, variances, flat2, i, j)
-    if off > _CORNER:
-        return where
-    if j - i >= 2 * _MIN_PIECE:
-        where, gain, height2 = _bend(points, beams, variances, flat2, i, j)
-        # A hat of height h has the mean square h^2 / 12 about its best line.
-        if gain > _BEND_GAIN and 12.0 * height2 > _BEND_FLAT * _BEND_FLAT * flat2:
-            return where
-    return i
-
-
-@kernel
-def _split(points: Array, beams: Array, variances: Array, starts: Ints, flat2: float) -> Ints:
-    """Return the straight pieces of all segments: (p, 3) first and past-the-last point, segment."""
-    n = len(points)
-    pieces = np.empty((n, 3), np.int64)
-    stack = np.empty((n + 1, 2), np.int64)
-    count = 0
-    for s in range(len(starts) - 1):
-        stack[0, 0], stack[0, 1] = starts[s], starts[s + 1]
-        top = 1
-        while top > 0:
-            top -= 1
-            i, j = stack[top, 0], stack[top, 1]
-            if j - i < _MIN_PIECE:
-                continue
-            k = _split_at(points, beams, variances, flat2, i, j)
-            if k == i:
-                pieces[count, 0], pieces[count, 1], pieces[count, 2] = i, j, s
-                count += 1
-            else:  # the first part is handled first, so that pieces come out in order
-                stack[top, 0], stack[top, 1] = k, j
-                stack[top + 1, 0], stack[top + 1, 1] = i, k
-                top += 2
-    return pieces[:count]
 
 
 @kernel
@@ -288,7 +162,7 @@ def _off(points: Array, beams: Array, variances: Array, flat2: float, k: int, li
     """Return the squared distance of a point from a line, in its variances."""
     nx, ny = math.cos(line[1]), math.sin(line[1])
     off = line[0] - nx * points[k, 0] - ny * points[k, 1]
-    off2: float = off * off / _across(beams, variances, flat2, k, -ny, nx)
+    off2: float = off * off / across(beams, variances, flat2, k, -ny, nx)
     return off2
 
 
@@ -309,9 +183,9 @@ def _share_corners(
     for a in range(len(pieces) - 1):
         b, cut = a + 1, pieces[a, 1]
         # Fragments too short for a piece are shared too.
-        if pieces[b, 2] != pieces[a, 2] or pieces[b, 0] - cut >= _MIN_PIECE:
+        if pieces[b, 2] != pieces[a, 2] or pieces[b, 0] - cut >= MIN_PIECE:
             continue
-        first, last = pieces[a, 0] + _MIN_PIECE, pieces[b, 1] - _MIN_PIECE
+        first, last = pieces[a, 0] + MIN_PIECE, pieces[b, 1] - MIN_PIECE
         one, two = lines[a], lines[b]
         while cut > first and _nearer(points, beams, variances, flat2, cut - 1, two, one):
             cut -= 1
@@ -377,7 +251,7 @@ def _find(
 ) -> tuple[Array, Array, Ints, Ints]:
     """Split, merge and fit; return lines, end points, counts and labels of what is left."""
     flat2 = flatness * flatness
-    pieces = _split(points, beams, variances, starts, flat2)
+    pieces = split(points, beams, variances, starts, flat2)
     fits, label = _merge(points, beams, variances, flat2, pieces, gap)
     keep = np.flatnonzero(fits[:, 0] == fits[:, 0])
     lines, counts = fits[keep], np.zeros(len(keep), np.int64)

@@ -11,7 +11,7 @@ errors.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -190,53 +190,63 @@ def normal_equations(
     c, s = math.cos(pose[2]), math.sin(pose[2])
     reach = min(float(REACH), max(3.0 * scale / CELL, 2.0))
     least = REACH * REACH + 1 - reach * reach
-    out.H[:], out.g[:], out.sums[:] = 0.0, 0.0, 0.0
+    # Sums in tuples stay in registers; in arrays, every point would wait for the one before it.
+    sums = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    inside = inliers = squares = weights = 0.0
     for i in range(0, len(features), step):
         rx = c * features[i, 0] - s * features[i, 1]
         ry = s * features[i, 0] + c * features[i, 1]
-        u = (pose[0] + rx - known.corner[0]) / CELL
-        v = (pose[1] + ry - known.corner[1]) / CELL
+        x, y = pose[0] + rx, pose[1] + ry
+        u, v = (x - known.corner[0]) / CELL, (y - known.corner[1]) / CELL
         if u < 0.0 or v < 0.0 or u >= width or v >= height:
             continue
-        out.sums[_INSIDE] += 1.0
+        inside += 1.0
         k = known.nearest[int(v), int(u)] - 1
         if k < 0 or known.closeness[int(v), int(u)] < least:
             continue
         surfel, weight = known.surfels[k], float(features[i, 4])
-        ex, ey = pose[0] + rx - surfel[_X], pose[1] + ry - surfel[_Y]
+        ex, ey = x - surfel[_X], y - surfel[_Y]
         if surfel[_WEIGHT] > 0.0 and weight > 0.0:
             nx, ny = surfel[_NX], surfel[_NY]
             along = c * (features[i, 2] * nx + features[i, 3] * ny)
             along += s * (features[i, 2] * ny - features[i, 3] * nx)
             if along < FACING:
                 continue
-            distance = nx * ex + ny * ey
-            share = 1.0 / (1.0 + (distance / scale) ** 2)
-            _weigh(out, nx, ny, ny * rx - nx * ry, distance, surfel[_WEIGHT] * weight * share**2)
-            out.sums[_SQUARES] += share * share * distance * distance
-            out.sums[_WEIGHTS] += share * share
+            e = nx * ex + ny * ey
+            share = 1.0 / (1.0 + (e / scale) ** 2)
+            w = surfel[_WEIGHT] * weight * share**2
+            sums = _plus(sums, nx, ny, ny * rx - nx * ry, e, w)
+            squares += share * share * e * e
+            weights += share * share
         else:
             share = 1.0 / (1.0 + (ex * ex + ey * ey) / (scale * scale))
             w = (LONE if surfel[_WEIGHT] == weight else ODD) * share * share
-            _weigh(out, 1.0, 0.0, -ry, ex, w)
-            _weigh(out, 0.0, 1.0, rx, ey, w)
-        out.sums[_INLIERS] += share
-    out.H[1, 0], out.H[2, 0], out.H[2, 1] = out.H[0, 1], out.H[0, 2], out.H[1, 2]
+            sums = _plus(_plus(sums, 1.0, 0.0, -ry, ex, w), 0.0, 1.0, rx, ey, w)
+        inliers += share
+    _write(out, sums, (inside, inliers, squares, weights))
+
+
+_Sums: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
+"""The upper triangle of H, row by row, and g."""
 
 
 @kernel
-def _weigh(out: Evidence, nx: float, ny: float, lever: float, distance: float, w: float) -> None:
-    """Add the row (nx, ny, lever) with a residual of `distance` m and weight w."""
-    H, g = out.H, out.g
-    H[0, 0] += w * nx * nx
-    H[0, 1] += w * nx * ny
-    H[0, 2] += w * nx * lever
-    H[1, 1] += w * ny * ny
-    H[1, 2] += w * ny * lever
-    H[2, 2] += w * lever * lever
-    g[0] += w * nx * distance
-    g[1] += w * ny * distance
-    g[2] += w * lever * distance
+def _plus(sums: _Sums, nx: float, ny: float, lever: float, e: float, w: float) -> _Sums:
+    """Return the sums with the row (nx, ny, lever), of residual e m and weight w."""
+    xx, xy, xt, yy, yt, tt, gx, gy, gt = sums
+    wx, wy, wt = w * nx, w * ny, w * lever
+    xx, xy, xt = xx + wx * nx, xy + wx * ny, xt + wx * lever
+    yy, yt, tt = yy + wy * ny, yt + wy * lever, tt + wt * lever
+    return xx, xy, xt, yy, yt, tt, gx + wx * e, gy + wy * e, gt + wt * e
+
+
+@kernel
+def _write(out: Evidence, sums: _Sums, counts: tuple[float, float, float, float]) -> None:
+    """Fill `out` with the sums, and its own `sums` with the counts."""
+    H, g, n = out.H, out.g, out.sums
+    n[_INSIDE], n[_INLIERS], n[_SQUARES], n[_WEIGHTS] = counts
+    H[0, 0], H[0, 1], H[0, 2], H[1, 1], H[1, 2], H[2, 2], g[0], g[1], g[2] = sums
+    H[1, 0], H[2, 0], H[2, 1] = H[0, 1], H[0, 2], H[1, 2]
 
 
 @kernel

@@ -1,0 +1,1 @@
+"""Landmarks of a building whose keyframes' poses are known."""

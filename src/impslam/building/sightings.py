@@ -1,0 +1,175 @@
+"""What all keyframes saw of one kind of landmark, in columns, and where that lies in map.
+
+A sighting is a Gaussian on two values in its own frame: a point's place (x, y) along the map's axes;
+a line's offset along its normal at the middle of the piece, and its direction. Poses err by addition
+on [x, y, theta].
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.geometry.angles import wrap_in_kernel
+from impslam.geometry.kernels import kernel
+from impslam.types import Array, Ints, Observation
+
+
+class Sightings(NamedTuple):
+    """n observations of one kind, by keyframe.
+
+    Attributes
+    ----------
+    keyframes : (n,) row of the keyframe, ascending
+    numbers : (n,) place among the observations of all kinds and keyframes
+    z, R : (n, 2) and (n, 2, 2), in base_link
+    ends : (n, 2, 2) m, end points of lines in base_link; zero for points
+    headings : (n,) rad, the attribute "heading" in base_link; NaN where there is none
+    labels : (n,) identities that the sensor knows, -1 where it knows none
+    """
+
+    keyframes: Ints
+    numbers: Ints
+    z: Array
+    R: Array
+    ends: Array
+    headings: Array
+    labels: Ints
+
+
+class Placed(NamedTuple):
+    """n sightings in map.
+
+    Attributes
+    ----------
+    frames : (n, 4) x, y of a point or of the middle of a line's piece, m; direction of the line's
+        normal or a corner's heading, rad (NaN where there is none); half the piece's length, m
+    relative : (n, 3) distinct entries of the covariance against other sightings of the same place
+    whole : (n, 3) the same against map
+    """
+
+    frames: Array
+    relative: Array
+    whole: Array
+
+
+_NOWHERE = np.zeros((2, 2))
+
+
+class SightingsLog:
+    """Gathers the observations of keyframes, one keyframe after another."""
+
+    def __init__(self) -> None:
+        self._seen: dict[str, list[tuple[int, int, Observation]]] = {}
+        self._columns: dict[str, Sightings] = {}
+        self.stamps: list[float] = []
+        self._count = 0
+
+    def add(self, observations: Sequence[Observation], stamp: float) -> None:
+        """Add what the next keyframe saw at its stamp, s."""
+        for observation in observations:
+            kept = self._seen.setdefault(observation.kind, [])
+            kept.append((len(self.stamps), self._count, observation))
+            self._count += 1
+        self.stamps.append(stamp)
+
+    def kinds(self) -> list[str]:
+        """Return the kinds in the order in which they were met."""
+        return list(self._seen)
+
+    def observations(self, kind: str) -> list[Observation]:
+        """Return the observations of a kind, one for each row of its columns."""
+        return [observation for _, _, observation in self._seen[kind]]
+
+    def columns(self, kind: str) -> Sightings:
+        """Return the sightings of a kind; what was asked for before is not converted again."""
+        known = self._columns.get(kind)
+        begin = 0 if known is None else len(known.keyframes)
+        if begin < len(self._seen[kind]):
+            new = _columns(self._seen[kind][begin:])
+            parts = [new] if known is None else [known, new]
+            self._columns[kind] = Sightings(*map(np.concatenate, zip(*parts, strict=True)))
+        return self._columns[kind]
+
+
+def _columns(seen: list[tuple[int, int, Observation]]) -> Sightings:
+    asked = [observation for _, _, observation in seen]
+    return Sightings(
+        np.array([keyframe for keyframe, _, _ in seen], np.int64),
+        np.array([number for _, number, _ in seen], np.int64),
+        np.array([o.z for o in asked]),
+        np.array([o.R for o in asked]),
+        np.array([_NOWHERE if o.end_points is None else o.end_points for o in asked]),
+        np.array([o.attributes.get("heading", math.nan) for o in asked]),
+        np.array([-1 if o.label is None else o.label for o in asked], np.int64),
+    )
+
+
+@kernel
+def _propagated(J: Array, P: Array, out: Array) -> None:
+    """Add the distinct entries of J P J^T, J (2, d), to out (3,)."""
+    for a in range(J.shape[1]):
+        for b in range(J.shape[1]):
+            out[0] += J[0, a] * P[a, b] * J[0, b]
+            out[1] += J[0, a] * P[a, b] * J[1, b]
+            out[2] += J[1, a] * P[a, b] * J[1, b]
+
+
+@kernel
+def _point(pose: Array, z: Array, frame: Array, by_z: Array, by_pose: Array) -> None:
+    """Write where a point lies and its Jacobians by z and pose."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    dx, dy = c * z[0] - s * z[1], s * z[0] + c * z[1]
+    frame[0], frame[1] = pose[0] + dx, pose[1] + dy
+    frame[3] = 0.0
+    by_z[0, 0], by_z[0, 1], by_z[1, 0], by_z[1, 1] = c, -s, s, c
+    by_pose[0, 0], by_pose[0, 1], by_pose[0, 2] = 1.0, 0.0, -dy
+    by_pose[1, 0], by_pose[1, 1], by_pose[1, 2] = 0.0, 1.0, dx
+
+
+@kernel
+def _line(pose: Array, z: Array, ends: Array, frame: Array, by_z: Array, by_pose: Array) -> None:
+    """Write where a line's piece lies and its Jacobians by z and pose."""
+    tx, ty = -math.sin(z[1]), math.cos(z[1])
+    one, two = ends[0, 0] * tx + ends[0, 1] * ty, ends[1, 0] * tx + ends[1, 1] * ty
+    middle = 0.5 * (one + two)
+    phi = wrap_in_kernel(pose[2] + z[1])
+    c, s = math.cos(phi), math.sin(phi)
+    frame[0] = pose[0] + z[0] * c - middle * s
+    frame[1] = pose[1] + z[0] * s + middle * c
+    frame[2], frame[3] = phi, 0.5 * abs(two - one)
+    by_z[0, 0], by_z[0, 1], by_z[1, 0], by_z[1, 1] = 1.0, -middle, 0.0, 1.0
+    by_pose[0, 0], by_pose[0, 1], by_pose[0, 2] = c, s, -middle
+    by_pose[1, 0], by_pose[1, 1], by_pose[1, 2] = 0.0, 0.0, 1.0
+
+
+@kernel
+def place(
+    sightings: Sightings, poses: Array, covariances: Array, most: Array, is_line: bool
+) -> Placed:
+    """Return where sightings lie, given poses (k, 3) and covariances (k, 3, 3) of the keyframes.
+
+    `most` (2,) m and rad are the largest standard deviations of keyframes of one place against each
+    other: what they share moves them together.
+    """
+    n = len(sightings.keyframes)
+    frames, relative, whole = np.empty((n, 4)), np.zeros((n, 3)), np.zeros((n, 3))
+    by_z, by_pose, among = np.empty((2, 2)), np.empty((2, 3)), np.zeros((3, 3))
+    for i in range(n):
+        k = sightings.keyframes[i]
+        pose, P = poses[k], covariances[k]
+        if is_line:
+            _line(pose, sightings.z[i], sightings.ends[i], frames[i], by_z, by_pose)
+        else:
+            _point(pose, sightings.z[i], frames[i], by_z, by_pose)
+            frames[i, 2] = pose[2] + sightings.headings[i]
+        _propagated(by_z, sightings.R[i], relative[i])
+        whole[i] = relative[i]
+        among[0, 0] = among[1, 1] = min(0.5 * (P[0, 0] + P[1, 1]), most[0] ** 2)
+        among[2, 2] = min(P[2, 2], most[1] ** 2)
+        _propagated(by_pose, among, relative[i])
+        _propagated(by_pose, P, whole[i])
+    return Placed(frames, relative, whole)

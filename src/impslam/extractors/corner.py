@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -10,9 +11,9 @@ from impslam.component import parameter, register
 from impslam.extractors.base import Extractor
 from impslam.extractors.line_segments import Segments
 from impslam.extractors.segmentation import beam_spacing
-from impslam.extractors.split_merge import covariance, segments_of
+from impslam.extractors.split_merge import covariances, segments_of
 from impslam.geometry.angles import wrap
-from impslam.types import Array, Ints, Observation, Scan
+from impslam.types import Array, Observation, Scan
 
 _NOISE = 3.0  # standard deviations
 
@@ -64,31 +65,33 @@ class Corner(Extractor):
         """Return the corners of the scan; see `Extractor.extract`."""
         del rng
         found = segments_of(scan, self.flatness, self.gap)
-        pairs = self._pairs(found)
-        corners = [self._corner(found, int(a), int(b), scan) for a, b in pairs]
+        P = covariances(found, 0.0, self.flatness)
+        corners = [self._corner(found, P, pair, scan) for pair in self._pairs(found)]
         return [corner for corner in corners if corner is not None]
 
-    def _pairs(self, found: Segments) -> Ints:
-        """Return (p, 2) neighbouring pieces with the length, straightness and angle of corners."""
+    def _pairs(self, found: Segments) -> Iterator[tuple[int, int]]:
+        """Return neighbouring pieces with the length, straightness and angle of corners."""
         good = (
             (found.lengths >= self.min_length)
             & (found.counts >= self.min_points)
             & (found.reduced_chi2 <= self.max_chi2)
         )
-        first = np.flatnonzero(good)
-        pairs = np.column_stack((first, np.append(first[1:], first[:1])))
-        turn = found.lines[pairs[:, 1], 1] - found.lines[pairs[:, 0], 1]
-        steep: Ints = pairs[np.abs(np.sin(turn)) >= math.sin(self.min_angle)]
-        return steep
+        first = good.nonzero()[0]
+        second = np.concatenate((first[1:], first[:1]))
+        alpha = found.lines[:, 1]
+        steep = np.abs(np.sin(alpha[second] - alpha[first])) >= math.sin(self.min_angle)
+        return zip(first[steep].tolist(), second[steep].tolist(), strict=True)
 
-    def _corner(self, found: Segments, a: int, b: int, scan: Scan) -> Observation | None:
+    def _corner(
+        self, found: Segments, P: Array, pair: tuple[int, int], scan: Scan
+    ) -> Observation | None:
+        a, b = pair
         one, two = found.lines[a].tolist(), found.lines[b].tolist()
         c1, s1, c2, s2 = math.cos(one[1]), math.sin(one[1]), math.cos(two[1]), math.sin(two[1])
         det = c1 * s2 - s1 * c2
         x, y = (s2 * one[0] - s1 * two[0]) / det, (c1 * two[0] - c2 * one[0]) / det
         point = np.array([x, y])
-        beams = np.concatenate((found.beams(a), found.beams(b)))
-        sigma = float(scan.sigmas[beams[found.counts[a]]])
+        sigma = float(scan.sigmas[found.index[(found.label == b).argmax()]])
         if not (
             self._meets(point, found.end_points[a, 1], (c1, s1), sigma, scan)
             and self._meets(point, found.end_points[b, 0], (c2, s2), sigma, scan)
@@ -104,9 +107,10 @@ class Corner(Extractor):
         shift = scan.bias * (J @ np.array(one[5:7] + two[5:7]))
         R: Array = np.outer(shift, shift)
         for side, k in ((J[:, :2], a), (J[:, 2:], b)):
-            R += side @ covariance(found, k, 0.0, self.flatness) @ side.T
+            R += side @ P[k] @ side.T
         if _largest_eigenvalue(R) > self.max_sigma**2:
             return None
+        beams = np.concatenate((found.beams(a), found.beams(b)))
         far = np.array([found.end_points[a, 0], found.end_points[b, 1]])
         return Observation("corner", point, R, beams, None, _shape(point, far, scan.laser[:2]))
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
-from impslam.types import Array, Ints, Scan
+from impslam.types import Array, Ints, Mask, Scan
 
 WALLS = math.radians(10.0)  # below 10 deg of incidence range noise rules the spacing
 OBJECTS = math.radians(25.0)  # what is steeper from point to point is the edge of an object
@@ -43,7 +43,7 @@ class Cloud:
 
 
 @kernel
-def gap_ratios(
+def _gap_ratios(
     points: Array, angles: Array, ranges: Array, variances: Array, spacing: float, grazing: float
 ) -> Array:
     """Return each point's distance to the next (cyclic) over what one surface explains.
@@ -88,6 +88,30 @@ def _ring(ratios: Array, ranges: Array) -> tuple[Ints, Ints]:
     return order, starts[:count]
 
 
+@kernel
+def _cut(
+    columns: tuple[Array, Array, Array, Array],
+    points: Array,
+    valid: Mask,
+    spacing: float,
+    grazing: float,
+) -> tuple[Ints, Array, Array, Array, Array, Ints]:
+    """Return the fields of a `Cloud`; columns are angles, directions, ranges and sigmas (n,)."""
+    angles, directions, ranges, sigmas = columns
+    index = np.flatnonzero(valid)
+    starts = np.array([0, len(index)])
+    if len(index) > 1:
+        met, variances = ranges[index], sigmas[index] ** 2
+        ratios = _gap_ratios(points[index], angles[index], met, variances, spacing, grazing)
+        order, starts = _ring(ratios, met)
+        index = index[order]
+    beams = np.empty((len(index), 2))
+    for i in range(len(index)):
+        direction = directions[index[i]]
+        beams[i, 0], beams[i, 1] = math.cos(direction), math.sin(direction)
+    return index, points[index], beams, ranges[index], sigmas[index] ** 2, starts
+
+
 def beam_spacing(scan: Scan) -> float:
     """Return the mean angle between neighbouring beams, rad; 0 where there are none."""
     n = len(scan.angles)
@@ -103,21 +127,12 @@ def segment(scan: Scan, grazing: float = WALLS) -> Cloud:
 
 
 def _segment(scan: Scan, grazing: float) -> Cloud:
-    index = np.flatnonzero(scan.valid)
-    points, ranges, variances = _take(index, scan.points, scan.ranges, scan.sigmas)
-    starts = np.array([0, len(index)])
-    if len(index) > 1:
-        angles, spacing = scan.angles[index], beam_spacing(scan)
-        ratios = gap_ratios(points, angles, ranges, variances, spacing, grazing)
-        order, starts = _ring(ratios, ranges)
-        index = index[order]
-        points, ranges, variances = _take(index, scan.points, scan.ranges, scan.sigmas)
-    directions = scan.directions[index]
-    beams = np.empty((len(index), 2))
-    beams[:, 0], beams[:, 1] = np.cos(directions), np.sin(directions)
-    return Cloud(index, points, beams, ranges, variances, starts)
-
-
-def _take(index: Ints, points: Array, ranges: Array, sigmas: Array) -> tuple[Array, Array, Array]:
-    """Return points, ranges and variances of some beams."""
-    return points.take(index, axis=0), ranges.take(index), sigmas.take(index) ** 2
+    return Cloud(
+        *_cut(
+            (scan.angles, scan.directions, scan.ranges, scan.sigmas),
+            scan.points,
+            scan.valid,
+            beam_spacing(scan),
+            grazing,
+        )
+    )

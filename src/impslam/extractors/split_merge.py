@@ -10,7 +10,8 @@ from impslam.component import parameter, register
 from impslam.extractors.base import Extractor
 from impslam.extractors.line_segments import Segments, find_segments
 from impslam.extractors.segmentation import segment
-from impslam.geometry.angles import wrap
+from impslam.geometry.angles import wrap_in_kernel
+from impslam.geometry.kernels import kernel
 from impslam.types import Array, Observation, Scan
 
 
@@ -62,37 +63,50 @@ class SplitMerge(Extractor):
             & (found.counts >= self.min_points)
             & (found.reduced_chi2 <= self.max_chi2)
         )
-        return [_wall(found, int(k), scan, self.flatness) for k in np.flatnonzero(keep)]
+        P = covariances(found, scan.bias, self.flatness)
+        z, R = _facing(found.lines, P, scan.laser)
+        return [
+            Observation("wall", z[k], R[k], found.beams(k), found.end_points[k])
+            for k in np.flatnonzero(keep).tolist()
+        ]
 
 
-def covariance(found: Segments, k: int, bias: float, flatness: float) -> Array:
-    """Return the (2, 2) covariance of [rho, alpha] of a segment, of all that is not known of it.
+def covariances(found: Segments, bias: float, flatness: float) -> Array:
+    """Return the covariances (k, 2, 2) of [rho, alpha] of the pieces, of all that is not known of them.
 
     Noise of the beams (scaled up where the residuals are larger than it), the error that all
     ranges share, and the wall's own shape: each end is no better known than `flatness`.
     """
-    _, alpha, rr, ra, aa, b_r, b_a, _ = found.lines[k].tolist()
-    (x1, y1), (x2, y2) = found.end_points[k].tolist()
-    scale = max(1.0, float(found.reduced_chi2[k]))
-    arm = 0.5 * (math.cos(alpha) * (y1 + y2) - math.sin(alpha) * (x1 + x2))
-    flat2 = flatness * flatness
-    tilt = 2.0 * flat2 / float(found.lengths[k]) ** 2
-    off = scale * ra + bias * bias * b_r * b_a + arm * tilt
-    return np.array(
-        [
-            [scale * rr + bias * bias * b_r * b_r + 0.5 * flat2 + arm * arm * tilt, off],
-            [off, scale * aa + bias * bias * b_a * b_a + tilt],
-        ]
-    )
+    sizes = found.lengths, found.reduced_chi2
+    return _covariances(found.lines, found.end_points, sizes, bias, flatness * flatness)
 
 
-def _wall(found: Segments, k: int, scan: Scan, flatness: float) -> Observation:
-    """Return a segment as a wall whose normal points away from the laser."""
-    rho, alpha = float(found.lines[k, 0]), float(found.lines[k, 1])
-    R = covariance(found, k, scan.bias, flatness)
-    from_laser = rho - math.cos(alpha) * scan.laser[0] - math.sin(alpha) * scan.laser[1]
-    if from_laser < 0.0:
-        rho, alpha = -rho, alpha + math.pi
-        R = R * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    z = np.array([rho, wrap(alpha)])
-    return Observation("wall", z, R, found.beams(k), found.end_points[k])
+@kernel
+def _covariances(
+    lines: Array, ends: Array, sizes: tuple[Array, Array], bias: float, flat2: float
+) -> Array:
+    (lengths, reduced_chi2), out = sizes, np.empty((len(lines), 2, 2))
+    for k in range(len(lines)):
+        _, alpha, rr, ra, aa, b_r, b_a, _ = lines[k]
+        x, y = ends[k, 0, 0] + ends[k, 1, 0], ends[k, 0, 1] + ends[k, 1, 1]
+        arm = 0.5 * (math.cos(alpha) * y - math.sin(alpha) * x)
+        length = max(lengths[k], 1e-9)  # some pieces are points, which are no walls
+        scale, tilt = max(1.0, reduced_chi2[k]), 2.0 * flat2 / length**2
+        off = scale * ra + bias * bias * b_r * b_a + arm * tilt
+        out[k, 0, 0] = scale * rr + bias * bias * b_r * b_r + 0.5 * flat2 + arm * arm * tilt
+        out[k, 0, 1], out[k, 1, 0] = off, off
+        out[k, 1, 1] = scale * aa + bias * bias * b_a * b_a + tilt
+    return out
+
+
+@kernel
+def _facing(lines: Array, P: Array, laser: Array) -> tuple[Array, Array]:
+    """Return z (k, 2) and R (k, 2, 2) of walls whose normals point away from the laser."""
+    z, R = np.empty((len(lines), 2)), P.copy()
+    for k in range(len(lines)):
+        rho, alpha = lines[k, 0], lines[k, 1]
+        if rho - math.cos(alpha) * laser[0] - math.sin(alpha) * laser[1] < 0.0:
+            rho, alpha = -rho, alpha + math.pi
+            R[k, 0, 1], R[k, 1, 0] = -R[k, 0, 1], -R[k, 1, 0]
+        z[k, 0], z[k, 1] = rho, wrap_in_kernel(alpha)
+    return z, R

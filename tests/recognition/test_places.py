@@ -98,7 +98,7 @@ def test_a_true_place_half_hidden_is_found(size):
     """People stand around the robot, and the reference was seen from the other end."""
     people = np.array([[0.9, 0.9, 0.2], [0.6, -0.7, 0.2], [-0.4, 0.8, 0.15], [1.9, -0.9, 0.25]])
     query = place(OFFICE, BACK, BACK[2], QUERY_CELL, circles=people, seed=2)
-    there = way(-5.0, -0.3, -1.0, -0.2, 8)
+    there = way(-5.0, -0.3, 0.0, -0.2, 8)
     reference = place(OFFICE, there, there[5], REFERENCE_CELL)
     truth = between(there[5], BACK[2])
     guess = truth + 0.5 * np.array([size, -size, 0.1])

@@ -74,9 +74,9 @@ class Memory:
 
 
 def deep_enough(window: Window) -> int:
-    """Return the level at which to begin a search: blocks of about an eighth of the window."""
+    """Return the level at which to begin a search: blocks of about a quarter of the window."""
     cells = 2.0 * max(window.x, window.y) / CELL
-    return int(np.clip(math.ceil(math.log2(max(cells, 1.0) / 12.0)), 1, DEEPEST))
+    return int(np.clip(round(math.log2(max(cells, 1.0))) - 2, 3, DEEPEST))
 
 
 def build(points: Features, level: int, memory: Memory | None = None) -> Pyramid:
@@ -113,12 +113,21 @@ def search(
     apart = 0.0 if exclude is None else APART / CELL
     other = plain(guess if exclude is None else exclude)
     elsewhere = (other[:2] - guess[:2]) / CELL, float(other[2]), apart
-    total, a, u, v = _search(pyramid, points, plain(guess), headings, reach, least, elsewhere)
+    spread = np.ascontiguousarray(points[_spread(len(points))])
+    total, a, u, v = _search(pyramid, spread, plain(guess), headings, reach, least, elsewhere)
     if a < 0:
         return Peak(0.0, np.array(guess))
     heading = float(wrap(headings[a]))
     pose = np.array([guess[0] + u * CELL, guess[1] + v * CELL, heading])
     return Peak(total / (_FULL * len(points)), pose)
+
+
+def _spread(n: int) -> Ints:
+    """Return 0 to n - 1 in an order whose every beginning is spread over all: so that sums end early."""
+    step = max(1, round(0.618 * n))  # the golden section: multiples of it fill a circle evenly
+    while math.gcd(step, n) > 1:
+        step += 1
+    return np.arange(n) * step % n
 
 
 def _turns(half: float, step: float) -> Array:

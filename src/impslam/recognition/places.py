@@ -14,7 +14,6 @@ import numpy as np
 
 from impslam.geometry.kernels import plain
 from impslam.recognition.correlative import (
-    APART,
     TURN,
     Memory,
     Pyramid,
@@ -38,13 +37,14 @@ from impslam.surfaces.surface_map import (
 )
 from impslam.types import Array
 
-ALIGNED = 1.2  # m: alignment pairs points up to 0.4 m apart, and a wall is met from farther away
+ALIGNED = 0.4  # m: alignment pairs points so far apart; in a wider window it may stop at a false pose
 ALIGNED_TURN, ALIGNED_POINTS = math.pi / 4, 400  # rad; points that it uses, about
 FEWEST = 60  # points of either submap: fewer fit anywhere
-SEARCHED, SEARCH_REACH = 200, 11.0  # points at least to search with, and m: all of them if so close
+SEARCHED, SEARCH_REACH = 200, 11.0  # points to search with, and m: enough of them are so close
 AMBIGUOUS = 0.9  # of the best score: a second peak so high may be the true one,
 MARGIN = 0.1  # unless free space agrees with it so much less: three sigma of a share of 250 points
-MIN_SCORE = 0.5  # half the points on surfaces
+NARROW = 1.2  # m: a wider window holds more poses that fit by chance,
+NARROW_SCORE, WIDE_SCORE = 0.4, 0.5  # so that more must speak for the best of them
 MOST = 20.0  # points that a surfel averages over
 SLACK = 0.4  # m that an alignment may move out of its window: how far it pairs points
 _SIGMA2 = 0.2**2  # m^2, of a point: 5 cm, times 16 for neighbours share the errors of their surface
@@ -126,23 +126,19 @@ class Recogniser:
             return None
         if closure.verdict != Verdict.STRONG:
             return None
-        if wide > APART:
-            here = Window(0.0, 0.0, 0.0)
-            score = search(self._grid(find.window), find.points, closure.pose, here).score
-            closure = self._against_rivals(query, guess, find, closure._replace(score=score))
-        return None if closure.rival >= closure.support.agreement - MARGIN else self._found(closure)
+        return self._found(closure)
 
     def _searched(self, query: Submap, guess: Array, find: Search) -> Closure | None:
         """Return what a search finds and alignment settles."""
         pyramid = self._grid(find.window)
-        peak = search(pyramid, find.points, guess, find.window, MIN_SCORE, turn=find.turn)
+        least = NARROW_SCORE if max(find.window.x, find.window.y) <= NARROW else WIDE_SCORE
+        peak = search(pyramid, find.points, guess, find.window, least, turn=find.turn)
         if peak.score == 0.0:
             return self._refuse("no peak")
         closure = self._settle(query, peak.pose, _FINE, _FINE_PRIOR)._replace(score=peak.score)
         if closure.verdict == Verdict.REFUSED:
             return self._refuse("contradicted")
-        if max(find.window.x, find.window.y) > APART:
-            closure = self._against_rivals(query, guess, find, closure)
+        closure = self._against_rivals(query, guess, find, closure)
         if closure.rival >= closure.support.agreement - MARGIN:
             return self._refuse("ambiguous")
         return self._found(closure)
@@ -219,8 +215,8 @@ def search_points(features: Features) -> tuple[Features, float]:
     if np.count_nonzero(ranges < reach) < SEARCHED:
         reach = max(reach, float(np.sort(ranges)[min(SEARCHED, len(ranges)) - 1]))
     close = features[ranges <= reach]
-    close = np.ascontiguousarray(close[:: max(1, len(close) // SEARCHED)])
-    return close, TURN * SEARCH_REACH / reach
+    count = min(SEARCHED, len(close))
+    return close[np.arange(count) * len(close) // count], TURN * SEARCH_REACH / reach
 
 
 def information(evidence: Evidence) -> Array:

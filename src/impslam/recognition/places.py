@@ -1,6 +1,6 @@
 """Recognises a place: finds the pose of one submap in another, and verifies it.
 
-A small window is left to alignment, which has but one minimum there. A wide one is searched (see
+A small window is left to alignment, which seldom loses its way there. A wide one is searched (see
 `correlative`), and the peak aligned. A pose is refused if free space contradicts it (see `verify`), and
 if another pose in the window fits nearly as well and agrees nearly as much with free space.
 """
@@ -37,18 +37,24 @@ from impslam.surfaces.surface_map import (
 )
 from impslam.types import Array
 
-ALIGNED = 0.4  # m: alignment pairs points so far apart; in a wider window it may stop at a false pose
+ALIGNED = (
+    0.4  # m: alignment pairs points so far apart; in a wider window it may stop at a false pose
+)
 ALIGNED_TURN, ALIGNED_POINTS = math.pi / 4, 400  # rad; points that it uses, about
 FEWEST = 60  # points of either submap: fewer fit anywhere
-SEARCHED, SEARCH_REACH = 200, 11.0  # points to search with, and m: enough of them are so close
+SEARCHED, SEARCH_REACH = 150, 11.0  # points to search with, and m: enough of them are so close
 AMBIGUOUS = 0.9  # of the best score: a second peak so high may be the true one,
 MARGIN = 0.1  # unless free space agrees with it so much less: three sigma of a share of 250 points
 NARROW = 1.2  # m: a wider window holds more poses that fit by chance,
 NARROW_SCORE, WIDE_SCORE = 0.4, 0.5  # so that more must speak for the best of them
 MOST = 20.0  # points that a surfel averages over
 SLACK = 0.4  # m that an alignment may move out of its window: how far it pairs points
-_SIGMA2 = 0.2**2  # m^2, of a point: 5 cm, times 16 for neighbours share the errors of their surface
-_FLOOR = np.array([0.02, 0.02, 0.004])  # m, m, rad: what no number of points brings down
+RESIDUAL = 0.015  # m, of a point, at least: noise of a range, and cells of 5 cm
+SHARED = (
+    40.0  # points that share one error, for a submap's surfaces are bent as a whole; estimated from
+)
+# the errors of 2700 closures in two buildings: 94 and 98 % of them lie within their 90 % bounds
+_FLOOR = np.array([0.01, 0.01, 0.002])  # m, m, rad: what no number of points brings down
 _COARSE = Alignment(15, 0.4, 0.08, 1.0 / 0.05**2, 1, 9.0)
 _FINE = Alignment(15, 0.3, 0.08, 1.0 / 0.05**2, 1, 9.0)
 _COARSE_PRIOR, _FINE_PRIOR = np.array([4.0, 4.0, 100.0]), np.ones(3)  # 1/m^2, 1/m^2, 1/rad^2
@@ -222,9 +228,12 @@ def search_points(features: Features) -> tuple[Features, float]:
 def information(evidence: Evidence) -> Array:
     """Return the information (3, 3) of an aligned pose.
 
-    Its covariance is that of the points, C = sigma^2 H^-1, and a floor F. (C + F)^-1 is formed as
-    F^-1 - F^-1 (C^-1 + F^-1)^-1 F^-1, since along a bare corridor H has no inverse.
+    Its covariance is that of the points, C = sigma^2 H^-1 with sigma^2 from their residuals, and a floor
+    F. (C + F)^-1 is formed as G - G (C^-1 + G)^-1 G with G = F^-1, for H has no inverse along a bare
+    corridor.
     """
+    squares, weights = evidence.sums[2:]
+    sigma2 = SHARED * max(squares / max(weights, 1.0), RESIDUAL**2)
     G = np.diag(1.0 / _FLOOR**2)
-    result = G - G @ np.linalg.inv(evidence.H / _SIGMA2 + G) @ G
+    result = G - G @ np.linalg.inv(evidence.H / sigma2 + G) @ G
     return np.asarray(0.5 * (result + result.T))

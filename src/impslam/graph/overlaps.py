@@ -104,9 +104,11 @@ def _candidates(
         dx, dy = poses[i, 0] - poses[j, 0], poses[i, 1] - poses[j, 1]
         if dx > nearness.distance:
             break
+        distance = math.sqrt(dx * dx + dy * dy)
+        if i == j or distance >= nearness.distance:
+            continue
         turn = abs(wrap_in_kernel(poses[i, 2] - poses[j, 2]))
-        distance = np.sqrt(dx * dx + dy * dy)
-        if i != j and distance < nearness.distance and turn <= nearness.turn:
+        if turn <= nearness.turn:
             near[found], cost[found] = i, distance + PER_RADIAN * turn
             found += 1
     return found

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.errors import ImpError
 from impslam.geometry.kernels import kernel, plain
 from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import (
@@ -46,7 +47,7 @@ class Rematched(NamedTuple):
     covariances: Array
 
 
-class TooLargeError(ValueError):
+class TooLargeError(ImpError):
     """A map whose grid would not fit into memory; the poses stay as they are."""
 
 

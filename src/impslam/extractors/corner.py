@@ -8,18 +8,17 @@ from collections.abc import Iterator
 import numpy as np
 
 from impslam.component import parameter, register
-from impslam.extractors.base import Extractor
 from impslam.extractors.line_segments import Segments
 from impslam.extractors.segmentation import beam_spacing
-from impslam.extractors.split_merge import covariances, segments_of
+from impslam.extractors.split_merge import StraightPieces, covariances
 from impslam.geometry.angles import wrap
-from impslam.types import Array, Observation, Scan
+from impslam.types import Array, Ints, Observation, Scan
 
 _NOISE = 3.0  # standard deviations
 
 
 @register("corner")
-class Corner(Extractor):
+class Corner(StraightPieces):
     """Corners, concave and convex: intersections of neighbouring straight pieces that meet.
 
     Few and sure: both pieces end at the intersection, within what beam spacing and noise explain.
@@ -31,9 +30,6 @@ class Corner(Extractor):
 
     min_length: float = parameter(
         0.3, "m", "Shortest side; boxes and door frames are smaller.", gt=0.0
-    )
-    min_points: int = parameter(
-        6, "1", "Fewest beams on a side; from 6 on the residuals tell a line from a curve.", ge=3
     )
     min_angle: float = parameter(
         math.radians(50.0),
@@ -48,35 +44,17 @@ class Corner(Extractor):
     max_sigma: float = parameter(
         0.05, "m", "Largest standard deviation of the corner in any direction.", gt=0.0
     )
-    max_chi2: float = parameter(
-        3.0, "1", "Largest mean squared residual, in variances, of a straight side.", gt=1.0
-    )
-    flatness: float = parameter(
-        0.005,
-        "m",
-        "Standard deviation of a wall from a straight line; finished walls keep 5 mm over 1 m.",
-        ge=0.0,
-    )
-    gap: float = parameter(
-        1.0, "m", "Widest hidden stretch across which collinear pieces are one wall.", ge=0.0
-    )
 
     def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:
         """Return the corners of the scan; see `Extractor.extract`."""
         del rng
-        found = segments_of(scan, self.flatness, self.gap)
+        found, good = self._pieces(scan)
         P = covariances(found, 0.0, self.flatness)
-        corners = [self._corner(found, P, pair, scan) for pair in self._pairs(found)]
+        corners = [self._corner(found, P, pair, scan) for pair in self._pairs(found, good)]
         return [corner for corner in corners if corner is not None]
 
-    def _pairs(self, found: Segments) -> Iterator[tuple[int, int]]:
-        """Return neighbouring pieces with the length, straightness and angle of corners."""
-        good = (
-            (found.lengths >= self.min_length)
-            & (found.counts >= self.min_points)
-            & (found.reduced_chi2 <= self.max_chi2)
-        )
-        first = good.nonzero()[0]
+    def _pairs(self, found: Segments, first: Ints) -> Iterator[tuple[int, int]]:
+        """Return neighbouring pieces at the angle of corners."""
         second = np.concatenate((first[1:], first[:1]))
         alpha = found.lines[:, 1]
         steep = np.abs(np.sin(alpha[second] - alpha[first])) >= math.sin(self.min_angle)

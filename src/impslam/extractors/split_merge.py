@@ -12,7 +12,7 @@ from impslam.extractors.line_segments import Segments, find_segments
 from impslam.extractors.segmentation import segment
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
-from impslam.types import Array, Observation, Scan
+from impslam.types import Array, Ints, Observation, Scan
 
 
 def segments_of(scan: Scan, flatness: float, gap: float) -> Segments:
@@ -24,22 +24,12 @@ def _segments(scan: Scan, flatness: float, gap: float) -> Segments:
     return find_segments(segment(scan), flatness, gap)
 
 
-@register("split_merge")
-class SplitMerge(Extractor):
-    """Walls by split and merge: range gaps, corners, a merge of collinear pieces, an ML line fit.
+class StraightPieces(Extractor):
+    """What extractors that look for straight pieces have in common."""
 
-    The default for walls. A segment between two gaps is split where a point stands off its chord,
-    or where two lines explain it better than one, by more than noise and flatness allow; pieces
-    that are collinear by their covariances are merged unless a beam went through between them.
-    """
-
-    landmark = "wall"
-
-    min_length: float = parameter(
-        0.4, "m", "Shortest wall; legs, boxes and cylinders are narrower.", gt=0.0
-    )
+    min_length: float = parameter(0.4, "m", "Shortest piece.", gt=0.0)
     min_points: int = parameter(
-        6, "1", "Fewest beams on a wall; from 6 on the residuals tell a line from a curve.", ge=3
+        6, "1", "Fewest beams on a piece; from 6 on the residuals tell a line from a curve.", ge=3
     )
     flatness: float = parameter(
         0.005,
@@ -54,20 +44,40 @@ class SplitMerge(Extractor):
         3.0, "1", "Largest mean squared residual, in variances, of a straight surface.", gt=1.0
     )
 
-    def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:
-        """Return the walls of the scan; see `Extractor.extract`."""
-        del rng
+    def _pieces(self, scan: Scan) -> tuple[Segments, Ints]:
+        """Return the straight pieces of a scan, and which are long and straight enough."""
         found = segments_of(scan, self.flatness, self.gap)
-        keep = (
+        return found, np.flatnonzero(
             (found.lengths >= self.min_length)
             & (found.counts >= self.min_points)
             & (found.reduced_chi2 <= self.max_chi2)
         )
+
+
+@register("split_merge")
+class SplitMerge(StraightPieces):
+    """Walls by split and merge: range gaps, corners, a merge of collinear pieces, an ML line fit.
+
+    The default for walls. A segment between two gaps is split where a point stands off its chord,
+    or where two lines explain it better than one, by more than noise and flatness allow; pieces
+    that are collinear by their covariances are merged unless a beam went through between them.
+    """
+
+    landmark = "wall"
+
+    min_length: float = parameter(
+        0.4, "m", "Shortest wall; legs, boxes and cylinders are narrower.", gt=0.0
+    )
+
+    def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:
+        """Return the walls of the scan; see `Extractor.extract`."""
+        del rng
+        found, good = self._pieces(scan)
         P = covariances(found, scan.bias, self.flatness)
         z, R = _facing(found.lines, P, scan.laser)
         return [
             Observation("wall", z[k], R[k], found.beams(k), found.end_points[k])
-            for k in np.flatnonzero(keep).tolist()
+            for k in good.tolist()
         ]
 
 

@@ -6,7 +6,6 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import ClassVar, Self
 
 from pydantic import PrivateAttr
@@ -85,12 +84,7 @@ class Source(Component):
         """Open the log; raise `SourceError` if it cannot be read."""
 
     @abstractmethod
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the log."""
 
     def batches(self, rows: int = ROWS) -> Iterator[Batch]:

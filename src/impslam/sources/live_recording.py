@@ -7,7 +7,6 @@ import shutil
 import sys
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import BinaryIO, Self
 
 from rosbags.rosbag2.storage_mcap import McapWriter as McapStorage
@@ -66,12 +65,7 @@ class LiveMcapWriter(McapWriter):
                 raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is not None:
             with suppress(OSError):  # closing tries once more to write what could not be written
                 self._writer.abort()

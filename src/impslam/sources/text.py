@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from functools import lru_cache, partial
 from io import BufferedIOBase, BytesIO
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -119,12 +118,7 @@ class TextSource(Source):
                 raise SourceError(f"{path}: cannot be read ({error}); copy it again") from None
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._open.clear()
 
     def _blocks(self, path: Path) -> Iterator[tuple[int, bytes]]:

@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from types import TracebackType
 from typing import Self
 
 from impslam.errors import ConfigError
@@ -128,12 +127,7 @@ class Watchdog:
             self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Tell that it ends."""
         self._closing.set()
         if self._thread.is_alive():

@@ -1,0 +1,105 @@
+"""Relative poses between poses: their errors, robust weights and normal equations.
+
+The error of an edge is T_i_j as the poses have it minus T_i_j as measured, additive on [x, y, theta]
+with theta wrapped; poses are perturbed by addition too (Grisetti et al. 2010, Eq. 30 to 33). An edge
+that may be false has a Geman-McClure kernel: a chi-square u costs c^2 u / (c^2 + u), which is u for
+u << c^2 and never more than c^2, and weighs (c^2 / (c^2 + u))^2 in the normal equations.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.geometry.angles import wrap_in_kernel
+from impslam.geometry.kernels import kernel
+from impslam.graph.block_system import BlockSystem, add_relative, clear_system
+from impslam.types import Array, Ints, Mask
+
+
+class Edges(NamedTuple):
+    """Relative poses that were measured.
+
+    Attributes
+    ----------
+    i, j : (e,) int64, poses
+    T_i_j : (e, 3)
+    information : (e, 3, 3) inverse of the covariance of the additive error of T_i_j
+    kernel : (e,) c^2 > 0, the chi-square at which the weight of an edge is a quarter; inf: always 1
+    """
+
+    i: Ints
+    j: Ints
+    T_i_j: Array
+    information: Array
+    kernel: Array
+
+
+class Costs(NamedTuple):
+    """What edges cost: (e,) chi-squares and weights; their sums are those of `total_cost`."""
+
+    chi2: Array
+    weights: Array
+
+
+@kernel
+def edge_error(T_map_i: Array, T_map_j: Array, T_i_j: Array, out: Array) -> None:
+    """Fill out (3,) with the error of an edge."""
+    c, s = math.cos(T_map_i[2]), math.sin(T_map_i[2])
+    dx, dy = T_map_j[0] - T_map_i[0], T_map_j[1] - T_map_i[1]
+    out[0], out[1] = c * dx + s * dy - T_i_j[0], c * dy - s * dx - T_i_j[1]
+    out[2] = wrap_in_kernel(T_map_j[2] - T_map_i[2] - T_i_j[2])
+
+
+@kernel
+def linearise(
+    poses: Array, edges: Edges, graduation: float, system: BlockSystem, costs: Costs
+) -> float:
+    """Fill in the normal equations and what each edge costs; return the robust cost.
+
+    Kernels are widened to `graduation` c^2: infinite, all edges weigh 1.
+    """
+    clear_system(system)
+    error, g, H, cost = np.empty(3), np.empty(3), np.empty((3, 3)), 0.0
+    for e in range(len(edges.i)):
+        edge_error(poses[edges.i[e]], poses[edges.j[e]], edges.T_i_j[e], error)
+        W, u = edges.information[e], 0.0
+        for a in range(3):
+            g[a] = W[a, 0] * error[0] + W[a, 1] * error[1] + W[a, 2] * error[2]
+            u += error[a] * g[a]
+        c2 = graduation * edges.kernel[e]
+        share = 1.0 if c2 == math.inf else c2 / (c2 + u)
+        costs.chi2[e], costs.weights[e] = u, share * share
+        cost += share * u
+        for a in range(3):
+            g[a] *= share * share
+            for b in range(3):
+                H[a, b] = share * share * W[a, b]
+        add_relative(system, e, poses, H, g)
+    return cost
+
+
+@kernel
+def first_loose_pose(i: Ints, j: Ints, fixed: Mask) -> int:
+    """Return the first pose that no chain of edges connects to a fixed one, or -1."""
+    root = np.arange(len(fixed))
+    for e in range(len(i)):
+        a, b = _find(root, i[e]), _find(root, j[e])
+        root[max(a, b)] = min(a, b)
+    held = np.zeros(len(fixed), np.bool_)
+    for v in range(len(fixed)):
+        held[_find(root, v)] |= fixed[v]
+    for v in range(len(fixed)):
+        if not held[_find(root, v)]:
+            return v
+    return -1
+
+
+@kernel
+def _find(root: Ints, v: int) -> int:
+    while root[v] != v:
+        root[v] = root[root[v]]
+        v = root[v]
+    return v

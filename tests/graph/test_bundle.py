@@ -3,6 +3,7 @@ import pytest
 from tests.graph.test_block_system import dense
 from tests.rooms import FRONT, MOUNTS, drive, scans_at
 
+from impslam.errors import ShapeError
 from impslam.geometry import se2
 from impslam.geometry.angles import wrap
 from impslam.graph.bearings import Scans, sort_by_bearing
@@ -253,3 +254,16 @@ def test_an_edge_that_contradicts_the_scans_counts_for_little():
 
     assert (with_a_wrong_loop(9.0) < 2e-3).all()
     assert (with_a_wrong_loop(np.inf) > 5e-3).any()
+
+
+def test_what_does_not_fit_together_is_refused():
+    truth = drive()[:5]
+    scans, edges, pairs = scans_at(truth), chain(truth), overlaps(truth)
+    with pytest.raises(ShapeError, match="starts has shape"):
+        refine(truth[:4], scans, edges, pairs[:1])
+    with pytest.raises(ShapeError, match="do not rise"):
+        refine(truth, scans._replace(features=scans.features[:-1]), edges, pairs)
+    with pytest.raises(ShapeError, match="not among the 5"):
+        refine(truth, scans, edges, pairs + 1)
+    with pytest.raises(ShapeError, match=r"edges\.kernel"):
+        refine(truth, scans, edges._replace(kernel=edges.kernel[:2]), pairs)

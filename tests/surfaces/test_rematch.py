@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from tests.rooms import FRONT, MOUNTS, drive, scans_at
 
+from impslam.errors import ShapeError
 from impslam.geometry import se2
 from impslam.surfaces.rematch import TooLargeError, rematch, surface_map_of
 
@@ -82,3 +83,13 @@ def test_no_keyframes_make_an_empty_map():
     scans = scans_at(drive()[:2])
     done = rematch(known, drive()[:2], scans.features, scans.starts)
     np.testing.assert_array_equal(done.poses, drive()[:2])
+
+
+def test_scans_that_are_not_all_there_are_refused():
+    keyframes = drive()[:3]
+    scans = scans_at(keyframes)
+    with pytest.raises(ShapeError, match="starts has shape"):
+        surface_map_of(keyframes[:2], scans.features, scans.starts)
+    known = surface_map_of(keyframes, scans.features, scans.starts)
+    with pytest.raises(ShapeError, match="do not rise"):
+        rematch(known, keyframes, scans.features[:-1], scans.starts)

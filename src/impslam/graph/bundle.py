@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.errors import ShapeError
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel, plain
 from impslam.geometry.se2 import between
@@ -25,7 +26,8 @@ from impslam.graph.block_system import (
     empty_system,
     solve_system,
 )
-from impslam.types import Array, Ints, Mask
+from impslam.surfaces.features import check_rows
+from impslam.types import Array, Ints, Mask, check_shape
 
 
 class Edges(NamedTuple):
@@ -104,7 +106,8 @@ def refine(
 
     Solutions stop early (see `block_system`): what spans some sixty keyframes or less is refined, and
     the shape of a whole building stays as the edges of the graph have made it. So give all edges,
-    loops too.
+    loops too. On Intel and fr079, poses are everywhere less than one standard deviation, as claimed
+    below, from those of an exact solution (2026-11-22).
 
     A point is taken for a fifth of an independent one of 3 cm: points lie 4 cm apart, normals are
     fitted over 25 cm, and a surface's own error (its brightness, its texture, the angle of
@@ -115,12 +118,29 @@ def refine(
     ranges, a mount that is bent) are not in it, nor what moves between the passes.
     """
     fixed = np.arange(len(poses)) == 0 if fixed is None else fixed
+    check_rows(scans.features, scans.starts, len(poses))
+    check_shape("fixed", fixed, len(poses))
+    _check_ids(len(poses), pairs, edges)
     m = len(pairs)
     done = Refinement(plain(poses).copy(), pairs, np.zeros((m, 3, 3)), np.zeros(m))
     if len(poses) > 1:
         lasers = plain(np.broadcast_to(scans.lasers, (len(poses), 2)))
         _refine(done, scans._replace(lasers=lasers), edges, fixed, Fit() if fit is None else fit)
     return done
+
+
+def _check_ids(keyframes: int, pairs: Ints, edges: Edges) -> None:
+    e = len(edges.i)
+    check_shape("pairs", pairs, None, 2)
+    check_shape("edges.j", edges.j, e)
+    check_shape("edges.T_i_j", edges.T_i_j, e, 3)
+    check_shape("edges.information", edges.information, e, 3, 3)
+    check_shape("edges.kernel", edges.kernel, e)
+    for ids in (pairs, edges.i, edges.j):
+        if ids.size and not 0 <= ids.min() <= ids.max() < keyframes:
+            raise ShapeError(
+                f"pairs or edges name keyframes that are not among the {keyframes} given"
+            )
 
 
 def pair_edges(done: Refinement) -> Edges:

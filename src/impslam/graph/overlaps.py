@@ -14,7 +14,7 @@ import numpy as np
 
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel, plain
-from impslam.types import Array, Ints
+from impslam.types import Array, Ints, check_shape
 
 COMMON = 0.36  # of the view of two keyframes at least: with less, too few points find partners
 
@@ -51,10 +51,12 @@ def largest_turn(field_of_view: float) -> float:
 def overlaps(poses: Array, nearness: Nearness | None = None) -> Ints:
     """Return the pairs (m, 2) of keyframes i, j that overlap: the points of j fall on surfaces of i.
 
-    `poses` (k, 3) are those of all keyframes, in the order of the drive. Pairs are ordered by j, and
-    for each j from the nearest i to the farthest. Both (i, j) and (j, i) may be there.
+    `poses` (k, 3) are those of all keyframes, in the order of the drive; of their lidars, where those
+    look different ways. Pairs are ordered by j, and for each j from the nearest i to the farthest.
+    Both (i, j) and (j, i) may be there.
     """
     poses = plain(poses)
+    check_shape("poses", poses, None, 3)
     if len(poses) < 2:
         return np.empty((0, 2), np.int64)
     step = np.diff(poses[:, :2], axis=0)

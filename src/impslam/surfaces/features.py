@@ -7,8 +7,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from impslam.errors import ShapeError
 from impslam.geometry.kernels import kernel
-from impslam.types import Array, Mask, Scan
+from impslam.types import Array, Ints, Mask, Scan, check_shape
 
 Features: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 """(n, 5) x, y in m; the unit normal on the lidar's side; and the weight of that normal.
@@ -36,6 +37,14 @@ def features(scan: Scan, thin: float) -> Features:
     spacing = beam_spacing(scan.angles)
     count = find_features(scan.points, scan.valid, scan.ranges, scan.origins, spacing, thin, out)
     return out[:count].copy()
+
+
+def check_rows(features: Features, starts: Ints, scans: int) -> None:
+    """Raise `ShapeError` unless rows starts[i] to starts[i + 1] of the features are those of scan i."""
+    check_shape("features", features, None, 5)
+    check_shape("starts", starts, scans + 1)
+    if starts[0] < 0 or starts[-1] > len(features) or (np.diff(starts) < 0).any():
+        raise ShapeError(f"starts do not rise from 0 to {len(features)}, the rows of features")
 
 
 def beam_spacing(angles: Array) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from impslam.errors import ImpError
 from impslam.geometry.kernels import kernel, plain
-from impslam.surfaces.features import Features
+from impslam.surfaces.features import Features, check_rows
 from impslam.surfaces.surface_map import (
     CELL,
     REACH,
@@ -58,6 +58,7 @@ def surface_map_of(poses: Array, features: Features, starts: Ints) -> SurfaceMap
     (k + 1,). Raises `TooLargeError` where the grid would have more than `MOST_CELLS` cells.
     """
     poses = plain(poses)
+    check_rows(features, starts, len(poses))
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     _extent(poses, features, starts, low, high)
     if not (low <= high).all():
@@ -86,6 +87,7 @@ def rematch(known: SurfaceMap, poses: Array, features: Features, starts: Ints) -
     itself is bent: where that matters, add the covariance of the keyframes around.
     """
     out = plain(poses).copy()
+    check_rows(features, starts, len(out))
     shares, information = np.zeros(len(out)), np.zeros((len(out), 3, 3))
     prior = np.array([PRIOR[0], PRIOR[0], PRIOR[1]]) ** -2.0
     _align_all(known, features, starts, prior, Rematched(out, shares, information))

@@ -1,0 +1,83 @@
+"""Points on surfaces speak for a pose, points in free space against it, and hidden ones not at all."""
+
+import numpy as np
+import pytest
+from tests.extractors.scans import room
+from tests.recognition.plans import OFFICE, place, walls, way
+
+from impslam.geometry.se2 import compose
+from impslam.recognition.verify import LEAST_SEEN, Support, Verdict, judge, verify
+from impslam.surfaces.surface_map import add, empty_surface_map
+
+SQUARE = room(-4.0, 4.0, -3.0, 3.0)
+SHELF = walls([-1.0, 1.5, 2.0, 1.5])
+WAY = way(-1.0, -0.5, 1.0, -0.5, 4)
+HERE = np.zeros(3)
+
+
+def support(reference, query, pose=HERE):
+    known = empty_surface_map(40.0, 40.0, 20000)
+    add(known, reference.features, HERE, 20.0)
+    return verify(known, reference, query, pose)
+
+
+def seen(plan, poses=WAY, seed=0):
+    return place(plan, poses, HERE, 0.05, seed=seed)
+
+
+def test_a_place_supports_itself():
+    found = support(seen(SQUARE), seen(SQUARE, seed=1))
+    assert found.matched > 0.99
+    assert found.query == found.reference == found.agreement == 1.0
+
+
+def test_what_the_reference_saw_free_contradicts_the_query():
+    found = support(seen(SQUARE), seen(np.concatenate([SQUARE, SHELF])))
+    assert found.query < 0.9
+    assert found.reference > 0.98
+
+
+def test_what_the_query_saw_free_contradicts_the_reference():
+    found = support(seen(np.concatenate([SQUARE, SHELF])), seen(SQUARE))
+    assert found.reference < 0.9
+    assert found.query > 0.98
+
+
+def test_what_the_reference_never_saw_says_nothing():
+    """The query went on, into rooms that the reference knows nothing of."""
+    reference = seen(OFFICE, way(-6.0, -0.3, -3.0, -0.3))
+    query = seen(OFFICE, way(-4.0, -0.2, 2.0, -0.2), seed=1)
+    found = support(reference, query)
+    assert 0.3 < found.matched < 0.9
+    assert found.agreement > 0.95
+
+
+def test_the_far_side_of_a_thin_wall_is_no_match():
+    wall = walls([-3.0, 0.0, 3.0, 0.0])
+    front = seen(wall, way(-1.0, -1.0, 1.0, -1.0))
+    behind = seen(wall, way(-1.0, 1.0, 1.0, 1.0))
+    assert support(front, front).matched == 1.0
+    assert support(front, behind).matched < 0.05
+
+
+def test_frames_do_not_matter(rng):
+    reference, query = seen(OFFICE), seen(OFFICE, way(0.0, -0.3, 2.0, 0.2), seed=1)
+    found = support(reference, query)
+    T = np.array([1.5, -0.7, 2.0])
+    turned = place(OFFICE, way(0.0, -0.3, 2.0, 0.2), T, 0.05, seed=1)
+    np.testing.assert_allclose(support(reference, turned, compose(HERE, T)), found, rtol=0.04)
+
+
+@pytest.mark.parametrize(
+    ("found", "verdict"),
+    [
+        (Support(0.4, 0.9, 0.85, LEAST_SEEN), Verdict.STRONG),
+        (Support(0.4, 0.9, 0.7, LEAST_SEEN), Verdict.WEAK),
+        (Support(0.4, 0.7, 0.9, LEAST_SEEN), Verdict.WEAK),
+        (Support(0.4, 0.9, 0.6, LEAST_SEEN), Verdict.REFUSED),
+        (Support(0.3, 1.0, 1.0, LEAST_SEEN), Verdict.REFUSED),
+        (Support(0.9, 1.0, 1.0, LEAST_SEEN - 1), Verdict.REFUSED),
+    ],
+)
+def test_verdicts(found, verdict):
+    assert judge(found) == verdict

@@ -26,27 +26,11 @@ from impslam.graph.block_system import (
     empty_system,
     solve_system,
 )
+from impslam.graph.pose_graph import Edges
 from impslam.surfaces.features import check_rows
 from impslam.types import Array, Ints, Mask, check_shape
 
-
-class Edges(NamedTuple):
-    """Relative poses that are known.
-
-    Attributes
-    ----------
-    i, j : (e,) keyframes
-    T_i_j : (e, 3)
-    information : (e, 3, 3) inverse of the covariance of T_i_j
-    kernel : (e,) squared Mahalanobis distance beyond which an edge counts for less and less (Geman
-        and McClure); inf: never
-    """
-
-    i: Ints
-    j: Ints
-    T_i_j: Array
-    information: Array
-    kernel: Array
+__all__ = ["Edges", "Fit", "Refinement", "lay", "linearise", "pair_edges", "refine"]
 
 
 class Fit(NamedTuple):
@@ -96,13 +80,13 @@ def refine(
     scans: Scans,
     edges: Edges,
     pairs: Ints,
-    fixed: Mask | None = None,
+    fixed: Ints | None = None,
     fit: Fit | None = None,
 ) -> Refinement:
     """Return keyframes refined; poses (k, 3) of their bases, pairs (m, 2) as `overlaps` tells them.
 
-    `fixed` (k,) are held where they are: by default the first one, since nothing else says where
-    the map lies. A keyframe without overlap is moved by its edges alone.
+    Those of `fixed` (f,) are held where they are: by default the first one, since nothing else says
+    where the map lies. A keyframe without overlap is moved by its edges alone.
 
     Solutions stop early (see `block_system`): what spans some sixty keyframes or less is refined, and
     the shape of a whole building stays as the edges of the graph have made it. So give all edges,
@@ -112,20 +96,19 @@ def refine(
     A point is taken for a fifth of an independent one of 3 cm: points lie 4 cm apart, normals are
     fitted over 25 cm, and a surface's own error (its brightness, its texture, the angle of
     incidence) repeats from beam to beam over about so much. The same scan is in several pairs, which
-    `information` counts each time. With both, the covariance of poses by `pair_edges` and the edges
-    covers the errors of simulated scans with 3 cm of independent noise, or half of it and 1 cm more
-    that repeats over eight beams, about twice over. Errors that all scans have in common (a scale of
-    ranges, a mount that is bent) are not in it, nor what moves between the passes.
+    `information` counts each time. With both, the covariance of poses (`solve.marginals`, of the edges
+    and of `pair_edges`) covers the errors of simulated scans with 3 cm of independent noise, or half
+    of it and 1 cm more that repeats over eight beams, about twice over. Errors that all scans have in
+    common (a scale of ranges, a mount that is bent) are not in it, nor what moves between the passes.
     """
-    fixed = np.arange(len(poses)) == 0 if fixed is None else fixed
+    held = np.isin(np.arange(len(poses)), 0 if fixed is None else fixed)
     check_rows(scans.features, scans.starts, len(poses))
-    check_shape("fixed", fixed, len(poses))
     _check_ids(len(poses), pairs, edges)
     m = len(pairs)
     done = Refinement(plain(poses).copy(), pairs, np.zeros((m, 3, 3)), np.zeros(m))
     if len(poses) > 1:
         lasers = plain(np.broadcast_to(scans.lasers, (len(poses), 2)))
-        _refine(done, scans._replace(lasers=lasers), edges, fixed, Fit() if fit is None else fit)
+        _refine(done, scans._replace(lasers=lasers), edges, held, Fit() if fit is None else fit)
     return done
 
 

@@ -16,7 +16,9 @@ from impslam.maps.grid import PlacedScans
 from impslam.types import Array, Ints
 
 BEARINGS = 720  # half a degree: as fine as the beams of most lidars
+_SECTORS = 40  # of 9 degrees, for a first look
 _REACH = 8.0  # m: beyond, neighbouring beams are some 10 cm apart, and poses a degree off count
+_BESIDE = 2  # bearings to each side that are looked at: one beam at least of a lidar of 1 degree
 _STEEP = 0.2  # cosine of 78 deg: at a flatter incidence a beam beside a wall seems to go through
 
 
@@ -27,10 +29,12 @@ class Profile(NamedTuple):
     ----------
     lasers : (k, 3) x, y in map, and the heading of base_link
     nearest : (k, BEARINGS) float32 m, the shortest beam by its bearing in base_link; 0 if there is none
+    farthest : (k, _SECTORS) m, the longest of these in a sector and just beside it
     """
 
     lasers: Array
     nearest: np.ndarray[tuple[int, ...], np.dtype[np.float32]]
+    farthest: Array
 
 
 @kernel
@@ -38,6 +42,7 @@ def profile(scans: PlacedScans) -> Profile:
     """Return the scans by bearing."""
     k = len(scans.poses)
     lasers, nearest = np.empty((k, 3)), np.zeros((k, BEARINGS), np.float32)
+    farthest, each = np.zeros((k, _SECTORS)), BEARINGS // _SECTORS
     for i in range(k):
         c, s = math.cos(scans.poses[i, 2]), math.sin(scans.poses[i, 2])
         x, y = scans.origins[i]
@@ -50,7 +55,34 @@ def profile(scans: PlacedScans) -> Profile:
             distance = np.float32(math.hypot(dx, dy))
             if nearest[i, b] == 0.0 or distance < nearest[i, b]:
                 nearest[i, b] = distance
-    return Profile(lasers, nearest)
+        for sector in range(_SECTORS):
+            for b in range(sector * each - _BESIDE - 1, (sector + 1) * each + _BESIDE + 1):
+                farthest[i, sector] = max(farthest[i, sector], nearest[i, b % BEARINGS])
+    return Profile(lasers, nearest, farthest)
+
+
+@kernel
+def _bearing(seen: Profile, k: int, dx: float, dy: float) -> float:
+    """Return a bearing from base_link of scan k in turns, above 1."""
+    turns: float = (math.atan2(dy, dx) - seen.lasers[k, 2]) / (2.0 * math.pi) + 2.0
+    return turns
+
+
+@kernel
+def _hidden(seen: Profile, k: int, begin: Array, end: Array, margin: float) -> bool:
+    """Tell whether no beam of scan k ends behind a line between two places: most are in other rooms."""
+    dx, dy = begin[0] - seen.lasers[k, 0], begin[1] - seen.lasers[k, 1]
+    ux, uy = end[0] - begin[0], end[1] - begin[1]
+    length2 = ux * ux + uy * uy
+    s = min(max(-(dx * ux + dy * uy) / length2, 0.0), 1.0) if length2 > 0.0 else 0.0
+    least = math.hypot(dx + s * ux, dy + s * uy) + margin
+    one, two = _bearing(seen, k, dx, dy), _bearing(seen, k, dx + ux, dy + uy)
+    two -= round(two - one)  # a line spans less than half a turn
+    first, last = int(min(one, two) * _SECTORS), int(max(one, two) * _SECTORS)
+    for sector in range(first, last + 1):  # noqa: SIM110  kernels know no any()
+        if seen.farthest[k, sector % _SECTORS] > least:
+            return False
+    return True
 
 
 @kernel
@@ -68,9 +100,8 @@ def _through(
         steep = abs(dx * normal[0] + dy * normal[1]) / distance
         if steep < _STEEP:
             return False
-    turn = (math.atan2(dy, dx) - seen.lasers[k, 2]) / (2.0 * math.pi) + 2.0
-    middle, some = int(turn * BEARINGS), False
-    half = 2 + int(width / distance / (2.0 * math.pi) * BEARINGS)
+    middle, some = int(_bearing(seen, k, dx, dy) * BEARINGS), False
+    half = _BESIDE + int(width / distance / (2.0 * math.pi) * BEARINGS)
     for b in range(middle - half, middle + half + 1):
         end = seen.nearest[k, b % BEARINGS]
         if end > 0.0:
@@ -102,7 +133,8 @@ def seen_through(
         )
         for k in range(len(seen.lasers)):
             dx, dy = x - seen.lasers[k, 0], y - seen.lasers[k, 1]
-            if dx * dx + dy * dy < far * far:
+            near = dx * dx + dy * dy < far * far
+            if near and not _hidden(seen, k, places[i], places[j - 1], margin):
                 for p in range(i, j):
                     if _through(seen, k, places[p], normals[p], margin, width):
                         out[p] += 1

@@ -143,8 +143,9 @@ def _confirmed(
     placed: Placed, rows: Ints, group: Ints, keyframes: Ints, criteria: Criteria, is_line: bool
 ) -> _Members:
     """Return the groups (n,) that enough keyframes saw; -1 is none."""
-    pairs = np.unique(np.stack((group, keyframes), axis=1), axis=0)
-    counts = np.bincount(pairs[pairs[:, 0] >= 0, 0], minlength=int(group.max(initial=0)) + 1)
+    each = int(keyframes.max(initial=0)) + 1
+    pairs = np.unique(group[group >= 0] * each + keyframes[group >= 0]) // each
+    counts = np.bincount(pairs, minlength=int(group.max(initial=0)) + 1)
     keep: Mask = (group >= 0) & (counts[group] >= criteria.sightings)
     _, first, index = np.unique(group[keep], return_index=True, return_inverse=True)
     counts = counts[group[keep][first]]

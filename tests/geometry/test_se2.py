@@ -20,7 +20,6 @@ from impslam.geometry.se2 import (
     compose_uncertain,
     exp,
     inverse,
-    inverse_jacobian,
     log,
     rotation,
     transform,
@@ -90,7 +89,7 @@ def test_group_axioms(abc):
 @given(batches(2))
 def test_a_batch_is_its_poses_one_by_one(ab):
     """Every function, on broadcast leading axes, against itself on single poses."""
-    a, b = np.broadcast_arrays(*ab)
+    a, b = (poses.copy() for poses in np.broadcast_arrays(*ab))
     P, Q = np.diag([1.0, 2.0, 3.0]), np.diag([0.1, 0.3, 0.2])
     points = np.arange(10.0).reshape(5, 2)
     for index in np.ndindex(a.shape[:-1]):
@@ -104,7 +103,7 @@ def test_a_batch_is_its_poses_one_by_one(ab):
         )
         for whole, part in both:
             assert np.array_equal(whole[index], part)
-        for function in (inverse, inverse_jacobian, exp, log):
+        for function in (inverse, exp, log):
             assert np.array_equal(function(a)[index], function(one))
         np.testing.assert_allclose(rotation(a[..., 2])[index], rotation(float(one[2])), atol=1e-15)
         assert np.array_equal(transform(a, points)[index], transform(one, points))
@@ -155,13 +154,11 @@ def test_exp_is_smooth_through_zero(theta):
 def test_jacobians(a, b):
     first, second = compose_jacobians(a, b)
     scale = 1e-7 * (1.0 + np.abs(a).max() + np.abs(b).max())
-    ab, back = compose(a, b), inverse(a)
+    ab = compose(a, b)
     by_first = jacobian(lambda v: wrapped(compose(v, b) - ab, 2), a)
     by_second = jacobian(lambda v: wrapped(compose(a, v) - ab, 2), b)
-    of_inverse = jacobian(lambda v: wrapped(inverse(v) - back, 2), a)
     np.testing.assert_allclose(first, by_first, atol=scale)
     np.testing.assert_allclose(second, by_second, atol=scale)
-    np.testing.assert_allclose(inverse_jacobian(a), of_inverse, atol=scale)
 
 
 def test_uncertain_composition_carries_covariances_by_the_jacobians(rng):

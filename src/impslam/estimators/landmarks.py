@@ -116,8 +116,9 @@ class Landmarks(Estimator):
 
 
 def _check_finite(keyframe: Keyframe) -> None:
+    numbers = [part for o in keyframe.observations for part in (o.z, o.R)]
+    if np.isfinite(np.concatenate([keyframe.motion.covariance, *numbers], axis=None)).all():
+        return
     if not np.isfinite(keyframe.motion.covariance).all():
         raise NumericalError("the motion's covariance is not finite")
-    numbers = [part for o in keyframe.observations for part in (o.z, o.R)]
-    if numbers and not np.isfinite(np.concatenate(numbers, axis=None)).all():
-        raise NumericalError("an extractor's observation is not finite")
+    raise NumericalError("an extractor's observation is not finite")

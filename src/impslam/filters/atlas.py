@@ -9,7 +9,7 @@ import numpy as np
 
 from impslam.errors import ConfigError
 from impslam.filters.belief import GaussianBelief
-from impslam.filters.columns import Columns, ScanColumns, end_points
+from impslam.filters.columns import NONE, Columns, ScanColumns, end_points
 from impslam.landmarks.base import LandmarkModel
 from impslam.types import Array, Ints, Landmark, Match, Observation
 
@@ -92,6 +92,7 @@ class Atlas:
     def __init__(self, models: Mapping[str, LandmarkModel]) -> None:
         self._models = models
         self._newest: tuple[Sequence[Observation], ScanColumns] = ((), ScanColumns(()))
+        self._paired: tuple[Sequence[Match], list[Pairs]] = ((), [])
         self._tables: dict[str, Table] = {}
         self._next_id = 0
 
@@ -114,7 +115,7 @@ class Atlas:
         known, columns = self._newest
         if observations is not known or not isinstance(known, tuple):
             columns = ScanColumns(observations)
-            self._newest = observations, columns
+            self._newest, self._paired = (observations, columns), ((), [])
         return columns
 
     def by_kind(self, observations: Sequence[Observation]) -> Iterator[tuple[Table, Columns]]:
@@ -124,18 +125,22 @@ class Atlas:
             if table.places:
                 yield table, columns
 
-    def pairs(
-        self, observations: Sequence[Observation], matches: Sequence[Match]
-    ) -> Iterator[Pairs]:
-        """Yield kind by kind the landmarks that are matched, in the order of the tables."""
-        scan = self.columns(observations)
-        for table in self._tables.values():
-            which = [i for i, match in enumerate(matches) if match.landmark in table.places]
-            if which:
-                some = [matches[i] for i in which]
-                places = [table.places[match.landmark] for match in some]
-                rows = [scan.rows[match.observation] for match in some]
-                yield Pairs(table, places, scan.kinds[table.kind], rows, which)
+    def pairs(self, observations: Sequence[Observation], matches: Sequence[Match]) -> list[Pairs]:
+        """Return kind by kind the landmarks that are matched; those of the newest scan are kept."""
+        scan, (known, pairs) = self.columns(observations), self._paired
+        if matches is not known or not isinstance(known, tuple):
+            found = (self._pairs_in(table, scan, matches) for table in self._tables.values())
+            pairs = [some for some in found if some.which]
+            self._paired = matches, pairs
+        return pairs
+
+    def _pairs_in(self, table: Table, scan: ScanColumns, matches: Sequence[Match]) -> Pairs:
+        known = table.places
+        which = [i for i, match in enumerate(matches) if match.landmark in known]
+        some = [matches[i] for i in which]
+        places = [known[match.landmark] for match in some]
+        rows = [scan.rows[match.observation] for match in some]
+        return Pairs(table, places, scan.kinds.get(table.kind, NONE), rows, which)
 
     def add(
         self, pose: Array, observation: Observation, offset: int, m: Array, stamp: float
@@ -143,6 +148,7 @@ class Atlas:
         """Enter a new landmark; return its id."""
         table = self.table(observation.kind)
         number, self._next_id = self._next_id, self._next_id + 1
+        self._paired = (), []
         extent = table.model.extents(pose, m[None], end_points([observation]))[0]
         label = -1 if observation.label is None else observation.label
         table.append((number, label, offset), extent, stamp)
@@ -151,7 +157,7 @@ class Atlas:
 
     def remove(self, ids: Sequence[int], n: int) -> Ints:
         """Strike landmarks out of a state of n scalars; return the indices that stay, sorted."""
-        gone = set(ids)
+        gone, self._paired = set(ids), ((), [])
         stays = np.ones(n, np.bool_)
         for table in self._tables.values():
             leaving = [k for k, number in enumerate(table.ids.tolist()) if number in gone]

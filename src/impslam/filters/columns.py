@@ -36,6 +36,10 @@ class Columns(NamedTuple):
         return cls(np.array(indices), z, R, end_points(some))
 
 
+NONE = Columns(np.empty(0, np.int64), np.empty((0, 0)), np.empty((0, 0, 0)), np.empty((0, 2, 2)))
+"""Of a kind that the scan does not show."""
+
+
 def end_points(observations: Sequence[Observation]) -> Array:
     """Return where in base_link observations begin and end (k, 2, 2), m; 0 for those of points."""
     if all(o.end_points is None for o in observations):

@@ -60,12 +60,6 @@ def inverse(T_a_b: Array) -> Array:
     return _inverse(flat).reshape(shape)
 
 
-def inverse_jacobian(T_a_b: Array) -> Array:
-    """Return the (..., 3, 3) derivative of `inverse`."""
-    flat, shape = _flat(T_a_b)
-    return _inverse_jacobian(flat).reshape(*shape, 3)
-
-
 def between(T_a_b: Array, T_a_c: Array) -> Array:
     """Return `T_b_c` (..., 3): frame c seen from frame b."""
     return compose(inverse(T_a_b), T_a_c)
@@ -112,7 +106,7 @@ def _paired(one: Array, two: Array) -> tuple[Array, Array, tuple[int, ...]]:
     if one.shape == two.shape == _ONE:
         return one.reshape(1, 3), two.reshape(1, 3), _ONE
     if one.shape != two.shape:
-        one, two = np.broadcast_arrays(one, two)
+        one, two = (poses.copy() for poses in np.broadcast_arrays(one, two))  # writable
     first, shape = _flat(one)
     return first, _flat(two)[0], shape
 
@@ -175,18 +169,6 @@ def _inverse(poses: Array) -> Array:
         x, y, theta = poses[i, 0], poses[i, 1], poses[i, 2]
         c, s = math.cos(theta), math.sin(theta)
         out[i, 0], out[i, 1], out[i, 2] = -c * x - s * y, s * x - c * y, wrap_in_kernel(-theta)
-    return out
-
-
-@kernel
-def _inverse_jacobian(poses: Array) -> Array:
-    out = np.zeros((len(poses), 3, 3))
-    for i in range(len(poses)):
-        x, y, theta = poses[i, 0], poses[i, 1], poses[i, 2]
-        c, s = math.cos(theta), math.sin(theta)
-        out[i, 0, 0], out[i, 0, 1], out[i, 0, 2] = -c, -s, s * x - c * y
-        out[i, 1, 0], out[i, 1, 1], out[i, 1, 2] = s, -c, c * x + s * y
-        out[i, 2, 2] = -1.0
     return out
 
 

@@ -136,17 +136,21 @@ def _into(pose: Array, points: Array, out: Array) -> None:
 def _balances(
     beams: tuple[Array, Array, Mask],
     poses: tuple[Array, Array],
-    outlines: Array,
-    matched: Mask,
+    known: tuple[Ints, Array],
+    matched: Ints,
     limits: tuple[float, float],
 ) -> Array:
     """Return for each landmark (k,) the balance of its places where it is negative, else 0 or more.
 
     `beams` are points (n, 2) and directions (n,) in base_link and which are valid; `poses` are
-    `T_map_base` and `T_base_laser`, (3,); `limits` are margin and width, m. A landmark farther than the
-    farthest beam ends is left out, as is one that is `matched` (k,).
+    `T_map_base` and `T_base_laser`, (3,); `known` are the landmarks' ids (k,) and outlines; `limits` are
+    margin and width, m. A landmark farther than the farthest beam ends is left out, as is one whose id
+    is among the `matched`.
     """
-    out, (points, directions, valid), (base, laser) = np.zeros(len(outlines)), beams, poses
+    (points, directions, valid), (base, laser), (ids, outlines) = beams, poses, known
+    out, met = np.zeros(len(ids)), np.zeros(len(ids), np.bool_)
+    for number in matched:
+        met |= ids == number
     if valid.sum() < 2:
         return out
     limit2 = 0.0
@@ -162,7 +166,7 @@ def _balances(
     directions, ranges = directions - laser[2], np.hypot(in_laser[:, 0], in_laser[:, 1])
     for i in range(len(out)):
         x, y = 0.5 * (ends[i, 0, 0] + ends[i, 1, 0]), 0.5 * (ends[i, 0, 1] + ends[i, 1, 1])
-        if matched[i] or x * x + y * y >= limit2:
+        if x * x + y * y >= limit2 or met[i]:
             continue
         seen = np.empty((2, 2))
         _into(laser, ends[i], seen)
@@ -273,8 +277,8 @@ class Tentative(Lifecycle):
         balance = _balances(
             (scan.points, scan.directions, scan.valid),
             (pose, scan.laser),
-            outlines,
-            np.array([number in matched for number in ids.tolist()]),
+            (ids, outlines),
+            np.fromiter(matched, np.int64, len(matched)),
             (self.margin, self.width),
         )
         lost = []

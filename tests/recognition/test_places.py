@@ -124,3 +124,26 @@ def test_too_few_points_are_counted():
     few = QUERY._replace(features=QUERY.features[:59].copy())
     assert recogniser.close(REFERENCE, few, TRUTH, Window(1.0, 1.0, 0.1)) is None
     assert recogniser.counts["attempts"] == recogniser.counts["too few points"] == 1
+
+
+def test_errors_are_no_larger_than_the_information_says():
+    recogniser, d2 = Recogniser(), []
+    for seed in range(30):
+        query = place(OFFICE, BACK, BACK[2], QUERY_CELL, noise=0.02, seed=seed)
+        closure = recogniser.close(REFERENCE, query, TRUTH, Window(0.3, 0.3, 0.1))
+        error = closure.pose - TRUTH
+        d2.append(error @ closure.information @ error)
+    assert np.mean(d2) < 3.0
+
+
+def test_information_turns_with_the_reference(rng):
+    guess, window = TRUTH + np.array([0.1, -0.1, 0.03]), Window(0.3, 0.3, 0.1)
+    closure = Recogniser().close(REFERENCE, QUERY, guess, window)
+    T = rng.uniform([-30.0, -30.0, -3.0], [30.0, 30.0, 3.0])
+    c, s = np.cos(T[2]), np.sin(T[2])
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    turned = Recogniser().close(moved(REFERENCE, T), QUERY, compose(T, guess), window)
+    assert_at(turned, compose(T, closure.pose), 0.01, 0.002)
+    expected = turn @ closure.information @ turn.T
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(turned.information / scale, expected / scale, atol=0.15)

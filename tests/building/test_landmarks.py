@@ -154,6 +154,15 @@ def test_overlapping_pieces_are_one_wall():
     np.testing.assert_allclose(sorted_ends(mark), [[-3, 2], [3, 2]], atol=1e-9)
 
 
+def test_a_piece_that_stands_off_by_a_skirting_belongs_to_the_wall():
+    """Its beams tell a direction 2.3 degrees off, to a tenth of a degree."""
+    R = np.diag([1e-3, 2e-3]) ** 2
+    skirting = [[-0.25, 2.0], [0.25, 2.02]]
+    seen = [[wall(p, [[-3, 2], [3, 2]], R=R), wall(p, skirting, R=R)] for p in PATH]
+    assert len(landmarks_of(PATH, ZERO, seen, MODELS)) == 1
+    assert len(landmarks_of(PATH, ZERO, seen, MODELS, criteria=Criteria(relief=0.0))) == 2
+
+
 def test_collinear_walls_with_a_wide_gap_are_two():
     seen = [[wall(p, [[-4, 3], [-0.6, 3]]), wall(p, [[0.6, 3], [4, 3]])] for p in PATH]
     assert len(landmarks_of(PATH, ZERO, seen, MODELS)) == 2

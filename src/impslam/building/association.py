@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.building.sightings import Placed
+from impslam.building.sightings import Placed, add_relief
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Mask
@@ -31,10 +31,12 @@ class Rules(NamedTuple):
     ----------
     is_line : whether the kind is a line, with an extent
     gap : m, the longest stretch that nobody saw between two pieces of one line
+    relief : m, standard deviation of a surface from its line
     """
 
     is_line: bool
     gap: float
+    relief: float
 
 
 @kernel
@@ -120,6 +122,7 @@ def _distance2(
             return math.inf
         at[0], at[1] = group[_U0], group[_U1]
         _moved(at, have, along)
+        add_relief(have, group[_HIGH] - group[_LOW], rules.relief)
         value[0], value[1] = c * dx + s * dy - group[_U0] + along * math.tan(group[_U1]), turn
     else:
         if abs(wrap_in_kernel(frame[2] - group[_PHI])) > _FACING:  # false for NaN
@@ -183,6 +186,7 @@ def _join(groups: Array, extra: Array, parents: Ints, rules: Rules) -> bool:
         if parents[j] != j:
             continue
         _whole_group(groups[j], rules.is_line, frame, cov)
+        add_relief(cov, 2.0 * frame[3], rules.relief)
         barred = parents[:j] != np.arange(j)
         i = _nearest(groups[:j], frame, cov, extra[j], rules, barred)
         if i >= 0:

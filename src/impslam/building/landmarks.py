@@ -31,6 +31,8 @@ class Criteria(NamedTuple):
     sightings : keyframes that must show it; 0.4 m apart, a walker is at one place for one of them
     sigma_place, sigma_heading : m and rad, largest standard deviations of keyframes of one place
         against each other: what scan matching keeps (1.3 cm and 0.2 deg against measured relations)
+    relief : m, standard deviation of a wall's surface from its line: skirting and frames stand off by
+        3 cm at most
     margin : m, a beam that ends so far behind a landmark has gone through it
     width : m, beams that pass a point within this must all go through
     gap : m, the longest stretch that nobody saw between two pieces of one line; doors are 0.8 to 1 m
@@ -39,6 +41,7 @@ class Criteria(NamedTuple):
     sightings: int = 3
     sigma_place: float = 0.02
     sigma_heading: float = 0.005
+    relief: float = 0.01
     margin: float = 0.3
     width: float = 0.1
     gap: float = 1.0
@@ -78,7 +81,7 @@ def landmarks_of(
     for kind in log.kinds():
         model = _checked(kind, models)
         sightings = log.columns(kind)
-        most = np.array([criteria.sigma_place, criteria.sigma_heading])
+        most = np.array([criteria.sigma_place, criteria.sigma_heading, criteria.relief])
         placed = place(sightings, poses, covariances, most, model.has_extent)
         members = _members(placed, sightings, free, criteria, model.has_extent)
         if len(members.first):
@@ -121,7 +124,8 @@ def _members(
     extra = np.zeros_like(placed.relative)
     extra[:, 0] = criteria.sigma_place**2 / 2
     extra[:, 2] = criteria.sigma_heading**2 if is_line else criteria.sigma_place**2 / 2
-    group = associate(placed, keyframes, labels, extra, Rules(is_line, criteria.gap))
+    rules = Rules(is_line, criteria.gap, criteria.relief)
+    group = associate(placed, keyframes, labels, extra, rules)
     members = _confirmed(placed, np.arange(len(group)), group, keyframes, criteria, is_line)
     if free is None or not len(members.first):
         return members

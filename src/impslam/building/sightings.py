@@ -147,13 +147,21 @@ def _line(pose: Array, z: Array, ends: Array, frame: Array, by_z: Array, by_pose
 
 
 @kernel
+def add_relief(cov: Array, length: float, relief: float) -> None:
+    """Add to a line's covariance (3,) that its two ends stand off the surface by `relief`, m."""
+    if length > 0.0:
+        cov[0] += 0.5 * relief * relief
+        cov[2] += 2.0 * relief * relief / (length * length)
+
+
+@kernel
 def place(
     sightings: Sightings, poses: Array, covariances: Array, most: Array, is_line: bool
 ) -> Placed:
     """Return where sightings lie, given poses (k, 3) and covariances (k, 3, 3) of the keyframes.
 
-    `most` (2,) m and rad are the largest standard deviations of keyframes of one place against each
-    other: what they share moves them together.
+    `most` (3,) m, rad and m are the largest standard deviations of keyframes of one place against each
+    other (what they share moves them together), and that of a surface from its line.
     """
     n = len(sightings.keyframes)
     frames, relative, whole = np.empty((n, 4)), np.zeros((n, 3)), np.zeros((n, 3))
@@ -171,5 +179,6 @@ def place(
         among[0, 0] = among[1, 1] = min(0.5 * (P[0, 0] + P[1, 1]), most[0] ** 2)
         among[2, 2] = min(P[2, 2], most[1] ** 2)
         _propagated(by_pose, among, relative[i])
+        add_relief(relative[i], 2.0 * frames[i, 3], most[2])
         _propagated(by_pose, P, whole[i])
     return Placed(frames, relative, whole)

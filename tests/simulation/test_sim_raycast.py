@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from impslam.simulation.raycast import sweep
+from impslam.simulation.raycast import trace
 
 NO_SEGMENTS, NO_CIRCLES = np.empty((0, 4)), np.empty((0, 3))
 STILL = (np.empty((2, 0, 4)), np.empty((2, 0, 3)))
@@ -21,7 +21,7 @@ def cast(pose, angles, segments=NO_SEGMENTS, circles=NO_CIRCLES, reach=100.0):
     n = len(angles)
     lasers = np.tile(np.asarray(pose, float), (n, 1))
     standing = (np.asarray(segments, float), np.asarray(circles, float))
-    return sweep(lasers, np.asarray(angles, float), np.zeros(n), standing, STILL, reach)
+    return trace(lasers, np.asarray(angles, float), np.zeros(n), standing, STILL, reach)[:2]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -99,7 +99,7 @@ def test_moving_things_are_met_where_they_are_at_the_beams_time():
     lasers, angles = np.zeros((11, 3)), np.zeros(11)
     wall = np.array([[[2.0, -1, 2.0, 1]], [[3.0, -1, 3.0, 1]]])
     leg = np.array([[[5.0, 0.0, 0.5]], [[1.0, 0.0, 0.5]]])
-    ranges, _ = sweep(lasers, angles, fractions, (NO_SEGMENTS, NO_CIRCLES), (wall, leg), 50.0)
+    ranges, *_ = trace(lasers, angles, fractions, (NO_SEGMENTS, NO_CIRCLES), (wall, leg), 50.0)
     np.testing.assert_allclose(ranges, np.minimum(2.0 + fractions, 4.5 - 4.0 * fractions))
 
 

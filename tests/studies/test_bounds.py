@@ -10,7 +10,7 @@ from tests.numeric import jacobian
 
 from impslam.geometry.circles import fit_circle
 from impslam.geometry.lines import fit_line
-from impslam.simulation.raycast import sweep
+from impslam.simulation.raycast import trace
 from impslam.studies.bounds import (
     bound,
     circle_jacobian,
@@ -57,10 +57,10 @@ def test_ranges_are_those_of_the_simulator():
     still = (np.empty((2, 0, 4)), np.empty((2, 0, 3)))
     origins, directions = fan(0.0, 0.5)
     lasers = np.zeros((len(directions), 3))
-    cast, _ = sweep(lasers, directions, 0 * directions, (wall, np.empty((0, 3))), still, 9.0)
+    cast, *_ = trace(lasers, directions, 0 * directions, (wall, np.empty((0, 3))), still, 9.0)
     np.testing.assert_allclose(wall_ranges(np.array([2.0, 0.0]), origins, directions), cast)
     origins, directions = fan(0.25 * math.pi, 0.1)
-    cast, _ = sweep(lasers, directions, 0 * directions, (np.empty((0, 4)), circle), still, 9.0)
+    cast, *_ = trace(lasers, directions, 0 * directions, (np.empty((0, 4)), circle), still, 9.0)
     np.testing.assert_allclose(circle_ranges(circle[0], origins, directions), cast)
 
 

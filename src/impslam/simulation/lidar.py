@@ -6,7 +6,7 @@ import numpy as np
 
 from impslam.geometry.angles import wrap
 from impslam.simulation.drive import Path
-from impslam.simulation.raycast import sweep
+from impslam.simulation.raycast import trace
 from impslam.simulation.robot import Lidar
 from impslam.simulation.scene import Scene
 from impslam.types import Array, Ints
@@ -51,7 +51,8 @@ class LidarSimulator:
         fractions = self.time_offsets / max(self.duration, 1e-9)
 
         def cast(beams: Ints, angles: Array) -> tuple[Array, Array]:
-            return sweep(lasers[beams], angles, fractions[beams], standing, moving, lidar.range_max)
+            timed = lasers[beams], angles, fractions[beams]
+            return trace(*timed, standing, moving, lidar.range_max)[:2]
 
         ranges, cosines = cast(np.arange(lidar.beams, dtype=np.int64), self.angles)
         edges = _edges(ranges, lidar.edge) if lidar.divergence else np.empty(0, np.int64)

@@ -107,20 +107,3 @@ def trace(
         if best < reach:
             ranges[i], cosines[i], hits[i] = best, cosine, hit
     return ranges, cosines, hits
-
-
-@kernel
-def sweep(
-    lasers: Array,
-    angles: Array,
-    fractions: Array,
-    standing: tuple[Array, Array],
-    moving: tuple[Array, Array],
-    reach: float,
-) -> tuple[Array, Array]:
-    """Return range (n,) and cosine of incidence (n,) of n beams; inf and 0 beyond `reach`.
-
-    The parameters are those of `trace`.
-    """
-    ranges, cosines, _ = trace(lasers, angles, fractions, standing, moving, reach)
-    return ranges, cosines

@@ -19,7 +19,7 @@ from impslam.platform.devices.base import Reading
 from impslam.platform.virtual.assembly import Setup
 from impslam.platform.virtual.process import VirtualRobot, _dumped
 from impslam.simulation.lidar import laser_poses
-from impslam.simulation.raycast import sweep
+from impslam.simulation.raycast import trace
 from impslam.simulation.robot import Lidar
 from impslam.simulation.scene import Scene
 from impslam.simulation.world import World, load_world, shipped_worlds
@@ -148,7 +148,7 @@ def assert_shows_the_room(truth, scan: LaserScan) -> None:
     lasers = laser_poses(np.tile(truth["pose"], (len(scan.angles), 1)), Lidar().mount)
     nothing = np.empty((2, 0, 4)), np.empty((2, 0, 3))
     standing, at_once = (scene.segments, scene.circles), np.zeros(len(scan.angles))
-    expected, _ = sweep(lasers, scan.angles, at_once, standing, nothing, 5.6)
+    expected, *_ = trace(lasers, scan.angles, at_once, standing, nothing, 5.6)
     errors = np.abs(scan.ranges - expected)
     assert np.median(errors) < 0.01
     # Not beams at edges, which read between the two, nor those that see nothing.

@@ -52,8 +52,7 @@ class Kernels:
                 for key, value in list(vars(module).items()):
                     if isinstance(value, Dispatcher):
                         setattr(module, key, self._timed(value))
-        for key in ("dsyrk", "dtrsm", "dtrsv"):
-            setattr(belief, key, self._timed(getattr(belief, key)))
+        belief.subtract_product = self._timed(belief.subtract_product)
 
     def _timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
         def timed(*args: Any, **named: Any) -> Any:

@@ -34,8 +34,9 @@ from impslam.types import Array, Ints, Mask, check_shape
 _NARROWING = 4.0
 """By what kernels narrow between two graduated solutions; 1.4 (Yang 2020) takes thrice the time and
 finds the same poses."""
-_FIRST_DAMPING, _MOST_DAMPING = 1e-4, 1e8
-"""Of the diagonal: the first that is tried once a step has cost more, and the one that no step needs."""
+_FIRST_DAMPING, _MOST_DAMPING = 1e-7, 1e8
+"""Of the diagonal: the first that is tried once a step has cost more, and the one that no step needs.
+Edges in the thousand make the diagonal so much stiffer than the way that a long loop bends."""
 _ROUNDING = 1e-12
 """Of the cost: what poses may seem to get worse by."""
 
@@ -91,7 +92,7 @@ def solve(poses: Array, edges: Edges, fixed: Ints, limits: Limits | None = None)
     edges connect to a fixed one or whose information is singular, or no convergence. What was given
     is not written to.
     """
-    poses, edges, held = _checked(poses, edges, fixed)
+    poses, edges, held = checked(poses, edges, fixed)
     solved = poses.copy()
     costs = Costs(np.zeros(len(edges.i)), np.ones(len(edges.i)))
     cost, steps, failed = _solve(solved, edges, held, limits or Limits(), costs)
@@ -105,7 +106,7 @@ def marginals(poses: Array, edges: Edges, fixed: Ints) -> Array:
 
     To first order at these poses, edges weighed by their robust kernels. Raises as `solve` does.
     """
-    poses, edges, held = _checked(poses, edges, fixed)
+    poses, edges, held = checked(poses, edges, fixed)
     covariances, failed = _marginals(poses, edges, held)
     if failed != _FINE:
         raise NumericalError(_trouble(failed))
@@ -117,7 +118,7 @@ def relative_covariances(poses: Array, edges: Edges, fixed: Ints, pairs: Ints) -
 
     As `marginals`; a pair costs six substitutions.
     """
-    poses, edges, held = _checked(poses, edges, fixed)
+    poses, edges, held = checked(poses, edges, fixed)
     pairs = np.require(pairs, np.int64, ["C"])
     check_shape("pairs", pairs, None, 2)
     if pairs.size and not 0 <= pairs.min() <= pairs.max() < len(poses):
@@ -130,7 +131,7 @@ def relative_covariances(poses: Array, edges: Edges, fixed: Ints, pairs: Ints) -
     return covariances
 
 
-def _checked(poses: Array, edges: Edges, fixed: Ints) -> tuple[Array, Edges, Mask]:
+def checked(poses: Array, edges: Edges, fixed: Ints) -> tuple[Array, Edges, Mask]:
     """Return what kernels take, and fixed poses as a mask; raise `NumericalError` if it is unusable."""
     poses = plain(poses)
     check_shape("poses", poses, None, 3)

@@ -217,6 +217,10 @@ def test_poses_that_nothing_connects_are_named():
             function(start, loose, FIRST)
     with pytest.raises(NumericalError, match="connect pose 0 "):
         solve(start, edges, np.empty(0, np.int64))
+    with pytest.raises(NumericalError, match="`fixed` names a pose that is not in 0 to 19"):
+        solve(start, edges, np.array([20]))
+    with pytest.raises(NumericalError, match="a pair names a pose"):
+        relative_covariances(start, edges, FIRST, np.array([[0, 20]]))
     start[4] = np.nan
     with pytest.raises(NumericalError, match="pose 4 is not finite"):
         solve(start, edges, FIRST)

@@ -38,7 +38,7 @@ class Edges(NamedTuple):
 
 
 class Costs(NamedTuple):
-    """What edges cost: (e,) chi-squares and weights; their sums are those of `total_cost`."""
+    """Of the edges, (e,) each: chi-squares, and weights in [0, 1] by their robust kernels."""
 
     chi2: Array
     weights: Array

@@ -148,9 +148,9 @@ def checked(poses: Array, edges: Edges, fixed: Ints) -> tuple[Array, Edges, Mask
     check_shape("edges.information", edges.information, e, 3, 3)
     check_shape("edges.kernel", edges.kernel, e)
     fixed = np.asarray(fixed, np.int64)
-    for indices in (i, j, fixed):
+    for what, indices in (("an edge", i), ("an edge", j), ("`fixed`", fixed)):
         if indices.size and not 0 <= indices.min() <= indices.max() < n:
-            raise NumericalError(f"pose graph: an edge names a pose that is not in 0 to {n - 1}")
+            raise NumericalError(f"pose graph: {what} names a pose that is not in 0 to {n - 1}")
     for name, rows in (("pose", poses), ("edge", edges.T_i_j), ("edge", edges.information)):
         if not np.isfinite(rows).all():
             bad = int(np.flatnonzero(~np.isfinite(rows.reshape(len(rows), -1)).all(1))[0])

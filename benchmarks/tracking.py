@@ -29,7 +29,7 @@ from impslam.robot import Robot
 from impslam.tracking.base import KeyframeGate, Tracker
 from impslam.types import Array
 
-KINDS = ("odometry", "icp")
+KINDS = ("odometry", "scan_to_map")
 SECONDS = 30.0
 Sensed = list[tuple[Motions, Sweeps]]
 
@@ -42,7 +42,7 @@ def main(log: str, relations: str = "") -> None:
     for kind in KINDS:
         follow(kind, sensed[:1])
         stamps, poses, contradicted, seconds = follow(kind, sensed)
-        line = f"{kind:10} {1e6 * seconds / sweeps:7.1f} us a sweep, {contradicted} contradicted"
+        line = f"{kind:11} {1e6 * seconds / sweeps:7.1f} us a sweep, {contradicted} contradicted"
         if relations:
             metres, radians = errors(stamps, poses, np.loadtxt(Path(relations)))
             line += (

@@ -59,7 +59,7 @@ def track(anchor, m=2):
     steps = np.column_stack([0.1 * (1.0 + np.arange(m)), np.zeros((m, 2))])
     spread = np.broadcast_to(1e-4 * EYE, (m, 3, 3))
     flags = np.zeros(m, bool)
-    return Track(anchor, stamps, steps, spread, steps, no_sweeps(), slice(0, m), flags, None)
+    return Track(anchor, stamps, steps, spread, steps, no_sweeps(), slice(0, m), flags, flags, None)
 
 
 def revision(ids, poses):

@@ -127,7 +127,7 @@ def test_scan_matching_does_not_change_what_odometry_alone_tells(room, tmp_path)
     """The matcher refines the filter's motion; the path by odometry is there to compare with."""
     slipping = [replace(m, left=0.9 * m.left) if isinstance(m, WheelAngles) else m for m in room]
     without = play(slipping, tmp_path)
-    matched = play(slipping, tmp_path, ["tracker.kind=icp"])
+    matched = play(slipping, tmp_path, ["tracker.kind=scan_to_map"])
     for a, b in zip(without.results, matched.results, strict=True):
         np.testing.assert_allclose(a.odometry, b.odometry, atol=1e-12)
     assert (
@@ -426,7 +426,7 @@ def test_the_map_holds_the_path_as_it_was_known_and_as_it_is(bare, tmp_path):
 @pytest.mark.parametrize("rows", [1, 7, 100_000])
 def test_any_cutting_of_a_log_gives_the_same_bytes(room, tmp_path, rows):
     """With everything on: scan matching, RANSAC, tentative landmarks."""
-    settings = ["tracker.kind=icp", "sensors.lidar.extractors.walls.kind=ransac"]
+    settings = ["tracker.kind=scan_to_map", "sensors.lidar.extractors.walls.kind=ransac"]
     maps = []
     for size in (rows, 64):
         course = Run(load("imp", settings))

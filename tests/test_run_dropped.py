@@ -38,7 +38,7 @@ def test_motion_of_a_refused_scan_is_kept_at_its_time(latency):
 def drive_along(spoilt=()):
     """Drive by a matcher; in the scans of the stamps in `spoilt` an extractor finds nonsense."""
     kept = Steps()
-    run = Run(load("imp", ["tracker.kind=icp", "keyframes.distance=0"]), [kept])
+    run = Run(load("imp", ["tracker.kind=scan_to_map", "keyframes.distance=0"]), [kept])
     look = run.robot.look
 
     def spoil(sweeps, k, rng):

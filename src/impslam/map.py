@@ -70,6 +70,7 @@ class Keyframe:
     contradicted : whether the scans contradict odometry; the motion is then that of the scans
     scan : the sweep in base_link at its middle, None for a sensor that has none
     observations : landmarks that the extractors found in the scan
+    located : whether the tracker's match of the scan tells where the robot is, along both axes
     """
 
     id: int
@@ -83,6 +84,7 @@ class Keyframe:
     contradicted: bool = False
     scan: Scan | None = None
     observations: tuple[Observation, ...] = ()
+    located: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +100,7 @@ class Track:
     odometry : (m, 3) `T_odom_base` at these stamps
     sweeps, rows : the m sweeps are these rows of their sensor's data
     contradicted : (m,) whether the scans show another motion than odometry at each of them
+    located : (m,) whether the tracker's match of each tells where the robot is, along both axes
     keyframe : the keyframe that ends the track, None if the track continues
     """
 
@@ -109,6 +112,7 @@ class Track:
     sweeps: Sweeps
     rows: slice
     contradicted: Mask
+    located: Mask
     keyframe: Keyframe | None
 
 
@@ -212,6 +216,13 @@ class Map:
         """Return the sizes of the map instead of its arrays."""
         counts = (len(self.stamps), len(self.keyframes), len(self.landmarks))
         return "<Map: {} scans, {} keyframes, {} landmarks>".format(*counts)
+
+    def revised(self, revision: Revision) -> Map:
+        """Return the map with the poses of a revision."""
+        poses, covariances = self.keyframes.poses.copy(), self.keyframes.covariances.copy()
+        poses[revision.ids], covariances[revision.ids] = revision.poses, revision.covariances
+        keyframes = replace(self.keyframes, poses=poses, covariances=covariances)
+        return replace(self, keyframes=keyframes)
 
     def rows(self) -> PathRows:
         """Return the current estimate of the path with covariances."""

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
+from impslam.growing import GrowingArray
 from impslam.map import UPPER, Keyframe, Keyframes, Map, PathRows, Revision, Track, hang
 from impslam.types import Array, Landmark, Mask, Scan
 
@@ -16,51 +17,17 @@ _DISTINCT = np.ravel_multi_index(UPPER, (3, 3))
 """Where the entries of `UPPER` are in a matrix's nine."""
 
 
-class _Column:
-    """An array that grows by rows; views returned earlier do not change."""
-
-    def __init__(self, *shape: int, dtype: npt.DTypeLike = np.float64) -> None:
-        self._rows: npt.NDArray[Any] = np.empty((64, *shape), dtype)
-        self._count = 0
-
-    def __len__(self) -> int:
-        return self._count
-
-    def append(self, rows: npt.ArrayLike, m: int = 1) -> None:
-        """Append m rows (m, ...), or one value to each of m rows."""
-        end = self._count + m
-        if end > len(self._rows):
-            grown = np.empty(
-                (max(end, 2 * len(self._rows)), *self._rows.shape[1:]), self._rows.dtype
-            )
-            grown[: self._count] = self._rows[: self._count]
-            self._rows = grown
-        self._rows[self._count : end] = rows
-        self._count = end
-
-    def replace(self, at: npt.NDArray[Any], rows: npt.NDArray[Any]) -> None:
-        """Change rows; views returned earlier keep their values."""
-        self._rows = self._rows.copy()
-        self._rows[at] = rows
-
-    @property
-    def array(self) -> npt.NDArray[Any]:
-        """The current rows (n, ...), read-only."""
-        view = self._rows[: self._count]
-        view.flags.writeable = False
-        return view
-
-
 class MapBuilder:
     """Stores poses of sweeps relative to keyframes, and the scans of the keyframes."""
 
     def __init__(self) -> None:
-        self._stamps, self._anchors = _Column(), _Column(dtype=np.int64)
-        self._T_anchor_base, self._covariances = _Column(3), _Column(6)
-        self._odometry, self._live = _Column(3), _Column(3)
-        self._key_stamps, self._poses, self._pose_covariances = _Column(), _Column(3), _Column(3, 3)
-        self._innovations, self._origins = _Column(3), _Column(2)
-        self._starts, self._points = _Column(dtype=np.int64), _Column(2, dtype=np.float32)
+        self._stamps, self._anchors = GrowingArray(), GrowingArray(dtype=np.int64)
+        self._T_anchor_base, self._covariances = GrowingArray(3), GrowingArray(6)
+        self._odometry, self._live = GrowingArray(3), GrowingArray(3)
+        self._key_stamps, self._poses = GrowingArray(), GrowingArray(3)
+        self._pose_covariances = GrowingArray(3, 3)
+        self._innovations, self._origins = GrowingArray(3), GrowingArray(2)
+        self._starts, self._points = GrowingArray(dtype=np.int64), GrowingArray(2, dtype=np.float32)
         self._starts.append(0)
 
     def __len__(self) -> int:

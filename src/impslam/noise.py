@@ -7,6 +7,9 @@ import numpy as np
 from impslam.parameters import Parameters, parameter
 from impslam.types import Array
 
+UNKNOWN = 1e6
+"""m^2: motions with such a variance tell nothing; a robot without odometry has none other."""
+
 
 class MotionNoise(Parameters):
     """Random walk of dead reckoning (after Thrun et al. 2005, ch. 5.4, as variances per way).

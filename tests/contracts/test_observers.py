@@ -41,7 +41,9 @@ class Spoiler(Observer):
         self.spoil(pose)
 
 
-@pytest.mark.parametrize("settings", [(), ("tracker.kind=icp",)], ids=["odometry", "icp"])
+@pytest.mark.parametrize(
+    "settings", [(), ("tracker.kind=scan_to_map",)], ids=["odometry", "scan_to_map"]
+)
 def test_an_observer_that_writes_into_what_it_is_shown_changes_nothing(settings, tmp_path):
     config, messages = load("imp", settings), perfect(load_world("room"))
     spoiler = Spoiler()

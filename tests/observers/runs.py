@@ -84,7 +84,7 @@ class Scripted:
             spread = (of_motion.T @ (result.covariance - known) @ of_motion)[None]
             track = Track(
                 self._count - 1, np.array([result.stamp]), T, spread, result.odometry[None],
-                sweeps, slice(0, 1), np.zeros(1, bool), None,
+                sweeps, slice(0, 1), np.zeros(1, bool), np.zeros(1, bool), None,
             )  # fmt: skip
             path = self.builder.follow(track)
             for observer in self.observers:

@@ -323,7 +323,7 @@ def test_a_robot_that_recognises_nothing_says_so_once_it_matters(keyframe):
     ]
     reasons = said(still(3.0), *drive, keyframe=keyframe)[1:]
     assert reasons[24] == ""
-    assert "no known landmark for" in reasons[25]
+    assert "nothing known was seen for" in reasons[25]
     assert "uncertain by 0.3 m" in reasons[26]
     assert said(still(3.0), *drive, still(5.0))[-1] == ""
 

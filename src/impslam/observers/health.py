@@ -22,9 +22,9 @@ class HealthMonitor(Observer):
     """Reports when the pose estimate is unreliable, and why.
 
     A pose is unreliable if its covariance is not finite, if the position uncertainty has grown by
-    more than `LOST` since the last match, if scans contradict odometry, or if a scan has no valid
-    beam. The growth counts, not the uncertainty itself, which is large far from the start; a robot
-    that stands still or matches scans may see no landmark for a long time.
+    more than `LOST` since the last match (of a landmark, or of a scan with a map), if scans
+    contradict odometry, or if a scan has no valid beam. The growth counts, not the uncertainty
+    itself, which is large far from the start; a robot that stands still may see no landmark for long.
     """
 
     def __init__(self) -> None:
@@ -46,18 +46,21 @@ class HealthMonitor(Observer):
         valid = (
             np.ones((len(path.stamps), 1), np.bool_) if scans is None else scans.valid[track.rows]
         )
-        self._check(path, valid, track.contradicted.copy())
+        self._check(path, valid, track.contradicted.copy(), track.located.copy())
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
         """Check the pose of a keyframe."""
         if revision.matches:
             self._fresh = True
         valid = np.ones(1, np.bool_) if keyframe.scan is None else keyframe.scan.valid
-        self._check(path, valid[None], np.array([keyframe.contradicted]))
+        self._check(
+            path, valid[None], np.array([keyframe.contradicted]), np.array([keyframe.located])
+        )
 
-    def _check(self, path: PathRows, valid: Mask, contradicted: Mask) -> None:
+    def _check(self, path: PathRows, valid: Mask, contradicted: Mask, fresh: Mask) -> None:
+        fresh[:1] |= self._fresh
         reasons, facts = _judge(
-            self._walked, self._fresh, path.poses, path.covariances, valid, contradicted
+            self._walked, fresh, path.poses, path.covariances, valid, contradicted
         )
         self._fresh = False
         if not self._count and reasons.any():
@@ -70,17 +73,17 @@ class HealthMonitor(Observer):
 
 @kernel
 def _judge(
-    walked: Array, fresh: bool, poses: Array, covariances: Array, valid: Mask, contradicted: Mask
+    walked: Array, fresh: Mask, poses: Array, covariances: Array, valid: Mask, contradicted: Mask
 ) -> tuple[np.ndarray, Array]:
     """Return why each of m poses is unreliable, and (m, 2) m: way and growth of sigma since a match.
 
     walked (4,) is x, y of the last pose, the way since the last match and the variance there; it is
-    carried on. `fresh`: the first pose is that of a match.
+    carried on. fresh (m,): which poses are those of a match.
     """
     reasons, facts = np.zeros(len(poses), np.int8), np.empty((len(poses), 2))
     for k in range(len(poses)):
         variance = covariances[k, 0, 0] + covariances[k, 1, 1]
-        if fresh and k == 0:
+        if fresh[k]:
             walked[2], walked[3] = 0.0, variance
         else:
             walked[2] += math.hypot(poses[k, 0] - walked[0], poses[k, 1] - walked[1])
@@ -101,7 +104,7 @@ def _reason(reason: int, way: float, grown: float) -> str:
     """Return why a pose is unreliable, or ""."""
     return {
         NOT_FINITE: "the estimate is not finite; start a new map",
-        GROWN: f"no known landmark for {way:.1f} m, position uncertain by {grown:.1f} m",
+        GROWN: f"nothing known was seen for {way:.1f} m, position uncertain by {grown:.1f} m",
         CONTRADICTED: "the scans show another motion than odometry; the pose follows the scans",
         BLIND: "the scan has no valid range; the pose is dead-reckoned",
     }.get(reason, "")

@@ -48,8 +48,10 @@ def check_rows(features: Features, starts: Ints, scans: int) -> None:
 
 
 def beam_spacing(angles: Array) -> float:
-    """Return the mean angle between neighbouring beams, rad."""
-    return abs(float(angles[-1] - angles[0])) / max(len(angles) - 1, 1)
+    """Return the mean angle between neighbouring beams, rad; 0 of fewer than two."""
+    if len(angles) < 2:
+        return 0.0
+    return abs(float(angles[-1] - angles[0])) / (len(angles) - 1)
 
 
 @kernel

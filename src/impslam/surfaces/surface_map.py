@@ -132,7 +132,8 @@ def add(known: SurfaceMap, features: Features, pose: Array, most: float) -> None
         x = pose[0] + c * features[i, 0] - s * features[i, 1]
         y = pose[1] + s * features[i, 0] + c * features[i, 1]
         u, v = (x - known.corner[0]) / CELL, (y - known.corner[1]) / CELL
-        if min(u, v) < REACH + 1 or u >= width - REACH - 1 or v >= height - REACH - 1:
+        inside = min(u, v) >= REACH + 1 and u < width - REACH - 1 and v < height - REACH - 1
+        if not inside:  # also where a pose is not finite
             continue
         column, row = int(u), int(v)
         nx = c * features[i, 2] - s * features[i, 3]
@@ -198,7 +199,7 @@ def normal_equations(
         ry = s * features[i, 0] + c * features[i, 1]
         x, y = pose[0] + rx, pose[1] + ry
         u, v = (x - known.corner[0]) / CELL, (y - known.corner[1]) / CELL
-        if u < 0.0 or v < 0.0 or u >= width or v >= height:
+        if not (0.0 <= u < width and 0.0 <= v < height):  # also where a pose is not finite
             continue
         inside += 1.0
         k = known.nearest[int(v), int(u)] - 1

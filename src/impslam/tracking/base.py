@@ -7,6 +7,7 @@ of its business.
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Iterator
 from typing import ClassVar, NamedTuple
 
@@ -20,8 +21,6 @@ from impslam.geometry.kernels import kernel
 from impslam.map import Keyframe, Track
 from impslam.parameters import Parameters
 from impslam.sources.base import Problems
-from impslam.tracking.check import OdometryCheck
-from impslam.tracking.surfels import Surfels, prepare
 from impslam.types import Array, Increment, Mask
 
 _CONTRADICTED = (
@@ -53,39 +52,75 @@ class KeyframeGate(Parameters):
     )
 
 
+class Gate(NamedTuple):
+    """When a sensor's next keyframe is due.
+
+    Attributes
+    ----------
+    limits : (3,) m, rad, s
+    travelled : (3,) since its newest keyframe
+    """
+
+    limits: Array
+    travelled: Array
+
+
+class Steps(NamedTuple):
+    """What came of m sweeps.
+
+    Attributes
+    ----------
+    d_pose, covariance : (m, 3), (m, 3, 3) motion since the newest reference before each
+    moved : (m, 3) motion since the sweep before each
+    reference : (m,) whether the motion of the next ones is told from there: it was matched, or has
+        too few points to match
+    ends : (m,) whether it is a keyframe
+    contradicted : (m,) whether odometry told another motion than the scan shows
+    located : (m,) whether the scan tells where the robot is, along both axes
+    """
+
+    d_pose: Array
+    covariance: Array
+    moved: Array
+    reference: Mask
+    ends: Mask
+    contradicted: Mask
+    located: Mask
+
+
 class _Tracked(NamedTuple):
-    """Sweeps with the motions to them, dead reckoning at their stamps, and what contradicts it."""
+    """Sweeps, the times and durations of the motions to them, what came of them, and dead reckoning."""
 
     motions: Motions
+    steps: Steps
     sweeps: Sweeps
     odometry: Array
-    contradicted: Mask
 
 
 class Tracker(Component):
-    """Turns motions and sweeps into tracks; `refine` is what differs between trackers."""
+    """Turns motions and sweeps into tracks; `steps` is what differs between trackers."""
 
     role: ClassVar[str] = "tracker"
     matches_scans: ClassVar[bool] = False
-    """Whether `refine` finds the motion from the scans, with odometry as a prior."""
+    """Whether `steps` finds the motion from the scans, with odometry as a prior."""
 
-    _gate: Array = PrivateAttr()
+    _limits: Array = PrivateAttr()
     _since: tuple[Array, Array] = PrivateAttr()
+    _reference: tuple[Array, Array] = PrivateAttr()
     _odometry: Array = PrivateAttr()
     _travelled: dict[str, Array] = PrivateAttr(default_factory=dict)
     _duration: float = PrivateAttr(0.0)
     _keyframes: int = PrivateAttr(0)
     _problems: Problems = PrivateAttr(default_factory=Problems)
-    _check: OdometryCheck = PrivateAttr()
 
     def start(self, start: Array, gate: KeyframeGate) -> None:
         """Begin at a pose (3,) of the odometry's path; the first sweep is a keyframe."""
-        self._gate = np.array([gate.distance, gate.angle, gate.seconds])
+        self._limits = np.array([gate.distance, gate.angle, gate.seconds])
         self._travelled = {}
         self._since = np.zeros(3), np.zeros((3, 3))
+        self._reference = np.zeros(3), np.zeros((3, 3))
         self._odometry = np.array(start, dtype=np.float64)
         self._duration, self._keyframes = 0.0, 0
-        self._check = OdometryCheck(follow=not self.matches_scans)
 
     @property
     def problems(self) -> Problems:
@@ -102,60 +137,45 @@ class Tracker(Component):
         """`T_odom_base` (3,) at the middle of the newest sweep, by dead reckoning."""
         return self._odometry
 
-    @property
-    def thinning(self) -> float:
-        """The least distance of a sweep's points in beam order, m, that `refine` has a use for."""
-        return OdometryCheck.spacing
+    @abstractmethod
+    def steps(self, motions: Motions, sweeps: Sweeps, gate: Gate) -> Steps:
+        """Follow the next sweeps of one sensor, and let them count for its keyframes.
 
-    def refine(self, motions: Motions, sweeps: Sweeps, surfels: Surfels | None) -> Motions:
-        """Return the motions to these sweeps as well as they can be told, with covariance.
-
-        The motions given are those of odometry; `surfels` are the points of the sweeps, None where
-        the sensor has none. Where a sweep tells nothing its motion comes back as it was.
+        The motions given are those of odometry, from the middle of the sweep before to that of each.
         """
-        del sweeps, surfels
-        return motions
 
     def follow(self, motions: Motions, sweeps: Sweeps) -> Iterator[Track]:
         """Yield the tracks of these sweeps; a track is cut where the data are, and goes on.
 
         `motions` are by odometry, from the middle of the sweep before to that of each.
         """
-        by_odometry = motions
-        scans = sweeps.scans
-        surfels = None if scans is None else prepare(scans, self.thinning)
-        motions, contradicted = self._check.check(motions, surfels)
-        for k in np.flatnonzero(contradicted).tolist():
+        travelled = self._travelled.setdefault(sweeps.sensor, np.full(3, math.inf))
+        steps = self.steps(motions, sweeps, Gate(self._limits, travelled))
+        for k in np.flatnonzero(steps.contradicted).tolist():
             stamp = sweeps.columns.stamps[k]
             self._problems.add("odometry against scans", _CONTRADICTED.format(stamp))
-        refined = self.refine(motions, sweeps, surfels)
-        ends = self._ends(sweeps.sensor, motions)
-        odometry, at_stamp = _dead_reckon(self._odometry, by_odometry.d_pose, sweeps.T_middle_stamp)
+        for name, others in self._travelled.items():  # each sensor looks at what others do not see
+            if name != sweeps.sensor:
+                count(steps.moved, motions.duration, Gate(np.full(3, math.inf), others))
+        odometry, at_stamp = _dead_reckon(self._odometry, motions.d_pose, sweeps.T_middle_stamp)
         self._odometry = odometry[-1] if len(odometry) else self._odometry
-        tracked = _Tracked(refined, sweeps, at_stamp, contradicted)
+        tracked = _Tracked(motions, steps, sweeps, at_stamp)
         begin = 0
-        for end in np.flatnonzero(ends).tolist():
+        for end in np.flatnonzero(steps.ends).tolist():
             yield self._track(tracked, slice(begin, end), ends=True)
             begin = end + 1
         if begin < len(sweeps):
             yield self._track(tracked, slice(begin, len(sweeps)), ends=False)
 
-    def _ends(self, sensor: str, motions: Motions) -> Mask:
-        """Tell which sweeps are keyframes: each sensor looks at what the others do not see."""
-        travelled = self._travelled.setdefault(sensor, np.full(3, math.inf))
-        for name, others in self._travelled.items():
-            if name != sensor:
-                _keyframes(motions.d_pose, motions.duration, np.full(3, math.inf), others)
-        return _keyframes(motions.d_pose, motions.duration, self._gate, travelled)
-
     def _track(self, tracked: _Tracked, rows: slice, *, ends: bool) -> Track:
         """Return the track of some rows, and with `ends` the keyframe in the row after them."""
-        motions, sweeps, odometry, contradicted = tracked
+        motions, steps, sweeps, odometry = tracked
         upto = rows.stop + 1 if ends else rows.stop
         T, spread, T_stamp, spread_stamp = _accumulate(
-            *self._since,
-            motions.d_pose[rows.start : upto],
-            motions.covariance[rows.start : upto],
+            *self._reference,
+            steps.d_pose[rows.start : upto],
+            steps.covariance[rows.start : upto],
+            steps.reference[rows.start : upto],
             sweeps.T_middle_stamp[rows.start : upto],
             sweeps.stamp_covariance[rows.start : upto],
         )
@@ -164,6 +184,7 @@ class Tracker(Component):
         if ends:
             keyframe = self._keyframe(tracked, rows.stop, T[m], spread[m])
             self._since, self._duration = (np.zeros(3), np.zeros((3, 3))), 0.0
+            self._reference = np.zeros(3), np.zeros((3, 3))
         elif m:
             self._since = T[m - 1], spread[m - 1]
         track = Track(
@@ -174,7 +195,8 @@ class Tracker(Component):
             odometry[rows],
             sweeps,
             rows,
-            contradicted[rows],
+            steps.contradicted[rows],
+            steps.located[rows],
             keyframe,
         )
         self._keyframes += ends
@@ -182,7 +204,7 @@ class Tracker(Component):
 
     def _keyframe(self, tracked: _Tracked, row: int, d_pose: Array, covariance: Array) -> Keyframe:
         """Return the keyframe in a row, with the motion to it from the one before."""
-        motions, sweeps, odometry, contradicted = tracked
+        motions, steps, sweeps, odometry = tracked
         stamp = float(motions.stamps[row])
         return Keyframe(
             id=self._keyframes,
@@ -193,24 +215,37 @@ class Tracker(Component):
             stamp_covariance=sweeps.stamp_covariance[row],
             sweeps=sweeps,
             row=row,
-            contradicted=bool(contradicted[row]),
+            contradicted=bool(steps.contradicted[row]),
+            located=bool(steps.located[row]),
         )
 
 
 @kernel
-def _keyframes(d_pose: Array, duration: Array, limits: Array, travelled: Array) -> Mask:
-    """Tell which sweeps are keyframes; travelled (3,) m, rad, s since the last one is carried on.
+def passed(gate: Gate, d_pose: Array, duration: float) -> bool:
+    """Tell whether a motion (3,) of so many s would reach a limit of the gate."""
+    travelled = gate.travelled
+    far = travelled[0] + math.hypot(d_pose[0], d_pose[1]) >= gate.limits[0]
+    turned_far = travelled[1] + abs(d_pose[2]) >= gate.limits[1]
+    return bool(far or turned_far or travelled[2] + duration >= gate.limits[2])
 
-    Limits of inf end nothing.
-    """
-    out = np.zeros(len(d_pose), np.bool_)
-    for k in range(len(d_pose)):
-        travelled[0] += math.hypot(d_pose[k, 0], d_pose[k, 1])
-        travelled[1] += abs(d_pose[k, 2])
-        travelled[2] += duration[k]
-        if (travelled >= limits).any():
-            out[k] = True
-            travelled[:] = 0.0
+
+@kernel
+def go(gate: Gate, d_pose: Array, duration: float) -> None:
+    """Let a motion (3,) of so many s count."""
+    gate.travelled[0] += math.hypot(d_pose[0], d_pose[1])
+    gate.travelled[1] += abs(d_pose[2])
+    gate.travelled[2] += duration
+
+
+@kernel
+def count(moved: Array, duration: Array, gate: Gate) -> Mask:
+    """Let m motions (m, 3) count in place; tell which of them end in a keyframe, (m,)."""
+    out = np.zeros(len(moved), np.bool_)
+    for k in range(len(moved)):
+        out[k] = passed(gate, moved[k], duration[k])
+        go(gate, moved[k], duration[k])
+        if out[k]:
+            gate.travelled[:] = 0.0
     return out
 
 
@@ -232,17 +267,22 @@ def _accumulate(
     spread: Array,
     d_pose: Array,
     covariance: Array,
+    reference: Mask,
     T_middle_stamp: Array,
     stamp_covariance: Array,
 ) -> tuple[Array, Array, Array, Array]:
-    """Compose m motions onto (T, spread): poses and covariances at the middles, and at the stamps."""
+    """Return m poses and covariances at the middles of sweeps, and at the stamps.
+
+    Each motion follows the newest reference before it; (T, spread) is the first, and becomes the last.
+    """
     m = len(d_pose)
     poses, spreads = np.empty((m, 3)), np.empty((m, 3, 3))
     at_stamp, spreads_at_stamp = np.empty((m, 3)), np.empty((m, 3, 3))
-    pose, P = T.copy(), spread.copy()
     for k in range(m):
-        advance(pose, P, d_pose[k], covariance[k])
-        poses[k], spreads[k] = pose, P
-        at_stamp[k], spreads_at_stamp[k] = pose, P
+        poses[k], spreads[k] = T, spread
+        advance(poses[k], spreads[k], d_pose[k], covariance[k])
+        if reference[k]:
+            T[:], spread[:] = poses[k], spreads[k]
+        at_stamp[k], spreads_at_stamp[k] = poses[k], spreads[k]
         advance(at_stamp[k], spreads_at_stamp[k], T_middle_stamp[k], stamp_covariance[k])
     return poses, spreads, at_stamp, spreads_at_stamp

@@ -68,7 +68,7 @@ SETTINGS = Settings(
     min_share=0.5,
     drift=np.array([0.03, 0.02, 0.02, 0.04]),
 )
-"""How scans are matched: as by `icp`, with points farther apart and surer of their partners."""
+"""How scans are matched: points 10 cm apart, half of which have to find a partner."""
 
 
 class Checked(NamedTuple):

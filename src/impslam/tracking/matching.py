@@ -37,7 +37,7 @@ _MOVED = 1e-3
 
 
 class Settings(NamedTuple):
-    """How scans are matched; see the parameters of `Icp`. `drift` (4,) are those of its `drift`."""
+    """How scans are matched; `drift` (4,) are as in `MotionNoise`."""
 
     sigma: float
     reach: float

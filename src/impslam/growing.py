@@ -1,0 +1,42 @@
+"""Arrays that grow by rows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+
+class GrowingArray:
+    """An array that grows by rows; views returned earlier do not change."""
+
+    def __init__(self, *shape: int, dtype: npt.DTypeLike = np.float64) -> None:
+        self._rows: npt.NDArray[Any] = np.empty((64, *shape), dtype)
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def append(self, rows: npt.ArrayLike, m: int = 1) -> None:
+        """Append m rows (m, ...), or one value to each of m rows."""
+        end = self._count + m
+        if end > len(self._rows):
+            size = max(end, 2 * len(self._rows))
+            grown = np.empty((size, *self._rows.shape[1:]), self._rows.dtype)
+            grown[: self._count] = self._rows[: self._count]
+            self._rows = grown
+        self._rows[self._count : end] = rows
+        self._count = end
+
+    def replace(self, at: npt.NDArray[Any], rows: npt.NDArray[Any]) -> None:
+        """Change rows; views returned earlier keep their values."""
+        self._rows = self._rows.copy()
+        self._rows[at] = rows
+
+    @property
+    def array(self) -> npt.NDArray[Any]:
+        """The current rows (n, ...), read-only."""
+        view = self._rows[: self._count]
+        view.flags.writeable = False
+        return view

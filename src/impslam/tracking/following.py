@@ -1,0 +1,314 @@
+"""Follows a robot by its scans: one compiled loop from sweep to sweep.
+
+A sweep is matched when odometry has moved since the last match or when its ranges have changed: odometry
+may stand while the robot moves, so that it alone does not decide. The prior is odometry, corrected by the
+bias learned so far, with heavy tails: wheels slip, and robots push against walls. Where the scan fits
+much worse than its predecessors did, the pose is searched for around several predictions.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.columns import Motions
+from impslam.geometry.angles import wrap_in_kernel
+from impslam.geometry.chain import advance, advance_pose
+from impslam.geometry.kernels import kernel
+from impslam.noise import UNKNOWN
+from impslam.surfaces.features import Features, find_features
+from impslam.surfaces.surface_map import Alignment, Evidence, align, normal_equations
+from impslam.tracking.algebra import between, invert, turned
+from impslam.tracking.base import Gate, Steps, go, passed
+from impslam.tracking.learned_odometry import LearnedOdometry, correct, learn, variances
+from impslam.tracking.submaps import Submaps, extend, is_empty, oldest
+from impslam.types import Array, Mask
+
+MOVED = (0.05, 0.04)
+"""m, rad: a scan is matched when odometry has moved by so much. Matching closer scans gains nothing,
+and every 10 cm costs a fifth of the accuracy."""
+CHANGED, CHANGED_SHARE = (0.03, 0.005), 0.1
+"""m, and share of the range: a range changes by more where something moved (3 sigma of the noise); and
+the share of ranges that have to, since people change some of them."""
+FEWEST = 10
+"""Points that a scan is matched with at least."""
+SLIP = (0.1, 0.025)
+"""m, rad: a difference from odometry that is smaller is no slip, however sure odometry is."""
+SLIP_SIGMAS = 3.0
+"""Standard deviations of odometry below which a difference is no slip."""
+LOST = 0.7
+"""Share of the mean inlier share below which the pose is searched for."""
+FITS = 0.55
+"""Share of the mean inlier share below which a scan shows another place: nearly all scans of a robot
+that was carried elsewhere, and about one in an hour of one that was not."""
+LOCATED = 0.02
+"""m, 1 sigma: the position is known where matching leaves less, or half of odometry's variance."""
+HEADINGS, TURN, STEP = 9, 0.06, 0.25
+"""Number of headings, rad between them, and m of the offsets that are tried around each prediction."""
+USUAL = 0.8
+"""Inlier share of scans indoors; information falls with its fourth power below: people, bushes, a ramp."""
+RESIDUAL = 0.02
+"""m, root mean square distance from the surfaces indoors; information falls with its square above."""
+MEMORY = 0.3, 0.2, 0.01
+"""Weights of the newest scan in the running means of inlier share, of squared distance, and of the
+time between scans."""
+SEARCH_PRIOR = 0.1
+"""How much the prior counts in the search, relative to a match."""
+
+
+SPEED, RATE = 0.3, 0.6
+"""m/s, rad/s: how much the velocity of a robot without odometry changes from scan to scan: half of a
+walking pace, as from 0.2 to 0.5 m/s does equally well."""
+LONGEST_COAST = 1.0
+"""s between scans at most: stamps may jump. At least it is their mean, for stamps may stand, too."""
+
+
+class Settings(NamedTuple):
+    """How scans are matched; see the parameters of `ScanToMap`."""
+
+    match: Alignment
+    length: float
+    spacing: float
+    turn: float
+    thin: float
+    drift: Array
+
+
+class State(NamedTuple):
+    """Where the robot is; kernels change all of it in place.
+
+    Attributes
+    ----------
+    submaps, odometry : the last metres, and what odometry is worth
+    pose, matched : (3,) in the frame of the submaps: now, and at the newest match
+    since, covariance : (3,), (3, 3) odometry since the newest match
+    lengths : (2,) m and rad that are in it
+    velocity : (3,) motion between the last two matches
+    prior : (2,) variances of the prediction of the pose: m^2 along each axis, rad^2
+    means : (3,) running means of the inlier share, of the squared distance, m^2, and of the time
+        between scans, s
+    evidence : of the newest match
+    """
+
+    submaps: Submaps
+    odometry: LearnedOdometry
+    pose: Array
+    matched: Array
+    since: Array
+    covariance: Array
+    lengths: Array
+    velocity: Array
+    prior: Array
+    means: Array
+    evidence: Evidence
+
+
+class Seen(NamedTuple):
+    """What one lidar saw last.
+
+    Attributes
+    ----------
+    ranges : (n,) m, of its newest scan that was matched; 0 where invalid
+    added : (3,) pose at which its newest scan was added to the submaps; NaN before the first
+    """
+
+    ranges: Array
+    added: Array
+
+
+class Beams(NamedTuple):
+    """The columns of `Scans` that are matched; `spacing` rad is the angle between neighbours."""
+
+    points: Array
+    valid: Mask
+    ranges: Array
+    origins: Array
+    spacing: float
+
+
+@kernel
+def follow(
+    motions: Motions,
+    beams: Beams,
+    state: State,
+    seen: Seen,
+    gate: Gate,
+    how: Settings,
+    out: Steps,
+) -> None:
+    """Fill `out` for the next m sweeps of a lidar, and take them into its state."""
+    features = np.empty((beams.points.shape[1], 5), np.float32)
+    before, d_pose = np.empty(3), np.empty(3)
+    for k in range(len(motions.stamps)):
+        before[:] = state.pose
+        alone = _predict(motions, k, state, d_pose)
+        out.d_pose[k], out.covariance[k] = state.since, state.covariance
+        ends = passed(gate, d_pose, motions.duration[k])
+        if ends or alone or _due(beams.ranges[k], beams.valid[k], state, seen):
+            count = find_features(
+                beams.points[k], beams.valid[k], beams.ranges[k], beams.origins[k],
+                beams.spacing, how.thin, features,
+            )  # fmt: skip
+            if count >= FEWEST:
+                _match(features[:count], k, alone, state, how, out)
+                _remember(features[:count], k, beams, state, seen, how)
+            out.reference[k] = True
+            state.matched[:] = state.pose
+            state.since[:], state.covariance[:], state.lengths[:] = 0.0, 0.0, 0.0
+        between(before, state.pose, out.moved[k])
+        ends = passed(gate, out.moved[k], motions.duration[k])
+        go(gate, out.moved[k], motions.duration[k])
+        out.ends[k] = out.reference[k] and ends
+        if out.ends[k]:
+            gate.travelled[:] = 0.0
+
+
+@kernel
+def _predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
+    """Predict the pose of sweep k, by odometry or else at constant velocity; tell whether by the latter.
+
+    Velocity is per sweep, since there are logs whose stamps run backwards.
+    """
+    alone = bool(motions.covariance[k, 0, 0] >= UNKNOWN)
+    spread = motions.covariance[k].copy()
+    if alone:
+        seconds = min(motions.duration[k], LONGEST_COAST)
+        state.means[2] += MEMORY[2] * (seconds - state.means[2])
+        seconds = max(seconds, state.means[2])
+        d_pose[:], spread[:] = state.velocity, 0.0
+        place, heading = (SPEED * seconds + 0.01) ** 2, (RATE * seconds + 0.01) ** 2
+        spread[0, 0], spread[1, 1], spread[2, 2] = place, place, heading
+    else:
+        d_pose[:] = motions.d_pose[k]
+        correct(state.odometry, d_pose)
+    state.lengths[0] += math.hypot(d_pose[0], d_pose[1])
+    state.lengths[1] += abs(d_pose[2])
+    if not alone:
+        place, heading = variances(state.odometry, state.lengths[0], state.lengths[1])
+    state.prior[0], state.prior[1] = place, heading
+    advance_pose(state.pose, d_pose)
+    advance(state.since, state.covariance, d_pose, spread)
+    return alone
+
+
+@kernel
+def _due(ranges: Array, valid: Mask, state: State, seen: Seen) -> bool:
+    """Tell whether a scan is to be matched."""
+    far = math.hypot(state.since[0], state.since[1]) >= MOVED[0]
+    if np.isnan(seen.added[0]) or far or abs(state.since[2]) >= MOVED[1]:
+        return True
+    both = changed = 0
+    for i in range(len(ranges)):
+        if valid[i] and seen.ranges[i] > 0.0:
+            both += 1
+            changed += abs(ranges[i] - seen.ranges[i]) > CHANGED[0] + CHANGED[1] * ranges[i]
+    return changed > CHANGED_SHARE * both
+
+
+@kernel
+def _remember(
+    features: Features, k: int, beams: Beams, state: State, seen: Seen, how: Settings
+) -> None:
+    """Keep the ranges of sweep k, and add it to the submaps unless it is near the one added last."""
+    for i in range(len(seen.ranges)):
+        seen.ranges[i] = beams.ranges[k, i] if beams.valid[k, i] else 0.0
+    new, pose = seen.added, state.pose
+    far = math.hypot(pose[0] - new[0], pose[1] - new[1]) >= how.spacing
+    if np.isnan(new[0]) or far or abs(wrap_in_kernel(pose[2] - new[2])) >= how.turn:
+        extend(state.submaps, features, pose, how.length)
+        new[:] = pose
+
+
+@kernel
+def _match(
+    features: Features, k: int, alone: bool, state: State, how: Settings, out: Steps
+) -> None:
+    """Match sweep k, and take it into the state."""
+    if is_empty(state.submaps):
+        return
+    guess, spread = state.pose.copy(), turned(state.covariance, state.matched[2])
+    usual = state.means[0]
+    share = _find(features, state, how, spread, out.contradicted[k : k + 1])
+    state.means[0] += MEMORY[0] * (share - state.means[0])
+    between(state.matched, state.pose, state.velocity)
+    way, turn = math.hypot(state.velocity[0], state.velocity[1]), abs(state.velocity[2])
+    if not alone:
+        off = np.empty(3)
+        between(guess, state.pose, off)
+        plausible = share > 0.6 and abs(off[2]) < 4.0 * math.sqrt(state.prior[1])
+        plausible = plausible and abs(off[0]) < 4.0 * math.sqrt(state.prior[0])
+        quality = min(1.0, state.means[0] / USUAL) ** 4
+        learn(state.odometry, state.since, off, plausible, state.pose, quality)
+    state.submaps.way[0] += way
+    out.d_pose[k], out.covariance[k] = state.velocity, turned(spread, -state.matched[2])
+    out.covariance[k, 0, 0] += how.drift[0] ** 2 * way
+    out.covariance[k, 1, 1] += how.drift[1] ** 2 * way
+    out.covariance[k, 2, 2] += how.drift[2] ** 2 * way + how.drift[3] ** 2 * turn
+    weakest = 0.5 * (spread[0, 0] + spread[1, 1])
+    weakest += math.hypot(0.5 * (spread[0, 0] - spread[1, 1]), spread[0, 1])
+    out.located[k] = share >= FITS * usual and weakest < max(0.5 * state.prior[0], LOCATED**2)
+
+
+@kernel
+def _find(
+    features: Features, state: State, how: Settings, spread: Array, contradicted: Mask
+) -> float:
+    """Bring the pose to where the scan fits, and `spread` (3, 3) to its covariance; return the share.
+
+    The covariance is along the axes of the submaps.
+    """
+    known, usual = oldest(state.submaps), state.means[0]
+    place, heading = state.prior[0], state.prior[1]
+    prior = np.array([1.0 / place, 1.0 / place, 1.0 / heading])
+    slack2 = max(SLIP_SIGMAS**2, min(SLIP[0] ** 2 / place, SLIP[1] ** 2 / heading))
+    worth = how.match.information * min(1.0, max(usual, 0.05) / USUAL) ** 4
+    worth *= min(1.0, RESIDUAL**2 / state.means[1])
+    match = Alignment(
+        how.match.iterations, how.match.wide, how.match.narrow, worth, how.match.step, slack2
+    )
+    guess = state.pose.copy()
+    share = align(known, features, state.pose, prior, match, state.evidence)
+    if state.evidence.sums[3] > 5.0:
+        square = state.evidence.sums[2] / state.evidence.sums[3]
+        state.means[1] += MEMORY[1] * (square - state.means[1])
+    if share < LOST * usual:
+        share = _search(features, share, guess, state, how, prior * SEARCH_PRIOR)
+    ex, ey = state.pose[0] - guess[0], state.pose[1] - guess[1]
+    et = wrap_in_kernel(state.pose[2] - guess[2])
+    chi2 = prior[0] * ex * ex + prior[1] * ey * ey + prior[2] * et * et
+    contradicted[0] = chi2 > 9.0 * slack2
+    posterior = worth * state.evidence.H
+    for a in range(3):
+        posterior[a, a] += prior[a] / (1.0 + chi2 / slack2)
+    if invert(posterior):
+        spread[:] = posterior
+    return share
+
+
+@kernel
+def _search(
+    features: Features, share: float, guess: Array, state: State, how: Settings, prior: Array
+) -> float:
+    """Try poses around odometry's, the last one, and the one at constant velocity; keep a clear best."""
+    known, usual, m = oldest(state.submaps), state.means[0], how.match
+    coarse = Alignment(8, 0.25, 0.1, m.information, max(1, len(features) // 60), m.slack2)
+    fine = Alignment(4, 0.1, m.narrow, m.information, m.step, m.slack2)
+    best, enough = state.pose.copy(), max(share + 0.2, 0.6 * usual, 0.5)
+    going, pose = state.matched.copy(), np.empty(3)
+    advance_pose(going, state.velocity)
+    for start in (guess, state.matched, going):
+        for turn in range(-(HEADINGS // 2), HEADINGS // 2 + 1):
+            for offset in range(5):
+                pose[:] = start
+                pose[2] += turn * TURN
+                pose[0] += STEP * ((offset == 1) - (offset == 2))
+                pose[1] += STEP * ((offset == 3) - (offset == 4))
+                align(known, features, pose, prior, coarse, state.evidence)
+                found = align(known, features, pose, prior, fine, state.evidence)
+                if found > enough:
+                    best[:], enough, share = pose, found, found
+    state.pose[:] = best
+    normal_equations(known, features, state.pose, m.narrow, m.step, state.evidence)
+    return share

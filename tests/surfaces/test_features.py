@@ -1,0 +1,154 @@
+"""Features of scans: normals towards the lidar, weights by what lies beside a point, thinning."""
+
+import math
+
+import numpy as np
+import pytest
+from tests.extractors.scans import cast, room, with_ranges
+from tests.rooms import MOUNTS, Mount, features_at
+
+from impslam.surfaces.features import beam_spacing, features
+
+ROOM = room(-2.0, 3.0, -1.5, 2.2)
+LASERS = [(0.0, 0.0, 0.0), (0.4, 0.2, 1.0), (-0.3, -0.25, math.pi)]
+
+
+def nearest_wall(rows, walls):
+    """Return the inner normal (n, 2) of the wall that each point lies on, and the distance to it."""
+    start, along = walls[:, 0], walls[:, 1] - walls[:, 0]
+    normals = np.column_stack((-along[:, 1], along[:, 0])) / np.hypot(*along.T)[:, None]
+    off = np.einsum("wk,nwk->nw", normals, rows[:, None, :2] - start)
+    k = np.abs(off).argmin(1)
+    return normals[k], np.abs(off)[np.arange(len(rows)), k]
+
+
+@pytest.mark.parametrize("upside_down", [False, True])
+@pytest.mark.parametrize("laser", LASERS)
+def test_normals_stand_on_walls_and_point_to_the_lidar(laser, upside_down):
+    laser = np.array(laser)
+    rows = features(cast(ROOM, laser=laser, upside_down=upside_down).scan, 0.04)
+    surfaces = rows[rows[:, 4] > 0]
+    normals, off = nearest_wall(surfaces, ROOM)
+    assert off.max() < 1e-6
+    agree = np.einsum("nk,nk->n", surfaces[:, 2:4], normals)
+    assert np.median(agree) > 1.0 - 1e-6
+    assert np.mean(agree > 0.999) > 0.9  # the others lie in corners
+    assert agree.min() > 0.0
+    towards = np.einsum("nk,nk->n", surfaces[:, 2:4], laser[:2] - surfaces[:, :2])
+    assert towards.min() > 0.0
+
+
+@pytest.mark.parametrize("mount", MOUNTS)
+def test_normals_are_units_however_the_lidar_is_mounted(mount):
+    rows = features_at((3.0, 1.0, 0.7), MOUNTS[mount])
+    surfaces = rows[rows[:, 4] > 0]
+    assert len(surfaces) > 0.7 * len(rows)
+    np.testing.assert_allclose(np.hypot(*surfaces[:, 2:4].T), 1.0, atol=1e-6)
+
+
+def test_upside_down_and_upright_lidars_see_the_same():
+    """Beams in the other order are the same points; thinning begins from the other end."""
+    up = features_at((3.0, 1.0, 0.7), Mount((0.2, 0.05, 0.1), -1.5, 1.5, 361), thin=0.0)
+    down = features_at((3.0, 1.0, 0.7), Mount((0.2, 0.05, 0.1), -1.5, 1.5, 361, -1.0), thin=0.0)
+    np.testing.assert_allclose(down[::-1], up, atol=1e-4)
+
+
+def test_normals_of_a_noisy_wall_are_within_its_noise(rng):
+    """1 cm on 17 points over 0.5 m at most: 4 sigma of a line through them is 0.05 rad."""
+    wall = np.array([[[4.0, -3.0], [4.0, 3.0]]])
+    rows = features(cast(wall, noise=0.01, rng=rng).scan, 0.04)
+    inner = rows[(rows[:, 4] == 1.0) & (np.abs(rows[:, 1]) < 1.5)]
+    assert len(inner) > 20
+    assert np.abs(inner[:, 3]).max() < 4.0 * 0.01 / (0.25 / math.sqrt(3) * math.sqrt(13))
+    assert inner[:, 2].max() < -0.99
+
+
+def wall_ahead(gaps=(), beams=61):
+    """A wall 1 m ahead, 0.5 m to each side, by regular beams; some of them see nothing."""
+    angles = np.linspace(-0.46, 0.46, beams)
+    scan = cast(np.array([[[1.0, -2.0], [1.0, 2.0]]]), angles=angles).scan
+    valid = np.ones(beams, bool)
+    valid[list(gaps)] = False
+    return with_ranges(scan, scan.ranges, valid)
+
+
+def test_a_wall_counts_fully_inside_and_half_at_its_ends():
+    weights = features(wall_ahead(), 0.0)[:, 4]
+    assert weights[[0, -1]].tolist() == [0.5, 0.5]
+    assert (weights[1:-1] == 1.0).all()
+
+
+def test_a_gap_makes_two_ends():
+    rows = features(wall_ahead(range(25, 35)), 0.0)
+    assert len(rows) == 51
+    assert np.flatnonzero(rows[:, 4] == 0.5).tolist() == [0, 24, 25, 50]
+
+
+@pytest.mark.parametrize("lone", [1, 2])
+def test_a_point_with_fewer_than_two_neighbours_lies_on_no_surface(lone):
+    gaps = [k for k in range(61) if not 30 <= k < 30 + lone]
+    assert (features(wall_ahead(gaps), 0.0)[:, 4] == 0.0).all()
+
+
+def test_a_post_before_a_wall_takes_no_neighbours_from_it():
+    scan = cast(np.array([[[3.0, -2.0], [3.0, 2.0]]]), np.array([[1.5, 0.0, 0.005]])).scan
+    rows = features(scan, 0.0)
+    post = rows[:, 0] < 2.0
+    assert 1 <= post.sum() <= 2
+    assert (rows[post, 4] == 0.0).all()
+    surfaces = rows[rows[:, 4] > 0]
+    np.testing.assert_allclose(
+        surfaces[:, 2:4], np.tile([-1.0, 0.0], (len(surfaces), 1)), atol=1e-3
+    )
+
+
+def test_a_corner_is_no_surface_and_its_sides_are():
+    rows = features(cast(ROOM).scan, 0.0)
+    apart = np.hypot(*(rows[:, :2] - np.array([3.0, 2.2])).T)
+    assert (rows[apart < 0.03, 4] == 0.0).all()
+    assert (rows[(apart > 0.3) & (apart < 0.6), 4] > 0.0).all()
+
+
+def test_grazing_beams_tell_no_normal():
+    """Beyond 83 degrees of incidence."""
+    rows = features(cast(np.array([[[-0.5, 0.2], [5.0, 0.2]]])).scan, 0.0)
+    cosine = 0.2 / np.hypot(rows[:, 0], rows[:, 1])
+    assert (rows[cosine < 0.119, 4] == 0.0).all()
+    assert (rows[cosine > 0.3, 4] > 0.0).all()
+
+
+@pytest.mark.parametrize("thin", [0.0, 0.04, 0.2])
+def test_thinning_keeps_points_apart_and_leaves_normals_as_they_are(thin):
+    scan = cast(ROOM).scan
+    every, kept = features(scan, 0.0), features(scan, thin)
+    apart = np.hypot(*np.diff(kept[:, :2], axis=0).T)
+    assert apart.min() >= thin - 1e-6
+    everywhere = {row.tobytes() for row in every}
+    assert all(row.tobytes() in everywhere for row in kept)
+    if thin == 0.0:
+        assert len(kept) == scan.valid.sum()
+
+
+def test_invalid_beams_have_no_features():
+    scan = cast(ROOM).scan
+    assert features(with_ranges(scan, np.zeros(len(scan.ranges))), 0.04).shape == (0, 5)
+    assert features(cast(ROOM, angles=np.empty(0)).scan, 0.04).shape == (0, 5)
+
+
+def test_a_turn_of_everything_turns_the_features():
+    """The lidar's mount turns, its beams do not: points and normals turn about base_link."""
+    turn = 0.9
+    one = features(cast(ROOM, laser=np.array([0.3, 0.1, 0.2])).scan, 0.04)
+    c, s = math.cos(turn), math.sin(turn)
+    R = np.array([[c, -s], [s, c]])
+    laser = np.array([*(R @ [0.3, 0.1]), 0.2 + turn])
+    other = features(cast(ROOM, pose=np.array([0.0, 0.0, -turn]), laser=laser).scan, 0.04)
+    np.testing.assert_allclose(other[:, :2], one[:, :2] @ R.T, atol=1e-5)
+    np.testing.assert_allclose(other[:, 2:4], one[:, 2:4] @ R.T, atol=1e-4)
+    np.testing.assert_array_equal(other[:, 4], one[:, 4])
+
+
+def test_spacing_is_that_of_the_beams():
+    assert beam_spacing(np.linspace(-1.0, 1.0, 201)) == pytest.approx(0.01)
+    assert beam_spacing(np.linspace(1.0, -1.0, 201)) == pytest.approx(0.01)
+    assert beam_spacing(np.zeros(1)) == 0.0

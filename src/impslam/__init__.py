@@ -14,8 +14,8 @@
 >>> known = slam.finish()
 >>> known.path().shape
 (10, 4)
->>> known.landmarks[0].kind
-'wall'
+>>> known.grid().resolution
+0.05
 
 `impslam.Map` is what both return: `path()`, `landmarks`, `grid()`, `save()` and `Map.load()`.
 """

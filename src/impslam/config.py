@@ -64,8 +64,8 @@ class Config(Parameters):
     association: Table = parameter(..., "", "which observation is which landmark")
     lifecycle: Table = parameter(..., "", "when landmarks come and go")
     filter: Table = parameter(..., "", "the belief")
-    keyframes: KeyframeGate = parameter(
-        KeyframeGate(), "", "which scans are searched for landmarks"
+    keyframes: Table = parameter(
+        {}, "", "which scans are keyframes; by default as the estimator asks"
     )
     grid: Grid = parameter(Grid(), "", "the occupancy grid")
 
@@ -80,8 +80,17 @@ class Config(Parameters):
     def make_tracker(self) -> Tracker:
         """Return the tracker, ready for the first sweep."""
         tracker: Tracker = build("tracker", self.tracker)
-        tracker.start(np.array(self.start), self.keyframes)
+        tracker.start(np.array(self.start), self.make_gate())
         return tracker
+
+    def make_gate(self) -> KeyframeGate:
+        """Return which scans are keyframes."""
+        estimator: Estimator = build("estimator", self.estimator)
+        asked = estimator.keyframes.model_dump()
+        try:
+            return KeyframeGate(**{**asked, **self.keyframes})
+        except ValidationError as error:
+            raise ConfigError(explain(error, "keyframes", KeyframeGate.model_fields)) from None
 
     def make_estimator(self) -> Estimator:
         """Return the estimator, ready for its first keyframe."""
@@ -103,8 +112,11 @@ class Config(Parameters):
 
     def resolved(self) -> Table:
         """Return every parameter with its value, defaults included; it loads to the same run."""
-        table = self.model_dump(mode="json", exclude={"odometry", "sensors", "landmarks"})
+        table = self.model_dump(
+            mode="json", exclude={"odometry", "sensors", "landmarks", "keyframes"}
+        )
         table["odometry"] = _full("odometry", self.odometry)
+        table["keyframes"] = self.make_gate().model_dump(mode="json")
         table["sensors"] = {}
         for name, sensor in self.sensors.items():
             full = _full("sensor", sensor)
@@ -269,6 +281,12 @@ def load(base: str | Path | Table = "default", settings: Sequence[str] = ()) -> 
     config.make_robot()
     config.make_tracker()
     config.make_estimator()
+    for role in (
+        "association",
+        "lifecycle",
+        "filter",
+    ):  # also where the estimator has no use for it
+        build(role, getattr(config, role))
     return config
 
 
@@ -282,6 +300,11 @@ def _refuse_former(table: Table) -> None:
     for role, instead in (("tracker", "odometry"), ("estimator", "landmarks")):
         if isinstance(table.get(role), dict) and table[role].get("kind") == "none":
             raise ConfigError(f'{role}.kind = "none": every run has one; use kind = "{instead}"')
+    if isinstance(table.get("tracker"), dict) and table["tracker"].get("kind") == "icp":
+        raise ConfigError(
+            'tracker.kind = "icp" was replaced by "scan_to_map": write kind = "scan_to_map", and take '
+            "out the other parameters of [tracker]"
+        )
 
 
 def load_plugins(base: str | Path = "default", settings: Sequence[str] = ()) -> None:

@@ -189,6 +189,13 @@ class Run:
         """Return the current map; later data do not change it."""
         return self._builder.map(self.estimator.landmarks(), about)
 
+    def settled(self, about: dict[str, Any] | None = None) -> Map:
+        """Return the map with all keyframes refined jointly, which may take seconds."""
+        with self.clock("settle"):
+            revision = self.estimator.settle()
+        known = self.map(about)
+        return known if revision is None else known.revised(revision)
+
     def dead_reckoned(self) -> PathRows | None:
         """Return the newest pose composed with all later motion; None before the first sweep.
 
@@ -211,7 +218,7 @@ class Run:
         """
         self._refuse_empty(source)
         outcome = self.outcome(source.path, fingerprint(source.path), source.problems)
-        known = self.map(about(outcome))
+        known = self.settled(about(outcome))
         for observer in self._observers:
             observer.finish(known, outcome)
         return known
@@ -225,7 +232,8 @@ class Run:
         if not self.robot.counts.get(wanted):
             raise SourceError(
                 f"{source.path}: no {wanted} for odometry {self.config.odometry['kind']!r} in "
-                "it; `imp inspect` lists its contents; choose another with -c or --set odometry.kind=..."
+                "it; `imp inspect` lists its contents; choose another with --set odometry.kind=..., or "
+                "lidar_only to map without odometry"
             )
 
     def outcome(self, log: Path, sha256: str, *problems: Problems) -> Outcome:

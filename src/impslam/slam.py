@@ -200,11 +200,11 @@ class Slam:
         return self._run.map()
 
     def finish(self) -> Map:
-        """Use the scans that still wait for odometry, and return the map."""
+        """Use the scans that still wait for odometry, and return the map, refined as a whole."""
         before = self._run.scans
         self._run.flush()
         self._report(before)
-        return self.map()
+        return self._run.settled()
 
 
 class _Newest(Observer):

@@ -54,5 +54,5 @@ def test_a_text_log_is_mapped_with_little(tmp_path: Path) -> None:
     readers = {m for m in modules if m.startswith("impslam.sources.")}
     assert "impslam.sources.rosbag" not in readers
     assert "impslam.sources.mrclam" not in readers
-    assert "impslam.tracking.icp" in modules
+    assert "impslam.tracking.scan_to_map" in modules
     assert "impslam.association.jcbb" not in modules

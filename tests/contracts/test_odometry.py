@@ -41,7 +41,10 @@ def reading(consumes, stamp, spoil=None):
     return OdometryPose(stamp, pose if spoil is None else np.array([spoil, *pose[1:]]))
 
 
-@pytest.fixture(params=sorted(components("odometry")))
+TELLING = sorted(name for name, kind in components("odometry").items() if kind.tells_motion)
+
+
+@pytest.fixture(params=TELLING)
 def make(request):
     """Return what makes an odometry, with parameters of its own."""
     name = request.param

@@ -5,8 +5,12 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Any, ClassVar
 
+import numpy as np
+
 from impslam.component import Component
+from impslam.errors import NumericalError
 from impslam.map import Keyframe, Revision
+from impslam.tracking.base import KeyframeGate
 from impslam.types import Array, Landmark
 
 
@@ -16,6 +20,10 @@ class Estimator(Component):
     role: ClassVar[str] = "estimator"
     parts: ClassVar[tuple[str, ...]] = ()
     """Roles of the components that it is made of; `start` is given one of each."""
+    tells_landmarks: ClassVar[bool] = True
+    """Whether revisions tell of each landmark when it is matched, comes and goes."""
+    keyframes: ClassVar[KeyframeGate] = KeyframeGate()
+    """Which scans it takes in, unless the config says otherwise."""
 
     @abstractmethod
     def start(self, pose: Array, **parts: Any) -> None:
@@ -33,6 +41,13 @@ class Estimator(Component):
         motion alone; it never leaves the estimator half changed.
         """
 
+    def settle(self) -> Revision | None:
+        """Return the poses of all keyframes as well as they can be told at the end, or None.
+
+        It may take seconds, and the estimator does not change: more keyframes may follow.
+        """
+        return None
+
     @abstractmethod
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the landmarks in the form users read."""
@@ -41,3 +56,12 @@ class Estimator(Component):
     @abstractmethod
     def state_size(self) -> int:
         """Number of scalars that are estimated."""
+
+
+def check_keyframe(keyframe: Keyframe) -> None:
+    """Raise `NumericalError` for a motion or an observation that is not finite."""
+    numbers = [part.ravel() for o in keyframe.observations for part in (o.z, o.R)]
+    if not np.isfinite(keyframe.motion.covariance).all():
+        raise NumericalError("the motion's covariance is not finite")
+    if numbers and not np.isfinite(np.concatenate(numbers)).all():
+        raise NumericalError("an extractor's observation is not finite")

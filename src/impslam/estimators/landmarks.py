@@ -11,7 +11,7 @@ from pydantic import PrivateAttr
 from impslam.association.base import Association
 from impslam.component import register
 from impslam.errors import NumericalError
-from impslam.estimators.base import Estimator
+from impslam.estimators.base import Estimator, check_keyframe
 from impslam.filters.base import Filter
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
@@ -52,7 +52,7 @@ class Landmarks(Estimator):
             return self._revision(keyframe, refused=why)
 
     def _add(self, keyframe: Keyframe) -> Revision:
-        _check_finite(keyframe)
+        check_keyframe(keyframe)
         observations, stamp = self._blur(keyframe.observations, keyframe.motion), keyframe.stamp
         now = keyframe.motion.stamp  # goes on where a clock is set
 
@@ -113,12 +113,3 @@ class Landmarks(Estimator):
     def state_size(self) -> int:
         """Number of scalars in the belief."""
         return self._filter.state_size
-
-
-def _check_finite(keyframe: Keyframe) -> None:
-    numbers = [part for o in keyframe.observations for part in (o.z, o.R)]
-    if np.isfinite(np.concatenate([keyframe.motion.covariance, *numbers], axis=None)).all():
-        return
-    if not np.isfinite(keyframe.motion.covariance).all():
-        raise NumericalError("the motion's covariance is not finite")
-    raise NumericalError("an extractor's observation is not finite")

@@ -26,9 +26,16 @@ class Odometry(Component):
     unusable reading are then unknown. Otherwise an unusable reading is skipped, and the motion is that
     between its neighbours."""
 
+    tells_motion: ClassVar[bool] = True
+    """Whether its readings tell of any motion."""
+
     stream: str = parameter(
         "", "", "the stream that it reads; empty: the first one of its kind in the log"
     )
+
+    def readings(self, rows: Columns) -> Columns:
+        """Return what odometry needs of the rows of its stream."""
+        return rows
 
     @abstractmethod
     def usable(self, readings: Columns) -> Mask:

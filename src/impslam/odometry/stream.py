@@ -36,6 +36,7 @@ class OdometryStream:
 
     def motions(self, rows: Columns) -> StreamMotions:
         """Return the motions of the next rows of the stream."""
+        rows = self._odometry.readings(rows)
         usable = self._odometry.usable(rows)
         kept = np.ones(len(rows), np.bool_) if self._odometry.holds else usable
         used = rows if kept.all() else rows.take(kept)

@@ -1,0 +1,147 @@
+"""Graph SLAM on one page: keyframes hang on nodes, nodes on a pose graph, which closures revise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import PrivateAttr
+
+from impslam.building.landmarks import landmarks_of
+from impslam.component import parameter, register
+from impslam.errors import NumericalError
+from impslam.estimators.base import Estimator, check_keyframe
+from impslam.estimators.keyframe_log import KeyframeLog, blended, refined, revised
+from impslam.estimators.loop_closing import LoopCloser, LoopSearch
+from impslam.estimators.pose_graph import PoseGraph
+from impslam.geometry.chain import advance
+from impslam.geometry.se2 import compose_uncertain
+from impslam.landmarks.base import LandmarkModel
+from impslam.map import Keyframe, Revision
+from impslam.noise import UNKNOWN
+from impslam.tracking.base import KeyframeGate
+from impslam.types import Array, Landmark
+
+SURE = 1e-4
+"""m and rad: no motion is surer, and neither is the start; this only keeps covariances definite."""
+
+
+@register("graph")
+class Graph(Estimator):
+    """A pose graph over the drive, with loop closures; landmarks are estimated on its poses."""
+
+    tells_landmarks: ClassVar[bool] = False
+    keyframes: ClassVar[KeyframeGate] = KeyframeGate(distance=0.4, angle=0.4, seconds=math.inf)
+
+    spacing: float = parameter(
+        2.5, "m", "way between nodes of the graph: drift over it is below a centimetre", gt=0
+    )
+    loops: LoopSearch = parameter(LoopSearch(), "", "where closures are sought")
+
+    _graph: PoseGraph = PrivateAttr(default_factory=PoseGraph)
+    _closer: LoopCloser = PrivateAttr()
+    _keys: KeyframeLog = PrivateAttr(default_factory=KeyframeLog)
+    _since: tuple[Array, Array] = PrivateAttr()
+    _start: Array = PrivateAttr()
+    _models: Mapping[str, LandmarkModel] = PrivateAttr()
+    _settled: Revision | None = PrivateAttr(None)
+
+    def start(self, pose: Array, **parts: Any) -> None:
+        """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
+        self._closer, self._start, self._models = LoopCloser(self.loops), pose, parts["models"]
+        self._since = np.zeros(3), np.zeros((3, 3))
+
+    def add(self, keyframe: Keyframe) -> Revision:
+        """Take in a keyframe; see `Estimator.add`."""
+        self._settled = None
+        used, refused = _usable(keyframe)
+        self._drive(used)
+        moved = False
+        if self._is_new_node():
+            try:
+                moved = self._close_loops()
+            except NumericalError as error:
+                refused = f"no loop is closed at {keyframe.stamp:.3f} s: {error}"
+        if moved:
+            return self._all()
+        pose, covariance = compose_uncertain(
+            self._graph.poses[-1], self._graph.covariances[-1], *self._since
+        )
+        return Revision(np.array([keyframe.id]), pose[None], covariance[None], refused=refused)
+
+    def _drive(self, keyframe: Keyframe) -> None:
+        """Let the chain go on by a keyframe's motion, and keep what it saw."""
+        d_pose, covariance = keyframe.motion.d_pose, keyframe.motion.covariance
+        first = len(self._graph) == 0
+        self._keys.add(keyframe, self._start if first else None)
+        if first:
+            self._graph.begin(self._keys.chain[0], covariance)
+        else:
+            advance(*self._since, d_pose, covariance)
+
+    def _is_new_node(self) -> bool:
+        """Make the newest keyframe a node where the last one is far enough."""
+        length = self._keys.since_node
+        if length < self.spacing:
+            return False
+        self._graph.go_on(*self._since, length)
+        self._keys.mark_node()
+        self._since = np.zeros(3), np.zeros((3, 3))
+        return True
+
+    def _close_loops(self) -> bool:
+        """Seek closures of the node before the newest; tell whether the nodes have moved."""
+        node = len(self._graph) - 2
+        if node < 1 or not self._closer.seek(node, self._keys, self._graph):
+            return False
+        self._graph.solve()
+        return True
+
+    def _all(self) -> Revision:
+        """Return all keyframes as they are now; each has the covariance of the node before it."""
+        poses, node = revised(self._keys, self._graph), self._keys.node_before
+        return Revision(np.arange(len(poses)), poses, self._graph.covariances[node])
+
+    def settle(self) -> Revision | None:
+        """Refine all keyframes jointly; see `Estimator.settle`."""
+        if len(self._graph) == 0:
+            return None
+        if self._graph.closures:
+            self._graph.solve()
+        poses = refined(blended(self._keys, self._graph), self._keys)
+        self._settled = replace(self._all(), poses=poses)
+        return self._settled
+
+    def landmarks(self) -> tuple[Landmark, ...]:
+        """Return the landmarks on the keyframes' poses; after `settle` on the refined ones."""
+        if len(self._graph) == 0:
+            return ()
+        now = self._settled or self._all()
+        scans = self._keys.placed_scans(now.poses)
+        return landmarks_of(now.poses, now.covariances, self._keys.seen, self._models, scans)
+
+    @property
+    def state_size(self) -> int:
+        """Number of scalars that are estimated."""
+        return self._graph.poses.size
+
+
+def _usable(keyframe: Keyframe) -> tuple[Keyframe, str]:
+    """Return what is usable of a keyframe, and what is wrong with the rest."""
+    motion, wrong = keyframe.motion, ""
+    try:
+        check_keyframe(keyframe)
+        if not all(o.R[0, 0] > 0.0 and np.linalg.det(o.R) > 0.0 for o in keyframe.observations):
+            wrong = "an extractor's R is no covariance"
+    except NumericalError as error:
+        wrong = str(error)
+    if not np.isfinite(motion.covariance).all():
+        motion = replace(motion, d_pose=np.zeros(3), covariance=UNKNOWN * np.eye(3))
+    motion = replace(motion, covariance=motion.covariance + SURE**2 * np.eye(3))
+    if not wrong:
+        return replace(keyframe, motion=motion), ""
+    why = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {wrong}"
+    return replace(keyframe, motion=motion, scan=None, observations=()), why

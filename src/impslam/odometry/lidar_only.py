@@ -1,0 +1,46 @@
+"""No odometry: each scan is a reading that tells nothing of the motion to it.
+
+A tracker that matches scans finds the motion by itself, from a prediction at constant velocity.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from impslam.columns import Columns, Motions
+from impslam.component import register
+from impslam.noise import UNKNOWN
+from impslam.odometry.base import Odometry, diagonal, durations
+from impslam.types import LaserScan, Mask
+
+HEADING = 10.0
+"""rad^2: any heading at all."""
+
+
+@register("lidar_only")
+class LidarOnly(Odometry):
+    """A robot whose odometry is missing or not to be used: the motion is that of the scans."""
+
+    consumes: ClassVar[type] = LaserScan
+    tells_motion: ClassVar[bool] = False
+
+    def readings(self, rows: Columns) -> Columns:
+        """Return the stamps of the scans; their beams may change from scan to scan."""
+        return Columns(rows.stream, rows.kind, rows.order, {"stamp": rows.stamps}, {})
+
+    def usable(self, readings: Columns) -> Mask:
+        """Return which stamps are finite; see `Odometry.usable`."""
+        return np.isfinite(readings.stamps)
+
+    def motions(self, readings: Columns) -> Motions:
+        """Return motions of which nothing is known; see `Odometry.motions`."""
+        seconds = durations(readings)
+        variances = np.tile([UNKNOWN, UNKNOWN, HEADING], (len(seconds), 1))
+        d_pose = np.zeros((len(seconds), 3))
+        return Motions(readings.stamps[1:], d_pose, diagonal(variances), seconds)
+
+    def fault(self, readings: Columns) -> str:
+        """Describe the fault of a scan without a stamp; see `Odometry.fault`."""
+        return f"a scan is stamped {readings.stamps[-1]}; it is ignored: check the log"

@@ -13,9 +13,16 @@ from impslam.errors import ImpError
 from impslam.geometry.se2 import compose
 from impslam.map import Keyframe, Map, Revision, Track
 from impslam.map_builder import MapBuilder
-from impslam.types import Increment, Landmark, Scan
+from impslam.types import NO_EDGES, Edges, Increment, Landmark, Scan
 
 EYE, ZERO = np.eye(3), np.zeros(3)
+EDGES = Edges(
+    np.array([0, 2]),
+    np.array([1, 0]),
+    np.array([[1.0, 0.0, 0.1], [-2.0, 1.0 / 3.0, 0.0]]),
+    np.array([EYE, 4.0 * EYE]),
+    np.array([np.inf, 25.0]),
+)
 WALL = Landmark(
     3,
     "wall",
@@ -84,6 +91,8 @@ def same(one, two):
             assert a.shape == b.shape
         elif part.name == "keyframes":
             same(a, b)
+        elif part.name == "edges":
+            assert [(c.dtype, c.tobytes()) for c in a] == [(c.dtype, c.tobytes()) for c in b]
         elif part.name == "landmarks":
             for mark, other in zip(a, b, strict=True):
                 same(mark, other)
@@ -144,7 +153,7 @@ def test_values_given_out_are_read_only():
 @pytest.fixture
 def known():
     about = {"log": "büro.mcap", "counts": {"scans": 9}, "start": [0.5, None, True]}
-    return built().map((WALL, POST), about)
+    return built().map((WALL, POST), about, EDGES)
 
 
 @pytest.fixture
@@ -160,6 +169,20 @@ def test_a_map_comes_back_to_the_byte(known, file, tmp_path):
     assert back.save(tmp_path / "again.imp").read_bytes() == file.read_bytes()
     assert back.landmarks[0].parameters == WALL.parameters
     assert back.landmarks[1].end_points is None
+
+
+def test_edges_join_keyframes_and_keep_their_kernels(file):
+    edges = Map.load(file).edges
+    assert edges.i.tolist() == [0, 2]
+    assert edges.j.tolist() == [1, 0]
+    assert edges.kernel.tolist() == [np.inf, 25.0]
+    np.testing.assert_array_equal(edges.information, EDGES.information)
+
+
+def test_a_file_of_the_first_version_has_no_edges(known, file):
+    names = [f"edges/{name}" for name in Edges._fields]
+    rewritten(file, {"about": text({"version": 1, "about": known.about})}, missing=names)
+    same(replace(known, edges=NO_EDGES), Map.load(file))
 
 
 def test_an_empty_map_comes_back(tmp_path):
@@ -254,7 +277,9 @@ def test_a_compressed_file_is_refused(file):
     refuses(file, "about is compressed")
 
 
-@pytest.mark.parametrize("name", ["about", "stamps", "keyframes/starts", "landmarks"])
+@pytest.mark.parametrize(
+    "name", ["about", "stamps", "keyframes/starts", "landmarks", "edges/kernel"]
+)
 def test_what_is_missing_is_named(file, name):
     rewritten(file, missing=[name])
     refuses(file, f"it lacks {name}")
@@ -280,6 +305,14 @@ WRONG = [
     ("keyframes/starts", np.array([0, 99, 6, 9]), "starts falls"),
     ("keyframes/starts", np.array([-5, 3, 6, 9]), "starts does not fit"),
     ("keyframes/starts", np.zeros(0, np.int64), "starts does not fit"),
+    ("edges/i", np.array([0, 3]), "edges do not join two keyframes"),
+    ("edges/j", np.array([-1, 0]), "edges do not join two keyframes"),
+    ("edges/j", np.array([0, 0]), "edges do not join two keyframes"),
+    ("edges/j", np.array([1, 0, 1]), "edges/j has shape (3,)"),
+    ("edges/T_i_j", np.full((2, 3), np.nan), "edges are not finite"),
+    ("edges/information", np.full((2, 3, 3), np.inf), "edges are not finite"),
+    ("edges/information", np.ones((2, 3)), "edges/information has shape (2, 3)"),
+    ("edges/kernel", np.array([np.nan, 1.0]), "edges/kernel is not positive"),
     ("landmarks", text([{"id": 1}]), "missing"),
     ("landmarks", text([7]), ""),
     ("landmarks", text({}), None),
@@ -289,7 +322,7 @@ WRONG = [
     ("about", text({"version": 1}), "about"),
     ("about", text({"version": 0, "about": {}}), "no version 0"),
     ("about", text({"version": [], "about": {}}), ""),
-    ("about", text({"version": 2, "about": {}}), "is of version 2, this program reads up to 1"),
+    ("about", text({"version": 3, "about": {}}), "is of version 3, this program reads up to 2"),
     ("about", text([]), ""),
 ]
 

@@ -20,7 +20,9 @@ from impslam.geometry.kernels import kernel
 from impslam.maps import archive
 from impslam.maps.grid import OccupancyGrid, PlacedScans
 from impslam.types import (
+    NO_EDGES,
     Array,
+    Edges,
     Increment,
     Ints,
     Landmark,
@@ -185,6 +187,7 @@ class Map:
     track_covariances : (n, 6) distinct entries of that motion's covariance, in the order of `UPPER`
     odometry_poses : (n, 3) dead reckoning
     live_poses : (n, 3) `T_map_base` of each sweep as it was estimated at the time
+    edges : the pose graph: motions and loop closures between keyframes i and j; none without one
     about : origin of the map: log, config, counts, versions, as JSON values
 
     Examples
@@ -210,6 +213,7 @@ class Map:
     track_covariances: Array
     odometry_poses: Array
     live_poses: Array
+    edges: Edges = NO_EDGES
     about: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -279,7 +283,7 @@ class Map:
         ImpError
             If the file is missing, no map, damaged, or of a newer version.
         """
-        return archive.load(Path(path), _LAYOUT, _from_arrays)
+        return archive.load(Path(path), _layout, _from_arrays)
 
 
 @kernel
@@ -321,14 +325,27 @@ _LAYOUT: archive.Layout = {
     "keyframes/points": ("f4", ("points", 2)),
     "landmarks": ("u1", ("bytes",)),  # JSON
 }
+_EDGES: archive.Layout = {
+    "edges/i": ("i8", ("edges",)),
+    "edges/j": ("i8", ("edges",)),
+    "edges/T_i_j": ("f8", ("edges", 3)),
+    "edges/information": ("f8", ("edges", 3, 3)),
+    "edges/kernel": ("f8", ("edges",)),
+}
 _KEYFRAMES = tuple(f.name for f in fields(Keyframes))
 _COLUMNS = tuple(name for name in _LAYOUT if "/" not in name and name != "landmarks")
+
+
+def _layout(version: int) -> archive.Layout:
+    """Return the arrays of a version's files; the first one had no edges."""
+    return _LAYOUT if version < 2 else {**_LAYOUT, **_EDGES}
 
 
 def _to_arrays(known: Map) -> dict[str, np.ndarray[Any, Any]]:
     arrays = {name: getattr(known, name) for name in _COLUMNS}
     arrays |= {f"keyframes/{name}": getattr(known.keyframes, name) for name in _KEYFRAMES}
     marks = [asdict(landmark) for landmark in known.landmarks]
+    arrays |= {f"edges/{name}": array for name, array in known.edges._asdict().items()}
     text = json.dumps(marks, default=lambda array: array.tolist())
     return {**arrays, "landmarks": np.frombuffer(text.encode(), np.uint8)}
 
@@ -336,8 +353,11 @@ def _to_arrays(known: Map) -> dict[str, np.ndarray[Any, Any]]:
 def _from_arrays(arrays: dict[str, np.ndarray[Any, Any]], about: dict[str, Any]) -> Map:
     keyframes = Keyframes(**{name: arrays[f"keyframes/{name}"] for name in _KEYFRAMES})
     _check_places(keyframes, arrays["anchors"])
+    edges = _edges(arrays, len(keyframes))
     marks = tuple(_landmark(m) for m in json.loads(arrays["landmarks"].tobytes()))
-    return Map(keyframes, marks, **{name: arrays[name] for name in _COLUMNS}, about=about)
+    return Map(
+        keyframes, marks, **{name: arrays[name] for name in _COLUMNS}, edges=edges, about=about
+    )
 
 
 def _check_places(keyframes: Keyframes, anchors: Ints) -> None:
@@ -349,6 +369,21 @@ def _check_places(keyframes: Keyframes, anchors: Ints) -> None:
         raise ValueError("keyframes/starts falls")
     if ((anchors < 0) | (anchors >= len(keyframes))).any():
         raise ValueError("anchors are no keyframes")
+
+
+def _edges(arrays: dict[str, np.ndarray[Any, Any]], keyframes: int) -> Edges:
+    """Return the edges; raise an error for one that does not join two keyframes, or has no sense."""
+    if "edges/i" not in arrays:
+        return NO_EDGES
+    edges = Edges(*(arrays[f"edges/{name}"] for name in Edges._fields))
+    ends = np.stack([edges.i, edges.j])
+    if ((ends < 0) | (ends >= keyframes)).any() or (edges.i == edges.j).any():
+        raise ValueError("edges do not join two keyframes")
+    if not (np.isfinite(edges.T_i_j).all() and np.isfinite(edges.information).all()):
+        raise ValueError("edges are not finite")
+    if not (edges.kernel > 0.0).all():
+        raise ValueError("edges/kernel is not positive")
+    return edges
 
 
 def _landmark(mark: dict[str, Any]) -> Landmark:

@@ -11,7 +11,7 @@ from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
 from impslam.growing import GrowingArray
 from impslam.map import UPPER, Keyframe, Keyframes, Map, PathRows, Revision, Track, hang
-from impslam.types import Array, Landmark, Mask, Scan
+from impslam.types import NO_EDGES, Array, Edges, Landmark, Mask, Scan
 
 _DISTINCT = np.ravel_multi_index(UPPER, (3, 3))
 """Where the entries of `UPPER` are in a matrix's nine."""
@@ -109,7 +109,12 @@ class MapBuilder:
             self._points.array,
         )
 
-    def map(self, landmarks: tuple[Landmark, ...], about: dict[str, Any] | None = None) -> Map:
+    def map(
+        self,
+        landmarks: tuple[Landmark, ...],
+        about: dict[str, Any] | None = None,
+        edges: Edges = NO_EDGES,
+    ) -> Map:
         """Return the current map; later data do not change it."""
         return Map(
             self.keyframes(),
@@ -120,6 +125,7 @@ class MapBuilder:
             self._covariances.array,
             self._odometry.array,
             self._live.array,
+            edges,
             about or {},
         )
 

@@ -187,7 +187,7 @@ class Run:
 
     def map(self, about: dict[str, Any] | None = None) -> Map:
         """Return the current map; later data do not change it."""
-        return self._builder.map(self.estimator.landmarks(), about)
+        return self._builder.map(self.estimator.landmarks(), about, self.estimator.edges())
 
     def settled(self, about: dict[str, Any] | None = None) -> Map:
         """Return the map with all keyframes refined jointly, which may take seconds."""

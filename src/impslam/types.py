@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, TypeAlias, TypeVar, TypeVarTuple, Unpack
+from typing import Any, ClassVar, NamedTuple, TypeAlias, TypeVar, TypeVarTuple, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -403,3 +403,25 @@ class TrueLandmark:
     position: Array
     parameters: Mapping[str, float]
     end_points: Array | None = None
+
+
+class Edges(NamedTuple):
+    """Relative poses that were measured.
+
+    Attributes
+    ----------
+    i, j : (e,) int64, poses
+    T_i_j : (e, 3)
+    information : (e, 3, 3) inverse of the covariance of the additive error of T_i_j
+    kernel : (e,) c^2 > 0, the chi-square at which the weight of an edge is a quarter; inf: always 1
+    """
+
+    i: Ints
+    j: Ints
+    T_i_j: Array
+    information: Array
+    kernel: Array
+
+
+_NONE = np.empty(0, np.int64)
+NO_EDGES = Edges(_NONE, _NONE, np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0))

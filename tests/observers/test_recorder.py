@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,10 +11,11 @@ from tests.observers import runs
 from impslam.errors import ImpError
 from impslam.evaluation.landmark_files import read_true_landmarks
 from impslam.evaluation.tum import read_tum
+from impslam.graph.g2o import read_g2o
 from impslam.map import Map
 from impslam.maps.files import FREE, OCCUPIED, read_landmarks, read_map
 from impslam.observers.recorder import Recorder
-from impslam.types import TrueLandmark
+from impslam.types import Edges, TrueLandmark
 
 PROMISED = {
     *("trajectory.tum", "odometry.tum", "trajectory.csv", "landmarks.csv"),
@@ -99,6 +101,27 @@ def test_the_map_comes_back_whole(tmp_path):
     live = read_tum(tmp_path / "trajectory.live.tum")
     np.testing.assert_allclose(known.live_path(), live, atol=1e-8)
     assert [mark.id for mark in known.landmarks] == [7, 8]
+
+
+def test_the_pose_graph_is_written_where_there_is_one(tmp_path):
+    edges = Edges(
+        np.array([2, 9, 2]),
+        np.array([9, 20, 20]),
+        np.arange(9.0).reshape(3, 3) / 10.0,
+        np.array([np.diag([1.0, 2.0, 3.0])] * 3),
+        np.array([np.inf, np.inf, 25.0]),
+    )
+    known = replace(runs.play([Recorder(tmp_path)]), edges=edges)
+    assert not (tmp_path / "graph.g2o").exists()
+    Recorder(tmp_path).finish(known, runs.make_outcome())
+    graph = read_g2o(tmp_path / "graph.g2o")
+    assert graph.ids.tolist() == [2, 9, 20]
+    np.testing.assert_array_equal(graph.poses, known.keyframes.poses[graph.ids])
+    np.testing.assert_array_equal(graph.ids[graph.edges.i], edges.i)
+    np.testing.assert_array_equal(graph.ids[graph.edges.j], edges.j)
+    np.testing.assert_array_equal(graph.edges.T_i_j, edges.T_i_j)
+    np.testing.assert_allclose(graph.edges.information, edges.information, atol=1e-12)
+    assert graph.fixed.tolist() == [0]
 
 
 def test_an_old_run_is_overwritten(folder):

@@ -21,7 +21,7 @@ from impslam.types import TrueLandmark
 
 FILES = frozenset(
     {"trajectory.tum", "odometry.tum", "trajectory.csv", "landmarks.csv", "map.pgm", "map.yaml"}
-    | {"map.imp", "trajectory.live.tum"}
+    | {"map.imp", "graph.g2o", "trajectory.live.tum"}
     | {"report.html", "report.png", "summary.json", "config.toml", "truth.tum"}
     | {"truth.landmarks.csv"}
 )

@@ -11,7 +11,7 @@ from impslam.component import Component
 from impslam.errors import NumericalError
 from impslam.map import Keyframe, Revision
 from impslam.tracking.base import KeyframeGate
-from impslam.types import Array, Landmark
+from impslam.types import NO_EDGES, Array, Edges, Landmark
 
 
 class Estimator(Component):
@@ -51,6 +51,10 @@ class Estimator(Component):
     @abstractmethod
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the landmarks in the form users read."""
+
+    def edges(self) -> Edges:
+        """Return the pose graph, whose nodes are keyframes, by their ids; none without a graph."""
+        return NO_EDGES
 
     @property
     @abstractmethod

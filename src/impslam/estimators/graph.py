@@ -23,7 +23,7 @@ from impslam.landmarks.base import LandmarkModel
 from impslam.map import Keyframe, Revision
 from impslam.noise import UNKNOWN
 from impslam.tracking.base import KeyframeGate
-from impslam.types import Array, Landmark
+from impslam.types import Array, Edges, Landmark
 
 SURE = 1e-4
 """m and rad: no motion is surer, and neither is the start; this only keeps covariances definite."""
@@ -122,6 +122,11 @@ class Graph(Estimator):
         now = self._settled or self._all()
         scans = self._keys.placed_scans(now.poses)
         return landmarks_of(now.poses, now.covariances, self._keys.seen, self._models, scans)
+
+    def edges(self) -> Edges:
+        """Return motions and closures between keyframes; see `Estimator.edges`."""
+        edges, nodes = self._graph.edges, self._keys.nodes
+        return edges._replace(i=nodes[edges.i], j=nodes[edges.j])
 
     @property
     def state_size(self) -> int:

@@ -17,8 +17,7 @@ import numpy as np
 
 from impslam.errors import SourceError
 from impslam.geometry.se2 import rotation
-from impslam.graph.pose_graph import Edges
-from impslam.types import Array, Ints
+from impslam.types import Array, Edges, Ints
 
 _UPPER = np.triu_indices(3)
 

@@ -16,25 +16,9 @@ import numpy as np
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.graph.block_system import BlockSystem, add_relative, clear_system
-from impslam.types import Array, Ints, Mask
+from impslam.types import Array, Edges, Ints, Mask
 
-
-class Edges(NamedTuple):
-    """Relative poses that were measured.
-
-    Attributes
-    ----------
-    i, j : (e,) int64, poses
-    T_i_j : (e, 3)
-    information : (e, 3, 3) inverse of the covariance of the additive error of T_i_j
-    kernel : (e,) c^2 > 0, the chi-square at which the weight of an edge is a quarter; inf: always 1
-    """
-
-    i: Ints
-    j: Ints
-    T_i_j: Array
-    information: Array
-    kernel: Array
+__all__ = ["Costs", "Edges", "edge_error", "first_loose_pose", "linearise"]
 
 
 class Costs(NamedTuple):

@@ -21,8 +21,8 @@ import numpy.typing as npt
 
 from impslam.errors import ImpError
 
-VERSION = 1
-"""Counts up when a file of an older version can no longer be read as it is."""
+VERSION = 2
+"""Counts up with what a file holds: 2 has edges. Files of all versions up to this one can be read."""
 
 Arrays: TypeAlias = dict[str, npt.NDArray[Any]]
 Layout: TypeAlias = Mapping[str, tuple[str, tuple[int | str, ...]]]
@@ -68,23 +68,25 @@ def _write(stream: IO[bytes], arrays: Arrays) -> None:
                 member.write(rows.reshape(-1).view(np.uint8).data)
 
 
-def load(path: Path, layout: Layout, build: Callable[[Arrays, dict[str, Any]], Built]) -> Built:
+def load(
+    path: Path, layout: Callable[[int], Layout], build: Callable[[Arrays, dict[str, Any]], Built]
+) -> Built:
     """Return what `build` makes of the arrays and the table of a map's file.
 
-    The arrays are those of the layout, read-only; `build` raises ValueError where they do not fit
-    each other.
+    The arrays are those of the layout of the file's version, read-only; `build` raises ValueError
+    where they do not fit each other.
 
     Raises
     ------
     ImpError
-        If the file is missing, is no map, is damaged, or comes from another version.
+        If the file is missing, is no map, is damaged, or comes from a newer version.
     """
     if not path.is_file():
         raise ImpError(f"{path}: no such file; give a map that impslam has saved")
     try:
         with zipfile.ZipFile(path) as packed:
-            about = _about(packed)
-            return build(_arrays(packed, layout), about)
+            version, about = _about(packed)
+            return build(_arrays(packed, layout(version)), about)
     except _Version as error:
         raise ImpError(f"{path}: {error}") from None
     except _DAMAGE as error:
@@ -115,7 +117,7 @@ _DAMAGE = (
 )
 
 
-def _about(packed: zipfile.ZipFile) -> dict[str, Any]:
+def _about(packed: zipfile.ZipFile) -> tuple[int, dict[str, Any]]:
     table = json.loads(_array(packed, "about", np.dtype(np.uint8)).tobytes())
     version, about = int(table["version"]), dict(table["about"])
     if version > VERSION:
@@ -124,7 +126,7 @@ def _about(packed: zipfile.ZipFile) -> dict[str, Any]:
         )
     if version < 1:
         raise ValueError(f"there is no version {version}")
-    return about
+    return version, about
 
 
 def _arrays(packed: zipfile.ZipFile, layout: Layout) -> Arrays:

@@ -11,6 +11,7 @@ import numpy as np
 from impslam.errors import ImpError
 from impslam.evaluation.landmark_files import TRUE_LANDMARKS, write_true_landmarks
 from impslam.evaluation.tum import PATH_COLUMNS, TRUTH, write_tum
+from impslam.graph.g2o import G2o, write_g2o
 from impslam.map import UPPER, Map
 from impslam.maps.files import map_image, write_landmarks, write_map
 from impslam.observers.base import Outcome
@@ -20,6 +21,7 @@ from impslam.observers.summary import config_toml, summarise
 from impslam.observers.trajectory import LIVE
 from impslam.types import Array, TrueLandmark
 
+GRAPH = "graph.g2o"
 NO_TRUTH = np.empty((0, 4))
 
 
@@ -83,6 +85,8 @@ def write_end(
         if true_landmarks:
             write_true_landmarks(folder / TRUE_LANDMARKS, true_landmarks)
         known.save(folder / "map.imp")
+        if len(known.edges.i):
+            write_g2o(folder / GRAPH, _graph(known))
         image, refused = map_image(grid), grid.refused
         del grid  # its memory serves the picture
         write_map(folder, image)
@@ -93,6 +97,15 @@ def write_end(
         write_report(folder, history, outcome, image, true_landmarks)
     except OSError as error:
         raise _unwritable(folder, error) from None
+
+
+def _graph(known: Map) -> G2o:
+    """Return the graph of the keyframes that have edges, with their final poses and their ids."""
+    edges = known.edges
+    ids, ends = np.unique(np.concatenate([edges.i, edges.j]), return_inverse=True)
+    i, j = ends.reshape(2, -1)
+    first = np.zeros(1, np.int64)  # where the map lies is not measured
+    return G2o(ids, known.keyframes.poses[ids], edges._replace(i=i, j=j), first)
 
 
 def _unwritable(folder: Path, error: OSError) -> ImpError:

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from impslam.columns import Batch, Columns, Motions, Sweeps
-from impslam.odometry.base import Odometry
+from impslam.odometry.base import Odometry, diagonal
 from impslam.odometry.clocks import Clocks
 from impslam.odometry.stream import OdometryStream, unknown_motions
 from impslam.odometry.synchroniser import END, Synchroniser
@@ -24,6 +24,9 @@ from impslam.sensors.base import Sensor
 from impslam.sources.base import Problems
 from impslam.streams import Reader, Streams
 from impslam.types import Array, Increment, Ints, Message, Observation
+
+USUAL_TWIST = np.array([0.5, 0.5, 1.0])
+"""m/s, m/s, rad/s, half a walking pace: what is not known of the motion within a sweep without odometry."""
 
 
 class Robot:
@@ -176,7 +179,11 @@ class Robot:
     ) -> list[tuple[Motions, Sweeps]]:
         """Return the sweeps that odometry covers, with their motions."""
         pending = self._queue.push(rows)
-        found = self._queue.pop(self._synchroniser.feed(order, motions, pending, last))
+        got = self._synchroniser.feed(order, motions, pending, last)
+        if not self.odometry.tells_motion:
+            ahead = np.abs(pending.stamps[: len(got.twists)] - got.motions.stamps)
+            got = got._replace(stamp_covariance=diagonal(np.outer(ahead**2, USUAL_TWIST**2)))
+        found = self._queue.pop(got)
         for _, sweeps in found:
             self._count_blind(sweeps)
         return found

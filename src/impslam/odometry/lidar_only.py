@@ -27,8 +27,12 @@ class LidarOnly(Odometry):
     tells_motion: ClassVar[bool] = False
 
     def readings(self, rows: Columns) -> Columns:
-        """Return the stamps of the scans; their beams may change from scan to scan."""
-        return Columns(rows.stream, rows.kind, rows.order, {"stamp": rows.stamps}, {})
+        """Return the middles of the sweeps as stamps; motion is told from middle to middle.
+
+        A motion that is cut within a sweep would leave parts of which half is unknown.
+        """
+        middles = rows.stamps + 0.5 * rows["time_offsets"].max(initial=0.0)
+        return Columns(rows.stream, rows.kind, rows.order, {"stamp": middles}, {})
 
     def usable(self, readings: Columns) -> Mask:
         """Return which stamps are finite; see `Odometry.usable`."""

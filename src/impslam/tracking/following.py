@@ -171,7 +171,7 @@ def _predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
 
     Velocity is per sweep, since there are logs whose stamps run backwards.
     """
-    alone = bool(motions.covariance[k, 0, 0] >= UNKNOWN)
+    alone = bool(motions.covariance[k, 0, 0] >= 0.5 * UNKNOWN)  # cut and composed, it is rounded
     spread = motions.covariance[k].copy()
     if alone:
         seconds = min(motions.duration[k], LONGEST_COAST)

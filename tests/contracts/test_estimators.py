@@ -146,11 +146,14 @@ def test_a_keyframe_that_cannot_be_used_moves_the_robot_and_nothing_else(make, s
         assert told(made.add(later)) == told(twin.add(later))
 
 
-def test_a_keyframe_of_which_nothing_is_known_changes_nothing(make):
+@pytest.mark.parametrize(
+    ("d_pose", "P"), [(0.0, np.nan), (np.nan, 1e-4), (np.inf, 1e-4), (np.nan, np.nan)]
+)
+def test_a_keyframe_of_which_nothing_is_known_changes_nothing(make, d_pose, P):
     made, twin = make(), make()
     run(made, 12)
     run(twin, 12)
-    lost = Increment(13.0, np.zeros(3), np.full((3, 3), np.nan), 1.0)
+    lost = Increment(13.0, np.full(3, d_pose), P * np.eye(3), 1.0)
     assert "not finite" in made.add(keyframe(12, lost)).refused
     for a, b in zip(made.landmarks(), twin.landmarks(), strict=True):
         np.testing.assert_array_equal(a.position, b.position)

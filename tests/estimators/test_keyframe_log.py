@@ -220,10 +220,10 @@ def test_a_sensor_without_scans_is_mapped_by_what_it_sees():
 
 
 @pytest.mark.parametrize("k", [0, 1, 12])
-def test_a_keyframe_of_unknown_motion_is_named_and_the_run_goes_on(k):
+@pytest.mark.parametrize("what", ["d_pose", "covariance"])
+def test_a_keyframe_of_unknown_motion_is_named_and_the_run_goes_on(k, what):
     frames = keyframes(RING, WAY, noise=0.0)
-    frames[k].motion.covariance[:] = np.nan
-    frames[k].motion.d_pose[:] = np.nan
+    getattr(frames[k].motion, what)[:] = np.nan
     made = begun(WAY[0])
     revisions = driven(made, frames)
     assert "not finite" in revisions[k].refused

@@ -11,7 +11,7 @@ from impslam.component import Component
 from impslam.errors import NumericalError
 from impslam.map import Keyframe, Revision
 from impslam.tracking.base import KeyframeGate
-from impslam.types import NO_EDGES, Array, Edges, Landmark
+from impslam.types import NO_EDGES, Array, Edges, Increment, Landmark
 
 
 class Estimator(Component):
@@ -62,10 +62,15 @@ class Estimator(Component):
         """Number of scalars that are estimated."""
 
 
+def is_known(motion: Increment) -> bool:
+    """Tell whether a motion and its covariance are finite."""
+    return bool(np.isfinite(motion.d_pose).all() and np.isfinite(motion.covariance).all())
+
+
 def check_keyframe(keyframe: Keyframe) -> None:
     """Raise `NumericalError` for a motion or an observation that is not finite."""
     numbers = [part.ravel() for o in keyframe.observations for part in (o.z, o.R)]
-    if not np.isfinite(keyframe.motion.covariance).all():
-        raise NumericalError("the motion's covariance is not finite")
+    if not is_known(keyframe.motion):
+        raise NumericalError("the motion or its covariance is not finite")
     if numbers and not np.isfinite(np.concatenate(numbers)).all():
         raise NumericalError("an extractor's observation is not finite")

@@ -13,7 +13,7 @@ from pydantic import PrivateAttr
 from impslam.building.landmarks import landmarks_of
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
-from impslam.estimators.base import Estimator, check_keyframe
+from impslam.estimators.base import Estimator, check_keyframe, is_known
 from impslam.estimators.keyframe_log import KeyframeLog, blended, refined, revised
 from impslam.estimators.loop_closing import LoopCloser, LoopSearch
 from impslam.estimators.pose_graph import PoseGraph
@@ -143,7 +143,7 @@ def _usable(keyframe: Keyframe) -> tuple[Keyframe, str]:
             wrong = "an extractor's R is no covariance"
     except NumericalError as error:
         wrong = str(error)
-    if not np.isfinite(motion.covariance).all():
+    if not is_known(motion):
         motion = replace(motion, d_pose=np.zeros(3), covariance=UNKNOWN * np.eye(3))
     motion = replace(motion, covariance=motion.covariance + SURE**2 * np.eye(3))
     if not wrong:

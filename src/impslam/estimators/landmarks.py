@@ -11,7 +11,7 @@ from pydantic import PrivateAttr
 from impslam.association.base import Association
 from impslam.component import register
 from impslam.errors import NumericalError
-from impslam.estimators.base import Estimator, check_keyframe
+from impslam.estimators.base import Estimator, check_keyframe, is_known
 from impslam.filters.base import Filter
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
@@ -45,7 +45,7 @@ class Landmarks(Estimator):
         try:
             return self._add(keyframe)
         except NumericalError as error:
-            if np.isfinite(keyframe.motion.covariance).all():
+            if is_known(keyframe.motion):
                 self._filter.predict(keyframe.motion)
                 self._lifecycle.move(keyframe.motion)
             why = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {error}"

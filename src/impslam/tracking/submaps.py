@@ -60,11 +60,12 @@ def is_empty(submaps: Submaps) -> bool:
 def extend(submaps: Submaps, features: Features, pose: Array, length: float) -> None:
     """Add a scan taken at a pose (3,); a map lasts for `length` m."""
     half = 0.5 * CELL * submaps.first.nearest.shape[0]
-    if is_empty(submaps):
+    lasted = submaps.way[0] - submaps.way[2 - submaps.older[0]]  # by the newer one
+    if is_empty(submaps) or lasted >= length:  # after a blind drive both are out of sight
         clear(submaps.first, pose[:2] - half)
         clear(submaps.second, pose[:2] - half)
         submaps.way[:] = 0.0
-    elif submaps.way[0] - submaps.way[2 - submaps.older[0]] >= 0.5 * length:
+    elif lasted >= 0.5 * length:
         clear(oldest(submaps), pose[:2] - half)
         submaps.way[1 + submaps.older[0]] = submaps.way[0]
         submaps.older[0] = 1 - submaps.older[0]

@@ -44,7 +44,7 @@ FITS = 0.55
 """Share of the mean inlier share below which a scan shows another place: nearly all scans of a robot
 that was carried elsewhere, and about one in an hour of one that was not."""
 LOCATED = 0.02
-"""m, 1 sigma: the position is known where matching leaves less, or half of odometry's variance."""
+"""m, 1 sigma: the position is known where the scan alone leaves less, or less than odometry does."""
 HEADINGS, TURN, STEP = 9, 0.06, 0.25
 """Number of headings, rad between them, and m of the offsets that are tried around each prediction."""
 USUAL = 0.8
@@ -151,7 +151,9 @@ def follow(
                 beams.points[k], beams.valid[k], beams.ranges[k], beams.origins[k],
                 beams.spacing, how.thin, features,
             )  # fmt: skip
-            if count >= FEWEST:
+            if count < FEWEST:
+                state.submaps.way[0] += state.lengths[0]
+            else:
                 _match(features[:count], k, alone, state, how, out)
                 _remember(features[:count], k, beams, state, seen, how)
             out.reference[k] = True
@@ -234,21 +236,22 @@ def _match(
     state.means[0] += MEMORY[0] * (share - state.means[0])
     between(state.matched, state.pose, state.velocity)
     way, turn = math.hypot(state.velocity[0], state.velocity[1]), abs(state.velocity[2])
+    weakest = 0.5 * (spread[0, 0] + spread[1, 1])
+    weakest += math.hypot(0.5 * (spread[0, 0] - spread[1, 1]), spread[0, 1])
+    told = 1.0 / weakest - 1.0 / state.prior[0]  # by the scan alone: the prior may be as sure
+    out.located[k] = share >= FITS * usual and told > min(1.0 / state.prior[0], LOCATED**-2)
     if not alone:
         off = np.empty(3)
         between(guess, state.pose, off)
         plausible = share > 0.6 and abs(off[2]) < 4.0 * math.sqrt(state.prior[1])
         plausible = plausible and abs(off[0]) < 4.0 * math.sqrt(state.prior[0])
         quality = min(1.0, state.means[0] / USUAL) ** 4
-        learn(state.odometry, state.since, off, plausible, state.pose, quality)
+        learn(state.odometry, state.since, off, plausible, state.pose, quality, out.located[k])
     state.submaps.way[0] += way
     out.d_pose[k], out.covariance[k] = state.velocity, turned(spread, -state.matched[2])
     out.covariance[k, 0, 0] += how.drift[0] ** 2 * way
     out.covariance[k, 1, 1] += how.drift[1] ** 2 * way
     out.covariance[k, 2, 2] += how.drift[2] ** 2 * way + how.drift[3] ** 2 * turn
-    weakest = 0.5 * (spread[0, 0] + spread[1, 1])
-    weakest += math.hypot(0.5 * (spread[0, 0] - spread[1, 1]), spread[0, 1])
-    out.located[k] = share >= FITS * usual and weakest < max(0.5 * state.prior[0], LOCATED**2)
 
 
 @kernel

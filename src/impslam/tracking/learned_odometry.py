@@ -43,7 +43,7 @@ class LearnedOdometry(NamedTuple):
     sums : (3, 2) of the least squares for each bias
     noise : (2,) variance of the way, m^2/m, and of the heading, rad^2/m
     told : (3,) odometry's motion since the segment began, corrected by the bias
-    lengths : (2,) m and rad that are in it
+    lengths : (3,) m and rad that are in it, and the number of matches that left the position open
     begin : (3,) matched pose at which it began
     """
 
@@ -59,7 +59,7 @@ def unlearned() -> LearnedOdometry:
     """Return what is assumed before anything is learned."""
     zeros = (np.zeros(3) for _ in range(3))
     return LearnedOdometry(
-        next(zeros), np.zeros((3, 2)), START**2, next(zeros), np.zeros(2), next(zeros)
+        next(zeros), np.zeros((3, 2)), START**2, next(zeros), np.zeros(3), next(zeros)
     )
 
 
@@ -95,12 +95,15 @@ def learn(
     plausible: bool,
     pose: Array,
     quality: float,
+    located: bool,
 ) -> None:
     """Take in a match: odometry's motion (3,) since the last one, and what it was off by, (3,).
 
     Only plausible matches tell of the bias. `pose` is as matched; `quality`, in 0..1, is how far it is
-    to be trusted.
+    to be trusted. Where matches leave the position open, as along a bare corridor, it is odometry's own:
+    that both agree tells nothing then, and the noise of the way does not fall.
     """
+    learned.lengths[2] += not located
     if plausible:
         keep = math.exp(-(abs(motion[0]) + 0.3 * abs(motion[2])) / FORGET)
         for k in range(3):
@@ -122,6 +125,8 @@ def learn(
     seen = max(excess[0], 0.0) / (way + 0.3 * turn), max(excess[1], 0.0) / (way + 0.5 * turn)
     for k in range(2):
         new = min(seen[k], 4.0 * learned.noise[k]) / 0.92
+        if k == 0 and learned.lengths[2] > 0.0:
+            new = max(new, learned.noise[0])
         learned.noise[k] += RATE * quality * (new - learned.noise[k])
         learned.noise[k] = max(learned.noise[k], LEAST[k] ** 2)
     learned.begin[:] = pose

@@ -1,9 +1,11 @@
 """Scans and increments as the columns that trackers take."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from impslam.columns import Columns, Motions, Scans, Sweeps
-from impslam.tracking.surfels import prepare
+from impslam.tracking.base import Gate
 from impslam.types import Increment, LaserScan
 
 
@@ -34,11 +36,11 @@ def sweeps_of(scans, stamps):
     return Sweeps("lidar", columns, stamps, nothing, nothing, spread, scans_of(scans))
 
 
-def match(tracker, increment, scan):
-    """Return the increment as a tracker refines it by one scan."""
-    sweeps = sweeps_of([scan], [increment.stamp])
-    surfels = prepare(sweeps.scans, tracker.thinning)
-    return tracker.refine(motions_of([increment]), sweeps, surfels).row(0)
+def steps(tracker, increments, scans, sensor="lidar", limits=(np.inf, np.inf, np.inf)):
+    """Return the `Steps` of a tracker for scans and the increments to them, as one batch."""
+    sweeps = replace(sweeps_of(scans, [i.stamp for i in increments]), sensor=sensor)
+    gate = Gate(np.array(limits, float), np.zeros(3))
+    return tracker.steps(motions_of(increments), sweeps, gate)
 
 
 def same(one, other):

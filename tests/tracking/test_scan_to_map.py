@@ -1,0 +1,506 @@
+"""Scans matched against the last metres: motion is exact, odometry is learned, claims are honest."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from tests.extractors.scans import cast, room, with_ranges
+from tests.tracking.sweeps import motions_of, steps, sweeps_of
+
+from impslam.geometry.se2 import between, compose
+from impslam.noise import MotionNoise
+from impslam.tracking.algebra import invert, solve
+from impslam.tracking.base import KeyframeGate
+from impslam.tracking.learned_odometry import START
+from impslam.tracking.scan_to_map import ScanToMap
+from impslam.types import Increment
+
+BOX = room(1.6, 2.3, 0.9, 1.5)[:, ::-1]
+ROOM = np.concatenate((room(-3.0, 4.0, -2.5, 3.2), BOX))
+POSTS = np.array([[1.5, -1.0, 0.03], [-1.0, -1.8, 0.03], [0.8, 2.4, 0.2]])
+CORRIDOR = np.array([[[-50.0, 1.0], [50.0, 1.0]], [[50.0, -1.0], [-50.0, -1.0]]])
+BARE = {"range_max": 3.0}
+"""Beyond, beams graze the walls of a corridor 2 m wide."""
+ALL_ROUND = np.linspace(-math.pi, math.pi, 360, endpoint=False)
+NOISE = np.diag([1e-3, 1e-3, 1e-3])
+PERIOD = 0.1  # s
+NO_DRIFT = MotionNoise(forward=0, sideways=0, turn_per_distance=0, turn_per_turn=0)
+
+
+def circle(scans, radius=1.2, step=0.06):
+    """Return true poses (m, 3) along a circle round the origin."""
+    angles = np.arange(scans) * step / radius
+    return np.column_stack((radius * np.cos(angles), radius * np.sin(angles), angles + math.pi / 2))
+
+
+def straight(scans, step=0.06, start=(-1.5, -1.0, 0.2)):
+    """Return true poses (m, 3) along a line."""
+    pose = np.array(start)
+    ways = np.column_stack((step * np.arange(scans), np.zeros((scans, 2))))
+    return compose(np.tile(pose, (scans, 1)), ways)
+
+
+def told(poses, error=None):
+    """Return the true motions as odometry tells them, with errors (m, 3) added."""
+    moves = np.vstack((np.zeros(3), between(poses[:-1], poses[1:])))
+    moves[1:] += 0.0 if error is None else error[1:]
+    return [Increment(PERIOD * k, moves[k], NOISE * 0.06, PERIOD) for k in range(len(poses))]
+
+
+def seen(poses, lines=ROOM, circles=None, **sight):
+    """Return the scans from poses, all round unless told."""
+    sight = {"angles": ALL_ROUND, "range_max": 8.0, **sight}
+    return [cast(lines, circles, pose=pose, **sight).scan for pose in poses]
+
+
+def path(out, start):
+    """Return the poses (m, 3) that steps lead to."""
+    poses, reference = [], np.array(start, float)
+    for k in range(len(out.d_pose)):
+        poses.append(compose(reference, out.d_pose[k]))
+        if out.reference[k]:
+            reference = poses[-1]
+    return np.array(poses)
+
+
+def drive(poses, increments, scans, **parameters):
+    """Return the tracker, its steps, and its error (m, 3) in the true frames."""
+    tracker = ScanToMap(**parameters)
+    out = steps(tracker, increments, scans)
+    return tracker, out, between(poses, path(out, poses[0]))
+
+
+def assert_near(errors, metres, radians):
+    assert np.hypot(errors[..., 0], errors[..., 1]).max() < metres
+    assert np.abs(errors[..., 2]).max() < radians
+
+
+def assert_spd(covariance):
+    np.testing.assert_array_equal(covariance, covariance.T)
+    assert np.linalg.eigvalsh(covariance)[0] > 0.0
+
+
+def test_solve_equals_numpy(rng):
+    for _ in range(50):
+        root = rng.normal(size=(3, 5))
+        A, b = root @ root.T + 1e-3 * np.eye(3), rng.normal(size=3)
+        x, inverse = b.copy(), A.copy()
+        assert solve(A, x)
+        assert invert(inverse)
+        np.testing.assert_allclose(x, np.linalg.solve(A, b), rtol=1e-8, atol=1e-9)
+        np.testing.assert_allclose(inverse @ A, np.eye(3), atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "diagonal", [[1, 1, 0], [1, -1, 1], [0, 1, 1], [np.nan, 1, 1], [1, 1, np.inf]]
+)
+def test_what_is_not_positive_definite_has_no_solution(diagonal):
+    A, b = np.diag(np.array(diagonal, float)), np.ones(3)
+    assert not solve(A, b)
+    assert not invert(A)
+    assert (b == 1.0).all()
+    np.testing.assert_array_equal(np.diag(A), diagonal)
+
+
+# --------------------------------------------------------------------------- a room
+
+
+@pytest.mark.parametrize("laser", [(0.0, 0.0, 0.0), (0.2, -0.1, 2.0)])
+@pytest.mark.parametrize("upside_down", [False, True])
+def test_a_lap_is_followed_without_drift(rng, laser, upside_down):
+    """Odometry is off by 2 cm and 0.02 rad at each step; 7.5 m later the pose is right."""
+    poses = circle(126)
+    error = rng.uniform(-1, 1, (126, 3)) * [0.02, 0.02, 0.02]
+    scans = seen(poses, laser=np.array(laser), upside_down=upside_down)
+    _, out, off = drive(poses, told(poses, error), scans)
+    assert_near(off, 0.015, 0.006)
+    assert out.located[1:].all()
+    assert not out.contradicted.any()
+    for covariance in out.covariance[1:]:
+        assert_spd(covariance)
+
+
+@pytest.mark.parametrize("error", [(0.1, 0, 5), (-0.1, 0, -5), (0, 0.1, -5), (0, -0.1, 5)])
+def test_a_known_motion_is_recovered_from_a_wrong_prior(error):
+    poses = np.array([[0.0, 0.0, 0.0], [0.2, 0.05, 0.15]])
+    off = np.array([[0, 0, 0], [error[0], error[1], math.radians(error[2])]])
+    _, _, errors = drive(poses, told(poses, off), seen(poses))
+    assert_near(errors, 0.003, 0.002)
+
+
+def test_posts_in_the_room_do_not_harm(rng):
+    poses = circle(60)
+    error = rng.uniform(-1, 1, (60, 3)) * [0.02, 0.02, 0.02]
+    _, _, off = drive(poses, told(poses, error), seen(poses, circles=POSTS))
+    assert_near(off, 0.015, 0.006)
+
+
+def test_noisy_scans_are_followed_within_centimetres(rng):
+    """2 cm on every beam, over 6 m."""
+    poses = circle(100)
+    error = rng.standard_normal((100, 3)) * [0.01, 0.005, 0.01]
+    _, out, off = drive(poses, told(poses, error), seen(poses, noise=0.02, rng=rng))
+    assert_near(off, 0.05, 0.02)
+    assert out.located[1:].all()
+
+
+@pytest.mark.parametrize("turn", [1.0, -2.5])
+def test_the_result_does_not_depend_on_where_the_frame_began(turn):
+    """After a turn on the spot of which the robot saw nothing: all is turned, cells fall elsewhere."""
+    poses = circle(40)
+    scans, increments = seen(poses), told(poses)
+    plain = drive(poses, increments, scans)[1]
+    blind = with_ranges(scans[0], np.zeros(360))
+    first = Increment(-1.0, np.array([0.3, -2.0, turn]), NOISE, 1.0)
+    moved = steps(ScanToMap(), [first, *increments], [blind, *scans])
+    np.testing.assert_allclose(moved.d_pose[2:], plain.d_pose[1:], atol=4e-3)
+    np.testing.assert_allclose(moved.moved[2:], plain.moved[1:], atol=4e-3)
+    np.testing.assert_array_equal(moved.located[2:], plain.located[1:])
+
+
+def test_frames_of_the_scans_do_not_matter():
+    """Scans and odometry are relative: where the room lies in the world changes nothing."""
+    poses, shift = circle(30), np.array([40.0, -7.0, 2.0])
+    walls = compose(shift, np.concatenate((ROOM, np.zeros((*ROOM.shape[:2], 1))), 2).reshape(-1, 3))
+    other = seen(compose(shift, poses), walls[:, :2].reshape(ROOM.shape))
+    one, two = (drive(poses, told(poses), scans)[1] for scans in (seen(poses), other))
+    np.testing.assert_allclose(one.d_pose, two.d_pose, atol=1e-5)
+
+
+# --------------------------------------------------------------------------- batches
+
+
+@pytest.mark.parametrize("rows", [1, 7])
+def test_any_cutting_of_a_log_gives_the_same_bytes(rng, rows):
+    poses = circle(40)
+    error = rng.uniform(-1, 1, (40, 3)) * [0.02, 0.02, 0.02]
+    increments, scans = told(poses, error), seen(poses, noise=0.01, rng=rng)
+    found = []
+    for size in (rows, 40):
+        tracker = ScanToMap()
+        tracker.start(np.zeros(3), KeyframeGate(distance=0.4, angle=0.4, seconds=math.inf))
+        poses_at, keyframes = [], []
+        for a in range(0, 40, size):
+            b = slice(a, a + size)
+            sweeps = sweeps_of(scans[b], [i.stamp for i in increments[b]])
+            for track in tracker.follow(motions_of(increments[b]), sweeps):
+                poses_at.append(np.hstack((track.T_anchor_base, track.covariance.reshape(-1, 9))))
+                if track.keyframe is not None:
+                    motion = track.keyframe.motion
+                    keyframes.append((motion.stamp, *motion.d_pose, *motion.covariance.ravel()))
+        found.append((np.concatenate(poses_at).tobytes(), np.array(keyframes).tobytes()))
+    assert found[0] == found[1]
+    assert len(keyframes) == pytest.approx(40 * 0.06 / 0.4, abs=2)
+
+
+# --------------------------------------------------------------------------- odometry that fails
+
+
+def test_odometry_that_stands_while_the_robot_moves_is_followed_and_contradicted():
+    poses = circle(60)
+    still = [Increment(PERIOD * k, np.zeros(3), np.zeros((3, 3)), PERIOD) for k in range(60)]
+    _, out, off = drive(poses, still, seen(poses))
+    assert_near(off, 0.08, 0.04)
+    assert out.located[5:].all()
+    for covariance in out.covariance[out.reference][1:]:
+        assert_spd(covariance)
+
+
+@pytest.mark.parametrize("still", [False, True])
+def test_keyframes_come_at_the_distance_of_the_gate_whatever_odometry_tells(still):
+    poses = straight(50)
+    increments = told(poses)
+    if still:
+        increments = [Increment(i.stamp, np.zeros(3), np.zeros((3, 3)), PERIOD) for i in increments]
+    out = steps(ScanToMap(), increments, seen(poses), limits=(0.3, np.inf, np.inf))
+    ends = np.flatnonzero(out.ends)
+    assert 0.06 * np.diff(ends).min() >= 0.24
+    assert 0.06 * np.diff(ends).max() <= 0.45
+    assert len(ends) == pytest.approx(50 * 0.06 / 0.3, abs=2)
+
+
+def test_backing_up_that_is_logged_as_forward_is_followed():
+    """As encoders without a sign tell it; forward again, odometry is as good as before."""
+    forward, back = straight(25), straight(25)[::-1]
+    poses = np.vstack((forward, back[1:], forward[1:]))
+    increments = [
+        i if k == 0 else Increment(i.stamp, np.abs(i.d_pose), i.covariance, PERIOD)
+        for k, i in enumerate(told(poses))
+    ]
+    _, _, off = drive(poses, increments, seen(poses))
+    assert_near(off, 0.06, 0.03)
+
+
+@pytest.mark.parametrize(
+    "slip", [(0.5, 0, 0), (-0.5, 0, 0), (0, 0.5, 0), (0, 0, 0.3), (0, 0, -0.3), (0.3, 0.2, 0.3)]
+)
+def test_a_slip_is_found_again(slip):
+    poses, error = circle(40), np.zeros((40, 3))
+    error[20] = slip
+    _, out, off = drive(poses, told(poses, error), seen(poses))
+    assert_near(off[:20], 0.01, 0.005)
+    assert_near(off[24:], 0.03, 0.01)
+    assert out.contradicted[20] == (
+        abs(slip[2]) > 0.0
+    )  # half a metre of way may be half a metre off
+    assert not np.delete(out.contradicted, [19, 20, 21]).any()
+    assert out.located[25:].all()
+
+
+# --------------------------------------------------------------------------- learned odometry
+
+
+@pytest.mark.parametrize(
+    "bias", [(0.04, 0.0, 0.0), (-0.04, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.05), (0, 0, -0.05)]
+)
+def test_the_bias_of_odometry_is_learned(bias):
+    """Turn per way, scale of turns, scale of ways: what corrects them is within a fifth."""
+    poses = eights(400) if bias[1] else circle(300)
+    moves = np.vstack((np.zeros(3), between(poses[:-1], poses[1:])))
+    wrong = moves.copy()
+    wrong[:, :2] /= 1.0 + bias[2]
+    wrong[:, 2] = (moves[:, 2] - bias[0] * wrong[:, 0]) / (1.0 + bias[1])
+    tracker, _, _ = drive(poses, told(poses, wrong - moves), seen(poses))
+    learned = tracker._state.odometry.bias
+    way, turn = wrong[1:, 0], wrong[1:, 2]
+    corrected = turn + learned[0] * way + learned[1] * turn
+    before, after = np.abs((turn - moves[1:, 2]).mean()), np.abs((corrected - moves[1:, 2]).mean())
+    if bias[2]:
+        assert learned[2] == pytest.approx(bias[2], abs=0.2 * abs(bias[2]))
+    elif bias[0]:
+        assert after < 0.2 * before
+    else:
+        off = corrected - moves[1:, 2]
+        assert np.abs(off).mean() < 0.4 * np.abs(turn - moves[1:, 2]).mean()
+
+
+def eights(scans, radius=0.9, step=0.06):
+    """Return true poses (m, 3) along eights: circles to the left and to the right in turn."""
+    poses, pose = [], np.array([0.0, -0.5, 0.0])
+    per = round(2 * math.pi * radius / step)
+    for k in range(scans):
+        poses.append(pose)
+        pose = compose(pose, np.array([step, 0.0, (1 - 2 * (k // per % 2)) * step / radius]))
+    return np.array(poses)
+
+
+@pytest.mark.parametrize(("metres", "radians"), [(0.03, 0.02), (0.1, 0.08)])
+def test_the_noise_of_odometry_is_learned_within_a_factor_of_2(rng, metres, radians):
+    """60 m by odometry with such noise per root metre."""
+    poses = circle(1000)
+    error = rng.standard_normal((1000, 3)) * [metres, metres, radians] * math.sqrt(0.06)
+    tracker, _, off = drive(poses, told(poses, error), seen(poses))
+    place, heading = np.sqrt(tracker._state.odometry.noise)
+    assert 0.5 * metres < place < 2.0 * metres
+    assert 0.5 * radians < heading < 2.0 * radians
+    assert_near(off, 0.1, 0.04)
+
+
+# --------------------------------------------------------------------------- covariance
+
+
+def ends(out):
+    """Return the end of the path and its covariance to first order, in the first frame."""
+    T, spread = np.zeros(3), np.zeros((3, 3))
+    for d_pose, covariance in zip(
+        out.d_pose[out.reference], out.covariance[out.reference], strict=True
+    ):
+        increment = Increment(0.0, T, spread).then(Increment(0.0, d_pose, covariance))
+        T, spread = increment.d_pose, increment.covariance
+    return T, spread
+
+
+def test_claimed_covariances_cover_the_errors_over_5_m():
+    """NEES of 20 drives: not above the chi-square bound (99.9 %, 60 degrees of freedom: 99.6)."""
+    poses, nees = circle(84), []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        error = rng.standard_normal((84, 3)) * [0.03, 0.02, 0.03] * math.sqrt(0.06)
+        out = steps(ScanToMap(), told(poses, error), seen(poses, noise=0.02, rng=rng))
+        last = np.flatnonzero(out.reference)[-1]
+        T, spread = ends(out)
+        e = T - between(poses[0], poses[last])
+        e[2] = (e[2] + math.pi) % (2 * math.pi) - math.pi
+        nees.append(e @ np.linalg.solve(spread, e))
+    assert np.sum(nees) < 99.6
+
+
+@pytest.mark.parametrize("scans", [60, 600])
+def test_along_a_bare_corridor_the_covariance_grows_as_odometry_does(scans):
+    """Not less than half of what odometry strays by: that both agree there teaches no noise."""
+    rng, sigma = np.random.default_rng(1), 0.05
+    poses = straight(scans, start=(0.0, 0.1, 0.0))
+    error = rng.standard_normal((scans, 3)) * [sigma, 0.02, 0.02] * math.sqrt(0.06)
+    tracker, out, _ = drive(poses, told(poses, error), seen(poses, CORRIDOR, **BARE))
+    _, spread = ends(out)
+    assert tracker._state.odometry.noise[0] >= START[0] ** 2
+    assert spread[0, 0] > 0.25 * sigma**2 * 0.06 * scans
+    assert not out.located[5:].any()
+
+
+@pytest.mark.parametrize("along", [0.1, 0.0, -0.1])
+def test_along_a_bare_corridor_the_prior_stands_and_across_it_is_corrected(along):
+    poses = np.array([[0.0, 0.0, 0.0], [0.3, 0.04, 0.05]])
+    off = np.array([[0.0, 0.0, 0.0], [along, 0.1, math.radians(5.0)]])
+    _, out, errors = drive(poses, told(poses, off), seen(poses, CORRIDOR, **BARE))
+    assert np.abs(errors[1, 1:]).max() < 0.01
+    assert out.d_pose[1, 0] == pytest.approx(0.3 + along, abs=0.01)
+    assert out.covariance[1, 1, 1] < 0.1 * out.covariance[1, 0, 0]
+    assert not out.located[1]
+
+
+def test_covariances_are_no_smaller_than_the_drift():
+    poses = circle(20)
+    for lines in (ROOM, CORRIDOR):
+        tracker, out, _ = drive(poses, told(poses), seen(poses * 0.5, lines))
+        for d, covariance in zip(out.d_pose[1:], out.covariance[1:], strict=True):
+            drift = tracker.drift.covariance(math.hypot(d[0], d[1]), d[2])
+            assert np.linalg.eigvalsh(covariance - drift)[0] > 0.0
+
+
+def test_matching_tells_more_than_odometry_alone():
+    poses = circle(10)
+    _, out, _ = drive(poses, told(poses), seen(poses), drift=NO_DRIFT)
+    for covariance in out.covariance[1:]:
+        assert_spd(covariance)
+        assert np.linalg.eigvalsh(covariance)[-1] < 0.02**2
+
+
+# --------------------------------------------------------------------------- little to match
+
+
+def test_the_first_scan_returns_the_increment():
+    given = Increment(1.0, np.array([0.1, 0.0, 0.1]), NOISE, 1.0)
+    out = steps(ScanToMap(), [given], seen(np.zeros((1, 3))))
+    np.testing.assert_allclose(out.d_pose[0], given.d_pose, atol=1e-15)
+    np.testing.assert_allclose(out.covariance[0], given.covariance, atol=1e-12)
+    assert out.reference[0]
+    assert not out.contradicted[0]
+
+
+@pytest.mark.parametrize("beams", [0, 1, 9])
+def test_too_few_points_leave_the_motion_to_odometry(beams):
+    poses = circle(2)
+    first, second = seen(poses)
+    few = np.zeros(360, bool)
+    few[: 36 * beams : 36] = True
+    increments = told(poses, np.array([[0, 0, 0], [0.05, 0.0, 0.1]]))
+    out = steps(ScanToMap(), increments, [first, with_ranges(second, second.ranges, few)])
+    np.testing.assert_allclose(out.d_pose[1], increments[1].d_pose, atol=1e-12)
+    np.testing.assert_allclose(out.covariance[1], increments[1].covariance, atol=1e-12)
+    assert not out.located[1]
+
+
+def test_blind_scans_are_bridged_by_odometry_and_do_not_lose_the_map(rng):
+    poses = circle(60)
+    scans = seen(poses)
+    scans[20:30] = [with_ranges(s, np.zeros(360)) for s in scans[20:30]]
+    error = rng.standard_normal((60, 3)) * 0.005
+    _, out, off = drive(poses, told(poses, error), scans)
+    assert not out.located[20:30].any()
+    assert out.located[31:].all()
+    assert_near(off[31:], 0.01, 0.005)
+
+
+def test_scans_without_beams_leave_the_motion_to_odometry():
+    poses = circle(3)
+    increments = told(poses)
+    out = steps(ScanToMap(), increments, seen(poses, angles=np.empty(0)))
+    np.testing.assert_allclose(out.d_pose[1:], [i.d_pose for i in increments[1:]], atol=1e-12)
+
+
+def test_only_blind_scans_are_odometry():
+    poses = circle(30)
+    scans = [with_ranges(s, np.zeros(360)) for s in seen(poses)]
+    _, out, off = drive(poses, told(poses), scans)
+    assert_near(off, 1e-9, 1e-9)
+    assert not out.located.any()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
+def test_motion_that_is_not_finite_ends_no_program(value):
+    poses = circle(6)
+    increments = told(poses)
+    increments[3] = Increment(0.3, np.array([value, 0.0, 0.0]), NOISE, PERIOD)
+    assert len(steps(ScanToMap(), increments, seen(poses)).d_pose) == 6
+
+
+def test_a_lidar_of_8_beams_is_odometry_or_better(rng):
+    """Too few points to match with: odometry goes on, and claims what odometry claims."""
+    poses, error = circle(50), rng.standard_normal((50, 3)) * 0.003
+    scans = seen(poses, angles=np.linspace(-math.pi, math.pi, 8, endpoint=False))
+    increments = told(poses, error)
+    out = steps(ScanToMap(), increments, scans)
+    np.testing.assert_allclose(out.moved[1:], [i.d_pose for i in increments[1:]], atol=1e-9)
+    assert not out.located.any()
+    assert not out.contradicted.any()
+
+
+def test_a_lidar_of_24_beams_does_no_harm(rng):
+    poses, error = circle(100), rng.standard_normal((100, 3)) * 0.003
+    scans = seen(poses, angles=np.linspace(-math.pi, math.pi, 24, endpoint=False))
+    _, _, off = drive(poses, told(poses, error), scans)
+    assert_near(off, 0.15, 0.1)
+
+
+def test_a_scan_of_elsewhere_does_not_locate():
+    """Carried into a small closet: the scan fits nothing known, and says so."""
+    poses = circle(30)
+    scans = seen(poses)
+    closet = cast(room(-0.5, 0.6, -0.7, 0.4), angles=ALL_ROUND, range_max=8.0).scan
+    scans[20:] = [closet] * 10
+    _, out, _ = drive(poses, told(poses), scans)
+    assert out.located[1:20].all()
+    assert not out.located[20]
+
+
+def test_back_from_a_blind_drive_beyond_the_map_the_tracker_begins_again():
+    """100 m without a scan: the old map is out of reach; what is seen then is matched."""
+    poses = circle(60)
+    scans, increments = seen(poses), told(poses)
+    far = Increment(1.95, np.array([100.0, 0.0, 0.0]), NOISE * 100, 1.0)
+    blind = with_ranges(scans[0], np.zeros(360))
+    out = steps(
+        ScanToMap(), [*increments[:20], far, *increments[20:]], [*scans[:20], blind, *scans[20:]]
+    )
+    after = between(poses[20:-1], poses[21:])
+    np.testing.assert_allclose(out.moved[22:], after, atol=0.02)
+    assert out.located[30:].all()
+
+
+# --------------------------------------------------------------------------- two lidars
+
+
+def test_two_lidars_are_matched_to_one_map(rng):
+    """One ahead, one behind, each sees less than half; sweeps come in turn."""
+    poses = circle(80)
+    half = np.linspace(-1.4, 1.4, 160)
+    lasers = {"front": np.array([0.15, 0.0, 0.0]), "rear": np.array([-0.2, 0.05, math.pi])}
+    error = rng.uniform(-1, 1, (80, 3)) * 0.01
+    increments, tracker, reached = told(poses, error), ScanToMap(), [poses[0]]
+    for k in range(80):
+        name = ("front", "rear")[k % 2]
+        scans = seen(poses[k : k + 1], angles=half, laser=lasers[name])
+        out = steps(tracker, increments[k : k + 1], scans, sensor=name)
+        reached.append(compose(reached[-1], out.moved[0]))
+    assert_near(between(poses, np.array(reached[1:])), 0.03, 0.015)
+
+
+def test_a_lidar_whose_beams_change_goes_on():
+    poses = circle(20)
+    few = np.linspace(-math.pi, math.pi, 180, endpoint=False)
+    tracker, increments = ScanToMap(), told(poses)
+    steps(tracker, increments[:10], seen(poses[:10]))
+    out = steps(tracker, increments[10:], seen(poses[10:], angles=few))
+    assert out.located.all()
+    np.testing.assert_allclose(out.moved, [i.d_pose for i in increments[10:]], atol=5e-3)
+
+
+def test_a_robot_that_stands_is_not_matched_again():
+    """Nothing changes, so nothing is gained; the motion stays that since the last match."""
+    poses = np.zeros((10, 3))
+    out = steps(ScanToMap(), told(poses), seen(poses))
+    assert out.reference.tolist() == [True] + [False] * 9
+    assert not out.d_pose.any()
+    assert all(a <= b for a, b in pairwise(np.trace(out.covariance, axis1=1, axis2=2)[1:]))

@@ -239,7 +239,8 @@ def _match(
     weakest = 0.5 * (spread[0, 0] + spread[1, 1])
     weakest += math.hypot(0.5 * (spread[0, 0] - spread[1, 1]), spread[0, 1])
     told = 1.0 / weakest - 1.0 / state.prior[0]  # by the scan alone: the prior may be as sure
-    out.located[k] = share >= FITS * usual and told > min(1.0 / state.prior[0], LOCATED**-2)
+    enough = LOCATED**-2 if alone else min(1.0 / state.prior[0], LOCATED**-2)
+    out.located[k] = share >= FITS * usual and told > enough
     if not alone:
         off = np.empty(3)
         between(guess, state.pose, off)

@@ -9,7 +9,7 @@ from tests.extractors.scans import cast, room, with_ranges
 from tests.tracking.sweeps import motions_of, steps, sweeps_of
 
 from impslam.geometry.se2 import between, compose
-from impslam.noise import MotionNoise
+from impslam.noise import UNKNOWN, MotionNoise
 from impslam.tracking.algebra import invert, solve
 from impslam.tracking.base import KeyframeGate
 from impslam.tracking.learned_odometry import START
@@ -504,3 +504,42 @@ def test_a_robot_that_stands_is_not_matched_again():
     assert out.reference.tolist() == [True] + [False] * 9
     assert not out.d_pose.any()
     assert all(a <= b for a, b in pairwise(np.trace(out.covariance, axis1=1, axis2=2)[1:]))
+
+
+# --------------------------------------------------------------------------- no odometry
+
+
+def unknown(poses):
+    """Return the increments of a robot without odometry."""
+    return [
+        Increment(PERIOD * k, np.zeros(3), np.diag([UNKNOWN] * 3), PERIOD)
+        for k in range(len(poses))
+    ]
+
+
+@pytest.mark.parametrize("way", [circle, straight])
+def test_a_lidar_alone_follows_the_robot(way):
+    poses = way(60)
+    _, out, off = drive(poses, unknown(poses), seen(poses))
+    assert_near(off, 0.02, 0.01)
+    assert out.located[2:].all()
+    for covariance in out.covariance[1:]:
+        assert_spd(covariance)
+        assert np.linalg.eigvalsh(covariance)[-1] < 0.05**2
+
+
+def test_a_lidar_alone_claims_nothing_along_a_bare_corridor():
+    poses = straight(60, start=(0.0, 0.1, 0.0))
+    _, out, _ = drive(poses, unknown(poses), seen(poses, CORRIDOR, **BARE))
+    assert not out.located.any()
+    assert (out.covariance[1:, 0, 0] > 0.02**2).all()
+
+
+def test_a_lidar_alone_goes_on_after_blind_scans():
+    """At constant velocity for 0.5 s; the claimed covariance covers what was not seen."""
+    poses = circle(60)
+    scans = seen(poses)
+    scans[30:35] = [with_ranges(s, np.zeros(360)) for s in scans[30:35]]
+    _, out, off = drive(poses, unknown(poses), scans)
+    assert_near(off[36:], 0.05, 0.02)
+    assert out.located[36:].all()

@@ -197,7 +197,7 @@ def test_any_cutting_of_a_log_gives_the_same_bytes(rng, rows):
 # --------------------------------------------------------------------------- odometry that fails
 
 
-def test_odometry_that_stands_while_the_robot_moves_is_followed_and_contradicted():
+def test_a_robot_that_moves_while_odometry_stands_is_followed():
     poses = circle(60)
     still = [Increment(PERIOD * k, np.zeros(3), np.zeros((3, 3)), PERIOD) for k in range(60)]
     _, out, off = drive(poses, still, seen(poses))

@@ -230,17 +230,13 @@ def _match(
     """Match sweep k, and take it into the state."""
     if is_empty(state.submaps):
         return
-    guess, spread = state.pose.copy(), turned(state.covariance, state.matched[2])
-    usual = state.means[0]
-    share = _find(features, state, how, spread, out.contradicted[k : k + 1])
+    guess, usual = state.pose.copy(), state.means[0]
+    H, W = np.empty((3, 3)), np.empty(3)
+    share = _find(features, state, how, H, W)
+    out.contradicted[k] = W[0] * state.prior[0] < 0.1  # beyond three times what counts fully
     state.means[0] += MEMORY[0] * (share - state.means[0])
-    between(state.matched, state.pose, state.velocity)
-    way, turn = math.hypot(state.velocity[0], state.velocity[1]), abs(state.velocity[2])
-    weakest = 0.5 * (spread[0, 0] + spread[1, 1])
-    weakest += math.hypot(0.5 * (spread[0, 0] - spread[1, 1]), spread[0, 1])
-    told = 1.0 / weakest - 1.0 / state.prior[0]  # by the scan alone: the prior may be as sure
     enough = LOCATED**-2 if alone else min(1.0 / state.prior[0], LOCATED**-2)
-    out.located[k] = share >= FITS * usual and told > enough
+    out.located[k] = share >= FITS * usual and _weakest(H) > enough
     if not alone:
         off = np.empty(3)
         between(guess, state.pose, off)
@@ -248,20 +244,29 @@ def _match(
         plausible = plausible and abs(off[0]) < 4.0 * math.sqrt(state.prior[0])
         quality = min(1.0, state.means[0] / USUAL) ** 4
         learn(state.odometry, state.since, off, plausible, state.pose, quality, out.located[k])
-    state.submaps.way[0] += way
+    spread = turned(state.covariance, state.matched[2])
+    _fuse(state, how, guess, H, W, spread)
+    between(state.matched, state.pose, state.velocity)
+    state.submaps.way[0] += math.hypot(state.velocity[0], state.velocity[1])
     out.d_pose[k], out.covariance[k] = state.velocity, turned(spread, -state.matched[2])
-    out.covariance[k, 0, 0] += how.drift[0] ** 2 * way
-    out.covariance[k, 1, 1] += how.drift[1] ** 2 * way
-    out.covariance[k, 2, 2] += how.drift[2] ** 2 * way + how.drift[3] ** 2 * turn
 
 
 @kernel
-def _find(
-    features: Features, state: State, how: Settings, spread: Array, contradicted: Mask
-) -> float:
-    """Bring the pose to where the scan fits, and `spread` (3, 3) to its covariance; return the share.
+def _weakest(H: Array) -> float:
+    """Return the least information on a position that H (3, 3) has with the heading unknown, 1/m^2."""
+    if H[2, 2] <= 0.0:
+        return 0.0
+    xx, yy = H[0, 0] - H[0, 2] ** 2 / H[2, 2], H[1, 1] - H[1, 2] ** 2 / H[2, 2]
+    xy = H[0, 1] - H[0, 2] * H[1, 2] / H[2, 2]
+    return 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy)
 
-    The covariance is along the axes of the submaps.
+
+@kernel
+def _find(features: Features, state: State, how: Settings, H: Array, W: Array) -> float:
+    """Bring the pose to where the scan fits best; return the inlier share.
+
+    H (3, 3) becomes the information of the scan, W (3,) that of the prior as far as it counts there,
+    both along the axes of the submaps.
     """
     known, usual = oldest(state.submaps), state.means[0]
     place, heading = state.prior[0], state.prior[1]
@@ -282,13 +287,45 @@ def _find(
     ex, ey = state.pose[0] - guess[0], state.pose[1] - guess[1]
     et = wrap_in_kernel(state.pose[2] - guess[2])
     chi2 = prior[0] * ex * ex + prior[1] * ey * ey + prior[2] * et * et
-    contradicted[0] = chi2 > 9.0 * slack2
-    posterior = worth * state.evidence.H
+    H[:] = worth * state.evidence.H
+    W[:] = prior / (1.0 + chi2 / slack2)
+    return share
+
+
+@kernel
+def _fuse(state: State, how: Settings, guess: Array, H: Array, W: Array, spread: Array) -> None:
+    """Move the pose from the best match to where match and prior meet; give its covariance, (3, 3).
+
+    Matches of one stretch err alike: surfaces are not the same from everywhere, and grass, ramps and
+    people move along. So a match is no surer than D, what matched motion strays by over the way since
+    the last one, however many points it has: its information is (H^-1 + D)^-1 = (I + H D)^-1 H. With
+    the best match x, the minimum of both terms, H is not inverted: along a bare corridor it cannot be.
+    """
+    way, turn = state.lengths[0] + MOVED[0], state.lengths[1]
+    G = np.eye(3)
+    for b in range(3):
+        strays = max(how.drift[0], how.drift[1]) ** 2 * way
+        if b == 2:
+            strays = how.drift[2] ** 2 * way + how.drift[3] ** 2 * turn
+        for a in range(3):
+            G[a, b] += H[a, b] * strays
+    if not abs(np.linalg.det(G)) > 0.0:
+        return
+    G = np.linalg.inv(G)
+    posterior, pull = G @ H, np.empty(3)
+    posterior = 0.5 * (posterior + posterior.T)
+    pull[0], pull[1] = state.pose[0] - guess[0], state.pose[1] - guess[1]
+    pull[2] = wrap_in_kernel(state.pose[2] - guess[2])
+    pull *= W
+    step = G @ pull - pull
     for a in range(3):
-        posterior[a, a] += prior[a] / (1.0 + chi2 / slack2)
+        posterior[a, a] += W[a]
     if invert(posterior):
         spread[:] = posterior
-    return share
+        step = posterior @ step
+        state.pose[0] += step[0]
+        state.pose[1] += step[1]
+        state.pose[2] = wrap_in_kernel(state.pose[2] + step[2])
 
 
 @kernel

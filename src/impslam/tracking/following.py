@@ -40,11 +40,16 @@ SLIP_SIGMAS = 3.0
 """Standard deviations of odometry below which a difference is no slip."""
 LOST = 0.7
 """Share of the mean inlier share below which the pose is searched for."""
+SURE = 1e-4
+"""m, rad: no match is surer."""
 FITS = 0.55
 """Share of the mean inlier share below which a scan shows another place: nearly all scans of a robot
 that was carried elsewhere, and about one in an hour of one that was not."""
 LOCATED = 0.02
 """m, 1 sigma: the position is known where the scan alone leaves less, or less than odometry does."""
+DEGENERATE = 0.05
+"""Share of the information along one axis that is at least along the other: a twentieth of the points
+face along a corridor's axis where it ends in view; fewer are lone points that may be anywhere."""
 HEADINGS, TURN, STEP = 9, 0.06, 0.25
 """Number of headings, rad between them, and m of the offsets that are tried around each prediction."""
 USUAL = 0.8
@@ -236,7 +241,9 @@ def _match(
     out.contradicted[k] = W[0] * state.prior[0] < 0.1  # beyond three times what counts fully
     state.means[0] += MEMORY[0] * (share - state.means[0])
     enough = LOCATED**-2 if alone else min(1.0 / state.prior[0], LOCATED**-2)
-    out.located[k] = share >= FITS * usual and _weakest(H) > enough
+    weakest, strongest = _information(H)
+    sure = weakest > enough and weakest > DEGENERATE * strongest
+    out.located[k] = share >= FITS * usual and sure
     if not alone:
         off = np.empty(3)
         between(guess, state.pose, off)
@@ -247,18 +254,24 @@ def _match(
     spread = turned(state.covariance, state.matched[2])
     _fuse(state, how, guess, H, W, spread)
     between(state.matched, state.pose, state.velocity)
-    state.submaps.way[0] += math.hypot(state.velocity[0], state.velocity[1])
     out.d_pose[k], out.covariance[k] = state.velocity, turned(spread, -state.matched[2])
+    # Errors have heavy tails, as on ramps: with D added their mean square is what is claimed.
+    way, turn = math.hypot(state.velocity[0], state.velocity[1]), abs(state.velocity[2])
+    state.submaps.way[0] += way
+    out.covariance[k, 0, 0] += how.drift[0] ** 2 * way
+    out.covariance[k, 1, 1] += how.drift[1] ** 2 * way
+    out.covariance[k, 2, 2] += how.drift[2] ** 2 * way + how.drift[3] ** 2 * turn
 
 
 @kernel
-def _weakest(H: Array) -> float:
-    """Return the least information on a position that H (3, 3) has with the heading unknown, 1/m^2."""
-    if H[2, 2] <= 0.0:
-        return 0.0
+def _information(H: Array) -> tuple[float, float]:
+    """Return the least and the most of H (3, 3) on a position whose heading is unknown, 1/m^2."""
+    if not H[2, 2] > 0.0:
+        return 0.0, 0.0
     xx, yy = H[0, 0] - H[0, 2] ** 2 / H[2, 2], H[1, 1] - H[1, 2] ** 2 / H[2, 2]
     xy = H[0, 1] - H[0, 2] * H[1, 2] / H[2, 2]
-    return 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy)
+    mean, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
+    return mean - half, mean + half
 
 
 @kernel
@@ -298,28 +311,25 @@ def _fuse(state: State, how: Settings, guess: Array, H: Array, W: Array, spread:
 
     Matches of one stretch err alike: surfaces are not the same from everywhere, and grass, ramps and
     people move along. So a match is no surer than D, what matched motion strays by over the way since
-    the last one, however many points it has: its information is (H^-1 + D)^-1 = (I + H D)^-1 H. With
-    the best match x, the minimum of both terms, H is not inverted: along a bare corridor it cannot be.
+    the last one, however many points it has: its information is (H^-1 + D)^-1. That and its product
+    with the best match are written with A = (H + D^-1)^-1, since H has no inverse along a corridor.
     """
-    way, turn = state.lengths[0] + MOVED[0], state.lengths[1]
-    G = np.eye(3)
-    for b in range(3):
-        strays = max(how.drift[0], how.drift[1]) ** 2 * way
-        if b == 2:
-            strays = how.drift[2] ** 2 * way + how.drift[3] ** 2 * turn
-        for a in range(3):
-            G[a, b] += H[a, b] * strays
-    if not abs(np.linalg.det(G)) > 0.0:
-        return
-    G = np.linalg.inv(G)
-    posterior, pull = G @ H, np.empty(3)
-    posterior = 0.5 * (posterior + posterior.T)
-    pull[0], pull[1] = state.pose[0] - guess[0], state.pose[1] - guess[1]
-    pull[2] = wrap_in_kernel(state.pose[2] - guess[2])
-    pull *= W
-    step = G @ pull - pull
+    way, turn, d = state.lengths[0] + MOVED[0], state.lengths[1] + MOVED[1], np.empty(3)
+    d[0] = d[1] = 1.0 / (max(how.drift[0], how.drift[1]) ** 2 * way + SURE**2)
+    d[2] = 1.0 / (how.drift[2] ** 2 * way + how.drift[3] ** 2 * turn + SURE**2)
+    A, pull, step = H.copy(), np.empty(3), np.empty(3)
     for a in range(3):
-        posterior[a, a] += W[a]
+        A[a, a] += d[a]
+    if not invert(A):
+        return
+    pull[0], pull[1] = W[0] * (state.pose[0] - guess[0]), W[1] * (state.pose[1] - guess[1])
+    pull[2] = W[2] * wrap_in_kernel(state.pose[2] - guess[2])
+    posterior = np.empty((3, 3))
+    for a in range(3):
+        step[a] = d[a] * (A[a, 0] * pull[0] + A[a, 1] * pull[1] + A[a, 2] * pull[2]) - pull[a]
+        for b in range(3):
+            posterior[a, b] = -d[a] * A[a, b] * d[b]
+        posterior[a, a] += d[a] + W[a]
     if invert(posterior):
         spread[:] = posterior
         step = posterior @ step

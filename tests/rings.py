@@ -7,7 +7,7 @@ from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import parse_world
 
-GRAPH = load("imp", ["tracker.kind=scan_to_map", "estimator.kind=graph", "seed=1"])
+GRAPH = load("imp", ["estimator.kind=graph", "seed=1"])  # by wheels, which drift more than scans
 
 _WAY = [(2, 0), (13, 0), (14, 1), (14, 9), (13, 10), (1, 10), (0, 9), (0, 1), (1, 0), (9, 0)]
 _OUTER = [(-1.1, -1.0), (15.0, -1.0), (15.0, 11.2), (-1.1, 11.2)]

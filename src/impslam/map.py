@@ -17,6 +17,7 @@ import numpy as np
 from impslam.columns import Sweeps
 from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
+from impslam.geometry.se2 import compose, inverse
 from impslam.maps import archive
 from impslam.maps.grid import OccupancyGrid, PlacedScans
 from impslam.types import (
@@ -307,6 +308,11 @@ def hang(
             motion[i // 3, i % 3] = covariances[k, SYMMETRIC[i]]
         advance(poses[k], out[k], T_anchor_base[k], motion)
     return poses, out
+
+
+def T_map_odom(pose: Array, odometry: Array) -> Array:
+    """Return `T_map_odom` (3,) from `T_map_base` and `T_odom_base` (3,) at one stamp (REP 105)."""
+    return compose(pose, inverse(odometry))
 
 
 _LAYOUT: archive.Layout = {

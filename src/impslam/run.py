@@ -22,7 +22,7 @@ from impslam.columns import Batch, Motions, Sweeps, batches
 from impslam.config import Config
 from impslam.errors import SourceError
 from impslam.geometry.se2 import compose, compose_uncertain
-from impslam.map import Keyframe, Keyframes, Map, PathRows, Track
+from impslam.map import Keyframe, Keyframes, Map, PathRows, T_map_odom, Track
 from impslam.map_builder import MapBuilder
 from impslam.observers.base import Observer, Outcome
 from impslam.observers.health import HealthMonitor
@@ -30,7 +30,7 @@ from impslam.open_log import open_log
 from impslam.provenance import fingerprint
 from impslam.sources.base import Problems, Source
 from impslam.threads import OneBlasThread
-from impslam.types import Message, TruePose
+from impslam.types import Array, Message, TruePose
 
 Progress = Callable[[int, int | None], None]
 """Called with the position in the log and the length of the log, or None if the length is unknown."""
@@ -115,6 +115,7 @@ class Run:
         self._observers = [self._health, *observers]
         self.robot, self.tracker = config.make_robot(), config.make_tracker()
         self.estimator, self._builder = config.make_estimator(), MapBuilder()
+        self._path: PathRows | None = None
         self._rng = np.random.default_rng(config.seed)
         self.clock, self.problems = Stopwatch(), Problems()
         self._threads = OneBlasThread()
@@ -149,7 +150,7 @@ class Run:
 
     def _follow(self, track: Track) -> None:
         if len(track.stamps):
-            path = self._builder.follow(track)
+            self._path = path = self._builder.follow(track)
             _seal(track, path)
             for observer in self._observers:
                 observer.follow(track, path)
@@ -166,7 +167,7 @@ class Run:
             revision = self.estimator.add(keyframe)
         if revision.refused:
             self.problems.add("keyframe", revision.refused)
-        path = self._builder.revise(keyframe, revision)
+        self._path = path = self._builder.revise(keyframe, revision)
         _seal(keyframe, revision, path)
         for observer in self._observers:
             observer.revise(keyframe, revision, path)
@@ -180,6 +181,24 @@ class Run:
     def scans(self) -> int:
         """Number of sweeps used so far."""
         return len(self._builder)
+
+    @property
+    def odometry(self) -> Array:
+        """`T_odom_base` (3,) at the newest sweep; see `T_map_odom`."""
+        return self.tracker.odometry if self._path is None else self._path.odometry[-1].copy()
+
+    @property
+    def T_map_odom(self) -> Array:
+        """(3,) m and rad: the frame of dead reckoning in map, as of the newest sweep (REP 105).
+
+        `compose(T_map_odom, odometry)` is the pose in map. Where a loop closes, only `T_map_odom`
+        jumps: a controller that must not jump works in odom, and takes its goals there by the
+        inverse. odom is map at the start of the run. For a robot whose own odometry begins
+        elsewhere, use `compose(pose, inverse(own))` of the same stamp. Without odometry
+        (`lidar_only`) dead reckoning stays at the start, and nothing is smooth.
+        """
+        path = self._path
+        return np.zeros(3) if path is None else T_map_odom(path.poses[-1], path.odometry[-1])
 
     def keyframes(self) -> Keyframes:
         """Return the current keyframes, which is faster than `map`."""
@@ -217,8 +236,11 @@ class Run:
             If the log contains no usable scan, or no odometry.
         """
         self._refuse_empty(source)
-        outcome = self.outcome(source.path, fingerprint(source.path), source.problems)
-        known = self.settled(about(outcome))
+        known = self.settled()
+        outcome = self.outcome(
+            source.path, fingerprint(source.path), len(known.landmarks), source.problems
+        )
+        known = replace(known, about=about(outcome))
         for observer in self._observers:
             observer.finish(known, outcome)
         return known
@@ -236,9 +258,9 @@ class Run:
                 "lidar_only to map without odometry"
             )
 
-    def outcome(self, log: Path, sha256: str, *problems: Problems) -> Outcome:
+    def outcome(self, log: Path, sha256: str, landmarks: int, *problems: Problems) -> Outcome:
         """Return the facts of the run so far; `problems` are those of other parts, e.g. the source."""
-        numbers = {"steps": self.scans, "landmarks": len(self.estimator.landmarks())}
+        numbers = {"steps": self.scans, "landmarks": landmarks, **self.estimator.counts()}
         parts = (*problems, self.robot.problems, self.tracker.problems, self.problems)
         return Outcome(
             log=log,
@@ -251,6 +273,7 @@ class Run:
             wall_seconds=self.clock.elapsed,
             state_size=self.estimator.state_size,
             health=self._health.health,
+            lidar_alone=not self.robot.odometry.tells_motion,
         )
 
 

@@ -191,6 +191,20 @@ class Slam:
         return np.zeros((3, 3)) if path is None else path.covariances[-1].copy()
 
     @property
+    def odometry(self) -> Array:
+        """`T_odom_base` (3,) m and rad at that scan, by dead reckoning from the start; it never jumps."""
+        return self._run.odometry
+
+    @property
+    def T_map_odom(self) -> Array:
+        """(3,) m and rad: the frame of `odometry` in map, which jumps where a loop closes (REP 105).
+
+        `pose` is `compose(T_map_odom, odometry)`. A controller that must not jump works in odom; see
+        `Run.T_map_odom`.
+        """
+        return self._run.T_map_odom
+
+    @property
     def problems(self) -> dict[str, int]:
         """How many rows could not be used, by the reason."""
         return {**self._run.robot.problems.counts, **self._run.problems.counts}

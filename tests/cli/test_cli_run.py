@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import time
 from pathlib import Path
@@ -58,6 +59,22 @@ def test_what_it_prints(imp, room, tmp_path) -> None:
     assert "2 cylinder, 4 wall" in words
     assert "times real time" in words
     assert f"report: {tmp_path / 'report.html'}" in words
+
+
+def test_it_prints_loops_and_that_there_is_no_odometry(imp, room, tmp_path) -> None:
+    alone = ("odometry.kind=lidar_only", "tracker.kind=scan_to_map", "estimator.kind=graph")
+    said = imp("run", room, "-o", tmp_path, *(part for s in alone for part in ("--set", s)))
+    assert said.code == 0, said.err
+    assert "odometry   none, mapped by the lidar alone" in said.out
+    assert re.search(r"^loops +0 closed, \d+ tried$", said.out, re.MULTILINE)
+    facts = json.loads((tmp_path / "summary.json").read_text())
+    assert facts["lidar_alone"]
+    assert facts["counts"]["loops closed"] == 0
+    assert facts["time"]["stages_ms"]["settle"]["mean"] > 0.0
+    report = (tmp_path / "report.html").read_text()
+    assert "by the lidar alone" in report
+    assert "<td>settle</td>" in report
+    assert ">Loops<" in report
 
 
 def test_quiet(imp, room, tmp_path) -> None:

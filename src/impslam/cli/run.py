@@ -76,17 +76,20 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
 
 def show(known: Map, outcome: Outcome, folder: Path, *, at_once: bool = True) -> None:
     """Print the results of a run; `at_once` if it was not replayed, so that its speed is meaningful."""
-    from impslam.observers.summary import length, real_time_factor
+    from impslam.observers.summary import length, loops, real_time_factor
 
     counts, seconds = outcome.counts, outcome.log_seconds
     kinds = Counter(landmark.kind for landmark in known.landmarks)
     found = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())) or "none"
+    closed = loops(counts)
     console.show_facts(
         {
             "log": str(outcome.log),
+            **({"odometry": "none, mapped by the lidar alone"} if outcome.lidar_alone else {}),
             "scans": f"{counts['steps']} used",
             "path": f"{length(known.path()):.2f} m in {seconds:.1f} s",
             "landmarks": found,
+            **({"loops": closed} if closed else {}),
             "time": f"{outcome.wall_seconds:.1f} s"
             + (f", {real_time_factor(outcome):.0f} times real time" if at_once else ""),
         }

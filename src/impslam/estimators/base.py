@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -55,6 +56,10 @@ class Estimator(Component):
     def edges(self) -> Edges:
         """Return the pose graph, whose nodes are keyframes, by their ids; none without a graph."""
         return NO_EDGES
+
+    def counts(self) -> Mapping[str, int]:
+        """Return how often what has happened, by name: e.g. loops closed."""
+        return {}
 
     @property
     @abstractmethod

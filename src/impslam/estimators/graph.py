@@ -128,6 +128,11 @@ class Graph(Estimator):
         edges, nodes = self._graph.edges, self._keys.nodes
         return edges._replace(i=nodes[edges.i], j=nodes[edges.j])
 
+    def counts(self) -> Mapping[str, int]:
+        """Return how many loop closures were sought, and how many the graph has."""
+        tried = self._closer.recogniser.counts["attempts"]
+        return {"loops tried": tried, "loops closed": self._graph.closures}
+
     @property
     def state_size(self) -> int:
         """Number of scalars that are estimated."""

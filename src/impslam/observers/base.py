@@ -58,13 +58,14 @@ class Outcome:
     log : path of the log as given by the user
     log_sha256 : its hash (of all files, for a folder)
     config : the resolved config as nested plain values
-    counts : messages by type, scans, keyframes, landmarks
+    counts : messages by type, scans, landmarks, loops tried and closed where the estimator seeks them
     dropped : unused data by kind of problem
-    stages : durations in s by stage ("sense", "track", "look", "estimate")
+    stages : durations in s by stage ("sense", "track", "look", "estimate", and once "settle")
     log_seconds : from the first to the last message in use, corrected for clocks that were set
     wall_seconds : duration of the run
     state_size : number of scalars in the filter state at the end
     health : reliability of the pose estimate
+    lidar_alone : whether the run had no odometry
     """
 
     log: Path
@@ -77,6 +78,7 @@ class Outcome:
     wall_seconds: float
     state_size: int
     health: Health = RELIABLE
+    lidar_alone: bool = False
 
 
 class Observer:

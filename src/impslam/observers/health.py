@@ -22,7 +22,7 @@ class HealthMonitor(Observer):
     """Reports when the pose estimate is unreliable, and why.
 
     A pose is unreliable if its covariance is not finite, if the position uncertainty has grown by
-    more than `LOST` since the last match (of a landmark, or of a scan with a map), if scans
+    more than `LOST` since the last match (of a landmark, of a scan with a map, or of a place), if scans
     contradict odometry, or if a scan has no valid beam. The growth counts, not the uncertainty
     itself, which is large far from the start; a robot that stands still may see no landmark for long.
     """
@@ -50,7 +50,7 @@ class HealthMonitor(Observer):
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
         """Check the pose of a keyframe."""
-        if revision.matches:
+        if revision.matches or len(revision.ids) > 1:  # landmarks, or a place known
             self._fresh = True
         valid = np.ones(1, np.bool_) if keyframe.scan is None else keyframe.scan.valid
         self._check(

@@ -35,11 +35,21 @@ def heading(outcome: Outcome, history: History) -> str:
         "Duration": (duration(seconds), f"{scans / seconds:.1f} scans/s" if seconds > 0 else ""),
         "Path": (f"{length(history.path):.1f} m", "estimated"),
         "Landmarks": (str(len(landmarks)), found),
+        **_loops(outcome),
         "Speed": (f"{speed:,.0f}×", f"real time, {per_scan:.2f} ms a scan"),
     }
-    title = f"<h1>{escape(outcome.log.name)}</h1><p>Mapped by impslam</p>"
+    alone = ", by the lidar alone: there is no odometry" * outcome.lidar_alone
+    title = f"<h1>{escape(outcome.log.name)}</h1><p>Mapped by impslam{alone}</p>"
     title += f"<p>Pose: {escape(outcome.health.summary)}.</p>"
     return f"<header>{title}</header>" + tiles(facts)
+
+
+def _loops(outcome: Outcome) -> dict[str, tuple[str, str]]:
+    """Return the figure of loop closures, where the estimator seeks any."""
+    counts = outcome.counts
+    if "loops tried" not in counts:
+        return {}
+    return {"Loops": (str(counts["loops closed"]), f"closed, {counts['loops tried']} tried")}
 
 
 def duration(seconds: float) -> str:
@@ -146,7 +156,7 @@ def stages(outcome: Outcome) -> str:
             (name, *cells, f"{100 * np.sum(seconds) / max(outcome.wall_seconds, 1e-9):.0f} %")
         )
     header = ("stage", "mean ms", "median ms", "99 % ms", "of the run")
-    note = "Time per scan. The very first run of a version also compiles its kernels."
+    note = "Time per scan; settle is done once. The very first run of a version also compiles its kernels."
     return section("Time", table(header, rows), note=note)
 
 

@@ -30,6 +30,7 @@ def summarise(outcome: Outcome, history: History, refused: int) -> dict[str, Any
         "seed": outcome.config.get("seed"),
         "counts": dict(sorted(outcome.counts.items())),
         "landmarks": dict(sorted(kinds.items())),
+        "lidar_alone": outcome.lidar_alone,
         "state_size": outcome.state_size,
         "path_length_m": {
             "slam": _round(length(history.path), 6),
@@ -53,6 +54,13 @@ def summarise(outcome: Outcome, history: History, refused: int) -> dict[str, Any
             "stages_ms": {name: stage_times(t) for name, t in outcome.stages.items()},
         },
     }
+
+
+def loops(counts: Mapping[str, int]) -> str:
+    """Return how many loops were closed, "" where the estimator seeks none."""
+    if "loops tried" not in counts:
+        return ""
+    return f"{counts['loops closed']} closed, {counts['loops tried']} tried"
 
 
 def real_time_factor(outcome: Outcome) -> float:

@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -206,8 +206,9 @@ class _Mapping:
             if not self._between.acquire(timeout=ANSWER):
                 raise ImpError("the estimator has been at one scan for 10 s; stop mapping first")
             try:
-                outcome = self.run.outcome(LIVE, "")
-                return self.run.map(about(outcome)), outcome, self._truth.path
+                known = self.run.map()
+                outcome = self.run.outcome(LIVE, "", len(known.landmarks))
+                return replace(known, about=about(outcome)), outcome, self._truth.path
             finally:
                 self._between.release()
 

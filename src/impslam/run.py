@@ -208,11 +208,13 @@ class Run:
         """Return the current map; later data do not change it."""
         return self._builder.map(self.estimator.landmarks(), about, self.estimator.edges())
 
-    def settled(self, about: dict[str, Any] | None = None) -> Map:
+    def settled(self) -> Map:
         """Return the map with all keyframes refined jointly, which may take seconds."""
         with self.clock("settle"):
             revision = self.estimator.settle()
-        known = self.map(about)
+        if revision is not None and revision.refused:
+            self.problems.add("settled map", revision.refused)
+        known = self.map()
         return known if revision is None else known.revised(revision)
 
     def dead_reckoned(self) -> PathRows | None:

@@ -45,7 +45,8 @@ class Estimator(Component):
     def settle(self) -> Revision | None:
         """Return the poses of all keyframes as well as they can be told at the end, or None.
 
-        It may take seconds, and the estimator does not change: more keyframes may follow.
+        It may take seconds. More keyframes may follow, as if it had not been asked for; until then
+        `landmarks` are those at these poses.
         """
         return None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -66,7 +67,7 @@ class Graph(Estimator):
             except NumericalError as error:
                 refused = f"no loop is closed at {keyframe.stamp:.3f} s: {error}"
         if moved:
-            return self._all()
+            return self._all(self._graph)
         pose, covariance = compose_uncertain(
             self._graph.poses[-1], self._graph.covariances[-1], *self._since
         )
@@ -100,26 +101,30 @@ class Graph(Estimator):
         self._graph.solve()
         return True
 
-    def _all(self) -> Revision:
-        """Return all keyframes as they are now; each has the covariance of the node before it."""
-        poses, node = revised(self._keys, self._graph), self._keys.node_before
-        return Revision(np.arange(len(poses)), poses, self._graph.covariances[node])
+    def _all(self, graph: PoseGraph) -> Revision:
+        """Return all keyframes by a graph; each has the covariance of the node before it."""
+        poses, node = revised(self._keys, graph), self._keys.node_before
+        return Revision(np.arange(len(poses)), poses, graph.covariances[node])
 
     def settle(self) -> Revision | None:
         """Refine all keyframes jointly; see `Estimator.settle`."""
         if len(self._graph) == 0:
             return None
-        if self._graph.closures:
-            self._graph.solve()
-        poses = refined(blended(self._keys, self._graph), self._keys)
-        self._settled = replace(self._all(), poses=poses)
+        graph, refused = copy(self._graph), ""
+        try:
+            if graph.closures:
+                graph.solve()
+        except NumericalError as error:
+            refused = f"the last closures are not in the map: {error}"
+        poses = refined(blended(self._keys, graph), self._keys)
+        self._settled = replace(self._all(graph), poses=poses, refused=refused)
         return self._settled
 
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the landmarks on the keyframes' poses; after `settle` on the refined ones."""
         if len(self._graph) == 0:
             return ()
-        now = self._settled or self._all()
+        now = self._settled or self._all(self._graph)
         scans = self._keys.placed_scans(now.poses)
         return landmarks_of(now.poses, now.covariances, self._keys.seen, self._models, scans)
 

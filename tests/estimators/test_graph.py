@@ -1,0 +1,312 @@
+"""The graph estimator on a drive that leads back: what closures and refinement make of drift."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.contracts.test_estimators import told
+from tests.estimators.drives import (
+    LAP,
+    RING,
+    begun,
+    box,
+    driven,
+    keyframe,
+    keyframes,
+    motions,
+    scanned,
+    way,
+)
+from tests.extractors.scans import room
+from tests.filters.worlds import wall_seen
+from tests.numeric import wrapped
+from tests.recognition.plans import walls
+
+from impslam.errors import NumericalError
+from impslam.estimators.pose_graph import PoseGraph
+from impslam.geometry.se2 import compose
+from impslam.types import Observation
+
+TRUTH = way(*LAP, (12.0, 1.25))
+"""A lap of 56 m, and 9 m of a second one."""
+DRIFT = (0.0, 0.0, 0.003)
+"""rad/m: 1.4 m at the far side of the lap."""
+OPEN = {"attempts": 0}
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return keyframes(RING, TRUTH, DRIFT)
+
+
+@pytest.fixture(scope="module")
+def closed(frames):
+    """A graph that has been driven round, and its revisions."""
+    made = begun(TRUTH[0])
+    return made, driven(made, frames)
+
+
+def errors(poses, truth=TRUTH):
+    """Return the distances (k,) m from the true poses."""
+    return np.hypot(*(poses - truth)[:, :2].T)
+
+
+def many(revisions):
+    """Return the keyframes whose revisions move others."""
+    return [k for k, revision in enumerate(revisions) if len(revision.ids) > 1]
+
+
+def newest(revisions):
+    return np.array([r.poses[r.ids == k][0] for k, r in enumerate(revisions)])
+
+
+# --------------------------------------------------------------------------- a loop
+
+
+def test_without_closures_the_ends_do_not_meet(frames):
+    made = begun(TRUTH[0], loops=OPEN)
+    revisions = driven(made, frames)
+    assert many(revisions) == []
+    assert errors(newest(revisions)).max() > 1.3
+    assert errors(made.settle().poses).max() > 1.0
+
+
+def test_a_closure_revises_all_keyframes_and_the_ends_meet(closed):
+    _, revisions = closed
+    moved = many(revisions)
+    assert len(moved) >= 1
+    # The second lap begins with keyframe 157; the recogniser wants what lies around a node.
+    assert 150 < moved[0] < 180
+    for k in moved:
+        assert revisions[k].ids.tolist() == list(range(k + 1))
+    before = errors(newest(revisions))
+    assert before.max() > 1.3
+    last = moved[-1]
+    assert errors(revisions[last].poses, TRUTH[: last + 1]).max() < 0.25
+
+
+def test_settled_poses_are_within_centimetres(closed):
+    made, _ = closed
+    done = made.settle()
+    assert done.ids.tolist() == list(range(len(TRUTH)))
+    assert errors(done.poses).max() < 0.06
+    assert np.abs(wrapped(done.poses - TRUTH, 2)[:, 2]).max() < 0.01
+    np.testing.assert_array_equal(done.poses[0], TRUTH[0])
+
+
+def test_covariances_shrink_with_a_closure_and_tell_of_what_is_left(closed):
+    made, revisions = closed
+    k = many(revisions)[0]
+    before = revisions[k - 1].covariances[-1]
+    assert np.trace(revisions[k].covariances[-1]) < 0.2 * np.trace(before)
+    done = made.settle()
+    assert (np.linalg.eigvalsh(done.covariances) > 0.0).all()
+    # The farthest keyframes, half a lap from the start, are the least sure.
+    farthest = int(np.argmax(done.covariances[:, 0, 0] + done.covariances[:, 1, 1]))
+    assert 40 < farthest < 130
+
+
+def test_a_rigid_motion_of_the_start_moves_the_whole_run(frames, closed):
+    """The first pose says where the map lies, and nothing else does."""
+    motion = np.array([7.0, -3.0, 2.5])
+    other = begun(compose(motion, TRUTH[0]))
+    moved = driven(other, frames)
+    assert many(moved) == many(closed[1])
+    poses = compose(motion, closed[0].settle().poses)
+    assert np.abs(wrapped(other.settle().poses - poses, 2)).max() < 2e-3  # grids lie otherwise
+
+
+def test_the_same_keyframes_give_the_same_bytes(frames, closed):
+    made = begun(TRUTH[0])
+    assert [told(r) for r in driven(made, frames)] == [told(r) for r in closed[1]]
+    assert told(made.settle()) == told(closed[0].settle())
+
+
+def test_settling_changes_nothing_of_what_follows(frames, closed):
+    """Settled and asked for landmarks after every third keyframe, before and after closures."""
+    made, revisions = begun(TRUTH[0]), []
+    for k, frame in enumerate(frames):
+        revisions.append(made.add(frame))
+        if k % 3 == 0 and (k < 9 or k > 150):
+            one, two = made.settle(), made.settle()
+            assert told(one) == told(two)
+            made.landmarks()
+    assert [told(r) for r in revisions] == [told(r) for r in closed[1]]
+    assert told(made.settle()) == told(closed[0].settle())
+
+
+def test_an_exact_drive_stays_exact():
+    made = begun(TRUTH[0])
+    revisions = driven(made, keyframes(RING, TRUTH, noise=0.0))
+    assert many(revisions) == []
+    assert made._graph.closures > 0
+    assert errors(newest(revisions)).max() < 1e-9
+    assert errors(made.settle().poses).max() < 2e-3
+
+
+def test_a_robot_that_stands_adds_no_nodes():
+    scan = scanned(RING, TRUTH[0])
+    made = begun(TRUTH[0])
+    driven(made, [keyframe(k, np.zeros(3), scan) for k in range(40)])
+    assert made.state_size == 3
+    assert errors(made.settle().poses, np.tile(TRUTH[0], (40, 1))).max() < 1e-6
+
+
+def test_a_robot_that_turns_on_the_spot_closes_no_loop_with_itself():
+    scans = [scanned(RING, np.array([3.0, 1.25, 0.3 * k]), noise=0.01) for k in range(120)]
+    made = begun((3.0, 1.25, 0.0))
+    turn = [keyframe(k, [0.0, 0.0, 0.3 * (k > 0)], scan) for k, scan in enumerate(scans)]
+    driven(made, turn)
+    poses = made.settle().poses
+    assert np.hypot(*(poses[:, :2] - [3.0, 1.25]).T).max() < 0.02
+
+
+# --------------------------------------------------------------------------- places that look alike
+
+BARE = np.concatenate([room(-2.0, 42.0, -1.2, 1.2)])
+"""A corridor of 44 m that looks the same all along."""
+WIDE = {"drift": 0.2, "most": 16.0}
+"""So wide a window that it holds two rooms."""
+
+
+def two_rooms(apart):
+    """Return a corridor with two rooms that are the same, their left sides so many metres apart."""
+
+    def one(x):
+        return [
+            walls(
+                [x, 1.2, x, 5.2], [x, 5.2, x + 4, 5.2], [x + 4, 5.2, x + 4, 1.2],
+                [x + 4, 1.2, x + 2.6, 1.2], [x + 1.4, 1.2, x, 1.2],
+            ),
+            box(x + 0.5, 4.0, 0.7, 0.6),
+            box(x + 3.2, 2.0, 0.5, 0.9),
+        ]  # fmt: skip
+
+    corridor = walls(
+        [-20, -1.2, 20, -1.2], [-20, -1.2, -20, 1.2], [20, -1.2, 20, 1.2], [-20, 1.2, 0, 1.2],
+        [4, 1.2, apart, 1.2], [apart + 4, 1.2, 20, 1.2],
+    )  # fmt: skip
+    clutter = [box(-15, -1.2, 0.6, 0.4), box(15, -1.2, 0.8, 0.3), box(17, 0.8, 0.5, 0.4)]
+    return np.concatenate([corridor, *one(0.0), *one(apart), *clutter])
+
+
+@pytest.mark.parametrize("loops", [{}, WIDE], ids=["usual", "wide"])
+def test_along_a_bare_corridor_no_closure_is_believed(loops):
+    truth = way((0.0, 0.0), (40.0, 0.0), (0.0, 0.0))
+    made = begun(truth[0], loops=loops)
+    revisions = driven(made, keyframes(BARE, truth))
+    assert made._closer.recogniser.counts["attempts"] > 5  # it was tried
+    assert made._graph.closures == 0
+    assert errors(newest(revisions), truth).max() < 1e-9
+
+
+@pytest.mark.parametrize("loops", [{}, WIDE], ids=["usual", "wide"])
+@pytest.mark.parametrize("apart", [4.6, 7.0])
+def test_a_room_is_not_taken_for_another_one_that_looks_the_same(apart, loops):
+    """Odometry is exact, so that whatever a false closure moved would be off."""
+    at = apart + 2.0
+    truth = way((2, 0), (2, 4), (2, 0), (-19, 0), (at, 0), (at, 4), (at, 0), (18, 0))
+    made = begun(truth[0], loops=loops)
+    revisions = driven(made, keyframes(two_rooms(apart), truth))
+    assert made._graph.closures > 0
+    assert errors(newest(revisions), truth).max() < 0.1
+    assert errors(made.settle().poses, truth).max() < 0.1
+
+
+# --------------------------------------------------------------------------- what fails
+
+
+def test_a_graph_without_a_solution_keeps_the_last_one_and_is_named(frames, monkeypatch):
+    """The first closure has no solution: the run goes on by odometry, until the next one."""
+    solve, failed = PoseGraph.solve, []
+
+    def failing(self):
+        if not failed:
+            failed.append(len(self))
+            raise NumericalError("no convergence")
+        solve(self)
+
+    monkeypatch.setattr(PoseGraph, "solve", failing)
+    made = begun(TRUTH[0])
+    revisions = driven(made, frames)
+    refused = [r for r in revisions if r.refused]
+    assert len(refused) == 1
+    (k,) = refused[0].ids
+    assert refused[0].refused == f"no loop is closed at {k:.3f} s: no convergence"
+    twin = driven(begun(TRUTH[0], loops=OPEN), frames)
+    np.testing.assert_array_equal(refused[0].poses, twin[k].poses)
+    assert errors(made.settle().poses).max() < 0.06
+
+
+def test_settling_without_a_solution_keeps_the_last_one(frames, monkeypatch):
+    made = begun(TRUTH[0])
+    driven(made, frames)
+
+    def failing(_):
+        raise NumericalError("no convergence")
+
+    monkeypatch.setattr(PoseGraph, "solve", failing)
+    done = made.settle()
+    assert done.refused == "the last closures are not in the map: no convergence"
+    assert errors(done.poses).max() < 0.06
+
+
+def test_blind_scans_and_missing_ones_break_nothing(frames):
+    """On the way back into the known, ten scans are blind and ten are missing."""
+    blind = scanned(RING, TRUTH[0], range_max=0.1)
+    some = [
+        replace(f, scan=blind) if 60 <= k < 70 else replace(f, scan=None) if 80 <= k < 90 else f
+        for k, f in enumerate(frames)
+    ]
+    made = begun(TRUTH[0])
+    revisions = driven(made, some)
+    assert len(many(revisions)) >= 1
+    assert [r.refused for r in revisions] == [""] * len(TRUTH)
+    assert errors(made.settle().poses).max() < 0.3
+
+
+# --------------------------------------------------------------------------- landmarks
+
+
+def walls_seen(pose, plan):
+    """Return all walls (w, 2, 2) of a plan, observed from a pose without noise."""
+    found = [wall_seen(pose, ends) for ends in plan]
+    R = np.diag([1e-4, 1e-5])
+    return [Observation("wall", z, R, np.arange(50), ends) for z, ends in found]
+
+
+def test_each_wall_of_a_noiseless_room_is_there_once():
+    plan = room(0.0, 6.0, 0.0, 5.0)
+    truth = way((1.0, 1.0), (5.0, 1.0), (5.0, 4.0), (1.0, 4.0), (1.0, 1.0), (5.0, 1.0))
+    frames = keyframes(plan, truth, noise=0.0)
+    made = begun(truth[0])
+    driven(made, [replace(f, observations=tuple(walls_seen(truth[f.id], plan))) for f in frames])
+    for settle in (lambda: None, made.settle):
+        settle()
+        marks = made.landmarks()
+        assert [mark.kind for mark in marks] == ["wall"] * 4
+        feet = np.array(sorted(mark.position.round(2).tolist() for mark in marks))
+        np.testing.assert_allclose(feet, [[0, 0], [0, 0], [0, 5], [6, 0]], atol=0.011)
+        ends = np.concatenate([mark.end_points for mark in marks])
+        for corner in plan[:, 0]:
+            assert np.sort(np.hypot(*(ends - corner).T))[1] < 5e-3
+        assert {mark.observations for mark in marks} == {len(truth)}
+
+
+def test_covariances_of_landmarks_include_those_of_the_poses_that_saw_them():
+    """A post at the end of a long way is as unsure as the way, and one at its start is not."""
+    truth = way((0.0, 0.0), (30.0, 0.0))
+    frames = [keyframe(k, d) for k, d in enumerate(motions(truth))]
+    R = 1e-4 * np.eye(2)
+    post = (Observation("cylinder", np.array([2.0, 0.0]), R, attributes={"radius": 0.1}),)
+    near, far = (0, 1, 2), (len(truth) - 3, len(truth) - 2, len(truth) - 1)
+    made = begun(truth[0])
+    ahead = dict.fromkeys((near[0], far[0]), post)
+    for k in (*near[1:], *far[1:]):
+        d = truth[near[0] if k in near else far[0], 0] + 2.0 - truth[k, 0]
+        ahead[k] = (replace(post[0], z=np.array([d, 0.0])),)
+    revisions = driven(made, [replace(f, observations=ahead.get(f.id, ())) for f in frames])
+    first, last = sorted(made.landmarks(), key=lambda mark: mark.position[0])
+    assert np.sqrt(np.diag(first.covariance)).max() < 0.03
+    P = revisions[-1].covariances[-1]
+    assert (np.diag(last.covariance)[:2] >= 0.9 * np.diag(P)[:2]).all()

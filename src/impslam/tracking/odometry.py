@@ -24,8 +24,8 @@ class OdometryTracker(Tracker):
         surfels = None if scans is None else prepare(scans, OdometryCheck.spacing)
         checked, contradicted = self._check.check(motions, surfels)
         m = len(sweeps)
-        ends = count(motions.d_pose, motions.duration, gate)
+        ends = count(checked.d_pose, motions.duration, gate)
         return Steps(
-            checked.d_pose, checked.covariance, motions.d_pose, np.ones(m, np.bool_), ends,
+            checked.d_pose, checked.covariance, checked.d_pose, np.ones(m, np.bool_), ends,
             contradicted, np.zeros(m, np.bool_),
         )  # fmt: skip

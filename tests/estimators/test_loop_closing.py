@@ -1,0 +1,191 @@
+"""Which closures are sought, which are believed, and which wait for others."""
+
+import numpy as np
+import pytest
+from tests.estimators.drives import LAP, RING, begun, driven, keyframe, keyframes, motions, way
+
+from impslam.estimators.loop_closing import (
+    CERTAIN,
+    RECENT,
+    LoopCloser,
+    LoopSearch,
+    _Pending,
+)
+from impslam.estimators.pose_graph import PoseGraph
+from impslam.geometry.se2 import between
+from impslam.recognition.places import Closure
+from impslam.recognition.verify import Support, Verdict
+
+TRUTH = way(*LAP, (12.0, 1.25))
+DRIFT = (0.0, 0.0, 0.003)
+INFORMATION = np.diag([1e4, 1e4, 1e5])
+NARROW, WIDE = 0.5 * CERTAIN, 2.0 * CERTAIN
+SPACING = 2.5  # m between nodes
+
+
+def lap(n=20):
+    """Return a graph of a ring of n nodes and half a second round, drifting by 1 mm from node to node."""
+    turn = 2.0 * np.pi / n
+    step = np.array([SPACING, 0.0, turn])
+    graph = PoseGraph()
+    graph.begin(np.zeros(3), 1e-8 * np.eye(3))
+    for _ in range(n + n // 2):
+        drift = np.array([0.001, 0.001, 0.0])
+        graph.go_on(step + drift, np.diag([1e-4, 1e-4, 1e-5]), SPACING)
+    return graph
+
+
+def found(graph, j, verdict=Verdict.STRONG, off=(0.0, 0.0, 0.0), n=20):
+    """Return a closure of node j with the one a lap before, which lies at the same place."""
+    support = Support(0.8, 0.9, 0.9, 500)
+    pose = np.array(off, float)
+    closure = Closure(pose, INFORMATION, support, verdict, 0.9, 0.0, -np.inf)
+    return _Pending(j - n, j, closure, SPACING * j)
+
+
+def taken(window, *rows):
+    """Take closures one after the other; return the graph, the closer, and what each was told."""
+    graph, closer = lap(), LoopCloser(LoopSearch())
+    told = [closer._take(found(graph, *row), graph, window) for row in rows]
+    return graph, closer, told
+
+
+# --------------------------------------------------------------------------- belief
+
+
+def test_a_strong_closure_from_a_narrow_window_is_believed_at_once():
+    graph, closer, told = taken(NARROW, (20,))
+    assert told == [False]  # it says nothing new: the drift is 2 cm
+    assert graph.closures == 1
+    assert closer._pending == []
+
+
+def test_a_weak_closure_from_a_narrow_window_is_dropped():
+    """Alignment that hardly fits where it must is no place, and no other will speak for it."""
+    graph, closer, _ = taken(NARROW, (20, Verdict.WEAK), (21, Verdict.WEAK), (22, Verdict.WEAK))
+    assert graph.closures == 0
+    assert closer._pending == []
+
+
+def test_a_closure_from_a_wide_window_waits():
+    graph, closer, told = taken(WIDE, (20,))
+    assert told == [False]
+    assert graph.closures == 0
+    assert len(closer._pending) == 1
+
+
+@pytest.mark.parametrize(
+    "verdicts",
+    [
+        (Verdict.STRONG, Verdict.STRONG),
+        (Verdict.STRONG, Verdict.WEAK),
+        (Verdict.WEAK, Verdict.STRONG),
+        (Verdict.WEAK, Verdict.WEAK, Verdict.WEAK),
+    ],
+)
+def test_a_strong_one_and_another_or_three_weak_ones_are_believed_together(verdicts):
+    rows = [(20 + k, verdict) for k, verdict in enumerate(verdicts)]
+    graph, closer, _ = taken(WIDE, *rows[:-1])
+    assert graph.closures == 0
+    closer._take(found(graph, *rows[-1]), graph, WIDE)
+    assert graph.closures == len(verdicts)
+    assert closer._pending == []
+    assert graph.edges.j[-len(verdicts) :].tolist() == [row[0] for row in rows]
+
+
+@pytest.mark.parametrize(
+    "off", [(1.0, 0.0, 0.0), (0.0, -0.6, 0.0), (0.0, 0.0, 0.2), (2.5, 0.0, 0.3)]
+)
+def test_closures_that_do_not_agree_wait_on(off):
+    graph, closer, _ = taken(WIDE, (20, Verdict.STRONG), (21, Verdict.STRONG, off))
+    assert graph.closures == 0
+    assert len(closer._pending) == 2
+    # A third one that agrees with the first is believed with it; the one between is forgotten.
+    closer._take(found(graph, 22), graph, WIDE)
+    assert graph.edges.j[-2:].tolist() == [20, 22]
+    assert graph.closures == 2
+    assert closer._pending == []
+
+
+def test_a_closure_that_waits_too_long_is_forgotten():
+    late = 20 + int(RECENT // SPACING) + 1
+    graph, closer, _ = taken(WIDE, (20,), (late,))
+    assert graph.closures == 0
+    assert [p.j for p in closer._pending] == [late]
+
+
+def test_closures_of_the_graph_as_it_is_now_tell_something_new_where_it_was_off():
+    _, _, told = taken(WIDE, (20, Verdict.STRONG, (0.3, 0, 0)), (21, Verdict.STRONG, (0.3, 0, 0)))
+    assert told == [False, True]
+
+
+# --------------------------------------------------------------------------- where it is sought
+
+
+def seeking(frames, **search):
+    made = begun(TRUTH[0], loops=search)
+    driven(made, frames)
+    return made
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return keyframes(RING, TRUTH, DRIFT)
+
+
+def test_nothing_is_tried_without_attempts(frames):
+    made = seeking(frames, attempts=0)
+    assert made._closer.recogniser.counts["attempts"] == 0
+
+
+@pytest.mark.parametrize("attempts", [1, 2, 4])
+def test_so_many_candidates_are_tried_at_a_node_at_most(frames, attempts):
+    made = begun(TRUTH[0], loops={"attempts": attempts})
+    counts = made._closer.recogniser.counts
+    for frame in frames:
+        before, nodes = counts["attempts"], len(made._graph)
+        made.add(frame)
+        assert counts["attempts"] - before <= attempts * (len(made._graph) - nodes)
+
+
+def test_where_the_way_back_is_short_nothing_is_sought(frames):
+    """The whole lap is 56 m; a way back that long is nowhere."""
+    made = seeking(frames, way_back=200.0)
+    assert made._closer.recogniser.counts["attempts"] == 0
+
+
+def test_a_closed_loop_is_a_short_way_back_and_is_not_sought_again(frames):
+    made = seeking(frames)
+    assert made._graph.closures >= 1
+    assert made._closer.recogniser.counts["attempts"] < 8
+
+
+def test_out_of_the_window_nothing_is_found(frames):
+    """So little drift is allowed that the window misses the place by a metre."""
+    made = seeking(frames, drift=0.001, least=0.1, turn_drift=1e-4, least_turn=0.01)
+    assert made._graph.closures == 0
+
+
+def test_closures_are_where_the_truth_is(frames):
+    made = seeking(frames)
+    edges = made._graph.edges
+    truth = TRUTH[made._keys.nodes]
+    for row in np.flatnonzero(np.isfinite(edges.kernel)):
+        error = edges.T_i_j[row] - between(truth[edges.i[row]], truth[edges.j[row]])
+        assert np.hypot(*error[:2]) < 0.1
+        assert abs(np.remainder(error[2] + np.pi, 2 * np.pi) - np.pi) < 0.02
+
+
+def test_keyframes_without_scans_are_sought_in_vain():
+    made = begun(TRUTH[0])
+    driven(made, [keyframe(k, d) for k, d in enumerate(motions(TRUTH))])
+    assert made._closer.recogniser.counts["attempts"] == 0
+    assert made._graph.closures == 0
+
+
+def test_a_place_that_was_passed_blindly_is_not_found(frames):
+    """On the first 20 m no scan was taken; the second lap looks for them in vain."""
+    blind = [keyframe(k, f.motion.d_pose) if k < 60 else f for k, f in enumerate(frames)]
+    made = begun(TRUTH[0])
+    driven(made, blind)
+    assert made._graph.closures == 0

@@ -1,0 +1,42 @@
+"""Buildings by the graph, with odometry and by the lidar alone. Figures were measured on 2026-11-22.
+
+The relations were made by hand, from scans that were matched in pairs (Kümmerle et al. 2009): closer than
+about a centimetre they tell nothing more.
+"""
+
+import numpy as np
+import pytest
+from benchmarks.real_logs import run_log
+
+from impslam.evaluation.relations import read_relations, relation_errors
+
+pytestmark = [pytest.mark.real]
+LIDAR_ONLY = ["odometry.kind=lidar_only"]
+BUILDINGS = [
+    # mean translation in m, largest in m, mean rotation in rad
+    ("fr079", [], 0.042, 0.5, 0.009),  # 0.0402, 0.198, 0.0074
+    ("fr079", LIDAR_ONLY, 0.045, 0.5, 0.009),  # 0.0402, 0.196, 0.0074
+    ("intel", [], 0.0145, 0.5, 0.006),  # 0.0132, 0.104, 0.0040
+    ("intel", LIDAR_ONLY, 0.016, 0.5, 0.006),  # 0.0135, 0.161, 0.0038
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "metres", "largest", "radians"),
+    BUILDINGS,
+    ids=[f"{name}-{'lidar_only' if settings else 'odometry'}" for name, settings, *_ in BUILDINGS],
+)
+def test_buildings_are_as_good_as_their_relations(
+    data_folder, name, settings, metres, largest, radians
+):
+    seen = run_log(data_folder / name / f"{name}.log", settings=settings)
+    known = read_relations(data_folder / name / f"{name}.relations")
+    errors = relation_errors(seen.path, known)
+    assert errors.missing == 0
+    assert errors.translation.mean() < metres
+    assert errors.translation.max() < largest
+    assert errors.rotation.mean() < radians
+    covariances = seen.known.rows().covariances
+    assert np.isfinite(seen.path).all()
+    assert (np.linalg.eigvalsh(covariances)[:, 0] > 0.0).all()
+    assert np.sqrt(covariances[:, :2, :2].diagonal(0, 1, 2)).max() < 1.0  # none is unknown

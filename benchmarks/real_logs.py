@@ -95,8 +95,8 @@ def run_log(
 
 
 def final_covariance(log: Path) -> Array:
-    """Return the joint covariance of pose and map at the end of a log."""
-    config, source = open_log(log)
+    """Return the joint covariance of pose and map at the end of a log, by the landmark filter."""
+    config, source = open_log(log, settings=["estimator.kind=landmarks"])
     course = Course(config)
     with source:
         for batch in source.batches():

@@ -103,6 +103,39 @@ def same(one, two):
 # --------------------------------------------------------------------------- the past can move
 
 
+def driven(turn=0.3):
+    """Return a builder with keyframes at 0, 1, 2 s on an arc, two sweeps after each, all exact."""
+    builder, step = MapBuilder(), np.array([0.3, 0.0, turn])
+    poses = [ZERO, step, compose(step, step)]
+    for k, pose in enumerate(poses):
+        motion = Increment(float(k), step if k else ZERO, 0.01 * EYE, 1.0)
+        builder.revise(replace(keyframe(k), motion=motion), revision([k], [pose]))
+        part = replace(track(k), T_anchor_base=np.array([0.3, 0.7])[:, None] * step)
+        builder.follow(part)
+    return builder, np.array(poses)
+
+
+def test_blending_changes_nothing_where_keyframes_did_not_move_against_each_other():
+    builder, poses = driven()
+    known = builder.map(())
+    np.testing.assert_allclose(builder.blended(known).path(), known.path(), atol=1e-12)
+    rigid = compose(np.array([3.0, -2.0, 2.8]), poses)
+    moved = known.revised(revision([0, 1, 2], rigid))
+    np.testing.assert_allclose(builder.blended(moved).path(), moved.path(), atol=1e-12)
+
+
+def test_blended_sweeps_leave_no_step_before_a_keyframe():
+    builder, poses = driven(turn=0.0)
+    shift = np.array([0.0, 0.1, 0.0])
+    known = builder.map(()).revised(revision([0, 1, 2], poses + np.outer([0, 1, 2], shift)))
+    path, plain = builder.blended(known).path(), known.path()
+    keys = [0, 3, 6]
+    np.testing.assert_allclose(path[keys], plain[keys], atol=1e-12)
+    np.testing.assert_allclose(path[1:3, 2], [0.03, 0.07], atol=1e-12)
+    np.testing.assert_allclose(plain[1:3, 2], 0.0, atol=1e-12)
+    np.testing.assert_allclose(path[7:], plain[7:], atol=1e-12)  # no keyframe follows
+
+
 def test_keyframes_that_move_take_their_sweeps_along():
     builder = built()
     moved = [[9.0, 1.0, np.pi / 2], [2.5, 0.0, 0.0], [3.0, 0.0, 0.0]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,15 @@ import numpy.typing as npt
 
 from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
+from impslam.geometry.se2 import between, compose
 from impslam.growing import GrowingArray
 from impslam.map import UPPER, Keyframe, Keyframes, Map, PathRows, Revision, Track, hang
 from impslam.types import NO_EDGES, Array, Edges, Landmark, Mask, Scan
 
 _DISTINCT = np.ravel_multi_index(UPPER, (3, 3))
 """Where the entries of `UPPER` are in a matrix's nine."""
+TURN = 0.5
+"""m of way that a radian counts for: it changes the view by about as much."""
 
 
 class MapBuilder:
@@ -25,6 +29,7 @@ class MapBuilder:
         self._T_anchor_base, self._covariances = GrowingArray(3), GrowingArray(6)
         self._odometry, self._live = GrowingArray(3), GrowingArray(3)
         self._key_stamps, self._poses = GrowingArray(), GrowingArray(3)
+        self._motions = GrowingArray(3)
         self._pose_covariances = GrowingArray(3, 3)
         self._innovations, self._origins = GrowingArray(3), GrowingArray(2)
         self._starts, self._points = GrowingArray(dtype=np.int64), GrowingArray(2, dtype=np.float32)
@@ -44,6 +49,7 @@ class MapBuilder:
         """Add a keyframe and update revised ones; return the pose at the keyframe's stamp."""
         own = revision.ids == keyframe.id
         self._key_stamps.append(keyframe.stamp)
+        self._motions.append(keyframe.motion.d_pose)
         self._poses.append(revision.poses[own])
         self._pose_covariances.append(revision.covariances[own])
         if len(own) > 1:
@@ -90,6 +96,22 @@ class MapBuilder:
         return hang(
             self._poses.array, self._pose_covariances.array, *(c.array[len(c) - m :] for c in new)
         )
+
+    def blended(self, known: Map) -> Map:
+        """Return a map with each sweep between where the keyframes before and after it have it.
+
+        Keyframes that were moved against each other leave a step before each of them otherwise. A
+        sweep goes with the keyframe that saw most alike: a radian counts for `TURN` m.
+        """
+        if len(known.keyframes) < 2:
+            return known
+        poses, before, T = known.keyframes.poses, known.anchors, known.T_anchor_base
+        after = np.minimum(before + 1, len(poses) - 1)
+        T_after = between(self._motions.array[after], T)
+        way, ahead = (np.hypot(d[:, 0], d[:, 1]) + TURN * np.abs(d[:, 2]) for d in (T, T_after))
+        share = np.where(after > before, way / np.maximum(way + ahead, 1e-9), 0.0)
+        step = between(compose(poses[before], T), compose(poses[after], T_after))
+        return replace(known, T_anchor_base=compose(T, share[:, None] * step))
 
     def locate(self, stamp: float, T: Array, spread: Array, odometry: Array) -> PathRows:
         """Return the pose at `T_keyframe_base` (3,) from the newest keyframe, without storing it."""

@@ -215,7 +215,7 @@ class Run:
         if revision is not None and revision.refused:
             self.problems.add("settled map", revision.refused)
         known = self.map()
-        return known if revision is None else known.revised(revision)
+        return known if revision is None else self._builder.blended(known.revised(revision))
 
     def dead_reckoned(self) -> PathRows | None:
         """Return the newest pose composed with all later motion; None before the first sweep.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import sys
+import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from operator import attrgetter
@@ -21,16 +22,17 @@ from impslam.bookkeeping import Stopwatch, about, dropped
 from impslam.columns import Batch, Motions, Sweeps, batches
 from impslam.config import Config
 from impslam.errors import SourceError
+from impslam.estimators.base import Draft
 from impslam.geometry.se2 import compose, compose_uncertain
 from impslam.map import Keyframe, Keyframes, Map, PathRows, T_map_odom, Track
 from impslam.map_builder import MapBuilder
-from impslam.observers.base import Observer, Outcome
+from impslam.observers.base import Dropped, Observer, Outcome
 from impslam.observers.health import HealthMonitor
 from impslam.open_log import open_log
 from impslam.provenance import fingerprint
 from impslam.sources.base import Problems, Source
 from impslam.threads import OneBlasThread
-from impslam.types import Array, Message, TruePose
+from impslam.types import Array, Landmark, Message, TruePose
 
 Progress = Callable[[int, int | None], None]
 """Called with the position in the log and the length of the log, or None if the length is unknown."""
@@ -217,6 +219,20 @@ class Run:
         known = self.map()
         return known if revision is None else self._builder.blended(known.revised(revision))
 
+    def draft(self, log: Path) -> Callable[[], tuple[Map, Outcome]]:
+        """Return what gives the settled map as of now, and the facts of the run so far.
+
+        This takes milliseconds; what it returns may take seconds, and may be called in another thread
+        while the run goes on. The run itself stays as it is.
+        """
+        estimate, outcome = self.estimator.draft(), self.outcome(log, "", 0)
+        known = self._builder.map((), None, self.estimator.edges())
+        return functools.partial(_finished, known, estimate, outcome, self._builder.blended)
+
+    def reading(self) -> Callable[[], tuple[Landmark, ...]]:
+        """Return what gives the landmarks as of now; it may be called in another thread."""
+        return self.estimator.draft().landmarks
+
     def dead_reckoned(self) -> PathRows | None:
         """Return the newest pose composed with all later motion; None before the first sweep.
 
@@ -277,6 +293,24 @@ class Run:
             health=self._health.health,
             lidar_alone=not self.robot.odometry.tells_motion,
         )
+
+
+def _finished(
+    known: Map, estimate: Draft, outcome: Outcome, blended: Callable[[Map], Map]
+) -> tuple[Map, Outcome]:
+    """Return a map with an estimate's refined poses and landmarks, and the facts that go with it."""
+    begin = time.perf_counter()
+    revision = estimate.settle()
+    stages = {**outcome.stages, "settle": np.array([time.perf_counter() - begin])}
+    unused = dict(outcome.dropped)
+    if revision is not None:
+        known = blended(known.revised(revision))
+        if revision.refused:
+            unused["settled map"] = Dropped(1, revision.refused)
+    known = replace(known, landmarks=estimate.landmarks())
+    counts = {**outcome.counts, "landmarks": len(known.landmarks)}
+    outcome = replace(outcome, counts=counts, stages=stages, dropped=unused)
+    return replace(known, about=about(outcome)), outcome
 
 
 def _seal(*shown: object) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -76,6 +77,13 @@ class SightingsLog:
             self._count += 1
         self.stamps.append(stamp)
 
+    def copy(self) -> SightingsLog:
+        """Return a log to read, which later keyframes do not change; what is converted is shared."""
+        other = SightingsLog()
+        other._seen = {kind: kept.copy() for kind, kept in self._seen.items()}
+        other._columns, other.stamps, other._count = self._columns, self.stamps.copy(), self._count
+        return other
+
     def kinds(self) -> list[str]:
         """Return the kinds in the order in which they were met."""
         return list(self._seen)
@@ -86,13 +94,14 @@ class SightingsLog:
 
     def columns(self, kind: str) -> Sightings:
         """Return the sightings of a kind; what was asked for before is not converted again."""
-        known = self._columns.get(kind)
+        known, count = self._columns.get(kind), len(self._seen[kind])
         begin = 0 if known is None else len(known.keyframes)
-        if begin < len(self._seen[kind]):
+        if known is None or begin < count:
             new = _columns(self._seen[kind][begin:])
             parts = [new] if known is None else [known, new]
-            self._columns[kind] = Sightings(*map(np.concatenate, zip(*parts, strict=True)))
-        return self._columns[kind]
+            known = Sightings(*map(np.concatenate, zip(*parts, strict=True)))
+            self._columns[kind] = known
+        return Sightings(*map(itemgetter(slice(count)), known))  # a copy may know more by now
 
 
 def _columns(seen: list[tuple[int, int, Observation]]) -> Sightings:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,19 @@ from impslam.errors import NumericalError
 from impslam.map import Keyframe, Revision
 from impslam.tracking.base import KeyframeGate
 from impslam.types import NO_EDGES, Array, Edges, Increment, Landmark
+
+
+class Draft(NamedTuple):
+    """What an estimator has estimated by a moment; later keyframes do not change it.
+
+    Attributes
+    ----------
+    settle : returns all keyframes refined, or None; see `Estimator.settle`
+    landmarks : returns the landmarks; those at the refined poses after `settle`
+    """
+
+    settle: Callable[[], Revision | None]
+    landmarks: Callable[[], tuple[Landmark, ...]]
 
 
 class Estimator(Component):
@@ -53,6 +66,15 @@ class Estimator(Component):
     @abstractmethod
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the landmarks in the form users read."""
+
+    def draft(self) -> Draft:
+        """Return the estimate as it is now; this takes at most milliseconds.
+
+        What takes longer is done when the draft's functions are called, in any one thread, while
+        this estimator goes on. By default the landmarks are those of now, and nothing is refined.
+        """
+        landmarks = self.landmarks()
+        return Draft(lambda: None, lambda: landmarks)
 
     def edges(self) -> Edges:
         """Return the pose graph, whose nodes are keyframes, by their ids; none without a graph."""

@@ -14,7 +14,7 @@ from pydantic import PrivateAttr
 from impslam.building.landmarks import landmarks_of
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
-from impslam.estimators.base import Estimator, check_keyframe, is_known
+from impslam.estimators.base import Draft, Estimator, check_keyframe, is_known
 from impslam.estimators.keyframe_log import KeyframeLog, blended, refined, revised
 from impslam.estimators.loop_closing import LoopCloser, LoopSearch
 from impslam.estimators.pose_graph import PoseGraph
@@ -127,6 +127,12 @@ class Graph(Estimator):
         now = self._settled or self._all(self._graph)
         scans = self._keys.placed_scans(now.poses)
         return landmarks_of(now.poses, now.covariances, self._keys.seen, self._models, scans)
+
+    def draft(self) -> Draft:
+        """Return the estimate as it is now; see `Estimator.draft`."""
+        frozen = self.model_copy()
+        frozen._graph, frozen._keys = copy(self._graph), self._keys.copy()
+        return Draft(frozen.settle, frozen.landmarks)
 
     def edges(self) -> Edges:
         """Return motions and closures between keyframes; see `Estimator.edges`."""

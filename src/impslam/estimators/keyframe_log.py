@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
 from impslam.building.sightings import SightingsLog
@@ -55,6 +57,14 @@ class KeyframeLog:
         self._steps.append(keyframe.motion.covariance)
         self.views.append(None if keyframe.scan is None else view(keyframe.scan))
         self.seen.add(keyframe.observations, keyframe.stamp)
+
+    def copy(self) -> KeyframeLog:
+        """Return a log to read, which this one's later keyframes do not change."""
+        other = copy(self)  # arrays are shared: this one only writes behind the other's end
+        for name in ("_chain", "_way", "_steps", "_nodes"):
+            setattr(other, name, copy(getattr(self, name)))
+        other.views, other.seen = self.views.copy(), self.seen.copy()
+        return other
 
     def mark_node(self) -> None:
         """Make the newest keyframe a node of the graph."""

@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 from pydantic import PrivateAttr
 from tests.recorded import Played, perfect
+from tests.rings import GRAPH, ring
 
 from impslam.component import parameter, register
 from impslam.config import load
 from impslam.errors import ImpError
+from impslam.estimators import graph
 from impslam.extractors.base import Extractor
 from impslam.observers.live_view import LiveView
 from impslam.observers.recorder import Recorder
@@ -191,6 +193,58 @@ def test_a_map_is_saved_while_scans_come(room, tmp_path):
     for folder in saved:
         rows = (folder / "trajectory.csv").read_text().splitlines()
         assert len(rows) == 1 + json.loads((folder / "summary.json").read_text())["counts"]["steps"]
+
+
+def test_a_map_with_loops_is_saved_as_at_the_end_of_a_log(tmp_path):
+    drive = [m for m in ring() if isinstance(m, LaserScan | WheelAngles)]
+    map_log(GRAPH, Played.of(drive, tmp_path), [Recorder(tmp_path / "log")])
+    mapper = live(GRAPH)
+    mapper.start()
+    hand(mapper, drive)
+    drain(mapper)
+    poses = mapper._mapping.run.keyframes().poses
+    mapper.save(tmp_path / "live")
+    mapper.save(tmp_path / "again")
+    np.testing.assert_array_equal(mapper._mapping.run.keyframes().poses, poses)
+    mapper.stop()
+    names = ("trajectory.tum", "trajectory.live.tum", "landmarks.csv", "map.pgm", "graph.g2o")
+    for name in names:
+        expected = (tmp_path / "log" / name).read_bytes()
+        assert (tmp_path / "live" / name).read_bytes() == expected, name
+        assert (tmp_path / "again" / name).read_bytes() == expected, name
+    assert (tmp_path / "log" / "graph.g2o").read_text().count("EDGE_SE2") > 20
+
+
+def test_scans_do_not_wait_while_a_map_is_settled(tmp_path, monkeypatch):
+    """However long that takes; the map that is saved is that of the moment it was asked for."""
+    drive = [m for m in ring() if isinstance(m, LaserScan | WheelAngles)]
+    settling, go = threading.Event(), threading.Event()
+    settle = graph.Graph.settle
+
+    def late(self):
+        settling.set()
+        assert go.wait(20.0)
+        return settle(self)
+
+    monkeypatch.setattr(graph.Graph, "settle", late)
+    mapper = live(GRAPH)
+    mapper.start()
+    hand(mapper, drive[: len(drive) // 2])
+    drain(mapper)
+    before = mapper.status().steps
+    saver = threading.Thread(target=mapper.save, args=(tmp_path / "half",))
+    saver.start()
+    assert settling.wait(10.0)
+    hand(mapper, drive[len(drive) // 2 :])
+    drain(mapper)
+    assert mapper.status().steps > 1.5 * before
+    go.set()
+    saver.join(30.0)
+    mapper.stop()
+    assert len((tmp_path / "half" / "trajectory.tum").read_text().splitlines()) == before
+    facts = json.loads((tmp_path / "half" / "summary.json").read_text())
+    assert (facts["counts"]["steps"], facts["counts"]["loops closed"]) == (before, 0)
+    assert facts["time"]["stages_ms"]["settle"]["mean"] > 0.0
 
 
 def test_a_folder_that_cannot_be_made_ends_in_one_line(room, tmp_path):

@@ -6,11 +6,10 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from impslam.bookkeeping import about
 from impslam.columns import single_row
 from impslam.config import Config
 from impslam.errors import ImpError
@@ -127,7 +126,8 @@ class LiveMapper:
     def save(self, folder: Path) -> Path:
         """Write a run folder of what is mapped by now, and return it; mapping goes on.
 
-        It takes a second or two, in the caller's thread; scans wait only while the map is copied.
+        The map is settled as at the end of a log; the one that is shown and driven by stays as it is.
+        It takes a second or two, in the caller's thread; scans wait only while the estimate is copied.
 
         Raises
         ------
@@ -137,8 +137,8 @@ class LiveMapper:
         mapping = self._mapping
         if mapping is None or mapping.run.scans == 0:
             raise ImpError("there is no map to save yet; start mapping and wait for a scan")
-        known, outcome, truth = mapping.draft()
-        return write_run(folder, known, outcome, truth)
+        settled, truth = mapping.draft()
+        return write_run(folder, *settled(), truth)
 
     def status(self) -> MapperStatus:
         """Return how mapping is doing; never blocks."""
@@ -200,15 +200,13 @@ class _Mapping:
         self._ended = True
         self._inbox.wake()
 
-    def draft(self) -> tuple[Map, Outcome, Array]:
-        """Return the map between two scans, what its run is by now, and the true path."""
+    def draft(self) -> tuple[Callable[[], tuple[Map, Outcome]], Array]:
+        """Return, between two scans, what gives the map and its run as of now; and the true path."""
         with self._door:
             if not self._between.acquire(timeout=ANSWER):
                 raise ImpError("the estimator has been at one scan for 10 s; stop mapping first")
             try:
-                known = self.run.map()
-                outcome = self.run.outcome(LIVE, "", len(known.landmarks))
-                return replace(known, about=about(outcome)), outcome, self._truth.path
+                return self.run.draft(LIVE), self._truth.path
             finally:
                 self._between.release()
 

@@ -81,3 +81,19 @@ def test_frames_do_not_matter(rng):
 )
 def test_verdicts(found, verdict):
     assert judge(found) == verdict
+
+
+@pytest.mark.parametrize(
+    ("found", "verdict"),
+    [
+        (Support(0.2, 0.9, 0.85, 40), Verdict.WEAK),
+        (Support(0.2, 0.9, 0.75, 40), Verdict.REFUSED),
+        (Support(0.15, 1.0, 1.0, 40), Verdict.REFUSED),
+        (Support(0.9, 1.0, 1.0, 30), Verdict.REFUSED),
+        (Support(0.4, 0.9, 0.85, LEAST_SEEN), Verdict.STRONG),
+        (Support(0.4, 0.9, 0.7, LEAST_SEEN), Verdict.WEAK),
+    ],
+)
+def test_verdicts_where_submaps_share_little(found, verdict):
+    """At best a weak one, for which others have to agree, and free space as for a strong one."""
+    assert judge(found, overlap=0.2) == verdict

@@ -40,6 +40,9 @@ class Graph(Estimator):
     spacing: float = parameter(
         2.5, "m", "way between nodes of the graph: drift over it is below a centimetre", gt=0
     )
+    rounds: int = parameter(
+        2, "1", "linearisations that refine all keyframes at the end", ge=1, le=100
+    )
     loops: LoopSearch = parameter(LoopSearch(), "", "where closures are sought")
 
     _graph: PoseGraph = PrivateAttr(default_factory=PoseGraph)
@@ -116,7 +119,7 @@ class Graph(Estimator):
                 graph.solve()
         except NumericalError as error:
             refused = f"the last closures are not in the map: {error}"
-        poses = refined(blended(self._keys, graph), self._keys)
+        poses = refined(blended(self._keys, graph), self._keys, self.rounds)
         self._settled = replace(self._all(graph), poses=poses, refused=refused)
         return self._settled
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from copy import copy
 
 import numpy as np
@@ -11,8 +12,8 @@ from impslam.estimators.pose_graph import PoseGraph
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import between, compose
 from impslam.graph.bearings import Scans
-from impslam.graph.bundle import refine
-from impslam.graph.overlaps import overlaps
+from impslam.graph.bundle import Fit, refine
+from impslam.graph.overlaps import Nearness, overlaps
 from impslam.graph.pose_graph import Edges
 from impslam.growing import GrowingArray
 from impslam.map import Keyframe
@@ -138,13 +139,16 @@ def blended(keys: KeyframeLog, graph: PoseGraph) -> Array:
     return np.asarray(poses)
 
 
-def refined(poses: Array, keys: KeyframeLog) -> Array:
-    """Return poses (k, 3) with all overlapping keyframes laid on each other.
+def refined(poses: Array, keys: KeyframeLog, rounds: int = 2) -> Array:
+    """Return poses (k, 3) with all overlapping keyframes laid on each other, in so many rounds.
 
-    Closures are no part of it: they rest on the same points, which would count twice.
+    They may look any way: a lidar that sees to both sides meets the same walls on a pass there and on
+    one back, and pairs that see different ones are found out by their points. Closures are no part of
+    it: they rest on the same points, which would count twice.
     """
     i = np.arange(len(poses) - 1)
     motions = between(keys.chain[:-1], keys.chain[1:])
     information = np.asarray(np.linalg.inv(keys.steps[1:]))
     edges = Edges(i, i + 1, motions, information, np.full(len(i), np.inf))
-    return refine(poses, keys.scans(), edges, overlaps(poses)).poses
+    pairs = overlaps(poses, Nearness(turn=math.pi))
+    return refine(poses, keys.scans(), edges, pairs, fit=Fit(rounds=rounds)).poses

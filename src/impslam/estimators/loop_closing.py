@@ -21,7 +21,7 @@ from impslam.recognition.consistency import Relation, consistent
 from impslam.recognition.correlative import Window
 from impslam.recognition.places import Closure, Recogniser
 from impslam.recognition.submap import Submap, gather
-from impslam.recognition.verify import Verdict
+from impslam.recognition.verify import LEAST_MATCHED, Verdict
 from impslam.types import Array, Ints
 
 REFERENCE_CELL, QUERY_CELL = 0.05, 0.1  # m: surfels of the map, and points enough to search with
@@ -57,6 +57,14 @@ class LoopSearch(Parameters):
     least_turn: float = parameter(0.06, "rad", "added to it", gt=0)
     most_turn: float = parameter(0.5, "rad", "the widest window", gt=0, le=math.pi)
     attempts: int = parameter(2, "1", "candidates that are tried at each node", ge=0)
+    overlap: float = parameter(
+        LEAST_MATCHED,
+        "1",
+        "share of what was seen around a node that was seen before; with less than the default three "
+        "closures have to agree",
+        ge=0.1,
+        le=1,
+    )
     around: float = parameter(2.0, "m", "way on either side that a query consists of", gt=0)
 
 
@@ -73,7 +81,7 @@ class LoopCloser:
     """Seeks closures for one node after the other."""
 
     def __init__(self, search: LoopSearch) -> None:
-        self._search, self.recogniser = search, Recogniser()
+        self._search, self.recogniser = search, Recogniser(search.overlap)
         self._pending: list[_Pending] = []
 
     def seek(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> bool:

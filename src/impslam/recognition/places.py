@@ -23,7 +23,7 @@ from impslam.recognition.correlative import (
     search,
 )
 from impslam.recognition.submap import Submap
-from impslam.recognition.verify import Support, Verdict, judge, verify
+from impslam.recognition.verify import LEAST_MATCHED, Support, Verdict, judge, verify
 from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import (
     Alignment,
@@ -95,12 +95,15 @@ class Search(NamedTuple):
 class Recogniser:
     """Finds queries in references; keeps the grids of the last reference, and their memory.
 
+    `overlap` is the share of a query's points that have to lie on the reference at least; see `judge`.
+
     Attributes
     ----------
     counts : attempts, and what came of them
     """
 
-    def __init__(self) -> None:
+    def __init__(self, overlap: float = LEAST_MATCHED) -> None:
+        self._overlap = overlap
         names = ("attempts", "too few points", "no peak", "ambiguous", "contradicted", "found")
         self.counts = dict.fromkeys(names, 0)
         self._memory, self._known = Memory(), empty_surface_map(40.0, 40.0, 20000)
@@ -140,6 +143,7 @@ class Recogniser:
         """Return what a search finds and alignment settles."""
         pyramid = self._grid(find.window)
         least = NARROW_SCORE if max(find.window.x, find.window.y) <= NARROW else WIDE_SCORE
+        least *= min(1.0, self._overlap / LEAST_MATCHED)
         peak = search(pyramid, find.points, guess, find.window, least, turn=find.turn)
         if peak.score == 0.0:
             return self._refuse("no peak")
@@ -170,9 +174,8 @@ class Recogniser:
         pose, evidence = start.copy(), no_evidence()
         align(self._known, query.features, pose, prior, how, evidence)
         support = verify(self._known, self._reference, query, pose)
-        return Closure(
-            pose, information(evidence), support, judge(support), math.nan, 0.0, -math.inf
-        )
+        verdict = judge(support, self._overlap)
+        return Closure(pose, information(evidence), support, verdict, math.nan, 0.0, -math.inf)
 
     def _load(self, reference: Submap) -> None:
         """Make the surface map of a reference, unless it is there."""

@@ -65,13 +65,18 @@ class Support(NamedTuple):
         return min(self.query, self.reference)
 
 
-def judge(support: Support) -> Verdict:
-    """Return what support amounts to."""
-    if support.matched < LEAST_MATCHED or support.seen < LEAST_SEEN:
+def judge(support: Support, overlap: float = LEAST_MATCHED) -> Verdict:
+    """Return what support amounts to.
+
+    With an `overlap` below `LEAST_MATCHED`, submaps that share less than that may agree too, but weakly,
+    and free space has to agree as for a strong one.
+    """
+    if support.matched < overlap or support.seen < overlap / LEAST_MATCHED * LEAST_SEEN:
         return Verdict.REFUSED
+    much = support.matched >= LEAST_MATCHED and support.seen >= LEAST_SEEN
     if support.agreement >= STRONG_SHARE:
-        return Verdict.STRONG
-    return Verdict.WEAK if support.agreement >= WEAK_SHARE else Verdict.REFUSED
+        return Verdict.STRONG if much else Verdict.WEAK
+    return Verdict.WEAK if much and support.agreement >= WEAK_SHARE else Verdict.REFUSED
 
 
 def verify(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) -> Support:

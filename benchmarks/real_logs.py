@@ -31,7 +31,7 @@ from impslam.types import Array, Landmark, OdometryPose, TrueLandmark
 class Run(Observer):
     """What scoring needs of a run; poses as rows (n, 4) of stamp, x, y, theta."""
 
-    walls: dict[int, list[Array]] = field(default_factory=dict)
+    ends: list[tuple[int, list[Array]]] = field(default_factory=list)
     known: Map | None = None
     outcome: Outcome | None = None
     scans: int = 0
@@ -41,14 +41,21 @@ class Run(Observer):
         self.scans += len(path.stamps)
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
-        """Keep the ends of the walls seen, in map, by the number of the scan."""
+        """Keep the ends of the walls seen, in base_link, with the number of the scan."""
         ends = [o.end_points for o in keyframe.observations if o.end_points is not None]
-        self.walls[self.scans] = [transform(revision.poses[-1], e) for e in ends]
+        self.ends.append((self.scans, ends))
         self.scans += 1
 
     def finish(self, known: Map, outcome: Outcome) -> None:
         """Keep the map and the outcome."""
         self.known, self.outcome = known, outcome
+
+    @property
+    def walls(self) -> dict[int, list[Array]]:
+        """Ends of the walls seen, in the final map, by the number of the scan."""
+        assert self.known is not None
+        placed = zip(self.known.keyframes.poses, self.ends, strict=True)
+        return {scan: [transform(pose, e) for e in ends] for pose, (scan, ends) in placed}
 
     @property
     def path(self) -> Array:

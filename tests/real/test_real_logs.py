@@ -85,9 +85,9 @@ def test_the_second_lap_of_exp1_falls_on_the_first(data_folder):
     """Walls seen from scan 355 on, against those seen before scan 300."""
     seen = run_log(data_folder / "urg04lx-encoders" / "exp1.dat")
     offsets = lap_offsets(seen, 300, 355)
-    assert len(offsets) > 30  # 72, none near the 0.6 m beyond which walls count as different ones
-    assert np.median(offsets) < 0.05  # measured 0.011
-    assert np.percentile(offsets, 75) < 0.05  # measured 0.022
+    assert len(offsets) > 30  # 62, none near the 0.6 m beyond which walls count as different ones
+    assert np.median(offsets) < 0.03  # measured 0.013
+    assert np.percentile(offsets, 90) < 0.06  # measured 0.040
 
 
 # --------------------------------------------------------------------------- buildings

@@ -165,13 +165,23 @@ def lego(data: Path, out: Path | None = None) -> tuple[Run, Score]:
 
 
 def relations(
-    data: Path, name: str, folder: Path | None = None
+    data: Path, name: str, folder: Path | None = None, settings: Sequence[str] = ()
 ) -> tuple[Run, RelationErrors, RelationErrors]:
     """Map a log of the SLAM benchmarking suite; return also its errors and those of odometry."""
-    seen = run_log(data / name / f"{name}.log", folder=folder)
+    seen = run_log(data / name / f"{name}.log", settings=settings, folder=folder)
     known = read_relations(data / name / f"{name}.relations")
     path, wheels = seen.path, seen.wheels
     return seen, relation_errors(path, known), relation_errors(wheels, known)
+
+
+LOCAL = 60.0
+"""s between the poses of a local relation."""
+
+
+def local_errors(data: Path, name: str, path: Array) -> RelationErrors:
+    """Return the errors of a path (n, 4) in the relations between poses at most `LOCAL` s apart."""
+    known = read_relations(data / name / f"{name}.relations")
+    return relation_errors(path, known[np.abs(known[:, 1] - known[:, 0]) <= LOCAL])
 
 
 # --------------------------------------------------------------------------- against itself

@@ -119,7 +119,24 @@ def building(name: str) -> Callable[[Path], str]:
     def job(data: Path) -> str:
         seen, errors, wheels = real_logs.relations(data, name, RUNS / name)
         picture(name, RUNS / name)
-        return f"{spread(errors)}; odometry {spread(wheels)}; {seen.speed:.0f} times real time"
+        enter(f"{name}-mean", f"{errors.translation.mean():.3f}")
+        if name == "fr-hospital":
+            local = real_logs.local_errors(data, name, seen.path)
+            enter(f"{name}-local", f"{local.translation.mean():.3f}")
+        return (
+            f"{spread(errors, 4)}, worst {errors.translation.max():.2f} m; "
+            f"odometry {spread(wheels)}; {seen.speed:.0f} times real time"
+        )
+
+    return job
+
+
+def lidar_alone(name: str) -> Callable[[Path], str]:
+    """Return the job of a log whose odometry is withheld."""
+
+    def job(data: Path) -> str:
+        _, errors, _ = real_logs.relations(data, name, settings=["odometry.kind=lidar_only"])
+        return f"{errors.translation.mean():.3f}"
 
     return job
 
@@ -136,12 +153,12 @@ def car(name: str) -> Callable[[Path], str]:
     return scored
 
 
-def spread(errors: real_logs.RelationErrors) -> str:
+def spread(errors: real_logs.RelationErrors, digits: int = 3) -> str:
     """Return mean and standard deviation, as the suite's tables give them."""
-    metres, degrees = errors.translation, np.degrees(errors.rotation)
+    m, degrees = errors.translation, np.degrees(errors.rotation)
     return (
-        f"{metres.mean():.3f} ± {metres.std():.3f} m, {degrees.mean():.2f} ± {degrees.std():.2f}° "
-        f"(medians {np.median(metres):.3f} m, {np.median(degrees):.2f}°)"
+        f"{m.mean():.{digits}f} ± {m.std():.{digits}f} m, {degrees.mean():.2f} ± {degrees.std():.2f}° "
+        f"(medians {np.median(m):.3f} m, {np.median(degrees):.2f}°)"
     )
 
 
@@ -174,6 +191,8 @@ JOBS: dict[str, Callable[[Path], str]] = {
     "intel": building("intel"),
     "fr079": building("fr079"),
     "fr-hospital": building("fr-hospital"),
+    "intel-lidar": lidar_alone("intel"),
+    "fr079-lidar": lidar_alone("fr079"),
     "carpark": car("carpark"),
     "victoria-park": car("victoria-park"),
     "ekf": ekf,

@@ -109,6 +109,10 @@ class Scripted:
     def keyframes(self):
         return self.builder.keyframes()
 
+    def reading(self):
+        marks = tuple(self.landmarks())
+        return lambda: marks
+
     def map(self):
         return self.builder.map(tuple(self.landmarks()))
 

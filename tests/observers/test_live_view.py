@@ -10,15 +10,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.observers.runs import Scripted, make_landmarks, make_outcome, make_results
+from tests.rings import GRAPH, ring
 
-from impslam.geometry.se2 import transform
+from impslam.columns import single_row
+from impslam.geometry.se2 import compose, inverse, transform
 from impslam.maps.files import FREE, OCCUPIED, UNKNOWN, map_image
 from impslam.observers import live_view as module
 from impslam.observers.base import Observer
 from impslam.observers.health import HealthMonitor
 from impslam.observers.live_view import LiveView
 from impslam.observers.thin_path import ThinPath
-from impslam.types import TruePose
+from impslam.run import Run
+from impslam.types import LaserScan, TruePose
 
 
 def begun(landmarks=make_landmarks):
@@ -51,6 +54,7 @@ def test_a_snapshot_is_that_of_the_newest_scan():
     for i, result in enumerate(make_results(20)):
         view.truth(TruePose(result.stamp, np.full(3, float(i))))
         run.step(result)
+        view._painter.join()
         shown = view.snapshot()
         assert (shown.stamp, shown.scans) == (result.stamp, i + 1)
         for name in ("pose", "covariance", "odometry"):
@@ -154,11 +158,12 @@ def test_landmarks_are_read_at_a_bounded_rate_and_only_when_they_may_have_change
         reads.append(clock[0])
         return make_landmarks()
 
-    _, run = begun(read)
+    view, run = begun(read)
     results = list(make_results(101))
     for i, result in enumerate(results):  # 8 Hz, the last half between keyframes
         clock[0] = 1.0 + 0.125 * i
         run.step(result, keyframe=i < 50)
+        view._painter.join()
     assert reads == [1.0 + 0.25 * i for i in range(26)]  # the last keyframe too, once it is due
 
 
@@ -171,11 +176,125 @@ def test_a_map_that_is_slow_to_read_is_read_less_often(monkeypatch):
         reads.append(clock[0])
         return make_landmarks()
 
-    _, run = begun(read)
+    view, run = begun(read)
     for i, result in enumerate(make_results(100)):
         clock[0] = max(clock[0], 1.0 + 0.1 * i)
         run.step(result)
+        view._painter.join()
     assert 9 <= len(reads) <= 11  # a twentieth of 10 s
+
+
+def test_a_map_that_is_read_beside_the_scans_is_read_a_tenth_of_the_time(monkeypatch):
+    clock, reads = [0.0], []
+    monkeypatch.setattr(module.time, "monotonic", lambda: clock[0])
+    view, run = begun()
+
+    def read():
+        clock[0] += 0.1  # a building
+        reads.append(clock[0])
+        return make_landmarks()
+
+    run.reading = lambda: read
+    for i, result in enumerate(make_results(100)):
+        clock[0] = max(clock[0], 1.0 + 0.1 * i)
+        run.step(result)
+        view._painter.join()
+    assert 8 <= len(reads) <= 10
+    assert len(view.snapshot().landmarks) == 2
+
+
+def test_scans_do_not_wait_for_landmarks_or_for_the_grid(monkeypatch):
+    view, run = begun()
+    gate = threading.Event()
+    run.reading = lambda: lambda: gate.wait(10.0) and make_landmarks()
+    results = list(make_results(50))
+    begin = time.monotonic()
+    for result in results:
+        run.step(result)
+    assert time.monotonic() - begin < 5.0
+    assert view.snapshot().scans == 50
+    assert view.snapshot().landmarks == ()
+    gate.set()
+    view._painter.join()
+    run.step(results[-1])
+    assert len(view.snapshot().landmarks) == 2
+
+
+# --------------------------------------------------------------------------- a loop that closes
+
+
+def test_path_landmarks_and_grid_move_when_a_loop_closes(monkeypatch):
+    monkeypatch.setattr(module, "GRID", 0.0)
+    monkeypatch.setattr(module, "LANDMARKS", 0.0)
+    view = LiveView()
+    run = Run(GRAPH, [view])
+    view.begin(run)
+    shown = view.snapshot()
+    for order, message in enumerate(ring()):
+        run.feed(single_row(type(message).__name__, message, order))
+        if run.estimator.counts()["loops closed"]:
+            break
+        if isinstance(message, LaserScan) and view.snapshot().scans:
+            view._painter.join()
+            early, shown = run._builder.map(()), view.snapshot()
+    known, after = run.map(), view.snapshot()
+    moved = np.hypot(*(known.path()[: len(early.stamps)] - early.path())[:, 1:3].T)
+    assert moved.max() > 1.0
+    # The path moves at once, and as a whole; landmarks and grid as soon as they are made.
+    assert distances(known.path()[:, 1:3], after.path.astype(float)).max() < 0.05
+    assert distances(known.path()[:, 1:3], shown.path.astype(float)).max() > 0.5
+    np.testing.assert_allclose(after.path[-1], after.pose[:2], atol=1e-6)
+    view._painter.join()
+    view._marks_due = view._grid_due = 0.0
+    view._look_after()
+    view._painter.join()
+    assert same_marks(view._read(), known.landmarks)
+    assert not same_marks(shown.landmarks, known.landmarks)
+    image = map_image(known.grid())
+    np.testing.assert_array_equal(decoded(view._painted())[1], image.pixels)
+    assert view._painted().png != shown.grid.png
+
+
+def same_marks(some, others):
+    return [(m.id, *m.position) for m in some] == [(m.id, *m.position) for m in others]
+
+
+def test_the_last_snapshot_is_of_the_settled_map():
+    view = LiveView()
+    run = Run(GRAPH, [view])
+    view.begin(run)
+    run.play(ring())
+    before, settled = view.snapshot(), run.settled()
+    view.finish(settled, make_outcome())
+    shown = view.snapshot()
+    np.testing.assert_array_equal(shown.pose, settled.path()[-1, 1:])
+    np.testing.assert_allclose(shown.path[-1], shown.pose[:2], atol=1e-6)
+    assert distances(settled.path()[:, 1:3], shown.path.astype(float)).max() < 0.1
+    in_base = transform(inverse(before.pose), before.points.astype(float))
+    np.testing.assert_allclose(shown.points, transform(shown.pose, in_base), atol=1e-5)
+    assert same_marks(shown.landmarks, settled.landmarks)
+
+
+def test_a_long_path_moves_in_a_millisecond_and_stays_thin():
+    path = ThinPath(limit=4000)
+    turn = np.linspace(0.0, 60.0, 60_000)
+    keyframes = np.column_stack([np.cos(turn), np.sin(turn), turn])[::10]
+    T = np.array([0.02, -0.01, 0.0])
+    for k, (x, y, _) in enumerate(compose(keyframes, T)):
+        path.add(x * 5, y * 5)  # thinned, and not moved
+        path.add(x, y, (k, 0.02, -0.01))
+    frame = np.array([3.0, -2.0, 1.0])
+    before = path.points.copy()
+    begin = time.process_time()
+    path.move(compose(frame, keyframes))
+    assert time.process_time() - begin < 0.05
+    after = path.points
+    fixed = np.hypot(*before.T) > 2.0
+    np.testing.assert_array_equal(after[fixed], before[fixed])
+    expected = transform(frame, before[~fixed].astype(float))
+    np.testing.assert_allclose(after[~fixed], expected, atol=1e-5)
+    assert fixed.any()
+    assert not fixed.all()
 
 
 def test_at_the_end_the_whole_map_is_shown():

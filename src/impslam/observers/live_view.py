@@ -5,12 +5,13 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
-from impslam.geometry.se2 import inverse, transform
+from impslam.geometry.se2 import compose, inverse, transform
 from impslam.map import Keyframe, Keyframes, Map, PathRows, Revision, Track
 from impslam.map_builder import valid_points
 from impslam.maps.grid import OccupancyGrid
@@ -26,7 +27,10 @@ LANDMARKS = 0.2
 """s between two updates of the landmarks; a viewer does not notice this delay."""
 SHARE = 0.05
 """Share of the estimator's time for reading a large map: at 20 us a landmark, maps of more than about
-500 landmarks are read less often."""
+500 landmarks are read less often. An estimator that takes longer gives a draft to read beside it."""
+BESIDE = 0.1
+"""Share of a processor for what is done beside the scans: where a loop closes in a building, all its
+landmarks are estimated again, and its whole grid is drawn again."""
 GRID = 1.0
 """s between two pictures of the grid, which changes slowly and is the largest item to send."""
 EXPECTED = 64
@@ -46,9 +50,9 @@ class Snapshot:
     pose, covariance : (3,) and (3, 3), `T_map_base` at `stamp`
     odometry : (3,) dead reckoning from the same start
     path : (n, 2) float32 m in map, thinned, oldest first, ends at the pose of the newest scan; n is
-        bounded
-    landmarks : the landmarks, walls with their end points; at most 0.2 s older than the pose for
-        fewer than 500 landmarks, and up to date after the last scan of a log
+        bounded; where a loop closes it moves as a whole
+    landmarks : the landmarks, walls with their end points; some tenths of a second older than the
+        pose, seconds in a building, and up to date after the last scan of a log
     points : (n, 2) float32 m in map, end points of the valid beams of the newest scan, empty if it
         is old
     grid : picture of the occupancy grid, None before the first; at most some seconds older than the pose
@@ -89,6 +93,9 @@ class Growing(Protocol):
     def map(self) -> Map:
         """Return the current map."""
 
+    def reading(self) -> Callable[[], tuple[Landmark, ...]]:
+        """Return what gives the landmarks as of now, in another thread."""
+
     def keyframes(self) -> Keyframes:
         """Return the current keyframes, which is faster."""
 
@@ -97,13 +104,14 @@ class LiveView(Observer):
     """Keeps a snapshot of a run that any thread can read.
 
     One thread runs the estimator and calls all methods except `snapshot`, which any thread may call.
-    The grid is painted in a separate thread.
+    A separate thread paints the grid, and reads landmarks where that takes long.
     """
 
     def __init__(self) -> None:
         self._shown = _empty(0, 0)
         self._painter: threading.Thread | None = None
         self._picture: tuple[int, GridPicture] | None = None  # of which run
+        self._marks: tuple[int, tuple[Landmark, ...]] = 0, ()
         self._forget(None, 0.05)
 
     def _forget(self, run: Growing | None, resolution: float) -> None:
@@ -111,7 +119,7 @@ class LiveView(Observer):
         self._path, self._health = ThinPath(), HealthMonitor()
         self._expected: deque[tuple[float, float]] = deque(maxlen=EXPECTED)
         self._truth: Array | None = None
-        self._stale, self._map_due, self._grid_due = False, 0.0, 0.0
+        self._stale, self._marks_due, self._grid_due = False, 0.0, 0.0
 
     def begin(self, run: Growing, resolution: float = 0.05) -> None:
         """Start to show the map of a run; `resolution` is the side of the grid's cells in m."""
@@ -131,6 +139,7 @@ class LiveView(Observer):
         row = track.rows.stop - 1
         points = _points(track.sweeps.scan(row), track.sweeps.T_middle_stamp[row])
         self._health.follow(track, path)
+        self._lead(path, track.anchor, track.T_anchor_base)
         self._show(path, points)
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
@@ -138,12 +147,21 @@ class LiveView(Observer):
         self._stale = True
         points = _points(keyframe.scan, keyframe.T_keyframe_stamp)
         self._health.revise(keyframe, revision, path)
+        if len(revision.ids) > 1 and self._run is not None:
+            self._path.move(self._run.keyframes().poses)
+        self._lead(path, keyframe.id, keyframe.T_keyframe_stamp[None])
         self._show(path, points)
+
+    def _lead(self, path: PathRows, keyframe: int, T_keyframe_base: Array) -> None:
+        """Let the path go on by poses that hang on a keyframe."""
+        for (x, y, _), (dx, dy, _) in zip(
+            path.poses.tolist(), T_keyframe_base.tolist(), strict=True
+        ):
+            self._path.add(x, y, (keyframe, dx, dy))
 
     def _show(self, path: PathRows, points: Points) -> None:
         before, stamp = self._shown, float(path.stamps[-1])
-        for x, y, _ in path.poses.tolist():
-            self._path.add(x, y)
+        self._look_after()
         self._shown = Snapshot(
             before.version + 1,
             before.run,
@@ -153,9 +171,9 @@ class LiveView(Observer):
             path.covariances[-1],
             path.odometry[-1],
             self._path.points,
-            self._map(),
+            self._read(),
             _moved(path.poses[-1], points),
-            self._picture_now(),
+            self._painted(),
             self._health.health.at_end,
             self._arrival(stamp),
             self._truth,
@@ -195,34 +213,66 @@ class LiveView(Observer):
         if self._painter is not None:
             self._painter.join()
         self._paint(known.keyframes, self._grid, self._shown.run)
-        shown, grid = self._shown, self._painted()
-        version = shown.version + 1
-        self._shown = replace(
-            shown, version=version, landmarks=known.landmarks, grid=grid, finished=finished
-        )
+        self._marks = self._shown.run, known.landmarks
+        shown = replace(self._shown, version=self._shown.version + 1, finished=finished)
+        shown = replace(shown, landmarks=known.landmarks, grid=self._painted())
+        self._shown = self._settled(shown, known) if finished else shown
 
-    def _map(self) -> tuple[Landmark, ...]:
-        """Return the landmarks, read anew if they may have changed and it is time."""
-        begin = time.monotonic()
-        if not self._stale or begin < self._map_due or self._run is None:
-            return self._shown.landmarks
-        landmarks = self._run.map().landmarks
-        took = time.monotonic() - begin
-        self._stale, self._map_due = False, begin + max(LANDMARKS, took / SHARE)
-        return landmarks
+    def _settled(self, shown: Snapshot, known: Map) -> Snapshot:
+        """Return a snapshot with the path and the pose of the settled map."""
+        if not len(known.stamps):
+            return shown
+        self._path.move(known.keyframes.poses)
+        rows = known.rows()
+        pose, covariance = rows.poses[-1], rows.covariances[-1]
+        points = _moved(compose(pose, inverse(shown.pose)), shown.points)
+        path = self._path.points
+        path[-1] = pose[:2]
+        return replace(shown, pose=pose, covariance=covariance, points=points, path=path)
 
-    def _picture_now(self) -> GridPicture | None:
-        """Return the newest picture of the grid; have the next one made if it is time."""
-        run, moment = self._shown.run, time.monotonic()
-        idle = self._painter is None or not self._painter.is_alive()
-        if idle and moment >= self._grid_due and self._run is not None:
-            self._grid_due = moment + GRID
-            keyframes = self._run.keyframes()
+    def _look_after(self) -> None:
+        """Have landmarks and grid brought up to date beside the scans, if it is time."""
+        if self._run is None or (self._painter is not None and self._painter.is_alive()):
+            return
+        begin, read, keyframes = time.monotonic(), None, None
+        if self._stale and begin >= self._marks_due:
+            read = self._run.reading()
+            took = time.monotonic() - begin
+            self._stale, self._marks_due = False, begin + max(LANDMARKS, took / SHARE)
+        if begin >= self._grid_due:
+            self._grid_due, keyframes = begin + GRID, self._run.keyframes()
+        if read is not None or keyframes is not None:
+            job = read, keyframes, self._grid, self._shown.run
             self._painter = threading.Thread(
-                target=self._paint, args=(keyframes, self._grid, run), name="grid", daemon=True
+                target=self._work, args=job, name="live view", daemon=True
             )
             self._painter.start()
-        return self._painted()
+
+    def _work(
+        self,
+        read: Callable[[], tuple[Landmark, ...]] | None,
+        keyframes: Keyframes | None,
+        grid: OccupancyGrid,
+        run: int,
+    ) -> None:
+        """Read the landmarks and paint the grid, in a thread; a long job is followed by a long pause."""
+        begin = time.monotonic()
+        try:
+            if read is not None:
+                self._marks = run, read()
+            if keyframes is not None:
+                self._paint(keyframes, grid, run)
+        finally:
+            moment = time.monotonic()
+            due = moment + (moment - begin) / BESIDE
+            if run == self._shown.run:
+                self._marks_due = max(self._marks_due, due)
+                self._grid_due = max(self._grid_due, due)
+
+    def _read(self) -> tuple[Landmark, ...]:
+        """Return the newest landmarks of this map."""
+        run, marks = self._marks
+        return marks if run == self._shown.run else ()
 
     def _painted(self) -> GridPicture | None:
         """Return the newest picture of this map; the painter may still be at one of the last."""

@@ -238,6 +238,31 @@ def test_a_graph_without_a_solution_keeps_the_last_one_and_is_named(frames, monk
     assert errors(made.settle().poses).max() < 0.06
 
 
+BAD = Observation("cylinder", np.array([1.0, np.nan]), np.eye(2))
+
+
+def test_a_bad_observation_is_named_where_a_loop_is_closed_too(frames, closed):
+    k = many(closed[1])[0]
+    made = begun(TRUTH[0])
+    spoilt = replace(frames[k], observations=(BAD,))
+    revision = driven(made, [*frames[:k], spoilt])[-1]
+    assert len(revision.ids) == k + 1
+    assert "observation is not finite" in revision.refused
+
+
+def test_a_bad_observation_and_a_failure_are_both_named(frames, closed, monkeypatch):
+    def failing(_):
+        raise NumericalError("no convergence")
+
+    monkeypatch.setattr(PoseGraph, "solve", failing)
+    k = many(closed[1])[0]
+    spoilt = replace(frames[k], observations=(BAD,))
+    refused = driven(begun(TRUTH[0]), [*frames[:k], spoilt])[-1].refused
+    assert "observation is not finite" in refused
+    assert "no convergence" in refused
+    assert "\n" not in refused
+
+
 def test_settling_without_a_solution_keeps_the_last_one(frames, monkeypatch):
     made = begun(TRUTH[0])
     driven(made, frames)

@@ -68,9 +68,10 @@ class Graph(Estimator):
             try:
                 moved = self._close_loops()
             except NumericalError as error:
-                refused = f"no loop is closed at {keyframe.stamp:.3f} s: {error}"
+                failed = f"no loop is closed at {keyframe.stamp:.3f} s: {error}"
+                refused = "; ".join(filter(None, (refused, failed)))
         if moved:
-            return self._all(self._graph)
+            return replace(self._all(self._graph), refused=refused)
         pose, covariance = compose_uncertain(
             self._graph.poses[-1], self._graph.covariances[-1], *self._since
         )

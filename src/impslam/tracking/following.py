@@ -19,9 +19,10 @@ from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.noise import UNKNOWN
 from impslam.surfaces.features import Features, find_features
-from impslam.surfaces.surface_map import Alignment, Evidence, align, normal_equations
+from impslam.surfaces.surface_map import Alignment, Evidence, align
 from impslam.tracking.algebra import between, invert, turned
 from impslam.tracking.base import Gate, Steps, go, passed
+from impslam.tracking.hypotheses import Prediction, chi2_of, is_steady, reconsider, search
 from impslam.tracking.learned_odometry import LearnedOdometry, correct, learn, variances
 from impslam.tracking.submaps import Submaps, extend, is_empty, oldest
 from impslam.types import Array, Mask
@@ -50,8 +51,6 @@ LOCATED = 0.02
 DEGENERATE = 0.05
 """Share of the information along one axis that is at least along the other: a twentieth of the points
 face along a corridor's axis where it ends in view; fewer are lone points that may be anywhere."""
-HEADINGS, TURN, STEP = 9, 0.06, 0.25
-"""Number of headings, rad between them, and m of the offsets that are tried around each prediction."""
 USUAL = 0.8
 """Inlier share of scans indoors; information falls with its fourth power below: people, bushes, a ramp."""
 RESIDUAL = 0.02
@@ -59,10 +58,6 @@ RESIDUAL = 0.02
 MEMORY = 0.3, 0.2, 0.01
 """Weights of the newest scan in the running means of inlier share, of squared distance, and of the
 time between scans."""
-SEARCH_PRIOR = 0.1
-"""How much the prior counts in the search, relative to a match."""
-
-
 SPEED, RATE = 0.3, 0.6
 """m/s, rad/s: how much the velocity of a robot without odometry changes from scan to scan: half of a
 walking pace, as from 0.2 to 0.5 m/s does equally well."""
@@ -290,16 +285,18 @@ def _find(features: Features, state: State, how: Settings, H: Array, W: Array) -
     match = Alignment(
         how.match.iterations, how.match.wide, how.match.narrow, worth, how.match.step, slack2
     )
-    guess = state.pose.copy()
+    going = state.matched.copy()
+    advance_pose(going, state.velocity)
+    predicted = Prediction(state.pose.copy(), prior, state.matched, going, usual)
     share = align(known, features, state.pose, prior, match, state.evidence)
+    if not is_steady(state.pose, predicted):
+        share = reconsider(known, features, predicted, match, state.pose, state.evidence)
     if state.evidence.sums[3] > 5.0:
         square = state.evidence.sums[2] / state.evidence.sums[3]
         state.means[1] += MEMORY[1] * (square - state.means[1])
     if share < LOST * usual:
-        share = _search(features, share, guess, state, how, prior * SEARCH_PRIOR)
-    ex, ey = state.pose[0] - guess[0], state.pose[1] - guess[1]
-    et = wrap_in_kernel(state.pose[2] - guess[2])
-    chi2 = prior[0] * ex * ex + prior[1] * ey * ey + prior[2] * et * et
+        share = search(known, features, predicted, match, state.pose, state.evidence)
+    chi2 = chi2_of(state.pose, predicted)
     H[:] = worth * state.evidence.H
     W[:] = prior / (1.0 + chi2 / slack2)
     return share
@@ -336,30 +333,3 @@ def _fuse(state: State, how: Settings, guess: Array, H: Array, W: Array, spread:
         state.pose[0] += step[0]
         state.pose[1] += step[1]
         state.pose[2] = wrap_in_kernel(state.pose[2] + step[2])
-
-
-@kernel
-def _search(
-    features: Features, share: float, guess: Array, state: State, how: Settings, prior: Array
-) -> float:
-    """Try poses around odometry's, the last one, and the one at constant velocity; keep a clear best."""
-    known, usual, m = oldest(state.submaps), state.means[0], how.match
-    coarse = Alignment(8, 0.25, 0.1, m.information, max(1, len(features) // 60), m.slack2)
-    fine = Alignment(4, 0.1, m.narrow, m.information, m.step, m.slack2)
-    best, enough = state.pose.copy(), max(share + 0.2, 0.6 * usual, 0.5)
-    going, pose = state.matched.copy(), np.empty(3)
-    advance_pose(going, state.velocity)
-    for start in (guess, state.matched, going):
-        for turn in range(-(HEADINGS // 2), HEADINGS // 2 + 1):
-            for offset in range(5):
-                pose[:] = start
-                pose[2] += turn * TURN
-                pose[0] += STEP * ((offset == 1) - (offset == 2))
-                pose[1] += STEP * ((offset == 3) - (offset == 4))
-                align(known, features, pose, prior, coarse, state.evidence)
-                found = align(known, features, pose, prior, fine, state.evidence)
-                if found > enough:
-                    best[:], enough, share = pose, found, found
-    state.pose[:] = best
-    normal_equations(known, features, state.pose, m.narrow, m.step, state.evidence)
-    return share

@@ -180,15 +180,24 @@ def test_any_number_of_threads_gives_the_same_folder(done, log, tmp_path, thread
 # --------------------------------------------------------------------------- what fails
 
 
-def test_a_graph_without_a_solution_is_named_in_the_summary(log, tmp_path, monkeypatch):
-    def failing(_):
-        raise NumericalError("pose graph: no convergence")
+@pytest.mark.parametrize("solved", [0, 1])
+def test_a_graph_without_a_solution_is_named_in_the_summary(log, tmp_path, monkeypatch, solved):
+    """It has none from the start, or none any more after the first closure, when it is settled."""
+    solve, calls = PoseGraph.solve, []
+
+    def failing(graph):
+        calls.append(graph)
+        if len(calls) > solved:
+            raise NumericalError("pose graph: no convergence")
+        solve(graph)
 
     monkeypatch.setattr(PoseGraph, "solve", failing)
     folder = run(log, tmp_path / "run", *SETTINGS, *DEAD_RECKONED)
     dropped = json.loads((folder / "summary.json").read_text())["dropped"]
-    assert "no loop is closed at" in dropped["keyframe"]["example"]
-    assert "no convergence" in dropped["settled map"]["example"]
+    kind, what = ("settled map", "not in the map") if solved else ("keyframe", "no loop is closed")
+    assert what in dropped[kind]["example"]
+    assert "no convergence" in dropped[kind]["example"]
     path = read_tum(folder / "trajectory.tum")
     assert np.isfinite(path).all()
     assert len(path) == sum(isinstance(m, LaserScan) for m in messages())
+    assert errors(folder, log)[-1] < 0.1 or not solved

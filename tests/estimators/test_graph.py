@@ -23,6 +23,7 @@ from tests.numeric import wrapped
 from tests.recognition.plans import walls
 
 from impslam.errors import NumericalError
+from impslam.estimators.loop_closing import LoopCloser
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.geometry.se2 import compose
 from impslam.types import Observation
@@ -235,6 +236,26 @@ def test_a_graph_without_a_solution_keeps_the_last_one_and_is_named(frames, monk
     assert refused[0].refused == f"no loop is closed at {k:.3f} s: no convergence"
     twin = driven(begun(TRUTH[0], loops=OPEN), frames)
     np.testing.assert_array_equal(refused[0].poses, twin[k].poses)
+    assert errors(made.settle().poses).max() < 0.1  # by the closures that came later
+
+
+def test_a_closure_without_a_solution_spoils_no_later_one(frames, monkeypatch):
+    """A closure that is no number comes first; the true one comes when it comes."""
+    seek, told = LoopCloser.seek, []
+
+    def spoilt(self, node, keys, graph):
+        if len(told) < 1:
+            told.append(graph.close(0, node, np.full(3, np.nan), np.eye(3)))
+            return True
+        return seek(self, node, keys, graph)
+
+    monkeypatch.setattr(LoopCloser, "seek", spoilt)
+    made = begun(TRUTH[0])
+    revisions = driven(made, frames)
+    assert [r.refused for r in revisions if r.refused] == [
+        "no loop is closed at 14.000 s: pose graph: edge 2 is not finite"
+    ]
+    assert len(many(revisions)) >= 1
     assert errors(made.settle().poses).max() < 0.06
 
 

@@ -170,6 +170,26 @@ def test_without_a_solution_the_nodes_stay_where_they_are():
     np.testing.assert_array_equal(graph.covariances, covariances)
 
 
+def test_closures_that_are_taken_back_leave_the_graph_as_it_was():
+    truth = square()
+    graph, twin = (grown(truth, drift=(0.0, 0.0, 0.004)) for _ in "ab")
+    for one in (graph, twin):
+        closed(one, truth, 0, 32)
+    before = graph.edges
+    graph.close(1, 31, np.full(3, np.nan), FIRM)
+    graph.close(2, 30, np.full(3, np.nan), FIRM)
+    graph.take_back(2)
+    assert graph.closures == 1
+    for one in (graph, twin):
+        one.go_on(np.array([1.0, 0.0, 0.0]), Q, 1.0)
+        one.close(1, 33, np.zeros(3), FIRM)
+        one.solve()
+    np.testing.assert_array_equal(graph.poses, twin.poses)
+    np.testing.assert_array_equal(graph.ways(5), twin.ways(5))
+    assert np.isfinite(before.T_i_j).all()
+    assert len(before.i) == 33
+
+
 # --------------------------------------------------------------------------- ways
 
 

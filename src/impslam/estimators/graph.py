@@ -98,11 +98,18 @@ class Graph(Estimator):
         return True
 
     def _close_loops(self) -> bool:
-        """Seek closures of the node before the newest; tell whether the nodes have moved."""
-        node = len(self._graph) - 2
+        """Seek closures of the node before the newest; tell whether the nodes have moved.
+
+        Those that leave the graph without a solution are taken back, or no later one would have any.
+        """
+        node, before = len(self._graph) - 2, self._graph.closures
         if node < 1 or not self._closer.seek(node, self._keys, self._graph):
             return False
-        self._graph.solve()
+        try:
+            self._graph.solve()
+        except NumericalError:
+            self._graph.take_back(self._graph.closures - before)
+            raise
         return True
 
     def _all(self, graph: PoseGraph) -> Revision:

@@ -61,6 +61,13 @@ class PoseGraph:
         d = between(between(self.poses[i], self.poses[j]), T_i_j)
         return bool(math.hypot(d[0], d[1]) > SHIFT[0] or abs(d[2]) > SHIFT[1])
 
+    def take_back(self, closures: int) -> None:
+        """Forget the newest closures, which no motion follows."""
+        for column in (
+            self._i, self._j, self._T_i_j, self._information, self._kernel, self._length,
+        ):  # fmt: skip
+            column.shorten(closures)
+
     def _add(
         self, i: int, j: int, T_i_j: Array, information: Array, kernel2: float, length: float
     ) -> None:

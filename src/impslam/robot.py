@@ -26,7 +26,7 @@ from impslam.streams import Reader, Streams
 from impslam.types import Array, Increment, Ints, Message, Observation
 
 USUAL_TWIST = np.array([0.5, 0.5, 1.0])
-"""m/s, m/s, rad/s, half a walking pace: what is not known of the motion within a sweep without odometry."""
+"""m/s, m/s, rad/s, half a walking pace: what is not known without odometry of the motion within a sweep."""
 
 
 class Robot:
@@ -111,6 +111,8 @@ class Robot:
         It gives the current pose while no sweeps arrive. The state does not change.
         """
         ahead = self._synchroniser.ahead()
+        if not self.odometry.tells_motion:
+            ahead = replace(ahead, covariance=np.diag((USUAL_TWIST * ahead.duration) ** 2))
         return replace(ahead, stamp=ahead.stamp - self._shift)
 
     def look(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:

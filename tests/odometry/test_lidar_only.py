@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 from tests.recorded import Played
-from tests.steps import Steps
+from tests.steps import Steps, feed
 
 from impslam.columns import batches
 from impslam.config import load
 from impslam.errors import SourceError
 from impslam.noise import UNKNOWN
 from impslam.odometry.lidar_only import LidarOnly
-from impslam.run import map_log
+from impslam.run import Run, map_log
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
@@ -101,6 +101,15 @@ def test_covariances_are_those_of_matches_and_of_no_unknown_motion(room, tmp_pat
     for mark in kept.known.landmarks:
         assert np.sqrt(np.diag(mark.covariance)).max() < 0.1
     assert all(np.linalg.eigvalsh(step.covariance)[0] > 0.0 for step in kept.results)
+
+
+def test_the_pose_between_scans_is_as_unsure_as_a_moment_s_drive(room):
+    """What is shown while no scan arrives, from the newest one on: 0.1 s, or 5 cm at 0.5 m/s."""
+    run = Run(load("default", ["odometry.kind=lidar_only", MOUNT]))
+    feed(run, [m for m in room if isinstance(m, LaserScan)][:20])
+    rows = run.dead_reckoned()
+    assert np.sqrt(np.diag(rows.covariances[0])[:2]).max() < 0.15
+    assert run.robot.ahead().covariance[0, 0] == pytest.approx(0.05**2, rel=0.01)
 
 
 # --------------------------------------------------------------------------- without being asked

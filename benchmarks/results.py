@@ -44,6 +44,17 @@ def picture(name: str, folder: Path) -> None:
     print(f"  {target.relative_to(ROOT)}: {size:.0f} kB")
 
 
+def floor_plan(name: str, folder: Path) -> None:
+    """Put a run's grid into the docs, without what a few far beams saw."""
+    grid = Image.open(folder / "map.pgm")
+    rows, columns = np.nonzero(np.asarray(grid) == 0)
+    low = [int(np.percentile(cells, 0.5)) - 40 for cells in (columns, rows)]
+    high = [int(np.percentile(cells, 99.5)) + 40 for cells in (columns, rows)]
+    target = ROOT / "docs" / "images" / f"{name}.png"
+    grid.crop((*low, *high)).save(target, optimize=True)
+    print(f"  {target.relative_to(ROOT)}: {target.stat().st_size / 1e3:.0f} kB")
+
+
 def cm(metres: float) -> str:
     """Return a length in cm."""
     return f"{100 * metres:.1f} cm"
@@ -141,6 +152,13 @@ def lidar_alone(name: str) -> Callable[[Path], str]:
     return job
 
 
+def fr101(data: Path) -> str:
+    """Map a building without truth; its picture tells."""
+    seen = real_logs.run_log(data / "fr101" / "fr101.recovered.log", folder=RUNS / "fr101")
+    floor_plan("fr101", RUNS / "fr101")
+    return f"{len(seen.path)} scans; {seen.speed:.0f} times real time"
+
+
 def car(name: str) -> Callable[[Path], str]:
     """Return the job of a log of the car."""
     job, figures, mark = outdoor.JOBS[name]
@@ -193,6 +211,7 @@ JOBS: dict[str, Callable[[Path], str]] = {
     "fr-hospital": building("fr-hospital"),
     "intel-lidar": lidar_alone("intel"),
     "fr079-lidar": lidar_alone("fr079"),
+    "fr101": fr101,
     "carpark": car("carpark"),
     "victoria-park": car("victoria-park"),
     "ekf": ekf,

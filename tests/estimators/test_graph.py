@@ -25,7 +25,7 @@ from tests.recognition.plans import walls
 from impslam.errors import NumericalError
 from impslam.estimators.loop_closing import LoopCloser
 from impslam.estimators.pose_graph import PoseGraph
-from impslam.geometry.se2 import compose
+from impslam.geometry.se2 import between, compose
 from impslam.types import Observation
 
 TRUTH = way(*LAP, (12.0, 1.25))
@@ -212,6 +212,18 @@ def test_a_room_is_not_taken_for_another_one_that_looks_the_same(apart, loops):
     assert made._graph.closures > 0
     assert errors(newest(revisions), truth).max() < 0.1
     assert errors(made.settle().poses, truth).max() < 0.1
+
+
+@pytest.mark.parametrize("loops", [{}, WIDE], ids=["usual", "wide"])
+def test_no_false_closure_of_a_room_gets_into_the_graph(loops):
+    truth = way((2, 0), (2, 4), (2, 0), (-19, 0), (6.6, 0), (6.6, 4), (6.6, 0), (18, 0))
+    made = begun(truth[0], loops=loops)
+    driven(made, keyframes(two_rooms(4.6), truth))
+    edges, nodes = made._graph.edges, truth[made._keys.nodes]
+    closures = np.isfinite(edges.kernel)
+    i, j = edges.i[closures], edges.j[closures]
+    off = edges.T_i_j[closures] - between(nodes[i], nodes[j])
+    assert np.hypot(off[:, 0], off[:, 1]).max() < 0.5
 
 
 # --------------------------------------------------------------------------- what fails

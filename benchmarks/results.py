@@ -39,7 +39,7 @@ def picture(name: str, folder: Path) -> None:
     image.thumbnail((SIZE, SIZE))
     target = ROOT / "docs" / "images" / f"{name}.png"
     target.parent.mkdir(exist_ok=True)
-    image.quantize(128).save(target, optimize=True)
+    image.quantize(128, Image.Quantize.FASTOCTREE).save(target, optimize=True)
     size = target.stat().st_size / 1e3
     print(f"  {target.relative_to(ROOT)}: {size:.0f} kB")
 

@@ -214,15 +214,27 @@ def test_a_room_is_not_taken_for_another_one_that_looks_the_same(apart, loops):
     assert errors(made.settle().poses, truth).max() < 0.1
 
 
-@pytest.mark.parametrize("loops", [{}, WIDE], ids=["usual", "wide"])
-def test_no_false_closure_of_a_room_gets_into_the_graph(loops):
+LIMIT = pytest.mark.xfail(
+    strict=True,
+    reason="two false closures from one room agree with each other; the robust kernel outvotes them",
+)
+
+
+@pytest.mark.parametrize(
+    ("loops", "clutter"),
+    [({}, 0), ({}, 1), (WIDE, 0), pytest.param(WIDE, 1, marks=LIMIT)],
+)
+def test_no_false_closure_of_a_room_gets_into_the_graph(loops, clutter):
+    """The other room is 4.6 m off; `clutter` is a box 10 m away from both, or none."""
+    plan = np.concatenate([two_rooms(4.6), *[box(-8.0, 0.9, 1.0, 0.3)] * clutter])
     truth = way((2, 0), (2, 4), (2, 0), (-19, 0), (6.6, 0), (6.6, 4), (6.6, 0), (18, 0))
     made = begun(truth[0], loops=loops)
-    driven(made, keyframes(two_rooms(4.6), truth))
+    driven(made, keyframes(plan, truth))
     edges, nodes = made._graph.edges, truth[made._keys.nodes]
     closures = np.isfinite(edges.kernel)
     i, j = edges.i[closures], edges.j[closures]
     off = edges.T_i_j[closures] - between(nodes[i], nodes[j])
+    assert errors(made.settle().poses, truth).max() < 0.1, "the map moved"
     assert np.hypot(off[:, 0], off[:, 1]).max() < 0.5
 
 

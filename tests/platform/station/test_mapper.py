@@ -537,3 +537,18 @@ def test_what_cannot_be_compiled_apart_is_compiled_in_place(monkeypatch, caplog)
         warm.warm_up(load("imp"))
     assert len(done) == 1
     assert "in place" in caplog.text
+
+
+def test_a_rehearsal_closes_loops_and_settles(monkeypatch):
+    """Or the first loop that a robot closes would wait for the compiler."""
+    made = []
+
+    class Kept(warm.Run):
+        def __init__(self, config):
+            super().__init__(config)
+            made.append(self)
+
+    monkeypatch.setattr(warm, "Run", Kept)
+    warm.rehearse(load("imp", ["tracker.kind=scan_to_map", "estimator.kind=graph"]))
+    assert made[0].estimator.counts()["loops closed"] > 0
+    assert "settle" in made[0].clock.stages

@@ -27,10 +27,7 @@ from impslam.types import Array, Ints
 REFERENCE_CELL, QUERY_CELL = 0.05, 0.1  # m: surfels of the map, and points enough to search with
 QUERY_REACH = 15.0  # m: farther points are sparse
 REFERENCE_REACH = 19.0  # m: what the query can see from the edge of the window
-REFERENCE_WAY, REFERENCE_RADIUS = (
-    8.0,
-    7.0,
-)  # m along the graph and straight: a room around the candidate
+REFERENCE_WAY, REFERENCE_RADIUS = 8.0, 7.0  # m along the graph, and straight: a room around
 MOST_REFERENCES = 24  # keyframes; more repeat what these have seen
 FEWEST_REFERENCES = 4
 AFRESH = 6.0  # m of way: keyframes closer than this along the drive are of the same pass

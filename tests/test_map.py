@@ -124,6 +124,14 @@ def test_blending_changes_nothing_where_keyframes_did_not_move_against_each_othe
     np.testing.assert_allclose(builder.blended(moved).path(), moved.path(), atol=1e-12)
 
 
+def test_sweeps_before_a_motion_that_is_not_finite_stay_with_their_keyframe():
+    builder, _ = driven()
+    motion = Increment(3.0, np.full(3, np.nan), EYE, 1.0)
+    builder.revise(replace(keyframe(3), motion=motion), revision([3], [ZERO]))
+    known = builder.map(())
+    np.testing.assert_allclose(builder.blended(known).path(), known.path(), atol=1e-12)
+
+
 def test_blended_sweeps_leave_no_step_before_a_keyframe():
     builder, poses = driven(turn=0.0)
     shift = np.array([0.0, 0.1, 0.0])

@@ -108,8 +108,10 @@ class MapBuilder:
         poses, before, T = known.keyframes.poses, known.anchors, known.T_anchor_base
         after = np.minimum(before + 1, len(poses) - 1)
         T_after = between(self._motions.array[after], T)
+        told = (after > before) & np.isfinite(T_after).all(axis=1)
+        T_after = np.where(told[:, None], T_after, 0.0)
         way, ahead = (np.hypot(d[:, 0], d[:, 1]) + TURN * np.abs(d[:, 2]) for d in (T, T_after))
-        share = np.where(after > before, way / np.maximum(way + ahead, 1e-9), 0.0)
+        share = np.where(told, way / np.maximum(way + ahead, 1e-9), 0.0)
         step = between(compose(poses[before], T), compose(poses[after], T_after))
         return replace(known, T_anchor_base=compose(T, share[:, None] * step))
 

@@ -1,7 +1,7 @@
 """Maps of recorded buildings: how right, how fast, and which loops were closed.
 
-    python benchmarks/buildings.py --data ../shared/data            # tables, in Markdown
-    python benchmarks/buildings.py --data ../shared/data intel      # only this log
+    python -m benchmarks.buildings --data ../shared/data            # tables, in Markdown
+    python -m benchmarks.buildings --data ../shared/data intel      # only this log
 
 Errors are those of relations that people measured (Kümmerle et al. 2009); local ones span 60 s at most.
 A loop closure is false if the poses as settled at the end differ from it by more than 0.5 m or 5

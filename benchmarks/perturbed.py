@@ -155,7 +155,11 @@ def plot(found: Sequence[Outcome], path: Path) -> None:
         x = np.array([o.factor for o in mine]) * 1.04 ** (2 * color - 1)
         error.plot(x, [o.mean for o in mine], ".", color=f"C{color}", alpha=0.5, label=name)
     share.set(xscale="log", ylabel=f"runs with a relation off by > {WRONG} m, %", ylim=(-3, 103))
-    error.set(xscale="log", yscale="log", ylabel="mean relation error of a run, m")
+    error.set(
+        xscale="log",
+        ylim=(0.0, 1.1 * max(o.mean for o in found)),
+        ylabel="mean relation error of a run, m",
+    )
     for axes in (share, error):
         axes.set_xlabel("factor on the errors added to odometry")
         ticks = sorted({o.factor for o in found})

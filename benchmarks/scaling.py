@@ -3,8 +3,8 @@
     python -m benchmarks.scaling --data ../shared/data           # Intel driven 1, 2, 4 and 8 times
 
 The log is driven forth and back by turns; on the way back scans come in the reverse order, and odometry
-goes on from where it was. So the robot is always in the same building. Times are of one core's CPU,
-of a second run in one process; memory is the most that each length takes in a process of its own.
+goes on from where it was. So the robot is always in the same building. Each length has a
+process of its own; times are of its CPU, loading of kernels included, reading of the log not.
 """
 
 from __future__ import annotations

@@ -8,9 +8,9 @@ import pytest
 from tests.extractors.scans import cast, room, with_ranges
 from tests.tracking.sweeps import motions_of, steps, sweeps_of
 
+from impslam.geometry.algebra import invert, solve
 from impslam.geometry.se2 import between, compose
 from impslam.noise import UNKNOWN, MotionNoise
-from impslam.tracking.algebra import invert, solve
 from impslam.tracking.base import KeyframeGate
 from impslam.tracking.learned_odometry import START
 from impslam.tracking.scan_to_map import ScanToMap

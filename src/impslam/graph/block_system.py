@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.geometry.algebra import turned
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Mask
 
@@ -70,13 +71,7 @@ def add_relative(system: BlockSystem, row: int, poses: Array, H: Array, g: Array
     i, j, fixed = system.i[row], system.j[row], system.fixed
     c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
     dx, dy = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]
-    M = np.empty((3, 3))
-    M[0, 0] = c * c * H[0, 0] - 2.0 * c * s * H[0, 1] + s * s * H[1, 1]
-    M[1, 1] = s * s * H[0, 0] + 2.0 * c * s * H[0, 1] + c * c * H[1, 1]
-    M[0, 1] = M[1, 0] = c * s * (H[0, 0] - H[1, 1]) + (c * c - s * s) * H[0, 1]
-    M[0, 2] = M[2, 0] = c * H[0, 2] - s * H[1, 2]
-    M[1, 2] = M[2, 1] = s * H[0, 2] + c * H[1, 2]
-    M[2, 2] = H[2, 2]
+    M = turned(H, poses[i, 2])
     u, v = c * g[0] - s * g[1], s * g[0] + c * g[1]
     block = system.off[row]
     for a in range(3):

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.errors import ShapeError
+from impslam.geometry.algebra import between as between_in_kernel
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel, plain
 from impslam.geometry.se2 import between
@@ -176,7 +177,7 @@ def linearise(
     clear_system(system)
     for row in range(len(system.i)):
         i, j = system.i[row], system.j[row]
-        _between(poses[i], poses[j], d)
+        between_in_kernel(poses[i], poses[j], d)
         if row < pairs:
             H = done.information[row]
             found = lay(fans, i, j, d, limits, H, g)
@@ -190,14 +191,6 @@ def linearise(
             H = W
             _weigh(edges, row - pairs, d, H, g)
         add_relative(system, row, poses, H, g)
-
-
-@kernel
-def _between(T_a_b: Array, T_a_c: Array, T_b_c: Array) -> None:
-    c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
-    x, y = T_a_c[0] - T_a_b[0], T_a_c[1] - T_a_b[1]
-    T_b_c[0], T_b_c[1] = c * x + s * y, c * y - s * x
-    T_b_c[2] = wrap_in_kernel(T_a_c[2] - T_a_b[2])
 
 
 @kernel

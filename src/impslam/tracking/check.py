@@ -7,8 +7,8 @@ cannot bind it. Over a few seconds the two motions must agree: their difference 
 odometry and of matching, and d^T S^-1 d is chi-square distributed with three degrees of freedom
 (Bar-Shalom et al. 2001, ch. 5.4). Only odometry that lacks motion, or tells of a turn that the scans do not
 show, is tested. Beyond the gate the scans' motion replaces odometry's, from the beginning of those seconds
-on. A tracker that matches scans itself gets odometry's motion with a wide covariance instead. A robot that
-stands is not contradicted, so that its covariance does not grow.
+on. A robot that stands is not contradicted, so that its covariance does not grow. Trackers that match scans
+themselves have no use for this.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.columns import Motions
+from impslam.geometry.algebra import between, solve, turned
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
-from impslam.tracking.algebra import between, solve, turned
 from impslam.tracking.local_map import LocalMap, empty_map
 from impslam.tracking.matching import UNSOLVED, Settings, match
 from impslam.tracking.surfels import Surfels, thin
@@ -117,14 +117,12 @@ class Pending(NamedTuple):
 class OdometryCheck:
     """Compares odometry with scans; the motion that it returns is odometry's while they agree.
 
-    Where they do not, it is the scans' with `follow`; without, it is still odometry's, so unsure that
-    a tracker which matches scans itself finds the motion from there.
+    Where they do not, it is the scans'.
     """
 
     spacing = SETTINGS.spacing
 
-    def __init__(self, *, follow: bool = True) -> None:
-        self._follow = follow
+    def __init__(self) -> None:
         matched, odometry, used = (np.zeros((MOST, 3)) for _ in range(3))
         spread, ring = np.zeros((MOST, 3, 3)), np.zeros(2, np.int64)
         self._places = Places(np.zeros(MOST), matched, odometry, used, spread, ring)
@@ -139,9 +137,7 @@ class OdometryCheck:
         taken = motions._replace(d_pose=d_pose, covariance=covariance)
         return Checked(
             taken,
-            _check(
-                taken, surfels, self._known, SETTINGS, self._places, self._pending, self._follow
-            ),
+            _check(taken, surfels, self._known, SETTINGS, self._places, self._pending),
         )
 
 
@@ -153,7 +149,6 @@ def _check(
     settings: Settings,
     places: Places,
     pending: Pending,
-    follow: bool,
 ) -> Mask:
     """Change in place the motions that the scans contradict; return which these are, (m,)."""
     stamps, d_pose, covariance, _ = motions
@@ -173,10 +168,8 @@ def _check(
         _widen(wide, pending.clock[0])
         if match(motion, wide, points, known, settings) != UNSOLVED:
             out[k] = _contradicted(before, motion, wide, places, pending)
-            if out[k] and follow:
+            if out[k]:
                 _instead(d_pose[k], covariance[k], before, motion, wide, places)
-            elif out[k]:
-                _widen(covariance[k], pending.clock[0])
             advance_pose(places.used[(places.ring[1] - 1) % MOST], d_pose[k])
         pending.doubt[0] = out[k]
         pending.pose[:], pending.covariance[:], pending.clock[0] = 0.0, 0.0, 0.0

@@ -14,13 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.columns import Motions
+from impslam.geometry.algebra import between, invert, turned
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.noise import UNKNOWN
 from impslam.surfaces.features import Features, find_features
 from impslam.surfaces.surface_map import Alignment, Evidence, align
-from impslam.tracking.algebra import between, invert, turned
 from impslam.tracking.base import Gate, Steps, go, passed
 from impslam.tracking.hypotheses import Prediction, chi2_of, is_steady, reconsider, search
 from impslam.tracking.learned_odometry import LearnedOdometry, correct, learn, variances

@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.geometry.algebra import between
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import Alignment, Evidence, SurfaceMap, align, normal_equations
-from impslam.tracking.algebra import between
 from impslam.types import Array
 
 STEADY = (0.1, 0.2)

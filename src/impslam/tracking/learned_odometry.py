@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.geometry.algebra import between
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel
-from impslam.tracking.algebra import between
 from impslam.types import Array
 
 SEGMENT = 2.0

@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.geometry.algebra import between, invert, solve, turned
 from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel
-from impslam.tracking.algebra import between, invert, solve, turned
 from impslam.tracking.local_map import LocalMap, add, nearest, size
 from impslam.types import Array, Ints
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
-from impslam.types import Array
+
+Array = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 
 
 @kernel

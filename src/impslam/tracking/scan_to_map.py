@@ -39,7 +39,11 @@ class ScanToMap(Tracker):
     narrow: float = parameter(0.06, "m", "and in the end: three times a lidar's noise", gt=0, le=2)
     iterations: int = parameter(14, "1", "linearisations at most", ge=1, le=100)
     reach: float = parameter(
-        50.0, "m", "points farther from the robot are not matched", gt=1, le=200
+        50.0,
+        "m",
+        "submaps reach so far around the robot; what lies beyond is left out",
+        gt=1,
+        le=200,
     )
     length: float = parameter(
         12.0, "m", "way that a submap lasts for: a few rooms, and drift of a few cm", gt=0

@@ -10,18 +10,17 @@ import numpy as np
 
 from impslam.errors import ImpError
 from impslam.evaluation.landmark_files import TRUE_LANDMARKS, write_true_landmarks
-from impslam.evaluation.tum import PATH_COLUMNS, TRUTH, write_tum
-from impslam.graph.g2o import G2o, write_g2o
-from impslam.map import UPPER, Map
-from impslam.maps.files import map_image, write_landmarks, write_map
+from impslam.evaluation.tum import TRUTH, write_tum
+from impslam.map import Map
+from impslam.maps.files import map_image
 from impslam.observers.base import Outcome
 from impslam.observers.history import History
+from impslam.observers.map_files import write_map_files
 from impslam.observers.report import write_report
 from impslam.observers.summary import config_toml, summarise
 from impslam.observers.trajectory import LIVE
 from impslam.types import Array, TrueLandmark
 
-GRAPH = "graph.g2o"
 NO_TRUTH = np.empty((0, 4))
 
 
@@ -77,19 +76,14 @@ def write_end(
 ) -> None:
     """Write the files that are not written while the robot drives; see `write_run`."""
     history, grid = History(known, true_path), known.grid(outcome.config["grid"]["resolution"])
+    image, refused = map_image(grid), grid.refused
+    del grid  # its memory serves the picture
     try:
-        write_tum(folder / "trajectory.tum", history.path)
+        write_map_files(folder, known, image)
         write_tum(folder / "odometry.tum", history.odometry)
-        _write_table(folder / "trajectory.csv", history)
-        write_landmarks(folder / "landmarks.csv", known.landmarks)
         if true_landmarks:
             write_true_landmarks(folder / TRUE_LANDMARKS, true_landmarks)
         known.save(folder / "map.imp")
-        if len(known.edges.i):
-            write_g2o(folder / GRAPH, _graph(known))
-        image, refused = map_image(grid), grid.refused
-        del grid  # its memory serves the picture
-        write_map(folder, image)
         facts = summarise(outcome, history, refused)
         text = json.dumps(facts, indent=2, ensure_ascii=False) + "\n"
         (folder / "summary.json").write_text(text, encoding="utf-8")
@@ -99,27 +93,5 @@ def write_end(
         raise _unwritable(folder, error) from None
 
 
-def _graph(known: Map) -> G2o:
-    """Return the graph of the keyframes that have edges, with their final poses and their ids."""
-    edges = known.edges
-    ids, ends = np.unique(np.concatenate([edges.i, edges.j]), return_inverse=True)
-    i, j = ends.reshape(2, -1)
-    first = np.zeros(1, np.int64)  # where the map lies is not measured
-    return G2o(ids, known.keyframes.poses[ids], edges._replace(i=i, j=j), first)
-
-
 def _unwritable(folder: Path, error: OSError) -> ImpError:
     return ImpError(f"{folder}: cannot be written ({error.strerror}); choose another")
-
-
-_ROW = "%.9f,%.9f,%.9f,%.9f" + 6 * ",%.9e" + "\n"
-
-
-def _write_table(path: Path, history: History) -> None:
-    spread = history.covariances[:, UPPER[0], UPPER[1]]
-    values = np.column_stack((history.path, spread))
-    with path.open("w", encoding="utf-8") as stream:
-        stream.write(PATH_COLUMNS + "\n")
-        for begin in range(0, len(values), 1000):  # a Python number takes four times its own size
-            rows = values[begin : begin + 1000]
-            stream.write(_ROW * len(rows) % tuple(rows.ravel().tolist()))

@@ -1,0 +1,51 @@
+"""Writes what other programs read of a map: grid, pose graph, landmarks and path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from impslam.evaluation.tum import PATH_COLUMNS, write_tum
+from impslam.graph.g2o import G2o, write_g2o
+from impslam.map import UPPER, Map, PathRows
+from impslam.maps.files import MapImage, write_landmarks, write_map
+
+GRAPH = "graph.g2o"
+MAP_FILES = frozenset(
+    {"trajectory.tum", "trajectory.csv", "landmarks.csv", "map.pgm", "map.yaml", GRAPH}
+)
+"""What is written; the graph only where the map has one."""
+
+
+def write_map_files(folder: Path, known: Map, image: MapImage) -> None:
+    """Write `MAP_FILES` into a folder, which exists; `image` is the map's grid."""
+    rows = known.rows()
+    write_tum(folder / "trajectory.tum", np.column_stack((rows.stamps, rows.poses)))
+    _write_table(folder / "trajectory.csv", rows)
+    write_landmarks(folder / "landmarks.csv", known.landmarks)
+    if len(known.edges.i):
+        write_g2o(folder / GRAPH, _graph(known))
+    write_map(folder, image)
+
+
+def _graph(known: Map) -> G2o:
+    """Return the graph of the keyframes that have edges, with their final poses and their ids."""
+    edges = known.edges
+    ids, ends = np.unique(np.concatenate([edges.i, edges.j]), return_inverse=True)
+    i, j = ends.reshape(2, -1)
+    first = np.zeros(1, np.int64)  # where the map lies is not measured
+    return G2o(ids, known.keyframes.poses[ids], edges._replace(i=i, j=j), first)
+
+
+_ROW = "%.9f,%.9f,%.9f,%.9f" + 6 * ",%.9e" + "\n"
+
+
+def _write_table(path: Path, rows: PathRows) -> None:
+    spread = rows.covariances[:, UPPER[0], UPPER[1]]
+    values = np.column_stack((rows.stamps, rows.poses, spread))
+    with path.open("w", encoding="utf-8") as stream:
+        stream.write(PATH_COLUMNS + "\n")
+        for begin in range(0, len(values), 1000):  # a Python number takes four times its own size
+            some = values[begin : begin + 1000]
+            stream.write(_ROW * len(some) % tuple(some.ravel().tolist()))

@@ -15,11 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from impslam.columns import Sweeps
+from impslam.errors import ImpError
 from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import compose, inverse
 from impslam.maps import archive
+from impslam.maps.direction import Direction, main_direction
 from impslam.maps.grid import OccupancyGrid, PlacedScans
+from impslam.maps.moving import moved_covariances, moved_landmark
 from impslam.types import (
     NO_EDGES,
     Array,
@@ -264,6 +267,58 @@ class Map:
         grid = OccupancyGrid(resolution)
         self.keyframes.draw(grid)
         return grid
+
+    def moved(self, T: Array) -> Map:
+        """Return the map after a rigid motion T (3,): what stood at p stands at T p.
+
+        Tracks, edges and scans are relative, and stay as they are.
+        """
+        at = self.keyframes
+        keyframes = replace(
+            at, poses=compose(T, at.poses), covariances=moved_covariances(T, at.covariances)
+        )
+        return replace(
+            self,
+            keyframes=keyframes,
+            landmarks=tuple(moved_landmark(T, landmark) for landmark in self.landmarks),
+            odometry_poses=compose(T, self.odometry_poses),
+            live_poses=compose(T, self.live_poses),
+        )
+
+    def direction(self) -> Direction:
+        """Return the main direction of the walls, and how clear it is."""
+        return main_direction(self.keyframes.poses, self.keyframes.starts, self.keyframes.points)
+
+    def straightened(self) -> Map:
+        """Return the map turned about its origin, by 45 degrees at most, with walls along the axes.
+
+        Raises
+        ------
+        ImpError
+            If the walls have no main direction.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import impslam
+        >>> bearings = np.radians(np.arange(-180, 180))
+        >>> ahead = bearings - 0.3  # a square room, seen by a robot that stands askew in it
+        >>> ranges = 2.0 / np.maximum(abs(np.cos(ahead)), abs(np.sin(ahead)))
+        >>> slam = impslam.Slam("default")
+        >>> slam.add_odometry(0.0, [0.0, 0.0, 0.0])
+        >>> slam.add_scans(0.0, ranges, bearings)
+        >>> known = slam.finish()
+        >>> round(known.direction().angle, 3), round(known.straightened().direction().angle, 3)
+        (0.3, 0.0)
+        """
+        direction = self.direction()
+        if not direction.is_clear:
+            raise ImpError(
+                f"the walls have no main direction: {100 * direction.share:.0f} % of their length "
+                f"point one way and {100 * direction.rival:.0f} % another, within 5 degrees; "
+                "straighten maps of rectangular buildings"
+            )
+        return self.moved(np.array([0.0, 0.0, -direction.angle]))
 
     def save(self, path: str | Path) -> Path:
         """Write the map to one file, completely or not at all, and return its path.

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from impslam.cli.app import COMMANDS
+from impslam.cli.map import COMMANDS as MAP_COMMANDS
 
 CODE = (
     "import json, sys; from impslam.cli import main; code = main(sys.argv[1:]);"
@@ -28,7 +29,7 @@ def imported(*words: object) -> set[str]:
     return set(modules)
 
 
-@pytest.mark.parametrize("command", ["", *COMMANDS])
+@pytest.mark.parametrize("command", ["", *COMMANDS, *(f"map {name}" for name in MAP_COMMANDS)])
 def test_help_waits_for_nothing(command: str) -> None:
     assert imported(*command.split(), "--help") & SLOW == set()
 

@@ -23,6 +23,7 @@ COMMANDS = {
     "evaluate": ("evaluate:evaluate", "Score runs against the truth or measured relations."),
     "reproduce": ("reproduce:reproduce", "Run the thesis's experiments: its tables and figures."),
     "robot": ("robot:app", "Drive, record and map from a page that the robot serves."),
+    "map": ("map:app", "Look into maps, straighten, compare, join and export them."),
     "inspect": ("inspect:inspect", "Print what is in a log, and what is wrong with it."),
     "list": ("list:list_components", "Print the components of each role and their parameters."),
     "config": ("config:config", "Print every parameter of a preset or file, as TOML."),

@@ -129,7 +129,7 @@ def _keys(scene: Scene) -> list[Key]:
     kinds = {mark.end_points is None for mark in scene.landmarks}
     entries = [
         (True, Key("SLAM", PATH, 4.0)),
-        (True, Key("odometry alone", ODOMETRY, 3.0)),
+        (len(scene.odometry) > 0, Key("odometry alone", ODOMETRY, 3.0)),
         (len(scene.truth) > 0, Key("truth", TRUTH, 3.0)),
         (False in kinds, Key("wall", WALL, 8.0)),
         (True in kinds, Key("point, 3 sigma", POINT, 2.0, 9.0 * CIRCLE)),

@@ -1,0 +1,23 @@
+"""`imp map`: what can be done with a map's file."""
+
+from __future__ import annotations
+
+from cyclopts import App
+
+COMMANDS = {
+    "info": ("Print what a map holds, and draw it.", "office.imp"),
+    "straighten": (
+        "Turn a map, by 45° at most, so that its walls are along the axes.",
+        "office.imp -o straight.imp",
+    ),
+    "export": (
+        "Write a map's grid, graph, landmarks and path as files for other programs.",
+        "office.imp -o office",
+    ),
+}
+"""What each command does, and an example; NAME is the function in `map_NAME`, imported when called."""
+
+app = App(name="map", help="Look into maps, straighten, compare, join and export them.")
+for _name, (_sentence, _example) in COMMANDS.items():
+    _help = f"{_sentence}\n\nExample: imp map {_name} {_example}"
+    app.command(f"impslam.cli.map_{_name}:{_name}", name=_name, help=_help)

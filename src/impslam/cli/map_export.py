@@ -1,0 +1,70 @@
+"""`imp map export`: a map as files for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from impslam.cli import console
+from impslam.cli.console import Common
+
+
+def export(
+    file: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    resolution: float = 0.05,
+    common: Common | None = None,
+) -> None:
+    """Write a map's grid, graph, landmarks and path as files.
+
+    `map.pgm` and `map.yaml` for map_server, `graph.g2o`, `landmarks.csv`, `trajectory.tum` and
+    `trajectory.csv`.
+
+    Parameters
+    ----------
+    file
+        A map, as `imp run` writes it.
+    output
+        A new or an empty folder, or one that holds nothing but an export.
+    resolution
+        Side of a cell of the grid, m.
+    """
+    from impslam.cli.map_work import working
+    from impslam.errors import ImpError
+    from impslam.map import Map
+    from impslam.maps.files import map_image
+    from impslam.observers.map_files import write_map_files
+
+    quiet = common is not None and common.quiet
+    with working("exporting", quiet):
+        known = Map.load(file)
+        image = map_image(known.grid(resolution))
+        try:
+            _make(output)
+            write_map_files(output, known, image)
+        except OSError as error:
+            raise ImpError(
+                f"{output}: cannot be written ({error.strerror}); give another -o"
+            ) from None
+    if not quiet:
+        for path in sorted(output.iterdir()):
+            console.say(str(path))
+
+
+def _make(folder: Path) -> None:
+    """Make the folder, or empty it of an earlier export."""
+    from impslam.errors import ConfigError
+    from impslam.observers.map_files import MAP_FILES
+
+    folder.mkdir(parents=True, exist_ok=True)
+    there = {path.name for path in folder.iterdir()}
+    if strange := there - MAP_FILES:
+        raise ConfigError(
+            f"{folder}: holds {min(strange)!r}, which is no export; give -o a new or an empty folder"
+        )
+    for name in there:
+        (folder / name).unlink()

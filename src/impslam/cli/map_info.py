@@ -1,0 +1,93 @@
+"""`imp map info`: what a map holds."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from impslam.cli import console
+from impslam.cli.console import Common
+
+if TYPE_CHECKING:
+    from impslam.maps.facts import MapFacts
+
+
+def info(
+    file: Path,
+    /,
+    *,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    json: Path | None = None,
+    common: Common | None = None,
+) -> None:
+    """Print what a map holds, and draw it.
+
+    Parameters
+    ----------
+    file
+        A map, as `imp run` writes it.
+    output
+        The picture, a PNG file. Default: beside the map, with its name.
+    json
+        Write all numbers: a JSON file.
+    """
+    from impslam.cli.comparison_json import write_json
+    from impslam.cli.map_work import picture_path, working, write_picture
+    from impslam.map import Map
+    from impslam.maps.facts import facts
+    from impslam.maps.files import map_image
+
+    quiet = common is not None and common.quiet
+    picture = picture_path(file, output)
+    with working("reading the map", quiet):
+        known = Map.load(file)
+    with working("drawing the map", quiet):
+        image = map_image(known.grid())
+        found = facts(known, image, time.time())
+        write_picture(picture, known, image)
+    if not quiet:
+        console.say(f"{file}:")
+        console.show_facts({**_rows(found), "picture": str(picture)})
+    if json is not None:
+        write_json(json, asdict(found))
+
+
+def _rows(found: MapFacts) -> dict[str, str]:
+    """Return the facts as people read them."""
+    left, right, bottom, top = found.extent
+    marks = ", ".join(f"{n} {kind}" for kind, n in found.landmarks.items()) or "none"
+    graph = f"{found.motions} motions, {found.closures} closures" if found.motions else "none"
+    return {
+        "made from": ", ".join(found.logs) or "not told",
+        "age": _age(found),
+        "path": f"{found.path:.1f} m, {found.scans} scans, {found.keyframes} keyframes",
+        "graph": graph,
+        "landmarks": marks,
+        "area": f"{found.free:.0f} m² free",
+        "extent": f"{right - left:.1f} x {top - bottom:.1f} m, x {left:.1f} to {right:.1f}, "
+        f"y {bottom:.1f} to {top:.1f}",
+        "walls": _walls(found),
+    }
+
+
+def _age(found: MapFacts) -> str:
+    if math.isnan(found.age):
+        return "not told: the log's stamps are no Unix time"
+    last = datetime.fromtimestamp(found.last, UTC)
+    days = found.age / 86400.0
+    ago = f"{days:.0f} days" if days >= 2.0 else f"{24.0 * days:.1f} hours"
+    return f"{ago}, last scan {last:%Y-%m-%d %H:%M} UTC"
+
+
+def _walls(found: MapFacts) -> str:
+    direction = found.direction
+    if not direction.is_clear:
+        return "no main direction"
+    degrees = math.degrees(direction.angle)
+    return f"{100 * direction.share:.0f} % within 5° of {degrees:+.1f}° and its right angle"

@@ -1,0 +1,76 @@
+"""What a map holds, in figures."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+
+from impslam.map import Map
+from impslam.maps.direction import Direction
+from impslam.maps.files import FREE, MapImage
+
+CLOCK = datetime(1990, 1, 1, tzinfo=UTC).timestamp()
+"""s: stamps before this are not Unix time, but count from a robot's start."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapFacts:
+    """The figures of a map.
+
+    Attributes
+    ----------
+    logs : names of the logs that it was made from
+    scans, keyframes : their number
+    path : m, way of the robot
+    motions, closures : edges of the pose graph
+    landmarks : number by kind
+    extent : m, left, right, bottom and top of what is known
+    free : m^2, the floor that was seen to be free
+    first, last : s, the first and the last stamp
+    age : s since the last stamp; NaN where stamps are no Unix time
+    direction : of the walls
+    """
+
+    logs: tuple[str, ...]
+    scans: int
+    keyframes: int
+    path: float
+    motions: int
+    closures: int
+    landmarks: dict[str, int]
+    extent: tuple[float, float, float, float]
+    free: float
+    first: float
+    last: float
+    age: float
+    direction: Direction
+
+
+def facts(known: Map, image: MapImage, now: float) -> MapFacts:
+    """Return the figures of a map; `image` is its grid, `now` the Unix time, s."""
+    steps = np.diff(known.path()[:, 1:3], axis=0)
+    closures = int(np.isfinite(known.edges.kernel).sum())
+    first, last = (
+        (float(known.stamps.min()), float(known.stamps.max()))
+        if len(known.stamps)
+        else (math.nan, math.nan)
+    )
+    return MapFacts(
+        logs=tuple(filter(None, [known.about.get("log")])),
+        scans=len(known.stamps),
+        keyframes=len(known.keyframes),
+        path=float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
+        motions=len(known.edges.i) - closures,
+        closures=closures,
+        landmarks=dict(sorted(Counter(mark.kind for mark in known.landmarks).items())),
+        extent=image.extent,
+        free=float((image.pixels == FREE).sum()) * image.resolution**2,
+        first=first,
+        last=last,
+        age=now - last if last > CLOCK else math.nan,
+        direction=known.direction(),
+    )

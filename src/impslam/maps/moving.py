@@ -1,0 +1,56 @@
+"""A map seen from another frame: its poses, their covariances, and its landmarks.
+
+Errors are additive on [x, y, theta] in map, so a motion T = [t, phi] of the map turns a covariance by
+J = diag(R(phi), 1), whatever t is. What is relative (tracks, edges, scans) stays.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from impslam.geometry.angles import wrap
+from impslam.geometry.se2 import rotation, transform
+from impslam.types import Array, Landmark
+
+
+def moved_covariances(T: Array, covariances: Array) -> Array:
+    """Return covariances (..., 3, 3) of poses after the map has moved by T (3,)."""
+    J = np.eye(3)
+    J[:2, :2] = rotation(float(T[2]))
+    return np.asarray(J @ covariances @ J.T)
+
+
+def moved_landmark(T: Array, landmark: Landmark) -> Landmark:
+    """Return a landmark after the map has moved by T (3,).
+
+    A line is one that has r and alpha as parameters; anything else is a point, with the covariance of
+    its x and y.
+    """
+    ends = None if landmark.end_points is None else transform(T, landmark.end_points)
+    values, J = dict(landmark.parameters), rotation(float(T[2]))
+    position = transform(T, landmark.position)
+    if "r" in values and "alpha" in values:
+        values["r"], values["alpha"], J = _moved_line(T, values["r"], values["alpha"])
+        position = values["r"] * np.array([math.cos(values["alpha"]), math.sin(values["alpha"])])
+    values |= dict(zip(("x", "y"), position.tolist(), strict=True)) if "x" in values else {}
+    covariance = J @ landmark.covariance @ J.T
+    return replace(
+        landmark, position=position, parameters=values, covariance=covariance, end_points=ends
+    )
+
+
+def _moved_line(T: Array, r: float, alpha: float) -> tuple[float, float, Array]:
+    """Return r >= 0 and alpha of the line after T, and their Jacobian (2, 2) by those before.
+
+    The line {p : p . n(alpha) = r} becomes p . n(a) = r + t . n(a) with a = alpha + phi.
+    """
+    turned = alpha + float(T[2])
+    c, s = math.cos(turned), math.sin(turned)
+    distance = r + c * float(T[0]) + s * float(T[1])
+    sign = -1.0 if distance < 0.0 else 1.0
+    lever = c * float(T[1]) - s * float(T[0])
+    by_before = np.array([[sign, sign * lever], [0.0, 1.0]])
+    return sign * distance, wrap(turned + (math.pi if sign < 0.0 else 0.0)), by_before

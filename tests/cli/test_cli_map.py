@@ -1,0 +1,128 @@
+"""`imp map`: commands on a map's file, with good input and bad."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.maps.drawn import mapped
+from tests.recognition.plans import OFFICE, way
+
+from impslam.cli.map import COMMANDS
+from impslam.evaluation.tum import read_tum
+from impslam.graph.g2o import read_g2o
+from impslam.map import Map
+from impslam.maps.files import read_map
+
+
+@pytest.fixture(scope="module")
+def office(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of an office's map, askew by 0.2 rad."""
+    folder = tmp_path_factory.mktemp("office")
+    return mapped(OFFICE, way(-6.0, -0.5, 6.0, 0.2, 20), T=(1.0, 2.0, 0.2)).save(folder / "a.imp")
+
+
+def test_info_prints_the_facts_and_draws_the_map(imp, office, tmp_path) -> None:
+    said = imp("map", "info", office, "--json", tmp_path / "facts.json")
+    assert said.code == 0, said.err
+    assert "40 scans, 20 keyframes" in said.out
+    assert "99 % within 5° of +11." in said.out
+    assert "drawn" in said.out
+    assert office.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    facts = json.loads((tmp_path / "facts.json").read_text())
+    assert facts["motions"] == 19
+    assert facts["closures"] == 0
+    assert facts["age"] is None  # its stamps are no Unix time
+    assert 40.0 < facts["free"] < 190.0
+
+
+def test_info_draws_where_it_is_told(imp, office, tmp_path) -> None:
+    assert imp("map", "info", office, "-o", tmp_path / "b.png", "--quiet").out == ""
+    assert (tmp_path / "b.png").exists()
+
+
+def test_straighten_turns_the_map(imp, office, tmp_path) -> None:
+    said = imp("map", "straighten", office, "-o", tmp_path / "straight.imp")
+    assert said.code == 0, said.err
+    assert "turned by  -11.4" in said.out or "turned by  -11.5" in said.out
+    straight = Map.load(tmp_path / "straight.imp")
+    assert abs(straight.direction().angle) < 1e-3
+
+
+def test_export_writes_what_other_programs_read(imp, office, tmp_path) -> None:
+    folder = tmp_path / "out"
+    for resolution in ("0.05", "0.1"):  # the second time over the first
+        said = imp("map", "export", office, "-o", folder, "--resolution", resolution)
+        assert said.code == 0, said.err
+        assert str(folder / "map.pgm") in said.out
+    known = Map.load(office)
+    np.testing.assert_allclose(read_tum(folder / "trajectory.tum"), known.path(), atol=1e-6)
+    assert len(read_g2o(folder / "graph.g2o").edges.i) == 19
+    assert read_map(folder / "map.yaml").resolution == 0.1
+
+
+ROUND = np.stack([4.0 * np.column_stack([np.cos(t), np.sin(t)]) for t in (
+    2.0 * np.pi * np.arange(60) / 60, 2.0 * np.pi * np.arange(1, 61) / 60)], axis=1)  # fmt: skip
+
+
+def test_a_round_hall_is_not_straightened(imp, tmp_path) -> None:
+    file = mapped(ROUND, way(-1, 0, 1, 0.5, 4)).save(tmp_path / "round.imp")
+    said = imp("map", "straighten", file, "-o", tmp_path / "straight.imp")
+    assert said.code == 2
+    assert f"{file}: the walls have no main direction" in said.err
+    assert not (tmp_path / "straight.imp").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "more"),
+    [("info", ()), ("straighten", ("-o", "x.imp")), ("export", ("-o", "x"))],
+)
+def test_files_that_are_no_maps_are_told_in_one_line(imp, office, tmp_path, command, more) -> None:
+    damaged = tmp_path / "damaged.imp"
+    damaged.write_bytes(office.read_bytes()[:5000])
+    text = tmp_path / "text.imp"
+    text.write_text("no map")
+    for file, why in (
+        (tmp_path / "none.imp", "no such file"),
+        (damaged, "damaged"),
+        (text, "not a map"),
+    ):
+        said = imp("map", command, file, *more)
+        assert said.code == 2
+        assert said.err.startswith(f"imp: error: {file}: ")
+        assert why in said.err
+        assert said.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("info", "MAP", "-o", "map.jpg"), "is drawn as a PNG"),
+        (("info", "MAP", "-o", "/nowhere/map.png"), "cannot be written"),
+        (("straighten", "MAP"), "output"),
+        (("straighten", "MAP", "-o", "/nowhere/map.imp"), "cannot be written"),
+        (("export", "MAP", "-o", "FOLDER"), "holds 'mine.txt', which is no export"),
+        (("export", "MAP", "-o", "MAP"), "MAP"),
+        (("export", "MAP", "-o", "new", "--resolution", "0"), "resolution"),
+        (("turn", "MAP"), "turn"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_done_is_told_in_one_line(
+    imp, office, tmp_path, monkeypatch, words, why
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "mine.txt").write_text("")
+    names = {"MAP": str(office), "FOLDER": str(tmp_path / "folder")}
+    said = imp("map", *(names.get(word, word) for word in words))
+    assert said.code == 2
+    assert names.get(why, why) in said.err
+    assert said.err.count("\n") == 1
+    assert (tmp_path / "folder" / "mine.txt").exists()
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_each_help_has_an_example(imp, command) -> None:
+    assert f"Example: imp map {command} " in imp("map", command, "--help").out

@@ -49,3 +49,24 @@ def test_parallel_walls_match_by_their_feet(distance, matched):
     belief = mapped([wall(ORIGIN, [[1, -1], [1, 1]])])
     seen = wall(ORIGIN, [[distance, -1], [distance, 1]])
     assert bool(belief.associate((seen,), Nearest()).matches) is matched
+
+
+@pytest.mark.parametrize("directed", [False, True])
+def test_the_two_sides_of_a_passage_are_told_apart_when_asked(directed):
+    """Walls 1 m apart that face each other: the thesis takes 180 degrees for 0."""
+    belief = mapped([wall(ORIGIN, [[3, 0.5], [1, 0.5]])])
+    other = wall(ORIGIN, [[1, -0.5], [3, -0.5]])
+    choice = belief.associate((other,), Nearest(directed=directed))
+    assert bool(choice.matches) is not directed
+
+
+@pytest.mark.parametrize(("frame", "matched"), [("map", False), ("base_link", True)])
+def test_a_far_wall_is_known_again_from_the_robot_despite_the_heading(frame, matched):
+    """Half a degree 400 m away moves the foot in map by 3.5 m, and the wall before the robot by 2 cm."""
+    pose = np.array([400.0, 0.0, 0.0])
+    belief = mapped([wall(ORIGIN, [[402, -1], [402, 1]])], pose)
+    t = math.radians(0.5)
+    turn = np.array([[math.cos(t), -math.sin(t)], [math.sin(t), math.cos(t)]])
+    seen = wall(ORIGIN, np.array([[2, -1], [2, 1]]) @ turn.T)
+    choice = belief.associate((seen,), Nearest(frame=frame))
+    assert bool(choice.matches) is matched

@@ -33,7 +33,7 @@ class Hypotheses:
     S : (p, dim_z, dim_z), covariance of the innovation
     distance2 : (p,), squared Mahalanobis distance
     log_det : (p,), log determinant of S
-    apart : returns the thesis's distance (p,) m and angle (p,) rad in map, when asked
+    apart : returns `LandmarkModel.distance` of the pairings, in base_link if True, else in map
     possible : (p,), false where extents rule the pairing out
     """
 
@@ -46,7 +46,7 @@ class Hypotheses:
     S: Array
     distance2: Array
     log_det: Array
-    apart: Callable[[], tuple[Array, Array]]
+    apart: Callable[[bool], tuple[Array, Array]]
     possible: Mask
 
     def matches(self, pairs: Sequence[int]) -> list[Match]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 
@@ -25,6 +26,15 @@ class Nearest(Association):
         "walls that intersect at more are different; 'close to 0 or 180 deg' in thesis 5.2.2",
         gt=0,
     )
+    directed: bool = parameter(
+        False, "", "tell walls seen from opposite sides apart; the thesis takes 180 deg for 0"
+    )
+    frame: Literal["map", "base_link"] = parameter(
+        "map",
+        "",
+        "where both are compared: in map (thesis 4.2.6), where the feet of walls move by heading "
+        "error times distance from the origin, or as seen from the robot (thesis 2.1.3)",
+    )
 
     def assign(
         self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
@@ -34,7 +44,9 @@ class Nearest(Association):
         return collect(observations, ((group, *self._choose(group)) for group in hypotheses))
 
     def _choose(self, group: Hypotheses) -> tuple[list[int], Mask]:
-        metres, radians = group.apart()
+        metres, radians = group.apart(self.frame == "base_link")
+        if not self.directed:
+            radians = np.minimum(radians, math.pi - radians)
         allowed = np.asarray((metres < self.max_distance) & (radians < self.max_angle))
         nearest: dict[int, int] = {}  # pairs, by observation, then by landmark
         best: dict[int, int] = {}

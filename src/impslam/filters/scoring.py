@@ -140,8 +140,11 @@ def score(belief: GaussianBelief, table: Table, asked: Columns, gate: float) -> 
     a, rows, scores = _scored(belief.P, table.offsets, (z, R), known, angles, gate)
     m = states[rows]
 
-    def apart() -> tuple[Array, Array]:
-        return model.distance(m, model.invert(pose, z)[a])
+    def apart(from_robot: bool) -> tuple[Array, Array]:
+        if not from_robot:
+            return model.distance(m, model.invert(pose, z)[a])
+        base = np.zeros(POSE)
+        return model.distance(model.invert(base, seen.z[rows]), model.invert(base, z)[a])
 
     possible = np.ones(len(a), np.bool_)
     if model.has_extent and len(a):

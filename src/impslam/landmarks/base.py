@@ -166,10 +166,11 @@ class LandmarkModel(Component):
         return Report(m[:2].copy(), values, np.eye(2, self.dim))
 
     def distance(self, m: Array, seen: Array) -> tuple[Array, Array]:
-        """Return (p,) metres and (p,) rad between landmarks m and seen ones (p, dim), in map.
+        """Return (p,) metres and (p,) rad between landmarks m and seen ones (p, dim), in one frame.
 
-        This is what the thesis associates by (4.1.4, 5.2.2): points by their distance, with angle
-        0; walls by the distance of the feet of their normals and the angle of intersection.
+        The thesis associates by these (4.1.4, 5.2.2): points by their distance, with angle 0; walls
+        by the distance of the feet of their normals and the angle between them, pi where two walls
+        face each other.
         """
         apart = m - seen
         return np.hypot(apart[:, 0], apart[:, 1]), np.zeros(len(m))

@@ -199,13 +199,12 @@ class Wall(LandmarkModel):
         return Report(foot, {"r": sign * distance, "alpha": alpha}, values_D_m)
 
     def distance(self, m: Array, seen: Array) -> tuple[Array, Array]:
-        """Return distances of feet and angles of intersection in map (thesis 5.2.2)."""
+        """Return distances of feet (thesis 5.2.2), and angles between normals in [0, pi]."""
         feet = []
         for walls in (m, seen):
             c, s = np.cos(walls[:, 2]), np.sin(walls[:, 2])
             feet.append((c * walls[:, 0] + s * walls[:, 1]) * np.stack([c, s]))
-        angle = np.abs(wrap(m[:, 2] - seen[:, 2]))
-        return np.hypot(*(feet[0] - feet[1])), np.minimum(angle, np.pi - angle)
+        return np.hypot(*(feet[0] - feet[1])), np.abs(wrap(m[:, 2] - seen[:, 2]))
 
     def extents(self, pose: Array, m: Array, ends: Array) -> Array:
         """Return where along each wall its observed piece begins and ends, from the frame, m."""

@@ -22,7 +22,7 @@ from impslam.studies.sweep import ROBOT, Row, Run, Variant, grid
 from impslam.types import Landmark, LaserScan, Message
 
 TEXT = load_text("corridor")
-DEFAULT, HOUGH, LIKELIHOOD, RANSAC = TEXT["variants"]
+DEFAULT, HOUGH, FROM_ROBOT, _, RANSAC = TEXT["variants"]
 VARIANTS = [
     Variant(name, table["preset"], tuple(table.get("settings", ())))
     for name, table in TEXT["variants"].items()

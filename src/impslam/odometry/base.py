@@ -9,6 +9,7 @@ import numpy as np
 
 from impslam.columns import Columns, Motions
 from impslam.component import Component, parameter
+from impslam.odometry.standstill import Band
 from impslam.types import Array, Mask
 
 DIAGONAL = (slice(None), [0, 1, 2], [0, 1, 2])
@@ -36,6 +37,11 @@ class Odometry(Component):
     def readings(self, rows: Columns) -> Columns:
         """Return what odometry needs of the rows of its stream."""
         return rows
+
+    @property
+    def standing(self) -> Band:
+        """How far the readings of a standing robot stray; see `odometry.standstill`."""
+        return Band()
 
     @abstractmethod
     def usable(self, readings: Columns) -> Mask:

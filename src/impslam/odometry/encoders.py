@@ -20,6 +20,7 @@ from impslam.geometry.kernels import plain
 from impslam.noise import MotionNoise
 from impslam.odometry.base import DIAGONAL, Odometry, durations, known
 from impslam.odometry.kernels import wheel_motions
+from impslam.odometry.standstill import Band
 from impslam.types import Array, Mask, WheelAngles
 
 
@@ -51,6 +52,13 @@ class Encoders(Odometry):
         "value at which the reading wraps to 0: 5 (V) for the MA3, 65536 for 16-bit ticks; 0: never",
         ge=0,
     )
+    trembling: float = parameter(
+        0.0,
+        "reading",
+        "how far the readings of a standing wheel are apart at most: noise and one step of the "
+        "encoder. A robot whose readings stay within it stands, and its covariance does not grow",
+        ge=0,
+    )
     wheel_noise: float = parameter(
         0.01, "m/sqrt(m)", "random error of one wheel's travel, per root metre", ge=0
     )
@@ -62,6 +70,12 @@ class Encoders(Odometry):
     max_speed: float = parameter(
         5.0, "m/s", "a faster wheel is an encoder jump; its motion is ignored", gt=0
     )
+
+    @property
+    def standing(self) -> Band:
+        """Both wheels tremble in opposite directions at worst; see `Odometry.standing`."""
+        way = 2.0 * math.pi * self.wheel_radius / self.per_turn * self.trembling
+        return Band(way, 2.0 * way / self.track)
 
     def usable(self, readings: Columns) -> Mask:
         """Return which readings are finite; see `Odometry.usable`."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from impslam.columns import Columns, Motions, join
 from impslam.odometry.base import Odometry
+from impslam.odometry.standstill import Standstill
 from impslam.types import Array, Ints, Mask
 
 
@@ -33,6 +34,7 @@ class OdometryStream:
     def __init__(self, odometry: Odometry) -> None:
         self._odometry = odometry
         self._last: Columns | None = None
+        self._standstill = Standstill(odometry.standing)
 
     def motions(self, rows: Columns) -> StreamMotions:
         """Return the motions of the next rows of the stream."""
@@ -54,7 +56,7 @@ class OdometryStream:
             place = lead + int(kept[:first].sum())
             example = self._example(rows, readings, first, place, usable)
         self._keep(used, usable)
-        return StreamMotions(motions, faults, example)
+        return StreamMotions(self._standstill.hold(motions), faults, example)
 
     def _compute(self, readings: Columns) -> Motions:
         if len(readings) < 2:

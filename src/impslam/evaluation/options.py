@@ -7,4 +7,4 @@ from typing import Literal, TypeAlias
 Alignment: TypeAlias = Literal["fit", "start", "none"]
 """Where errors are taken: the path fitted to the truth, laid on its start, or as it is given."""
 GATE = 0.5
-"""m: an estimate further off than this is of something else (thesis 5.2.2 associates by 0.5 m)."""
+"""m: an estimate further off than this is of something else ; landmarks are farther apart."""

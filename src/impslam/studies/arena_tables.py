@@ -126,7 +126,7 @@ def map_table(experiment: Experiment, runs: Groups) -> ResultTable:
         "pose NEES": lambda group: _nees(group[1]),
         "within 95 %": lambda group: mean_of("nees_within", ".0%")(group[1]).replace("%", " %"),
     }
-    title = f"The map and its honesty, {len(first)} seeds"
+    title = f"Consistency of the map, {len(first)} seeds"
     made = make_table(title, {name: (name, rows) for name, rows in runs.items()}, columns)
     wheels = ["wheels alone", quantiles_of("odometry_end")(first), "", "", "", "", ""]
     return ResultTable(title, made.header, [*made.rows, wheels], note=NOTES["map"])

@@ -26,7 +26,7 @@ import zlib
 from collections.abc import Callable, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
@@ -314,8 +314,12 @@ def shorten(value: object) -> str:
 def _fields_within(path: tuple[int | str, ...], known: Any) -> Any:
     """Return the fields of the inner table at a path, or those known where it is no table's."""
     for part in path:
-        model = getattr(known.get(part), "annotation", None) if isinstance(known, Mapping) else None
-        if not (isinstance(model, type) and issubclass(model, BaseModel)):
+        kind = getattr(known.get(part), "annotation", None) if isinstance(known, Mapping) else None
+        models = [
+            m for m in (kind, *get_args(kind)) if isinstance(m, type)
+        ]  # also of `Model | None`
+        inner = [m.model_fields for m in models if issubclass(m, BaseModel)]
+        if not inner:
             break
-        known = model.model_fields
+        known = inner[0]
     return known

@@ -8,7 +8,7 @@ import numpy as np
 from impslam.columns import messages
 from impslam.simulation.world import load_world
 from impslam.sources.rosbag import RosBag
-from impslam.types import LaserScan, TruePose
+from impslam.types import Imu, LaserScan, TruePose
 
 BESIDE = (".mcap", ".truth.tum", ".landmarks.csv")
 
@@ -57,3 +57,35 @@ def test_a_world_of_ones_own(imp, tmp_path) -> None:
     said = imp("simulate", world, "-o", tmp_path / "deep" / "log.mcap")
     assert said.code == 0, said.err
     assert "'own'" in said.out
+
+
+def test_the_robot_is_another_one_if_asked(imp, tmp_path) -> None:
+    robot, log = tmp_path / "robot.toml", tmp_path / "log.mcap"
+    robot.write_text('imu = "none"\n[lidar]\nbeams = 100\n')
+    result = imp(
+        "simulate", "room", "-o", log, "--robot", robot, "--set", "lidar.rate=5"
+    )  # fmt: skip
+    assert result.code == 0
+    with RosBag(path=log) as source:
+        read = list(messages(source.batches()))
+    scans = [m for m in read if isinstance(m, LaserScan)]
+    assert {len(m.ranges) for m in scans} == {100}
+    assert math.isclose(float(np.median(np.diff([m.stamp for m in scans]))), 0.2)
+    assert not any(isinstance(m, Imu) for m in read)
+
+
+def test_what_is_wrong_with_the_robot_is_told_in_one_line(imp, tmp_path) -> None:
+    log = tmp_path / "log.mcap"
+    robot = tmp_path / "robot.toml"
+    robot.write_text("[lidar]\nbeam = 100\n")
+    for options, told in (
+        (["--set", "lidar.rat=5"], "lidar.rat is not a parameter; did you mean 'rate'?"),
+        (["--set", "lidar.rate=-5"], "lidar.rate = -5"),
+        (["--set", "lidar"], "expected key=value"),
+        (["--robot", robot], "robot.toml: lidar.beam is not a parameter"),
+        (["--robot", tmp_path / "absent.toml"], "cannot be read"),
+    ):
+        result = imp("simulate", "room", "-o", log, *options)
+        assert result.code == 2
+        assert told in result.err
+        assert not log.exists()

@@ -17,6 +17,7 @@ from impslam.component import Component, components, near_miss, roles
 from impslam.errors import ConfigError
 
 INDENT = 4
+ROBOT = "simulated-robot"
 Row: TypeAlias = tuple[str, ...]
 
 
@@ -26,13 +27,14 @@ def list_components(role: str | None = None, /, *, common: Common | None = None)
     Parameters
     ----------
     role
-        extractor, filter, association, ...; or presets, or worlds. Default: everything.
+        extractor, filter, association, ...; or presets, worlds, or simulated-robot. Default: everything.
     """
     from impslam.config import presets
+    from impslam.simulation.robot import SimulatedRobot
     from impslam.simulation.world import load_world, shipped_worlds
 
     del common
-    known = [*roles(), "presets", "worlds"]
+    known = [*roles(), "presets", "worlds", ROBOT]
     if role is not None and role not in known:
         role = next((name for name in known if role in (f"{name}s", name.rstrip("s"))), role)
     if role is not None and role not in known:
@@ -43,6 +45,8 @@ def list_components(role: str | None = None, /, *, common: Common | None = None)
             _show_names({preset: _title(preset) for preset in presets()})
         elif name == "worlds":
             _show_names({world: load_world(world).description for world in shipped_worlds()})
+        elif name == ROBOT:
+            _print_rows(parameters(SimulatedRobot), 2 * INDENT)
         else:
             for component in components(name).values():
                 _show(component)

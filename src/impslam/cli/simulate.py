@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,8 +11,10 @@ from cyclopts import Parameter
 from impslam.cli import console
 from impslam.cli.console import Common
 from impslam.cli.progress import display, ticker
+from impslam.errors import ConfigError
 
 if TYPE_CHECKING:
+    from impslam.simulation.robot import SimulatedRobot
     from impslam.simulation.world import World
     from impslam.types import Message, TruePose
 
@@ -23,6 +25,10 @@ def simulate(
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     seed: int = 0,
+    robot: Path | None = None,
+    settings: Annotated[
+        tuple[str, ...], Parameter(name="--set", negative="", show_default=False)
+    ] = (),
     common: Common | None = None,
 ) -> None:
     """Drive the simulated robot through a world and write the log, truth included.
@@ -37,6 +43,11 @@ def simulate(
         The log to write, an MCAP file.
     seed
         Seed of all noise; the same seed gives the same bytes.
+    robot
+        A TOML file with what differs from the thesis's robot: tables encoders, lidar, imu.
+    settings
+        A parameter of the robot: --set lidar.rate=5, --set encoders.track=0.3, --set imu=none;
+        `imp list simulated-robot` shows them all.
     """
     from impslam.evaluation.landmark_files import landmarks_path
     from impslam.simulation.world import load_world
@@ -44,10 +55,46 @@ def simulate(
     quiet = common is not None and common.quiet
     chosen = load_world(world)
     with display(quiet) as shown:
-        scans = write_log(chosen, output, seed, shown)
+        scans = write_log(chosen, output, seed, shown, load_robot(robot, settings))
     if not quiet:
         console.say(f"{output}: {scans} scans in world {chosen.name!r}, seed {seed}")
         console.say(f"truth: {truth_path(output)}, {landmarks_path(output)}")
+
+
+def load_robot(file: Path | None = None, settings: Sequence[str] = ()) -> SimulatedRobot:
+    """Return the robot of a TOML file, or the thesis's, with settings "key=value" applied.
+
+    A device that is "none" is left out.
+
+    Raises
+    ------
+    ConfigError
+        One line that names the parameter and what to do.
+    """
+    from pydantic import ValidationError
+
+    from impslam.component import explain
+    from impslam.config import merge, parse_setting
+    from impslam.simulation.robot import SimulatedRobot
+
+    table = {} if file is None else _read_table(file)
+    for setting in settings:
+        table = merge(table, parse_setting(setting))
+    devices = {name: None if part == "none" else part for name, part in table.items()}
+    try:
+        return SimulatedRobot(**devices)
+    except ValidationError as error:
+        where = "" if file is None else f"{file}: "
+        raise ConfigError(where + explain(error, "", SimulatedRobot.model_fields)) from None
+
+
+def _read_table(file: Path) -> dict[str, Any]:
+    from impslam import toml
+
+    try:
+        return toml.parse(file.read_text("utf-8"), str(file))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file}: cannot be read as text ({error}); check --robot") from None
 
 
 def truth_path(log: Path) -> Path:
@@ -55,7 +102,9 @@ def truth_path(log: Path) -> Path:
     return log.with_name(f"{log.stem}.truth.tum")
 
 
-def write_log(world: World, log: Path, seed: int, shown: Any = None) -> int:
+def write_log(
+    world: World, log: Path, seed: int, shown: Any = None, robot: SimulatedRobot | None = None
+) -> int:
     """Write a simulated log and its truth; return the number of scans."""
     import numpy as np
 
@@ -70,7 +119,7 @@ def write_log(world: World, log: Path, seed: int, shown: Any = None) -> int:
     tick = ticker(shown, "simulating", duration)
     log.parent.mkdir(parents=True, exist_ok=True)
     with McapWriter(log) as writer:
-        truth = list(_recorded(messages(world, seed=seed), writer.write, tick))
+        truth = list(_recorded(messages(world, robot, seed), writer.write, tick))
     write_tum(truth_path(log), np.array([[true.stamp, *true.pose] for true in truth]))
     write_true_landmarks(landmarks_path(log), world.landmarks())
     return len(truth)

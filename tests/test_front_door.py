@@ -123,7 +123,16 @@ def test_a_text_is_no_log(tmp_path):
         impslam.run(tmp_path / "notes.mcap")
 
 
-@pytest.mark.parametrize("name", ["impslam", "impslam.run", "impslam.slam", "impslam.map"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "impslam",
+        "impslam.run",
+        "impslam.slam",
+        "impslam.map",
+        "impslam.recognition.relocalisation",
+    ],
+)
 def test_the_examples_in_docstrings_run(name, tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     found = doctest.testmod(importlib.import_module(name))

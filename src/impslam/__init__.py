@@ -18,6 +18,7 @@
 0.05
 
 `impslam.Map` is what both return: `path()`, `landmarks`, `grid()`, `save()` and `Map.load()`.
+`impslam.Relocaliser` finds a scan anywhere in a map.
 """
 
 from __future__ import annotations
@@ -28,12 +29,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from impslam.errors import ImpError
     from impslam.map import Map
+    from impslam.recognition.relocalisation import Relocaliser
     from impslam.run import run
     from impslam.slam import Slam
 
-__all__ = ["ImpError", "Map", "Slam", "run"]
+__all__ = ["ImpError", "Map", "Relocaliser", "Slam", "run"]
 
-_PLACES = {"ImpError": "errors", "Map": "map", "Slam": "slam", "run": "run"}
+_PLACES = {
+    "ImpError": "errors",
+    "Map": "map",
+    "Relocaliser": "recognition.relocalisation",
+    "Slam": "slam",
+    "run": "run",
+}
 
 
 def __getattr__(name: str) -> Any:

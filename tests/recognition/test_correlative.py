@@ -8,16 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from impslam.geometry.angles import wrap
-from impslam.recognition.correlative import (
-    APART,
-    BLUR,
-    CELL,
-    TURNED,
-    Memory,
-    Window,
-    build,
-    search,
-)
+from impslam.recognition.correlative import APART, TURNED, Window, search
+from impslam.recognition.pyramid import BLUR, CELL, Memory, build
 
 STEP = 0.1  # rad: coarse, for every pose is tried
 

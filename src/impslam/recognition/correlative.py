@@ -10,38 +10,19 @@ so that one sum bounds the scores of as many poses. The result is that of an exh
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from impslam.geometry.angles import wrap, wrap_in_kernel
 from impslam.geometry.kernels import kernel, plain
+from impslam.recognition.pyramid import CELL, FULL, Bytes, Ints32, Pyramid
 from impslam.surfaces.features import Features
 from impslam.types import Array, Ints
 
-Bytes: TypeAlias = np.ndarray[Any, np.dtype[np.uint8]]
-Ints32: TypeAlias = np.ndarray[Any, np.dtype[np.int32]]
-
-CELL = 0.1  # m
-BLUR = 0.12  # m, of the Gaussian: noise of a range, and the half cell by which poses are rounded
 TURN = 0.0125  # rad between two headings: a point 8 m away moves by one cell
 APART, TURNED = 0.8, 0.25  # m, rad: peaks farther apart are two places, not one blurred
 DEEPEST = 6  # levels: blocks of 64 cells
-_FULL = 255  # likelihood 1
-
-
-class Pyramid(NamedTuple):
-    """A likelihood grid and its maxima over blocks.
-
-    Attributes
-    ----------
-    levels : (l + 1, h, w) uint8; cell [k, row, column] is the greatest of the 2^k x 2^k cells of level
-        0 from there on, upwards and to the right
-    corner : (2,) m, the lower left corner
-    """
-
-    levels: Bytes
-    corner: Array
 
 
 class Window(NamedTuple):
@@ -59,35 +40,10 @@ class Peak(NamedTuple):
     pose: Array
 
 
-class Memory:
-    """Memory that is used again from grid to grid: a grid is valid until the next one is made."""
-
-    def __init__(self) -> None:
-        self._bytes = np.empty(0, np.uint8)
-
-    def take(self, *shape: int) -> Bytes:
-        """Return an array of a shape, its content undefined."""
-        size = math.prod(shape)
-        if size > len(self._bytes):
-            self._bytes = np.empty(size, np.uint8)
-        return self._bytes[:size].reshape(shape)
-
-
 def deep_enough(window: Window) -> int:
     """Return the level at which to begin a search: blocks of about a quarter of the window."""
     cells = 2.0 * max(window.x, window.y) / CELL
     return int(np.clip(round(math.log2(max(cells, 1.0))) - 2, 3, DEEPEST))
-
-
-def build(points: Features, level: int, memory: Memory | None = None) -> Pyramid:
-    """Return the pyramid of points (n, 2 or more columns: x, y in m), n >= 1, up to a level."""
-    low, high = points[:, :2].min(0).astype(float), points[:, :2].max(0).astype(float)
-    below = 2 + (1 << level)  # cells: reach of the Gaussian, and the blocks that begin outside
-    corner = (np.floor(low / CELL) - below) * CELL
-    width, height = (np.floor((high - corner) / CELL) + 4).astype(int)
-    levels = (memory or Memory()).take(level + 1, height, width)
-    _fill(levels, corner, points)
-    return Pyramid(levels, corner)
 
 
 def search(
@@ -109,20 +65,20 @@ def search(
     """
     headings = guess[2] + _turns(window.heading, turn)
     reach = np.array([math.ceil(window.x / CELL - 1e-9), math.ceil(window.y / CELL - 1e-9)])
-    least = math.floor(min_score * _FULL * len(points))
+    least = math.floor(min_score * FULL * len(points))
     apart = 0.0 if exclude is None else APART / CELL
     other = plain(guess if exclude is None else exclude)
     elsewhere = (other[:2] - guess[:2]) / CELL, float(other[2]), apart
-    spread = np.ascontiguousarray(points[_spread(len(points))])
-    total, a, u, v = _search(pyramid, spread, plain(guess), headings, reach, least, elsewhere)
+    ordered = np.ascontiguousarray(points[spread(len(points))])
+    total, a, u, v = _search(pyramid, ordered, plain(guess), headings, reach, least, elsewhere)
     if a < 0:
         return Peak(0.0, np.array(guess))
     heading = float(wrap(headings[a]))
     pose = np.array([guess[0] + u * CELL, guess[1] + v * CELL, heading])
-    return Peak(total / (_FULL * len(points)), pose)
+    return Peak(total / (FULL * len(points)), pose)
 
 
-def _spread(n: int) -> Ints:
+def spread(n: int) -> Ints:
     """Return 0 to n - 1 in an order whose every beginning is spread over all: so that sums end early."""
     step = max(1, round(0.618 * n))  # the golden section: multiples of it fill a circle evenly
     while math.gcd(step, n) > 1:
@@ -137,42 +93,6 @@ def _turns(half: float, step: float) -> Array:
         return plain(np.arange(n) * (2.0 * math.pi / n))
     n = math.ceil(half / step - 1e-9)
     return plain(np.arange(-n, n + 1) * step)
-
-
-@kernel
-def _fill(levels: Bytes, corner: Array, points: Features) -> None:
-    """Draw the points' Gaussians into level 0, and fill the levels above."""
-    stamp = np.empty((5, 5), np.uint8)
-    for r in range(5):
-        for c in range(5):
-            distance2 = ((r - 2) ** 2 + (c - 2) ** 2) * CELL**2
-            stamp[r, c] = int(_FULL * math.exp(-distance2 / (2.0 * BLUR**2)) + 0.5)
-    ground = levels[0]
-    ground[:] = 0
-    for i in range(len(points)):
-        column = int((points[i, 0] - corner[0]) / CELL)
-        row = int((points[i, 1] - corner[1]) / CELL)
-        if ground[row, column] == _FULL:
-            continue
-        for r in range(5):
-            for c in range(5):
-                cell = ground[row + r - 2, column + c - 2]
-                ground[row + r - 2, column + c - 2] = max(cell, stamp[r, c])
-    for level in range(1, len(levels)):
-        _pool(levels[level - 1], levels[level], 1 << (level - 1))
-
-
-@kernel
-def _pool(below: Bytes, above: Bytes, step: int) -> None:
-    """Fill a level with the greatest of four blocks of the one below; outside there is nothing."""
-    height, width = below.shape
-    inner = max(width - step, 0)
-    for row in range(height):
-        low, high, out = below[row], below[min(row + step, height - 1)], above[row]
-        for c in range(inner):
-            out[c] = max(low[c], low[c + step], high[c], high[c + step])
-        for c in range(inner, width):
-            out[c] = max(low[c], high[c])
 
 
 @kernel
@@ -261,10 +181,10 @@ def _bounds(pyramid: Pyramid, columns: Ints32, rows: Ints32, reach: Ints, least:
 def _sum(level: Bytes, columns: Ints32, rows: Ints32, u: int, v: int, least: int) -> int:
     """Return the sum over the points moved by a shift; less, once it cannot exceed `least`."""
     height, width = level.shape
-    total, left = 0, _FULL * len(columns)
+    total, left = 0, FULL * len(columns)
     for i in range(len(columns)):
         c, r = columns[i] + u, rows[i] + v
-        left -= _FULL
+        left -= FULL
         if 0 <= c < width and 0 <= r < height:
             total += level[r, c]
         if i & 15 == 15 and total + left <= least:

@@ -13,15 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.geometry.kernels import plain
-from impslam.recognition.correlative import (
-    TURN,
-    Memory,
-    Pyramid,
-    Window,
-    build,
-    deep_enough,
-    search,
-)
+from impslam.recognition.correlative import TURN, Window, deep_enough, search
+from impslam.recognition.pyramid import Memory, Pyramid, build
 from impslam.recognition.submap import Submap
 from impslam.recognition.verify import LEAST_MATCHED, Support, Verdict, judge, verify
 from impslam.surfaces.features import Features
@@ -58,8 +51,8 @@ not known yet: weigh closures robustly.
 """
 _FLOOR = np.array([0.01, 0.01, 0.002])  # m, m, rad: what no number of points brings down
 _COARSE = Alignment(15, 0.4, 0.08, 1.0 / 0.05**2, 1, 9.0)
-_FINE = Alignment(15, 0.3, 0.08, 1.0 / 0.05**2, 1, 9.0)
-_COARSE_PRIOR, _FINE_PRIOR = np.array([4.0, 4.0, 100.0]), np.ones(3)  # 1/m^2, 1/m^2, 1/rad^2
+FINE = Alignment(15, 0.3, 0.08, 1.0 / 0.05**2, 1, 9.0)
+_COARSE_PRIOR, FINE_PRIOR = np.array([4.0, 4.0, 100.0]), np.ones(3)  # 1/m^2, 1/m^2, 1/rad^2
 
 
 class Closure(NamedTuple):
@@ -147,7 +140,7 @@ class Recogniser:
         peak = search(pyramid, find.points, guess, find.window, least, turn=find.turn)
         if peak.score == 0.0:
             return self._refuse("no peak")
-        closure = self._settle(query, peak.pose, _FINE, _FINE_PRIOR)._replace(score=peak.score)
+        closure = self._settle(query, peak.pose, FINE, FINE_PRIOR)._replace(score=peak.score)
         if closure.verdict == Verdict.REFUSED:
             return self._refuse("contradicted")
         closure = self._against_rivals(query, guess, find, closure)
@@ -164,7 +157,7 @@ class Recogniser:
         peak = search(pyramid, find.points, guess, find.window, least, closure.pose, find.turn)
         if peak.score == 0.0:
             return closure
-        rival = self._settle(query, peak.pose, _FINE, _FINE_PRIOR)
+        rival = self._settle(query, peak.pose, FINE, FINE_PRIOR)
         agreement = 0.0 if rival.verdict == Verdict.REFUSED else rival.support.agreement
         return closure._replace(second=peak.score, rival=agreement)
 

@@ -1,0 +1,105 @@
+"""A likelihood grid, and its maxima over blocks of cells.
+
+A cell holds how likely a point falls on it: a Gaussian around the points of a reference. Level l of the
+pyramid holds the greatest likelihood among 2^l x 2^l cells, so that one sum bounds the scores of as many
+poses (Hess et al. 2016, Alg. 3).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from impslam.geometry.kernels import kernel
+from impslam.surfaces.features import Features
+from impslam.types import Array
+
+Bytes: TypeAlias = np.ndarray[Any, np.dtype[np.uint8]]
+Ints32: TypeAlias = np.ndarray[Any, np.dtype[np.int32]]
+
+CELL = 0.1  # m
+BLUR = 0.12  # m, of the Gaussian: noise of a range, and the half cell by which poses are rounded
+FULL = 255  # likelihood 1
+
+
+class Pyramid(NamedTuple):
+    """A likelihood grid and its maxima over blocks.
+
+    Attributes
+    ----------
+    levels : (l + 1, h, w) uint8; cell [k, row, column] is the greatest of the 2^k x 2^k cells of level
+        0 from there on, upwards and to the right
+    corner : (2,) m, the lower left corner
+    """
+
+    levels: Bytes
+    corner: Array
+
+
+class Memory:
+    """Memory that is used again from grid to grid: a grid is valid until the next one is made."""
+
+    def __init__(self) -> None:
+        self._bytes = np.empty(0, np.uint8)
+
+    def take(self, *shape: int) -> Bytes:
+        """Return an array of a shape, its content undefined."""
+        size = math.prod(shape)
+        if size > len(self._bytes):
+            self._bytes = np.empty(size, np.uint8)
+        return self._bytes[:size].reshape(shape)
+
+
+def build(points: Features, level: int, memory: Memory | None = None) -> Pyramid:
+    """Return the pyramid of points (n, 2 or more columns: x, y in m), n >= 1, up to a level."""
+    low, high = points[:, :2].min(0).astype(float), points[:, :2].max(0).astype(float)
+    below = 2 + (1 << level)  # cells: reach of the Gaussian, and the blocks that begin outside
+    corner = (np.floor(low / CELL) - below) * CELL
+    width, height = (np.floor((high - corner) / CELL) + 4).astype(int)
+    levels = (memory or Memory()).take(level + 1, height, width)
+    _fill(levels, corner, points)
+    return Pyramid(levels, corner)
+
+
+@kernel
+def _fill(levels: Bytes, corner: Array, points: Features) -> None:
+    """Draw the points' Gaussians into level 0, and fill the levels above."""
+    stamp = np.empty((5, 5), np.uint8)
+    for r in range(5):
+        for c in range(5):
+            distance2 = ((r - 2) ** 2 + (c - 2) ** 2) * CELL**2
+            stamp[r, c] = int(FULL * math.exp(-distance2 / (2.0 * BLUR**2)) + 0.5)
+    ground = levels[0]
+    ground[:] = 0
+    for i in range(len(points)):
+        column = int((points[i, 0] - corner[0]) / CELL)
+        row = int((points[i, 1] - corner[1]) / CELL)
+        if ground[row, column] == FULL:
+            continue
+        for r in range(5):
+            for c in range(5):
+                cell = ground[row + r - 2, column + c - 2]
+                ground[row + r - 2, column + c - 2] = max(cell, stamp[r, c])
+    pool(levels)
+
+
+@kernel
+def pool(levels: Bytes) -> None:
+    """Fill the levels above the first one with the greatest of each block."""
+    for level in range(1, len(levels)):
+        _pool(levels[level - 1], levels[level], 1 << (level - 1))
+
+
+@kernel
+def _pool(below: Bytes, above: Bytes, step: int) -> None:
+    """Fill a level with the greatest of four blocks of the one below; outside there is nothing."""
+    height, width = below.shape
+    inner = max(width - step, 0)
+    for row in range(height):
+        low, high, out = below[row], below[min(row + step, height - 1)], above[row]
+        for c in range(inner):
+            out[c] = max(low[c], low[c + step], high[c], high[c + step])
+        for c in range(inner, width):
+            out[c] = max(low[c], high[c])

@@ -1,0 +1,129 @@
+"""A scan is found anywhere in a map, or it is told that it cannot be."""
+
+import math
+
+import numpy as np
+import pytest
+from tests.extractors.scans import room
+from tests.recognition.halls import LASER, mapped, seen
+from tests.recognition.plans import OFFICE, walls, way
+
+from impslam.geometry.angles import wrap
+from impslam.geometry.se2 import between, compose
+from impslam.recognition.relocalisation import Near, Relocaliser, Verdict
+from impslam.recognition.stored import stored_views
+from impslam.recognition.submap import view
+from impslam.recognition.way import WayRelocaliser
+
+WAY = np.concatenate([
+    way(-7.0, -0.3, 8.0, -0.2, 20), way(-2.5, 0.0, -2.5, 5.0, 6), way(3.6, 0.0, 3.6, 5.0, 6),
+    way(-4.5, -1.0, -4.5, -4.0, 5), way(1.5, -1.0, 1.5, -4.0, 5),
+])  # fmt: skip
+TWINS = np.concatenate([  # two like rooms along a corridor that only differs far to the right
+    room(0.0, 14.0, 0.0, 2.0)[[0, 2, 3]],
+    walls([0, 2, 2, 2], [3, 2, 8, 2], [9, 2, 14, 2]),
+    *(np.concatenate([room(x, x + 5.0, 2.0, 6.0)[:3], walls([x + 1, 5, x + 2, 5.5])]) for x in (0, 6)),
+])  # fmt: skip
+TWIN_WAY = np.concatenate([
+    way(1.0, 1.0, 13.0, 1.0, 14), way(2.5, 1.0, 2.5, 5.0, 6), way(8.5, 1.0, 8.5, 5.0, 6)
+])  # fmt: skip
+NOTHING = np.zeros(3), np.zeros((3, 3))
+
+
+@pytest.fixture(scope="module")
+def office():
+    return Relocaliser(mapped(OFFICE, WAY))
+
+
+@pytest.fixture(scope="module")
+def twins():
+    return Relocaliser(mapped(TWINS, TWIN_WAY))
+
+
+def assert_at(pose, truth, metres=0.05, radians=0.01):
+    assert math.dist(pose[:2], truth[:2]) < metres
+    assert abs(wrap(pose[2] - truth[2])) < radians
+
+
+@pytest.mark.parametrize(
+    "truth", [[-6.2, -0.1, 2.0], [5.0, 0.2, -1.2], [-2.7, 4.0, 0.4], [1.2, -3.2, 3.0]]
+)
+def test_a_scan_is_found_anywhere(office, truth):
+    answer = office.find(view(seen(OFFICE, truth)))
+    assert answer.verdict == Verdict.FOUND
+    assert_at(answer.hypotheses[0].pose, truth)
+    assert 0.98 <= answer.hypotheses[0].odds <= sum(h.odds for h in answer.hypotheses) <= 1.0
+
+
+def test_a_scan_of_another_building_is_nowhere(office):
+    other = np.concatenate([room(0.0, 9.0, 0.0, 5.5), walls([3, 0, 4, 3], [6, 5.5, 5, 4])])
+    answer = office.find(view(seen(other, [2.0, 2.5, 0.3])))
+    assert answer.verdict == Verdict.NOWHERE
+    assert sum(h.odds for h in answer.hypotheses) < 0.02
+
+
+def test_like_rooms_are_ambiguous_until_the_way_tells_them_apart(twins):
+    drive = np.concatenate([way(8.5, 4.0, 8.5, 1.2, 6), way(8.8, 1.0, 11.0, 1.0, 5)])
+    finder, before = WayRelocaliser(twins), drive[0]
+    answers = []
+    for k, pose in enumerate(drive):
+        motion, spread = between(before, pose), np.diag([1e-4, 1e-4, 1e-6])
+        answers.append(finder.add(view(seen(TWINS, pose, 100 + k)), motion, spread))
+        before = pose
+    first, last = answers[0], answers[-1]
+    assert first.verdict == Verdict.AMBIGUOUS
+    odds = [h.odds for h in first.hypotheses[:2]]
+    assert sum(odds) > 0.98
+    assert min(odds) > 0.1
+    assert last.verdict == Verdict.FOUND
+    assert_at(last.hypotheses[0].pose, drive[-1])
+    wrong = [a for a, pose in zip(answers, drive, strict=True) if _silently_wrong(a, pose)]
+    assert wrong == []
+
+
+def _silently_wrong(answer, truth):
+    return answer.verdict == Verdict.FOUND and (
+        math.dist(answer.hypotheses[0].pose[:2], truth[:2]) > 0.3
+    )
+
+
+def test_a_hint_tells_like_rooms_apart(twins):
+    truth = np.array([2.5, 4.0, -1.5])
+    scan = view(seen(TWINS, truth))
+    assert twins.find(scan).verdict == Verdict.AMBIGUOUS
+    answer = twins.find(scan, Near(np.array([2.0, 3.5]), 2.0))
+    assert answer.verdict == Verdict.FOUND
+    assert_at(answer.hypotheses[0].pose, truth)
+
+
+def test_too_few_points_fit_anywhere(office):
+    scan = seen(OFFICE, [-6.2, -0.1, 2.0])
+    scan.valid[20:] = False
+    answer = office.find(view(scan))
+    assert answer.verdict == Verdict.AMBIGUOUS
+    assert answer.hypotheses == ()
+    assert office.locate(np.empty((0, 2))).verdict == Verdict.AMBIGUOUS
+
+
+def test_a_stored_scan_is_what_was_seen():
+    poses = WAY[:3]
+    kept = stored_views(mapped(OFFICE, poses))
+    for k, pose in enumerate(poses):
+        fresh = view(seen(OFFICE, pose, k))
+        np.testing.assert_allclose(kept[k].features, fresh.features, atol=1e-4)
+        same = np.isclose(kept[k].free, fresh.free, atol=1e-4)
+        assert same.mean() > 0.85  # float32 moves a beam on the border of two bins to either
+        np.testing.assert_allclose(kept[k].laser, LASER[:2])
+
+
+def test_motions_that_tell_little_are_not_joined(office):
+    finder, blind = WayRelocaliser(office), np.diag([1.0, 1.0, 0.1])
+    for truth in ([-6.2, -0.1, 2.0], [5.0, 0.2, -1.2]):  # carried away: the motion is false
+        answer = finder.add(view(seen(OFFICE, truth)), NOTHING[0], blind)
+        assert answer.verdict == Verdict.FOUND
+        assert_at(answer.hypotheses[0].pose, truth)
+
+
+def test_poses_are_those_of_base_link(office):
+    turned = compose(np.array([-6.2, -0.1, 0.0]), np.array([0.0, 0.0, math.pi / 2]))
+    assert_at(office.find(view(seen(OFFICE, turned))).hypotheses[0].pose, turned)

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from impslam.cli.job import execute
+from impslam.cli.run_folder import run_folder
 from impslam.columns import messages
 from impslam.evaluation.landmarks import LandmarkScore, score_landmarks
 from impslam.evaluation.relations import RelationErrors, read_relations, relation_errors
@@ -97,7 +98,8 @@ def run_log(
     if folder is None:
         map_log(config, source, [seen])
     else:
-        execute(config, source, folder, quiet=True, more=[seen])
+        with run_folder(folder, log.name, force=True) as made:
+            execute(config, source, made, quiet=True, more=[seen])
     return seen
 
 

@@ -67,7 +67,7 @@ def demo(data: Path) -> str:
 
     folder = RUNS / "demo"
     begin = time.perf_counter()
-    assert main(["demo", "-o", str(folder), "--quiet"]) == 0
+    assert main(["demo", "-o", str(folder), "--force", "--quiet"]) == 0
     picture("demo", folder)
     return f"{time.perf_counter() - begin:.0f} s"
 

@@ -62,7 +62,8 @@ def main() -> None:
         folder = Path(name)
         write_log(folder / "room.log")
         helps = [["--help"], *([command, "--help"] for command in COMMANDS)]
-        runs = [["list"], ["config"], ["inspect", "room.log"], ["run", "room.log", "-o", "run"]]
+        runs = [["list"], ["config"], ["inspect", "room.log"]]
+        runs += [["run", "room.log", "-o", "run", "--force"]]
         for words in (*helps, *runs):
             cpu(words, folder)
             seconds = [cpu(words, folder) for _ in range(repetitions)]

@@ -58,6 +58,7 @@ def about(outcome: Outcome) -> dict[str, Any]:
     return {
         "log": outcome.log.name,
         "log_sha256": outcome.log_sha256,
+        "partial": outcome.partial,
         "config": dict(outcome.config),
         "counts": dict(sorted(outcome.counts.items())),
         "versions": versions(),

@@ -9,7 +9,8 @@ from __future__ import annotations
 import functools
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
@@ -21,7 +22,7 @@ import numpy as np
 from impslam.bookkeeping import Stopwatch, about, dropped
 from impslam.columns import Batch, Motions, Sweeps, batches
 from impslam.config import Config
-from impslam.errors import SourceError
+from impslam.errors import SourceError, in_a_line
 from impslam.estimators.base import Draft
 from impslam.geometry.se2 import compose, compose_uncertain
 from impslam.map import Keyframe, Keyframes, Map, PathRows, T_map_odom, Track
@@ -32,7 +33,7 @@ from impslam.open_log import open_log
 from impslam.provenance import fingerprint
 from impslam.sources.base import Problems, Source
 from impslam.threads import OneBlasThread
-from impslam.types import Array, Landmark, Message, TruePose
+from impslam.types import Array, Edges, Landmark, Message, TruePose
 
 Progress = Callable[[int, int | None], None]
 """Called with the position in the log and the length of the log, or None if the length is unknown."""
@@ -95,7 +96,7 @@ def map_log(
 ) -> Map:
     """Map the log that a source reads; see `run`."""
     course = Run(config, observers)
-    with source:
+    with source, course.keeping(source):
         course.robot.choose(source.defaults())
         for batch in source.batches():
             course.feed(batch)
@@ -254,10 +255,41 @@ class Run:
             If the log contains no usable scan, or no odometry.
         """
         self._refuse_empty(source)
-        known = self.settled()
+        return self._tell_end(source, self.settled())
+
+    @contextmanager
+    def keeping(self, source: Source) -> Iterator[None]:
+        """Where an error or a signal ends the block, pass what is known to the observers first.
+
+        It is the map of all scans so far, and the outcome is marked as partial. A file that cannot be
+        written adds a note to the error.
+        """
+        try:
+            yield
+        except BaseException as error:
+            if self.scans:
+                try:
+                    known = self._salvaged()
+                    self._tell_end(source, known, f"{in_a_line(error)}; {_reach(known)}")
+                except Exception as another:  # the first error is the one to tell
+                    error.add_note(in_a_line(another))
+            raise
+
+    def _salvaged(self) -> Map:
+        """Return the settled map, or what there is of it where the estimator is what failed."""
+        with suppress(Exception):
+            return self.settled()
+        with suppress(Exception):
+            known = self.map()
+            inside = np.maximum(known.edges.i, known.edges.j) < len(known.keyframes)
+            return replace(known, edges=Edges._make(column[inside] for column in known.edges))
+        return self._builder.map(())
+
+    def _tell_end(self, source: Source, known: Map, partial: str = "") -> Map:
         outcome = self.outcome(
             source.path, fingerprint(source.path), len(known.landmarks), source.problems
         )
+        outcome = replace(outcome, partial=partial)
         known = replace(known, about=about(outcome))
         for observer in self._observers:
             observer.finish(known, outcome)
@@ -293,6 +325,12 @@ class Run:
             health=self._health.health,
             lidar_alone=not self.robot.odometry.tells_motion,
         )
+
+
+def _reach(known: Map) -> str:
+    """Return how far a map reaches into its log."""
+    seconds = known.stamps[-1] - known.stamps[0]
+    return f"it holds the first {len(known.stamps)} scans, {seconds:.0f} s of the log"
 
 
 def _finished(

@@ -13,6 +13,7 @@ import time
 import pytest
 
 from impslam.cli import replay, robot
+from impslam.observers import trajectory
 
 ROBOT = """
 folder = "logs"
@@ -137,23 +138,24 @@ def test_a_replay_on_a_port_that_is_taken_writes_nothing(imp, room, tmp_path, ta
     assert time.monotonic() - began < 4.0  # nothing was compiled, and nothing had to be ended
 
 
-def test_a_replay_that_is_left_early_leaves_one_line_and_no_folder(
+def test_a_replay_that_is_left_early_leaves_one_line_and_what_is_mapped(
     imp, room, tmp_path, monkeypatch
 ):
     """Ctrl-C while the log plays; who leaves the page is not told of a fault."""
 
     def leave():
         end = time.monotonic() + 60.0
-        while signal.getsignal(signal.SIGINT) is before and time.monotonic() < end:
+        path = tmp_path / "run" / "trajectory.live.tum"
+        while not (path.exists() and path.stat().st_size) and time.monotonic() < end:
             time.sleep(0.05)
-        time.sleep(0.5)
         os.kill(os.getpid(), signal.SIGINT)
 
-    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(trajectory, "FLUSH", 1)
     monkeypatch.setattr("impslam.platform.station.player.warm_up", lambda config: None)
     threading.Thread(target=leave, daemon=True).start()
     said = imp("run", room, "--live", "--port", 0, "-o", tmp_path / "run", "--quiet")
     assert said.code == 130
     assert "stopped before the end of the log" in said.err
     assert said.err.count("\n") == 1
-    assert not (tmp_path / "run").exists()
+    partial = json.loads((tmp_path / "run" / "summary.json").read_text())["partial"]
+    assert "stopped before the end of the log" in partial

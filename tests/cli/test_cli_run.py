@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impslam.cli import bar, main
-from impslam.cli.job import FILES, run_folder
-from impslam.evaluation.tum import read_tum
-from impslam.observers import trajectory
+from impslam.cli import main
+from impslam.cli.run_folder import FILES, run_folder
 from impslam.sources.recording import McapWriter
 from impslam.types import WheelAngles
 
@@ -81,14 +79,6 @@ def test_quiet(imp, room, tmp_path) -> None:
     assert imp("run", room, "-o", tmp_path, "--quiet").out == ""
 
 
-def test_it_writes_over_a_run_only(imp, room, done, tmp_path) -> None:
-    shutil.copytree(done, tmp_path / "run")
-    (tmp_path / "run" / "notes.txt").write_text("mine")
-    said = imp("run", room, "-o", tmp_path / "run", "--set", "filter.kind=ekf", "--seed", "4")
-    assert said.code == 0
-    assert (tmp_path / "run" / "notes.txt").read_text() == "mine"
-
-
 def test_default_folder(imp, room, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     for _ in range(2):  # within a second, as like as not
@@ -110,10 +100,8 @@ def test_runs_that_begin_at_once_have_folders_of_their_own(tmp_path, monkeypatch
     """Before either has written a file."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(time, "strftime", lambda _: "20260101-000000")
-    assert [run_folder(None, "log").name for _ in range(2)] == [
-        "log-20260101-000000",
-        "log-20260101-000000-2",
-    ]
+    with run_folder(None, "log") as first, run_folder(None, "log") as second:
+        assert (first.name, second.name) == ("log-20260101-000000", "log-20260101-000000-2")
 
 
 def test_settings_and_topics(imp, room, tmp_path) -> None:
@@ -130,21 +118,3 @@ def test_dropped_messages_are_explained(imp, room, tmp_path) -> None:
     said = imp("run", room, "-o", tmp_path, "--set", "sensors.lidar.range_max=0.1")
     assert said.code == 0
     assert "problem: 100 x scan without valid beams: " in said.out
-
-
-def test_an_interrupted_run_leaves_whole_rows_and_a_folder_to_use_again(
-    imp, room, tmp_path, monkeypatch
-) -> None:
-    steps = iter(range(60))
-    with monkeypatch.context() as patch:
-        patch.setattr(trajectory, "FLUSH", 10)
-        patch.setattr(bar.Bar, "_move", lambda *_: next(steps, None) == 55 and interrupt())
-        said = imp("run", room, "-o", tmp_path)
-    assert (said.code, said.err.count("\n")) == (130, 1)
-    assert read_tum(tmp_path / "trajectory.live.tum").shape[0] >= 50
-    assert imp("run", room, "-o", tmp_path).code == 0
-    assert read_tum(tmp_path / "trajectory.tum").shape == (100, 4)
-
-
-def interrupt() -> None:
-    raise KeyboardInterrupt

@@ -101,6 +101,15 @@ def test_ctrl_c_ends_in_one_line_and_gives_the_cursor_back(tmp_path: Path) -> No
     assert said.rindex(CURSOR) > said.rindex(HIDDEN)
 
 
+def test_ctrl_c_on_the_way_keeps_what_is_mapped(room: Path, tmp_path: Path) -> None:
+    slow = ("--set", "keyframes.distance=0", "--set", "sensors.lidar.extractors.walls.kind=hough")
+    code, said = in_terminal("run", room, "-o", tmp_path / "run", *slow, typed={"mapping": "\x03"})
+    assert code == 130
+    assert "marked as partial" in said
+    assert said.rindex(CURSOR) > said.rindex(HIDDEN)
+    assert '"partial": "interrupted' in (tmp_path / "run" / "summary.json").read_text()
+
+
 def test_a_password_is_asked_for_twice_and_never_shown(tmp_path: Path) -> None:
     word = "four walls, three cylinders"
     typed = {"new password to drive: ": f"{word}\n", "again: ": f"{word}\n"}

@@ -11,7 +11,7 @@ from cyclopts import App, CycloptsError
 
 import impslam
 from impslam.cli.console import configure
-from impslam.errors import ImpError, LeftError
+from impslam.errors import ImpError, Interrupted, LeftError
 
 OK, UNEXPECTED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 
@@ -46,7 +46,8 @@ def make_app() -> App:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code.
 
-    0: done; 1: a fault of the program; 2: input that cannot be used; 130: interrupted.
+    0: done; 1: a fault of the program; 2: input that cannot be used; 130: interrupted; 143:
+    terminated; 129: the terminal was closed.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
@@ -58,7 +59,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # The reader has seen enough (`imp list | head`). Python flushes stdout once more on exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt as error:
-        return _end(INTERRUPTED, error, "interrupted; what is written so far is valid", debug)
+        code = error.code if isinstance(error, Interrupted) else INTERRUPTED
+        said = str(error) or "interrupted; what is written so far is valid"
+        return _end(code, error, said, debug)
     except LeftError as error:
         return _end(INTERRUPTED, error, str(error), debug)
     except (ImpError, CycloptsError) as error:
@@ -91,8 +94,9 @@ def _call(words: list[str]) -> None:
 
 
 def _end(code: int, error: BaseException, message: str, debug: bool) -> int:
-    """Say on stderr, in one line, why the command ends."""
+    """Say on stderr, in one line, why the command ends and what it leaves."""
     if debug:
         traceback.print_exception(error)
-    sys.stderr.write(f"imp: {' '.join(message.split())}\n")
+    said = "; ".join([message, *getattr(error, "__notes__", ())])
+    sys.stderr.write(f"imp: {' '.join(said.split())}\n")
     return code

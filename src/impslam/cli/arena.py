@@ -13,8 +13,9 @@ from numba.core import event
 
 from impslam.cli import console
 from impslam.cli.ending import EndOfRun
-from impslam.cli.job import execute, run_folder
+from impslam.cli.job import execute
 from impslam.cli.progress import display
+from impslam.cli.run_folder import run_folder
 from impslam.cli.simulate import truth_path, write_log
 from impslam.evaluation.landmark_files import landmarks_path
 from impslam.evaluation.landmarks import corners, score_landmarks
@@ -26,27 +27,34 @@ from impslam.simulation.world import load_world
 from impslam.types import Array, Landmark, TrueLandmark
 
 WORLD = "arena"
+OWN = Path(f"{WORLD}.mcap")
+LOG = frozenset(map(str, (OWN, truth_path(OWN), landmarks_path(OWN))))
+"""What is recorded before it is mapped."""
 SHOWN = 0.5  # s; shorter compile times are not printed
 
 
 def map_arena(
-    seed: int, output: Path | None, config: str | None, settings: Sequence[str], quiet: bool
+    seed: int,
+    output: Path | None,
+    config: str | None,
+    settings: Sequence[str],
+    *,
+    force: bool,
+    quiet: bool,
 ) -> None:
     """Simulate the arena, map it, and print the map next to the truth."""
-    clock = Clock()
-    own = Path(f"{WORLD}.mcap")
-    folder = run_folder(
-        output, WORLD, [str(p) for p in (own, truth_path(own), landmarks_path(own))]
-    )
-    log, world, end = folder / own, load_world(WORLD), EndOfRun()
-    with clock("simulate the arena"), display(quiet) as shown:
-        scans = write_log(world, log, seed, shown)
-    if not quiet:
-        console.say(f"recorded {scans} scans and the wheel encoders in {log}; mapping ...")
+    clock, world, end = Clock(), load_world(WORLD), EndOfRun()
     start = list(map(float, world.robot.start))
-    with clock("map and report"):
-        chosen, source = open_log(log, config, [f"start={start}", f"seed={seed}", *settings])
-        known = execute(chosen, source, folder, quiet, [end], world.landmarks())
+    with run_folder(output, WORLD, force=force, also=LOG) as folder:
+        log = folder / OWN
+        with clock("simulate the arena"), display(quiet) as shown:
+            scans = write_log(world, log, seed, shown)
+        if not quiet:
+            console.say(f"recorded {scans} scans and the wheel encoders in {OWN}; mapping ...")
+        with clock("map and report"):
+            chosen, source = open_log(log, config, [f"start={start}", f"seed={seed}", *settings])
+            known = execute(chosen, source, folder, quiet, [end], world.landmarks())
+    folder = output or folder
     if not quiet:
         _show_landmarks(world.landmarks(), known)
         _show_end(end)

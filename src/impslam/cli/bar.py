@@ -43,8 +43,16 @@ class Bar(Observer):
             completed=self._source.position,
         )
 
+    def interrupted(self) -> None:
+        """Say what comes after a run that was interrupted."""
+        self._tell("interrupted, writing what is known (once more: stop at once)")
+
     def finish(self, known: Map, outcome: Outcome) -> None:
         """Say what comes after the last scan."""
-        del known, outcome
+        del known
+        if not outcome.partial:
+            self._tell("writing the report")
+
+    def _tell(self, description: str) -> None:
         if self._display is not None:
-            self._display.update(self._task, description="writing the report")
+            self._display.update(self._task, description=description)

@@ -6,6 +6,7 @@ import logging
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from cyclopts import Parameter
@@ -33,6 +34,15 @@ Base: TypeAlias = Annotated[
     Parameter(
         name=["--config", "-c"],
         help="A preset (`imp list presets`) or a TOML file. Default: the preset that fits the log.",
+    ),
+]
+Output: TypeAlias = Annotated[Path | None, Parameter(name=["--output", "-o"])]
+Force: TypeAlias = Annotated[
+    bool,
+    Parameter(
+        negative="",
+        show_default=False,
+        help="Replace the run in the folder of -o, once the new one is complete.",
     ),
 ]
 Topics: TypeAlias = Annotated[

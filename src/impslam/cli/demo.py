@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
-
-from impslam.cli.console import Base, Common, Settings
+from impslam.cli.console import Base, Common, Force, Output, Settings
 
 
 def demo(
     *,
     seed: int = 0,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    output: Output = None,
     config: Base = None,
     settings: Settings = (),
+    force: Force = False,
     common: Common | None = None,
 ) -> None:
     """Simulate the arena of the thesis, map it, and print the map beside the truth.
@@ -25,8 +21,10 @@ def demo(
     seed
         Seed of all noise.
     output
-        The folder to write to. Default: runs/arena-DATE-TIME.
+        The folder to write to, a new one. Default: runs/arena-DATE-TIME.
     """
     from impslam.cli.arena import map_arena
 
-    map_arena(seed, output, config, settings, quiet=common is not None and common.quiet)
+    map_arena(
+        seed, output, config, settings, force=force, quiet=common is not None and common.quiet
+    )

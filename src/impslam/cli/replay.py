@@ -57,7 +57,5 @@ def replay(
             player.stop()
     known = player.wait(0.0)
     if known is None:
-        raise LeftError(
-            f"{source.path}: the replay was stopped before the end of the log; nothing is written"
-        )
+        raise LeftError("the replay was stopped before the end of the log; nothing is written")
     return known

@@ -6,12 +6,12 @@ from collections import Counter
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Base, Common, Flag, Seed, Settings, Topics
+from impslam.cli.console import Base, Common, Flag, Force, Output, Seed, Settings, Topics
 
 if TYPE_CHECKING:
     from impslam.map import Map
@@ -40,10 +40,11 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     /,
     *,
     config: Base = None,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    output: Output = None,
     settings: Settings = (),
     topics: Topics = (),
     seed: Seed = None,
+    force: Force = False,
     page: Page | None = None,
     common: Common | None = None,
 ) -> None:
@@ -54,24 +55,25 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     log
         A file or folder; its format is recognised from its content.
     output
-        The folder to write to. Default: runs/LOG-DATE-TIME.
+        The folder to write to, a new one. Default: runs/LOG-DATE-TIME.
     """
     from impslam.cli.ending import EndOfRun
-    from impslam.cli.job import execute, run_folder, topic_settings
+    from impslam.cli.job import execute, topic_settings
     from impslam.cli.replay import replay
+    from impslam.cli.run_folder import run_folder
     from impslam.open_log import open_log
-    from impslam.run import map_log
 
     changes = [*settings, *topic_settings(topics), *(() if seed is None else (f"seed={seed}",))]
     chosen, source = open_log(log, config, changes)
-    folder = run_folder(output, log.resolve().name.split(".")[0] or "log")
     quiet = common is not None and common.quiet
     end = EndOfRun()
     page = page or Page()
-    player = partial(replay, port=page.port, quiet=quiet) if page.live else map_log
-    known = execute(chosen, source, folder, quiet or page.live, [end], player=player)
+    player = partial(replay, port=page.port, quiet=quiet) if page.live else None
+    name = log.resolve().name.split(".")[0] or "log"
+    with run_folder(output, name, force=force) as folder:
+        known = execute(chosen, source, folder, quiet or page.live, [end], player=player)
     if not quiet and end.outcome is not None:
-        show(known, end.outcome, folder, at_once=not page.live)
+        show(known, end.outcome, output or folder, at_once=not page.live)
 
 
 def show(known: Map, outcome: Outcome, folder: Path, *, at_once: bool = True) -> None:

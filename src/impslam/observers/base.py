@@ -51,7 +51,7 @@ RELIABLE = Health()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """Facts about a finished run besides its `Map`.
+    """Facts about a run besides its `Map`.
 
     Attributes
     ----------
@@ -66,6 +66,7 @@ class Outcome:
     state_size : number of scalars in the filter state at the end
     health : reliability of the pose estimate
     lidar_alone : whether the run had no odometry
+    partial : why the run is not whole and where in the log it ended, "" for a whole one
     """
 
     log: Path
@@ -79,6 +80,7 @@ class Outcome:
     state_size: int
     health: Health = RELIABLE
     lidar_alone: bool = False
+    partial: str = ""
 
 
 class Observer:
@@ -97,4 +99,4 @@ class Observer:
         """Receive a true pose, if the log contains it; the estimator never does."""
 
     def finish(self, known: Map, outcome: Outcome) -> None:
-        """Receive the map at the end of the run."""
+        """Receive the map at the end of the run, also of one that ended early (`outcome.partial`)."""

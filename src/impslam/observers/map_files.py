@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
@@ -18,15 +21,31 @@ MAP_FILES = frozenset(
 """What is written; the graph only where the map has one."""
 
 
-def write_map_files(folder: Path, known: Map, image: MapImage) -> None:
+Keep: TypeAlias = Callable[..., AbstractContextManager[None]]
+"""Called with names of files before they are written, in the context that it returns."""
+
+
+@contextmanager
+def together(*names: str) -> Iterator[None]:
+    """Let the first file that cannot be written end it."""
+    del names
+    yield
+
+
+def write_map_files(folder: Path, known: Map, image: MapImage, keep: Keep = together) -> None:
     """Write `MAP_FILES` into a folder, which exists; `image` is the map's grid."""
     rows = known.rows()
-    write_tum(folder / "trajectory.tum", np.column_stack((rows.stamps, rows.poses)))
-    _write_table(folder / "trajectory.csv", rows)
-    write_landmarks(folder / "landmarks.csv", known.landmarks)
+    with keep("trajectory.tum"):
+        write_tum(folder / "trajectory.tum", np.column_stack((rows.stamps, rows.poses)))
+    with keep("trajectory.csv"):
+        _write_table(folder / "trajectory.csv", rows)
+    with keep("landmarks.csv"):
+        write_landmarks(folder / "landmarks.csv", known.landmarks)
     if len(known.edges.i):
-        write_g2o(folder / GRAPH, _graph(known))
-    write_map(folder, image)
+        with keep(GRAPH):
+            write_g2o(folder / GRAPH, _graph(known))
+    with keep("map.pgm", "map.yaml"):
+        write_map(folder, image)
 
 
 def _graph(known: Map) -> G2o:

@@ -10,6 +10,7 @@ import numpy as np
 
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer, Outcome
+from impslam.observers.file_by_file import FileByFile
 from impslam.observers.run_folder import make_run_folder, write_end
 from impslam.observers.trajectory import TrajectoryWriter
 from impslam.types import Array, TrueLandmark, TruePose
@@ -61,5 +62,8 @@ class Recorder(Truth):
 
     def finish(self, known: Map, outcome: Outcome) -> None:
         """Write what is known only at the end."""
-        self._live.finish(known, outcome)
-        write_end(self._folder, known, outcome, self.path, self._known)
+        keep = FileByFile(self._folder)
+        for rows in self._live.files:
+            with keep(rows.path.name, grows=True):
+                rows.flush()
+        write_end(keep, known, outcome, self.path, self._known)

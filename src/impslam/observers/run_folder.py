@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from impslam.evaluation.tum import TRUTH, write_tum
 from impslam.map import Map
 from impslam.maps.files import map_image
 from impslam.observers.base import Outcome
+from impslam.observers.file_by_file import FileByFile
 from impslam.observers.history import History
 from impslam.observers.map_files import write_map_files
 from impslam.observers.report import write_report
@@ -54,44 +56,57 @@ def write_run(
     Raises
     ------
     ImpError
-        If a file cannot be written.
+        If a file cannot be written; the others are.
     """
     make_run_folder(folder)
-    try:
+    keep = FileByFile(folder)
+    with keep(LIVE):
         write_tum(folder / LIVE, known.live_path())
-        if len(true_path):
+    if len(true_path):
+        with keep(TRUTH):
             write_tum(folder / TRUTH, true_path)
-    except OSError as error:
-        raise _unwritable(folder, error) from None
-    write_end(folder, known, outcome, true_path, true_landmarks)
+    write_end(keep, known, outcome, true_path, true_landmarks)
     return folder
 
 
 def write_end(
-    folder: Path,
+    keep: FileByFile,
     known: Map,
     outcome: Outcome,
     true_path: Array,
     true_landmarks: Sequence[TrueLandmark],
 ) -> None:
-    """Write the files that are not written while the robot drives; see `write_run`."""
-    history, grid = History(known, true_path), known.grid(outcome.config["grid"]["resolution"])
+    """Write the files that are not written while the robot drives; see `write_run`.
+
+    The map comes first, from which all others can be made; the summary comes last and says which files
+    could not be written.
+    """
+    folder, history = keep.folder, History(known, true_path)
+    if outcome.log.is_relative_to(folder):  # it may be moved with its log
+        outcome = replace(outcome, log=outcome.log.relative_to(folder))
+    with keep("map.imp"):
+        known.save(folder / "map.imp")
+    grid = known.grid(outcome.config["grid"]["resolution"])
     image, refused = map_image(grid), grid.refused
     del grid  # its memory serves the picture
-    try:
-        write_map_files(folder, known, image)
+    write_map_files(folder, known, image, keep)
+    with keep("odometry.tum"):
         write_tum(folder / "odometry.tum", history.odometry)
-        if true_landmarks:
+    if true_landmarks:
+        with keep(TRUE_LANDMARKS):
             write_true_landmarks(folder / TRUE_LANDMARKS, true_landmarks)
-        known.save(folder / "map.imp")
-        facts = summarise(outcome, history, refused)
+    with keep("config.toml"):
+        (folder / "config.toml").write_text(config_toml(outcome.config), encoding="utf-8")
+    with keep("report.png", "report.html"):
+        write_report(folder, history, _marked(outcome, keep), image, true_landmarks)
+    with keep("summary.json"):
+        facts = summarise(_marked(outcome, keep), history, refused)
         text = json.dumps(facts, indent=2, ensure_ascii=False) + "\n"
         (folder / "summary.json").write_text(text, encoding="utf-8")
-        (folder / "config.toml").write_text(config_toml(outcome.config), encoding="utf-8")
-        write_report(folder, history, outcome, image, true_landmarks)
-    except OSError as error:
-        raise _unwritable(folder, error) from None
+    keep.check()
 
 
-def _unwritable(folder: Path, error: OSError) -> ImpError:
-    return ImpError(f"{folder}: cannot be written ({error.strerror}); choose another")
+def _marked(outcome: Outcome, keep: FileByFile) -> Outcome:
+    """Return the outcome marked as partial if a file could not be written."""
+    partial = "; ".join(filter(None, (outcome.partial, keep.said)))
+    return replace(outcome, partial=partial)

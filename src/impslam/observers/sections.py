@@ -41,6 +41,8 @@ def heading(outcome: Outcome, history: History) -> str:
     alone = ", by the lidar alone: there is no odometry" * outcome.lidar_alone
     title = f"<h1>{escape(outcome.log.name)}</h1><p>Mapped by impslam{alone}</p>"
     title += f"<p>Pose: {escape(outcome.health.summary)}.</p>"
+    if outcome.partial:
+        title += f'<p class="partial">Partial: {escape(outcome.partial)}.</p>'
     return f"<header>{title}</header>" + tiles(facts)
 
 

@@ -26,6 +26,7 @@ def summarise(outcome: Outcome, history: History, refused: int) -> dict[str, Any
             "sha256": outcome.log_sha256,
             "seconds": _round(outcome.log_seconds),
         },
+        "partial": outcome.partial or None,
         "config_sha256": hashlib.sha256(config_toml(outcome.config).encode()).hexdigest(),
         "seed": outcome.config.get("seed"),
         "counts": dict(sorted(outcome.counts.items())),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -43,10 +45,14 @@ class Rows:
 
 
 def _append(path: Path, text: str, mode: str) -> None:
+    """Append to a file, or leave it as it was."""
+    before = path.stat().st_size if path.exists() else 0
     try:
         with path.open(mode, encoding="utf-8", newline="\n") as stream:
             stream.write(text)
     except OSError as error:
+        with suppress(OSError):
+            os.truncate(path, before)
         raise ImpError(f"{path}: cannot be written ({error.strerror}); choose another -o") from None
 
 
@@ -57,6 +63,11 @@ class TrajectoryWriter(Observer):
         self._folder = folder
         self._path = Rows(folder / LIVE)
         self._truth: Rows | None = None
+
+    @property
+    def files(self) -> list[Rows]:
+        """The files begun by now."""
+        return [self._path] if self._truth is None else [self._path, self._truth]
 
     def follow(self, track: Track, path: PathRows) -> None:
         """Append the poses of a track."""
@@ -77,6 +88,5 @@ class TrajectoryWriter(Observer):
     def finish(self, known: Map, outcome: Outcome) -> None:
         """Write the last rows."""
         del known, outcome
-        for rows in (self._path, self._truth):
-            if rows is not None:
-                rows.flush()
+        for rows in self.files:
+            rows.flush()

@@ -10,7 +10,7 @@ import pytest
 from tests.recorded import Played, perfect
 
 from impslam.config import load
-from impslam.errors import ImpError, SourceError
+from impslam.errors import ImpError, LeftError, SourceError
 from impslam.observers.base import Observer
 from impslam.observers.live_view import LiveView
 from impslam.observers.recorder import Recorder
@@ -246,14 +246,15 @@ def test_a_halted_replay_takes_no_time_of_the_computer(room, tmp_path):
     playing.stop()
 
 
-def test_a_stopped_replay_leaves_observers_without_outcome(room, tmp_path):
+def test_a_stopped_replay_tells_observers_what_is_known(room, tmp_path):
     kept = Moments()
     playing = player(room, tmp_path, [kept])
     playing.start()
     wait_until(lambda: playing.status().steps >= 2)
     playing.stop()
-    assert playing.wait(5.0) is None
-    assert kept.outcome is None
+    with pytest.raises(LeftError, match="stopped before the end"):
+        playing.wait(5.0)
+    assert f"the first {len(kept.stamps)} scans" in kept.outcome.partial
 
 
 # --------------------------------------------------------------------------- odd logs

@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 
 from impslam.columns import Batch
 from impslam.config import Config
-from impslam.errors import ImpError
+from impslam.errors import LeftError, in_a_line
 from impslam.map import Map
 from impslam.observers.base import Observer
 from impslam.observers.live_view import LiveView
@@ -118,18 +118,20 @@ class Player:
         self._pace.set_speed(speed)
 
     def stop(self) -> None:
-        """End early; observers are not told an outcome, so no run folder of half a log is made."""
+        """End early; observers are told what is known by then, so a run folder holds it."""
         self._pace.stop()
         if self._thread.is_alive():
             self._thread.join(STOP)
-        if self._phase == "writing":  # nothing was left early; half a folder would stay
+        if self._phase == "writing":  # half a folder would stay
             self._thread.join(WRITE)
 
     def wait(self, timeout: float | None = None) -> Map | None:
-        """Wait for the end; return the map, None if stopped or not yet over.
+        """Wait for the end; return the map, None if it is not yet over.
 
         Raises
         ------
+        LeftError
+            If it was stopped before the end of the log.
         ImpError
             What made it fail.
         """
@@ -144,7 +146,8 @@ class Player:
         state: State = self._phase
         if state == "playing" and self._pace.paused:
             state = "paused"
-        detail = note if self._error is None else _in_a_line(self._error)
+        failed = None if state == "stopped" else self._error
+        detail = note if failed is None else in_a_line(failed)
         return PlayerStatus(
             state,
             *self._position,
@@ -161,15 +164,19 @@ class Player:
             self._view.begin(self._run, self._config.grid.resolution)
             self._prepare(self._config)
             self._phase = "playing"
-            self._phase = self._play()
+            self._play()
+            self._phase = "ended"
+        except LeftError as error:
+            self._error, self._phase = error, "stopped"
         except Exception as error:  # who waits for the end gets it
             self._error, self._phase = error, "failed"
 
-    def _play(self) -> State:
-        with self._source as source:
+    def _play(self) -> None:
+        with self._source as source, self._run.keeping(source):
             for batch in source.batches(rows=1):
                 if not self._admits(batch):
-                    return "stopped"
+                    self._phase = "writing"
+                    raise LeftError("the replay was stopped before the end of the log")
                 before = self._run.scans
                 self._run.feed(batch)
                 if self._run.scans > before:
@@ -178,7 +185,6 @@ class Player:
             self._position = source.position, source.total
         self._phase = "writing"
         self._map = self._run.finish(self._source)
-        return "ended"
 
     def _admits(self, batch: Batch) -> bool:
         """Wait until it is time for a row; tell whether to go on."""
@@ -193,11 +199,6 @@ class Player:
             verdict = self._pace.wait(stamp)
         self._view.expect(stamp, now())
         return verdict == "go"
-
-
-def _in_a_line(error: Exception) -> str:
-    words = " ".join(str(error).split())
-    return words if isinstance(error, ImpError) else f"{type(error).__name__}: {words}"
 
 
 def play_live(

@@ -1,0 +1,214 @@
+"""Runs that end early: a signal, a full disk, an error. What is known by then is written."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impslam.cli.run_folder import FILES
+from impslam.estimators.graph import Graph
+from impslam.estimators.landmarks import Landmarks
+from impslam.evaluation.tum import read_tum
+from impslam.map import Map
+from impslam.provenance import fingerprint
+
+WRITTEN = FILES - {"graph.g2o", "truth.landmarks.csv"}
+SLOWLY = """
+import resource, sys, time
+from impslam.cli import bar, main
+from impslam.observers import recorder, trajectory
+trajectory.FLUSH = 1
+{more}
+bar.Bar._move = lambda self: time.sleep(0.03)
+sys.exit(main(sys.argv[1:]))
+"""
+STUCK = "recorder.write_end = lambda *_: (print('writing', flush=True), time.sleep(60))"
+
+
+def started(*words: object, more: str = "") -> subprocess.Popen[str]:
+    """Start `imp` so that a scan takes 30 ms."""
+    return subprocess.Popen(
+        [sys.executable, "-c", SLOWLY.format(more=more), *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def wait_for_scans(folder: Path, scans: int = 20) -> None:
+    """Wait until the run has written so many scans of its path."""
+    end = time.monotonic() + 120.0
+    path = folder / "trajectory.live.tum"
+    while not (path.exists() and path.read_text().count("\n") >= scans):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def check_partial(folder: Path, log: Path, reason: str) -> Map:
+    """Check that a folder holds all files of a part of the log, each of which says so."""
+    assert {p.name for p in folder.iterdir()} >= WRITTEN
+    known = Map.load(folder / "map.imp")
+    n = len(known.stamps)
+    assert 20 <= n < 100
+    assert read_tum(folder / "trajectory.tum").shape == (n, 4)
+    assert read_tum(folder / "trajectory.live.tum").shape == (n, 4)
+    partial = json.loads((folder / "summary.json").read_text())["partial"]
+    assert reason in partial
+    assert f"the first {n} scans" in partial
+    assert known.about["partial"] == partial
+    assert known.about["counts"]["steps"] == n
+    assert known.about["log_sha256"] == fingerprint(log)
+    assert "Partial: " in (folder / "report.html").read_text()
+    return known
+
+
+@pytest.mark.parametrize(
+    ("number", "reason", "code"),
+    [
+        (signal.SIGINT, "interrupted", 130),
+        (signal.SIGTERM, "terminated", 143),
+        (signal.SIGHUP, "terminal closed", 129),
+    ],
+)
+def test_a_signal_leaves_a_whole_folder_of_a_part(room, tmp_path, number, reason, code) -> None:
+    folder = tmp_path / "run"
+    with started("run", room, "-o", folder) as process:
+        wait_for_scans(folder)
+        process.send_signal(number)
+        out, err = process.communicate()
+    assert (process.returncode, out) == (code, "")
+    assert err == f"imp: {reason}; {folder} holds what was mapped by then, marked as partial\n"
+    check_partial(folder, room, reason)
+
+
+def test_a_part_is_the_begin_of_the_whole(imp, room, tmp_path) -> None:
+    folder = tmp_path / "run"
+    with started("run", room, "-o", folder) as process:
+        wait_for_scans(folder)
+        process.send_signal(signal.SIGINT)
+        process.communicate()
+    assert imp("run", room, "-o", tmp_path / "whole").code == 0
+    part = read_tum(folder / "trajectory.live.tum")
+    whole = read_tum(tmp_path / "whole" / "trajectory.live.tum")
+    np.testing.assert_array_equal(part, whole[: len(part)])
+
+
+def test_a_second_signal_ends_it_at_once(room, tmp_path) -> None:
+    folder = tmp_path / "run"
+    with started("run", room, "-o", folder, more=STUCK) as process:
+        wait_for_scans(folder)
+        process.send_signal(signal.SIGINT)
+        assert process.stdout.readline() == "writing\n"
+        begin = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate()
+    assert time.monotonic() - begin < 5.0
+    assert process.returncode == 130
+    assert err == f"imp: interrupted; {folder} holds trajectory.live.tum, truth.tum\n"
+    assert len(read_tum(folder / "trajectory.live.tum")) >= 20
+
+
+def test_a_signal_before_the_first_scan_leaves_nothing(room, tmp_path) -> None:
+    more = "bar.Bar.__init__ = lambda *_: (print('begun', flush=True), time.sleep(60))"
+    with started("run", room, "-o", tmp_path / "run", more=more) as process:
+        assert process.stdout.readline() == "begun\n"
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate()
+    assert (process.returncode, err.count("\n")) == (130, 1)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("whole", [False, True], ids=["on the way", "at the end"])
+def test_a_full_disk_costs_only_the_files_that_do_not_fit(room, tmp_path, whole) -> None:
+    """The size that a file may have stands for a disk: writing beyond it fails in the same way."""
+    folder, size = tmp_path / "run", 30_000 if whole else 6_000
+    limit = f"resource.setrlimit(resource.RLIMIT_FSIZE, ({size}, {size}))"
+    limit += "; recorder.Recorder.truth = lambda *_: None"
+    with started("run", room, "-o", folder, more=limit) as process:
+        out, err = process.communicate()
+    assert (process.returncode, out, err.count("\n")) == (2, "", 1)
+    assert "File too large" in err
+    assert f"{folder} holds what was mapped by then, marked as partial" in err
+    partial = json.loads((folder / "summary.json").read_text())["partial"]
+    assert "map.imp" in partial
+    assert "could not be written (" in partial
+    missing = WRITTEN - {"truth.tum"} - {p.name for p in folder.iterdir()}
+    assert {"map.imp", "report.html"} < missing < WRITTEN
+    assert all(name in partial for name in missing)
+    path = read_tum(folder / "trajectory.live.tum")  # whole rows, as many as fit
+    assert len(path) == 100 if whole else 40 < len(path) < 90
+
+
+@pytest.mark.parametrize("estimator", [Landmarks, Graph])
+@pytest.mark.parametrize("after", [False, True])
+def test_an_error_keeps_what_was_mapped_before(
+    imp, room, tmp_path, monkeypatch, estimator, after
+) -> None:
+    """Before the estimator has taken the keyframe in, or after: it then has one that the map has not."""
+    add = estimator.add
+
+    def failing(self, keyframe):
+        revision = add(self, keyframe) if after or keyframe.id < 9 else None
+        if keyframe.id == 9:
+            raise ArithmeticError("a fault\nof two lines")
+        return revision
+
+    monkeypatch.setattr(estimator, "add", failing)
+    folder = tmp_path / "run"
+    kind = estimator.__name__.lower()
+    more = ("--set", "keyframes.distance=0.03", "--set", f"estimator.kind={kind}")
+    said = imp("run", room, "-o", folder, *more)
+    assert (said.code, said.err.count("\n")) == (1, 1)
+    assert "ArithmeticError: a fault of two lines" in said.err
+    known = check_partial(folder, room, "ArithmeticError")
+    assert len(known.keyframes) == 9
+    assert np.isfinite(known.path()).all()
+
+
+def test_a_run_is_replaced_by_a_whole_one_only(imp, room, tmp_path) -> None:
+    folder = tmp_path / "run"
+    assert imp("run", room, "-o", folder).code == 0
+    (folder / "notes.txt").write_text("mine")
+    before = {p.name: p.read_bytes() for p in folder.iterdir()}
+    said = imp("run", room, "-o", folder)
+    assert (said.code, said.err.count("\n")) == (2, 1)
+    assert "holds a run; --force replaces it" in said.err
+
+    beside = tmp_path / "run-partial"
+    with started("run", room, "-o", folder, "--force", "--seed", "4") as process:
+        wait_for_scans(beside)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate()
+    assert process.returncode == 130
+    assert err.endswith(f"; {folder} is as it was\n")
+    check_partial(beside, room, "interrupted")
+    assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
+
+    said = imp("run", room, "-o", folder, "--force", "--seed", "4")
+    assert said.code == 0, said.err
+    assert f"report: {folder / 'report.html'}" in said.out
+    assert json.loads((folder / "summary.json").read_text())["seed"] == 4
+    assert (folder / "notes.txt").read_text() == "mine"
+    assert {p.name for p in tmp_path.iterdir()} == {"run", "run-partial"}
+
+
+def test_a_partial_run_may_be_replaced(imp, room, tmp_path) -> None:
+    (tmp_path / "trajectory.live.tum").write_text("")
+    assert imp("run", room, "-o", tmp_path).code == 2
+    assert imp("run", room, "-o", tmp_path, "--force").code == 0
+    assert len(read_tum(tmp_path / "trajectory.tum")) == 100
+
+
+def test_the_current_folder_is_not_replaced(imp, room, tmp_path, monkeypatch) -> None:
+    assert imp("run", room, "-o", tmp_path).code == 0
+    monkeypatch.chdir(tmp_path)
+    said = imp("run", room, "-o", ".", "--force")
+    assert said.code == 2
+    assert "is the current folder" in said.err

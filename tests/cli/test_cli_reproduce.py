@@ -79,8 +79,29 @@ def test_the_markdown_says_the_same(tmp_path):
 def test_only_what_is_asked_for_runs_in_the_order_of_the_page(tmp_path):
     assert main(["reproduce", "lines", "points", "-o", str(tmp_path), "-j", "1", "--quiet"]) == 0
     assert list(json.loads((tmp_path / "figures.json").read_text()))[2:] == ["points", "lines"]
-    assert main(["reproduce", "lines", "-o", str(tmp_path), "-j", "1", "--quiet"]) == 0
+    again = ["reproduce", "lines", "-o", str(tmp_path), "-j", "1", "--quiet"]
+    assert main(again) == 2
+    assert main([*again, "--force"]) == 0
     assert "points" not in json.loads((tmp_path / "figures.json").read_text())
+    assert not (tmp_path / "points.png").exists()
+
+
+def test_an_interruption_keeps_the_experiments_that_are_done(tmp_path, monkeypatch, capsys):
+    toy = command._study
+
+    def interrupted(job):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(
+        command, "_study", lambda name: interrupted if name == "lines" else toy(name)
+    )
+    assert main(["reproduce", "-o", str(tmp_path / "out"), "-j", "1"]) == 130
+    assert "out holds figures.json, report.html, report.md" in capsys.readouterr().err
+    facts = json.loads((tmp_path / "out" / "figures.json").read_text())
+    assert "points" in facts
+    assert facts["partial"] == "Partial: lines missing."
+    for name in ("report.html", "report.md"):
+        assert "Partial: lines missing." in (tmp_path / "out" / name).read_text()
 
 
 @pytest.mark.parametrize(
@@ -101,7 +122,7 @@ def test_what_cannot_be_is_refused_in_a_line(words, complaint, tmp_path, capsys)
 def test_a_folder_of_something_else_is_left_alone(tmp_path, capsys):
     (tmp_path / "letter.txt").write_text("dear")
     assert main(["reproduce", "points", "-o", str(tmp_path)]) == 2
-    assert "contains other files" in capsys.readouterr().err
+    assert "it contains 'letter.txt'" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["letter.txt"]
 
 

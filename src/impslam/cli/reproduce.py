@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import shlex
-import time
 from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common
+from impslam.cli.console import Common, Force, Output
 from impslam.cli.progress import display
+from impslam.cli.run_folder import run_folder
 from impslam.component import near_miss
 from impslam.errors import ConfigError
-from impslam.paths import make_folder
 
 if TYPE_CHECKING:
     from impslam.studies.report import Section, Study
@@ -50,7 +50,8 @@ def reproduce(
     jobs: Annotated[
         int | None, Parameter(name=["--jobs", "-j"], help="Processes. Default: all cores.")
     ] = None,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    output: Output = None,
+    force: Force = False,
     common: Common | None = None,
 ) -> None:
     """Run experiments of the thesis and write their tables and figures into a folder.
@@ -63,7 +64,7 @@ def reproduce(
     experiments
         Any of points, lines, both, corridor, figures, extractors, consistency. Default: all.
     output
-        The folder to write to. Default: runs/reproduce-DATE-TIME.
+        The folder to write to, a new one. Default: runs/reproduce-DATE-TIME.
     """
     # A run of anything else neither imports nor needs the studies.
     from impslam.studies.job import Job
@@ -75,20 +76,34 @@ def reproduce(
     for what, number in (("--seeds", seeds), ("--jobs", jobs)):
         if number is not None and number < 1:
             raise ConfigError(f"{what} {number}: must be at least 1")
-    folder = _folder(output)
     quiet = common is not None and common.quiet
-    parts = []
-    with display(quiet) as shown:
-        for name in names:
-            runs = seeds or (EXPERIMENTS[name][1] if full else None)
-            job = Job(runs, jobs or os.cpu_count() or 1, Progress(shown, name))
-            parts.append(_study(name)(job))
     said = ["imp", "reproduce", *experiments, *(["--seeds", str(seeds)] if seeds else [])]
     said += ["--full"] if full else []
-    write(folder, parts, shlex.join(said))
+    parts: list[Section] = []
+    with _folder(output, force=force) as folder, display(quiet) as shown:
+        try:
+            for name in names:
+                runs = seeds or (EXPERIMENTS[name][1] if full else None)
+                job = Job(runs, jobs or os.cpu_count() or 1, Progress(shown, name))
+                parts.append(_study(name)(job))
+        finally:
+            if parts:  # hours of work, where a later one is interrupted
+                missing = names[len(parts) :]
+                write(folder, parts, shlex.join(said), missing)
+    folder = output or folder
     if not quiet:
         _show(parts)
         console.say(f"report: {folder / PAGE}")
+
+
+def _folder(wanted: Path | None, *, force: bool) -> AbstractContextManager[Path]:
+    """Give the folder to write to; see `run_folder`."""
+    from impslam.studies.report import MARKDOWN, NUMBERS, PAGE
+
+    there = wanted.iterdir() if wanted is not None and wanted.is_dir() else ()
+    more = {path.name for path in there if path.suffix in {".png", ".csv"}}
+    results = {PAGE, MARKDOWN, NUMBERS}
+    return run_folder(wanted, "reproduce", force=force, results=results, also=more, mark=NUMBERS)
 
 
 class Progress:
@@ -120,19 +135,6 @@ def _study(name: str) -> Study:
     module, function = EXPERIMENTS[name][0].split(":")
     study: Study = getattr(import_module(f"impslam.studies.{module}"), function)
     return study
-
-
-def _folder(wanted: Path | None) -> Path:
-    """Return the folder to write to: an earlier one of this command may be used again."""
-    from impslam.studies.report import NUMBERS
-
-    if wanted is None:
-        return make_folder(Path("runs"), f"reproduce-{time.strftime('%Y%m%d-%H%M%S')}")
-    if wanted.exists() and not wanted.is_dir():
-        raise ConfigError(f"{wanted}: is a file; give -o a folder")
-    if wanted.exists() and any(wanted.iterdir()) and not (wanted / NUMBERS).exists():
-        raise ConfigError(f"{wanted}: contains other files; give -o a new or an empty folder")
-    return wanted
 
 
 def _show(parts: Iterable[Section]) -> None:

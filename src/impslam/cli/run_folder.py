@@ -17,18 +17,26 @@ FILES = LIVE | frozenset(
     | {"map.imp", "graph.g2o", "report.html", "report.png", "summary.json", "config.toml"}
     | {"truth.landmarks.csv"}
 )
-"""What a run writes; only these are ever replaced or removed."""
+"""What a run writes; only such files are ever replaced or removed."""
+MARK = "trajectory.tum"
+"""Where this is, a run is, whatever else the folder holds."""
 
 
 @contextmanager
 def run_folder(
-    wanted: Path | None, name: str, *, force: bool = False, also: Set[str] = frozenset()
+    wanted: Path | None,
+    name: str,
+    *,
+    force: bool = False,
+    results: Set[str] = FILES,
+    also: Set[str] = frozenset(),
+    mark: str = MARK,
 ) -> Iterator[Path]:
     """Give the folder to write a run to; when the block has ended well, the run is in `wanted`.
 
     Without a wish it is a new one under runs/. With `force` the run may replace an earlier one, which
-    stays as it is if the block fails. A block that fails keeps its folder if a run has written to it,
-    and a note of the error says where. `also` are further files that the command writes.
+    stays as it is if the block fails. A block that fails keeps its folder if it holds any of the
+    `results`, and a note of the error says where. `also` are further files that the command writes.
 
     Raises
     ------
@@ -36,15 +44,15 @@ def run_folder(
         If the path is a file, a folder that holds a run (without `force`), or one that holds anything
         else.
     """
-    own = FILES | also
-    replaced = _replaced(wanted, own, force=force)
+    own = results | also
+    replaced = _replaced(wanted, own, mark, force=force)
     new = wanted is None or not wanted.exists()
     folder = _choose(wanted, name, replaced)
     try:
         yield folder
     except BaseException as error:
-        if _holds_results(folder, error):
-            error.add_note(_kept(folder) + (f"; {wanted} is as it was" if replaced else ""))
+        if kept := _kept(folder, results, error):
+            error.add_note(kept + (f"; {wanted} is as it was" if replaced else ""))
         elif folder.is_dir():
             _remove(folder, own)
             if (new or replaced) and not any(folder.iterdir()):
@@ -54,7 +62,7 @@ def run_folder(
         _replace(replaced, folder, own)
 
 
-def _replaced(wanted: Path | None, own: Set[str], *, force: bool) -> Path | None:
+def _replaced(wanted: Path | None, own: Set[str], mark: str, *, force: bool) -> Path | None:
     """Return the folder of the run that is to be replaced, None where there is none."""
     if wanted is None or not wanted.exists():
         return None
@@ -63,7 +71,7 @@ def _replaced(wanted: Path | None, own: Set[str], *, force: bool) -> Path | None
     names = {path.name for path in wanted.iterdir()}
     if not names:
         return None
-    if names - own and "trajectory.tum" not in names:
+    if names - own and mark not in names:
         raise ConfigError(
             f"{wanted}: is not the folder of a run (it contains {min(names - own)!r}); "
             "give -o a new or an empty one"
@@ -83,18 +91,18 @@ def _choose(wanted: Path | None, name: str, replaced: Path | None) -> Path:
     return wanted if replaced is None else make_folder(replaced.parent, f"{replaced.name}-partial")
 
 
-def _holds_results(folder: Path, error: BaseException) -> bool:
-    """Tell whether there is anything to keep: of a log that cannot be used the live path is nothing."""
-    results = FILES - LIVE if isinstance(error, SourceError) else FILES
-    files = [folder / name for name in results]
-    return any(path.is_file() and path.stat().st_size for path in files)
+def _kept(folder: Path, results: Set[str], error: BaseException) -> str:
+    """Return what a block that has failed leaves, "" for nothing.
 
-
-def _kept(folder: Path) -> str:
-    """Return what a run that has failed leaves."""
-    if (folder / "summary.json").exists():
+    Of a log that cannot be used the live path is nothing.
+    """
+    worth = results - LIVE if isinstance(error, SourceError) else results
+    files = [path for path in map(folder.joinpath, sorted(worth)) if path.is_file()]
+    if not any(path.stat().st_size for path in files):
+        return ""
+    if folder / "summary.json" in files:
         return f"{folder} holds what was mapped by then, marked as partial"
-    return f"{folder} holds {', '.join(sorted(FILES & {p.name for p in folder.iterdir()}))}"
+    return f"{folder} holds {', '.join(path.name for path in files)}"
 
 
 def _replace(old: Path, new: Path, own: Set[str]) -> None:

@@ -105,8 +105,13 @@ def load_text(name: str) -> dict[str, Any]:
     return tomllib.loads(text)
 
 
-def write(folder: Path, sections: Sequence[Section], command: str) -> None:
-    """Write all files into a folder; `command` is the one that made them."""
+def write(
+    folder: Path, sections: Sequence[Section], command: str, missing: Sequence[str] = ()
+) -> None:
+    """Write all files into a folder.
+
+    `command` is the one that made them; it ended before the experiments that are `missing`.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     for part in sections:
         for picture in part.pictures:
@@ -114,13 +119,18 @@ def write(folder: Path, sections: Sequence[Section], command: str) -> None:
         if part.runs:
             _write_csv(folder / f"{part.name}.csv", part.runs)
     numbers = {part.name: part.numbers for part in sections}
-    facts = json_values({"command": command, "version": __version__, **numbers})
+    facts = {"command": command, "version": __version__, **numbers}
+    partial = f"Partial: {', '.join(missing)} missing." if missing else ""
+    if partial:
+        facts["partial"] = partial
     made = f"Made by <code>{escape(command)}</code>, impslam {escape(__version__)}."
-    heading = f"<header><h1>{TITLE}</h1><p>{ABOUT} {made}</p></header>"
+    banner = f'<p class="partial">{partial}</p>' * bool(partial)
+    heading = f"<header><h1>{TITLE}</h1><p>{ABOUT} {made}</p>{banner}</header>"
     texts = {
-        NUMBERS: json.dumps(facts, indent=2, allow_nan=False) + "\n",
+        NUMBERS: json.dumps(json_values(facts), indent=2, allow_nan=False) + "\n",
         PAGE: page(f"{TITLE} · impslam", [heading, *map(_html, sections)]),
         MARKDOWN: f"# {TITLE}\n\n{ABOUT} Made by\n\n```sh\n{command}\n```\n\n"
+        + f"**{partial}**\n\n" * bool(partial)
         + "\n".join(map(_markdown, sections)),
     }
     for name, text in texts.items():

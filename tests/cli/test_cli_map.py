@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.extractors.scans import room
 from tests.maps.drawn import mapped
 from tests.recognition.plans import OFFICE, way
 
@@ -63,6 +64,39 @@ def test_export_writes_what_other_programs_read(imp, office, tmp_path) -> None:
     assert read_map(folder / "map.yaml").resolution == 0.1
 
 
+POST, MOVED = np.array([[-6.0, -0.6, 0.15]]), np.array([[5.0, 0.3, 0.15]])
+DRIVE = np.concatenate([way(-7.0, 0.3, 8.0, 0.2, 30), way(8.0, -0.5, -7.0, -0.9, 30)])
+
+
+def test_diff_finds_how_the_maps_lie_and_what_has_moved(imp, tmp_path) -> None:
+    before = mapped(OFFICE, DRIVE, POST).save(tmp_path / "before.imp")
+    later = mapped(OFFICE, DRIVE[::-1], MOVED, T=(3.0, 1.0, 2.0), seed=1)
+    after = later.save(tmp_path / "after.imp")
+    said = imp(
+        "map", "diff", before, after, "-o", tmp_path / "d.png", "--json", tmp_path / "d.json"
+    )
+    assert said.code == 0, said.err
+    facts = json.loads((tmp_path / "d.json").read_text())
+    (gone,), (new,) = facts["gone"], facts["new"]
+    np.testing.assert_allclose(gone["position_m"], POST[0, :2], atol=0.2)
+    np.testing.assert_allclose(new["position_m"], MOVED[0, :2], atol=0.2)
+    assert "gone" in said.out
+    assert "new" in said.out
+    assert (tmp_path / "d.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_diff_of_one_map_is_nothing(imp, office) -> None:
+    assert "nothing has changed" in imp("map", "diff", office, office, "--aligned").out
+
+
+def test_diff_of_two_buildings_is_refused(imp, office, tmp_path) -> None:
+    hall = mapped(room(0, 9, 0, 7), way(1, 1, 8, 5, 30)).save(tmp_path / "hall.imp")
+    said = imp("map", "diff", office, hall)
+    assert said.code == 2
+    assert f"{hall} in {office}" in said.err
+    assert said.err.count("\n") == 1
+
+
 ROUND = np.stack([4.0 * np.column_stack([np.cos(t), np.sin(t)]) for t in (
     2.0 * np.pi * np.arange(60) / 60, 2.0 * np.pi * np.arange(1, 61) / 60)], axis=1)  # fmt: skip
 
@@ -77,7 +111,12 @@ def test_a_round_hall_is_not_straightened(imp, tmp_path) -> None:
 
 @pytest.mark.parametrize(
     ("command", "more"),
-    [("info", ()), ("straighten", ("-o", "x.imp")), ("export", ("-o", "x"))],
+    [
+        ("info", ()),
+        ("straighten", ("-o", "x.imp")),
+        ("export", ("-o", "x")),
+        ("diff", ("y.imp",)),
+    ],
 )
 def test_files_that_are_no_maps_are_told_in_one_line(imp, office, tmp_path, command, more) -> None:
     damaged = tmp_path / "damaged.imp"

@@ -10,6 +10,10 @@ COMMANDS = {
         "Turn a map, by 45° at most, so that its walls are along the axes.",
         "office.imp -o straight.imp",
     ),
+    "diff": (
+        "Show what has changed between two maps of a place: walls gone, and new ones.",
+        "monday.imp friday.imp -o changes.png",
+    ),
     "export": (
         "Write a map's grid, graph, landmarks and path as files for other programs.",
         "office.imp -o office",

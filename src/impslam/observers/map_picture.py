@@ -42,7 +42,7 @@ def map_png(scene: Scene) -> bytes:
     left, right, bottom, top = bounds = _bounds(scene)
     canvas = Canvas(bounds, SIZE, colours.UNSEEN)
     frame = Frame(canvas, bounds, _keys(scene))
-    _draw_grid(canvas, scene.image)
+    draw_grid(canvas, scene.image)
     frame.rule()
     thickness = float(np.clip(15.0 / max(right - left, top - bottom), 0.5, 1.0))
     _draw_paths(canvas, scene, thickness)
@@ -64,7 +64,8 @@ def _bounds(scene: Scene) -> tuple[float, float, float, float]:
     return x0 - margin, x1 + margin, y0 - margin, y1 + margin
 
 
-def _draw_grid(canvas: Canvas, image: MapImage) -> None:
+def draw_grid(canvas: Canvas, image: MapImage) -> None:
+    """Draw a map's free, occupied and unseen cells."""
     greys: Picture = np.full((256, 3), colour(colours.UNSEEN), np.uint8)
     greys[FREE], greys[OCCUPIED] = colour(colours.FREE), colour(colours.SEEN)
     left, _, _, top = image.extent

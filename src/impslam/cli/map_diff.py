@@ -1,0 +1,83 @@
+"""`imp map diff`: walls that are gone, and new ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from impslam.cli import console
+from impslam.cli.console import Common, Flag
+
+if TYPE_CHECKING:
+    from impslam.maps.changes import Change, Changes
+
+
+def diff(
+    before: Path,
+    after: Path,
+    /,
+    *,
+    aligned: Flag = False,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    json: Path | None = None,
+    common: Common | None = None,
+) -> None:
+    """Show what has changed between two maps of a place.
+
+    Parameters
+    ----------
+    before
+        The earlier map; places are told in its frame.
+    after
+        The later map.
+    aligned
+        The maps share a frame already; else it is found how they lie to each other.
+    output
+        The picture, a PNG file.
+    json
+        Write all numbers: a JSON file.
+    """
+    from impslam.cli.comparison_json import write_json
+    from impslam.cli.map_work import picture_path, working, write_bytes
+    from impslam.errors import ImpError
+    from impslam.map import Map
+    from impslam.maps.changes import changes
+    from impslam.maps.files import map_image
+    from impslam.maps.relation import aligned_to
+    from impslam.observers.change_picture import changes_png
+
+    quiet = common is not None and common.quiet
+    picture = None if output is None else picture_path(after, output)
+    known, other = Map.load(before), Map.load(after)
+    with working("finding how the maps lie", quiet) as progress:
+        if not aligned:
+            try:
+                other = aligned_to(known, other, progress)
+            except ImpError as error:
+                raise ImpError(f"{after} in {before}: {error}") from None
+    with working("comparing", quiet):
+        found = changes(known, other)
+        if picture is not None:
+            write_bytes(picture, changes_png(map_image(other.grid()), found))
+    if not quiet:
+        _show(found)
+    if json is not None:
+        write_json(json, {"gone": _facts(found.gone), "new": _facts(found.new)})
+
+
+def _show(found: Changes) -> None:
+    named = [("gone", c) for c in found.gone] + [("new", c) for c in found.new]
+    rows = [
+        (str(n), what, f"{c.position[0]:.2f}", f"{c.position[1]:.2f}", f"{c.length:.2f}")
+        for n, (what, c) in enumerate(named, 1)
+    ]
+    if not rows:
+        console.say("nothing has changed where both maps were seen")
+        return
+    console.show_table(("", "what", "x, m", "y, m", "length, m"), rows, numbers=3)
+
+
+def _facts(pieces: tuple[Change, ...]) -> list[dict[str, Any]]:
+    return [{"position_m": c.position.tolist(), "length_m": c.length} for c in pieces]

@@ -131,6 +131,7 @@ def test_a_text_is_no_log(tmp_path):
         "impslam.slam",
         "impslam.map",
         "impslam.recognition.relocalisation",
+        "impslam.localisation",
     ],
 )
 def test_the_examples_in_docstrings_run(name, tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from impslam.evaluation.tum import read_tum
 from impslam.graph.g2o import read_g2o
 from impslam.map import Map
 from impslam.maps.files import read_map
+from impslam.run import run
 
 
 @pytest.fixture(scope="module")
@@ -97,6 +99,40 @@ def test_diff_of_two_buildings_is_refused(imp, office, tmp_path) -> None:
     assert said.err.count("\n") == 1
 
 
+@pytest.fixture(scope="module")
+def lived_in(room: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The map's file of a drive through a small room."""
+    return run(room, "imp").save(tmp_path_factory.mktemp("lived") / "room.imp")
+
+
+def test_localise_tells_where_each_scan_was_taken(imp, room, lived_in, tmp_path) -> None:
+    folder = tmp_path / "places"
+    said = imp("map", "localise", lived_in, room, "-c", "imp", "--every", "8", "-o", folder)
+    assert said.code == 0, said.err
+    path = {row[0]: row[1:] for row in Map.load(lived_in).path()}
+    with (folder / "places.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == -(-len(path) // 8)
+    found = [row for row in rows if row["verdict"] == "found"]
+    assert len(found) > len(rows) / 2
+    for row in found:
+        true = min(path.items(), key=lambda item: abs(item[0] - float(row["stamp"])))[1]
+        assert np.hypot(float(row["x"]) - true[0], float(row["y"]) - true[1]) < 0.05
+        assert 0.98 <= float(row["odds"]) <= 1.0
+    facts = json.loads((folder / "summary.json").read_text())
+    assert facts["found"] == len(found)
+    assert f"{len(found)} of {len(rows)} scans" in said.out
+    assert (folder / "places.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_log_that_is_none_is_told_in_one_line(imp, office, tmp_path) -> None:
+    said = imp("map", "localise", office, tmp_path / "none.mcap", "-o", tmp_path / "p")
+    assert said.code == 2
+    assert "none.mcap" in said.err
+    assert said.err.count("\n") == 1
+    assert not (tmp_path / "p").exists()
+
+
 ROUND = np.stack([4.0 * np.column_stack([np.cos(t), np.sin(t)]) for t in (
     2.0 * np.pi * np.arange(60) / 60, 2.0 * np.pi * np.arange(1, 61) / 60)], axis=1)  # fmt: skip
 
@@ -116,6 +152,7 @@ def test_a_round_hall_is_not_straightened(imp, tmp_path) -> None:
         ("straighten", ("-o", "x.imp")),
         ("export", ("-o", "x")),
         ("diff", ("y.imp",)),
+        ("localise", ("y.log",)),
     ],
 )
 def test_files_that_are_no_maps_are_told_in_one_line(imp, office, tmp_path, command, more) -> None:
@@ -142,7 +179,7 @@ def test_files_that_are_no_maps_are_told_in_one_line(imp, office, tmp_path, comm
         (("info", "MAP", "-o", "/nowhere/map.png"), "cannot be written"),
         (("straighten", "MAP"), "output"),
         (("straighten", "MAP", "-o", "/nowhere/map.imp"), "cannot be written"),
-        (("export", "MAP", "-o", "FOLDER"), "holds 'mine.txt', which is no export"),
+        (("export", "MAP", "-o", "FOLDER"), "holds 'mine.txt', which is none"),
         (("export", "MAP", "-o", "MAP"), "MAP"),
         (("export", "MAP", "-o", "new", "--resolution", "0"), "resolution"),
         (("turn", "MAP"), "turn"),

@@ -14,6 +14,10 @@ COMMANDS = {
         "Show what has changed between two maps of a place: walls gone, and new ones.",
         "monday.imp friday.imp -o changes.png",
     ),
+    "localise": (
+        "Find where in a map each scan of a log was taken, each by itself.",
+        "office.imp drive.mcap --every 10 -o places",
+    ),
     "export": (
         "Write a map's grid, graph, landmarks and path as files for other programs.",
         "office.imp -o office",

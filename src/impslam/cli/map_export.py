@@ -33,18 +33,18 @@ def export(
     resolution
         Side of a cell of the grid, m.
     """
-    from impslam.cli.map_work import working
+    from impslam.cli.map_work import result_folder, working
     from impslam.errors import ImpError
     from impslam.map import Map
     from impslam.maps.files import map_image
-    from impslam.observers.map_files import write_map_files
+    from impslam.observers.map_files import MAP_FILES, write_map_files
 
     quiet = common is not None and common.quiet
     with working("exporting", quiet):
         known = Map.load(file)
         image = map_image(known.grid(resolution))
+        result_folder(output, MAP_FILES)
         try:
-            _make(output)
             write_map_files(output, known, image)
         except OSError as error:
             raise ImpError(
@@ -53,18 +53,3 @@ def export(
     if not quiet:
         for path in sorted(output.iterdir()):
             console.say(str(path))
-
-
-def _make(folder: Path) -> None:
-    """Make the folder, or empty it of an earlier export."""
-    from impslam.errors import ConfigError
-    from impslam.observers.map_files import MAP_FILES
-
-    folder.mkdir(parents=True, exist_ok=True)
-    there = {path.name for path in folder.iterdir()}
-    if strange := there - MAP_FILES:
-        raise ConfigError(
-            f"{folder}: holds {min(strange)!r}, which is no export; give -o a new or an empty folder"
-        )
-    for name in there:
-        (folder / name).unlink()

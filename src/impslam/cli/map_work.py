@@ -35,6 +35,31 @@ def picture_path(beside: Path, wanted: Path | None) -> Path:
     return wanted or beside.with_suffix(".png")
 
 
+def result_folder(folder: Path, files: frozenset[str]) -> Path:
+    """Return a folder to write these files to, made if need be, emptied of those of an earlier time.
+
+    Raises
+    ------
+    ConfigError
+        If it holds anything else.
+    ImpError
+        If it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        there = {path.name for path in folder.iterdir()}
+        if strange := there - files:
+            raise ConfigError(
+                f"{folder}: holds {min(strange)!r}, which is none of the files that are written; "
+                "give -o a new or an empty folder"
+            )
+        for name in there:
+            (folder / name).unlink()
+    except OSError as error:
+        raise ImpError(f"{folder}: cannot be written ({error.strerror}); give another -o") from None
+    return folder
+
+
 def write_picture(path: Path, known: Map, image: MapImage) -> None:
     """Draw a map: grid, path and landmarks."""
     from impslam.observers.map_picture import Scene, map_png

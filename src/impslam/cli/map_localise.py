@@ -1,0 +1,115 @@
+"""`imp map localise`: where in a map each scan of a log was taken."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter, validators
+
+from impslam.cli import console
+from impslam.cli.console import Base, Common, Settings, Topics
+
+if TYPE_CHECKING:
+    from impslam.localisation import Located
+
+CSV, SUMMARY, PICTURE = "places.csv", "summary.json", "places.png"
+FILES = frozenset({CSV, SUMMARY, PICTURE})
+
+
+def localise(  # noqa: PLR0913  # each is an option that a user may give
+    file: Path,
+    log: Path,
+    /,
+    *,
+    every: Annotated[int, Parameter(validator=validators.Number(gte=1))] = 1,
+    config: Base = None,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    settings: Settings = (),
+    topics: Topics = (),
+    common: Common | None = None,
+) -> None:
+    """Find where in a map each scan of a log was taken, each by itself.
+
+    Parameters
+    ----------
+    file
+        A map, as `imp run` writes it.
+    log
+        A file or folder; its format is recognised from its content.
+    every
+        Only each so many-th scan is sought.
+    output
+        The folder to write to: places.csv, summary.json and places.png. Default:
+        runs/LOG-places-DATE-TIME.
+    """
+    from impslam.cli.comparison_json import write_json
+    from impslam.cli.job import topic_settings
+    from impslam.cli.map_work import result_folder, working, write_bytes
+    from impslam.localisation import localise as located
+    from impslam.map import Map
+    from impslam.maps.files import map_image
+    from impslam.observers.places_picture import places_png
+
+    quiet = common is not None and common.quiet
+    changes = [*settings, *topic_settings(topics)]
+    known = Map.load(file)
+    with working("localising", quiet) as progress:
+        found = list(
+            located(
+                known, log, config, changes, every=every,
+                progress=lambda position, total: progress(position / total) if total else None,
+            )
+        )  # fmt: skip
+        name = log.resolve().name.split(".")[0] or "log"
+        stem = f"{name}-places-{time.strftime('%Y%m%d-%H%M%S')}"
+        folder = result_folder(output or Path("runs") / stem, FILES)
+        write_bytes(folder / CSV, _table(found).encode())
+        write_bytes(folder / PICTURE, places_png(map_image(known.grid()), found))
+        facts = _facts(found)
+        write_json(folder / SUMMARY, facts)
+    if not quiet:
+        _show(facts, folder)
+
+
+def _table(found: list[Located]) -> str:
+    """Return a row for each scan; x to score are those of the best hypothesis."""
+    rows = ["stamp,verdict,x,y,theta,odds,score,hypotheses"]
+    for place in found:
+        answer, pose = place.answer, ",,"
+        best = ","
+        if place.pose is not None:
+            pose = ",".join(f"{value:.6f}" for value in place.pose)
+            best = f"{answer.hypotheses[0].odds:.6f},{answer.hypotheses[0].score:.4f}"
+        verdict, count = answer.verdict.value, len(answer.hypotheses)
+        rows.append(f"{place.stamp:.9f},{verdict},{pose},{best},{count}")
+    return "\n".join(rows) + "\n"
+
+
+def _facts(found: list[Located]) -> dict[str, Any]:
+    """Return the content of summary.json."""
+    import numpy as np
+
+    counts = Counter(place.answer.verdict.value for place in found)
+    seconds = 1e3 * np.array([place.seconds for place in found])
+    names = ("found", "ambiguous", "nowhere")
+    times = {"p50": float(np.median(seconds)), "max": float(seconds.max())}
+    return {"scans": len(found), **{name: counts[name] for name in names}, "time_ms": times}
+
+
+def _show(facts: dict[str, Any], folder: Path) -> None:
+    meanings = {
+        "found": "at one place",
+        "ambiguous": "at several places, or none for sure",
+        "nowhere": "at no place of the map",
+    }
+    scans = facts["scans"]
+    rows = {
+        name: f"{facts[name]} of {scans} scans ({100 * facts[name] / scans:.1f} %), {words}"
+        for name, words in meanings.items()
+    }
+    times = facts["time_ms"]
+    rows["time"] = f"{times['p50']:.0f} ms a scan in the median, {times['max']:.0f} ms at most"
+    console.show_facts({**rows, "written to": str(folder)})

@@ -1,0 +1,117 @@
+"""Where in a map each scan of a log was taken, each by itself."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from impslam.columns import Motions, Sweeps
+from impslam.config import Config
+from impslam.errors import SourceError
+from impslam.geometry.se2 import compose
+from impslam.map import Map
+from impslam.open_log import open_log
+from impslam.recognition.relocalisation import Answer, Relocaliser
+from impslam.recognition.submap import view
+from impslam.robot import Robot
+from impslam.sources.base import Source
+from impslam.types import Array, Scan
+
+Progress = Callable[[int, int | None], None]
+"""Called with the position in the log and the length of the log, or None if the length is unknown."""
+
+
+class Located(NamedTuple):
+    """Where a scan was taken.
+
+    Attributes
+    ----------
+    stamp : s, the log's own
+    pose : (3,) `T_map_base` at the stamp by the best hypothesis; None if there is none
+    answer : all hypotheses, with `T_map_base` at the middle of the sweep
+    seconds : that the search took
+    """
+
+    stamp: float
+    pose: Array | None
+    answer: Answer
+    seconds: float
+
+
+def localise(
+    known: Map,
+    log: str | Path,
+    config: str | Path | Config | None = None,
+    settings: Sequence[str] = (),
+    *,
+    every: int = 1,
+    progress: Progress = lambda position, total: None,
+) -> Iterator[Located]:
+    """Yield where in a map each scan of a log was taken, by the scan alone.
+
+    Parameters
+    ----------
+    known : the map
+    log : a file or folder; its format is recognised from its content
+    config : a preset's name, a file, or a config; by default the preset that fits the log
+    settings : overrides of the config, each as "key=value"
+    every : only each so many-th scan is sought
+    progress : called with the position in the log and its length, in the source's own unit
+
+    Raises
+    ------
+    SourceError
+        If the log cannot be read, or contains no scan.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import impslam
+    >>> from impslam.localisation import localise
+    >>> from impslam.simulation.robot import SimulatedRobot
+    >>> from impslam.simulation.simulate import simulate
+    >>> from impslam.simulation.world import load_world
+    >>> from impslam.sources.recording import McapWriter
+    >>> log = Path(tempfile.mkdtemp()) / "room.mcap"
+    >>> with McapWriter(log) as writer:
+    ...     for message in simulate(load_world("room"), SimulatedRobot(imu=None)):
+    ...         writer.write(message)
+    >>> known = impslam.run(log, "imp")
+    >>> places = list(localise(known, log, "imp", every=20))
+    >>> {place.answer.verdict.value for place in places} <= {"found", "ambiguous"}
+    True
+    """
+    chosen, source = open_log(log, config, settings)
+    places = Relocaliser(known.keyframes)
+    count = -1
+    for count, (stamp, scan, T_middle_stamp) in enumerate(_scans(chosen.make_robot(), source)):
+        progress(source.position, source.total)
+        if count % every:
+            continue
+        begin = time.perf_counter()
+        answer = places.find(view(scan))
+        seconds = time.perf_counter() - begin
+        best = compose(answer.hypotheses[0].pose, T_middle_stamp) if answer.hypotheses else None
+        yield Located(stamp, best, answer, seconds)
+    if count < 0:
+        raise SourceError(f"{log}: contains no usable scan; `imp inspect` lists its contents")
+
+
+def _scans(robot: Robot, source: Source) -> Iterator[tuple[float, Scan, Array]]:
+    """Yield stamp, scan and the motion (3,) from the middle of its sweep to the stamp."""
+    with source:
+        robot.choose(source.defaults())
+        for batch in source.batches():
+            yield from _rows(robot.sense(batch))
+        yield from _rows(robot.flush())
+
+
+def _rows(sensed: Iterable[tuple[Motions, Sweeps]]) -> Iterator[tuple[float, Scan, Array]]:
+    for _, sweeps in sensed:
+        for row in range(len(sweeps)):
+            scan = sweeps.scan(row)
+            if scan is not None:
+                yield float(sweeps.columns.stamps[row]), scan, sweeps.T_middle_stamp[row]

@@ -1,0 +1,64 @@
+"""The picture of where in a map scans were taken."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Protocol
+
+import numpy as np
+
+from impslam.evaluation import colours
+from impslam.evaluation.colours import ODOMETRY, TRUTH
+from impslam.maps.files import MapImage
+from impslam.observers.canvas import Canvas, png
+from impslam.observers.map_frame import CIRCLE, Frame, Key
+from impslam.observers.map_picture import SIZE, draw_grid
+from impslam.recognition.relocalisation import Answer, Verdict
+from impslam.types import Array
+
+FOUND, AMBIGUOUS = TRUTH, ODOMETRY
+RADIUS, NEEDLE = 4.0, 11.0
+"""Pixels of a place's mark, and of the stroke that tells its heading."""
+
+
+class Place(Protocol):
+    """Where a scan was taken: see `impslam.localisation.Located`."""
+
+    @property
+    def pose(self) -> Array | None:
+        """The best hypothesis (3,)."""
+
+    @property
+    def answer(self) -> Answer:
+        """All hypotheses."""
+
+
+def places_png(image: MapImage, places: Iterable[Place]) -> bytes:
+    """Return places on a map's grid as a PNG; of ambiguous ones the best hypothesis is drawn."""
+    left, right, bottom, top = image.extent
+    margin = 0.03 * max(right - left, top - bottom, 1.0)
+    bounds = left - margin, right + margin, bottom - margin, top + margin
+    canvas = Canvas(bounds, SIZE, colours.UNSEEN)
+    shown = [place for place in places if place.pose is not None]
+    groups = [
+        (code, [p.pose for p in shown if p.answer.verdict is verdict])
+        for verdict, code in ((Verdict.AMBIGUOUS, AMBIGUOUS), (Verdict.FOUND, FOUND))
+    ]
+    keys = [
+        Key(f"found ({len(groups[1][1])})", FOUND, outline=6.0 * CIRCLE),
+        Key(f"ambiguous ({len(groups[0][1])}), the best guess", AMBIGUOUS, outline=6.0 * CIRCLE),
+    ]
+    frame = Frame(canvas, bounds, keys)
+    draw_grid(canvas, image)
+    frame.rule()
+    for code, poses in groups:
+        for pose in poses:
+            if pose is not None:
+                _mark(canvas, pose, code)
+    return png(frame.around().pixels)
+
+
+def _mark(canvas: Canvas, pose: Array, code: str) -> None:
+    ahead = NEEDLE / canvas.scale * np.array([np.cos(pose[2]), np.sin(pose[2])])
+    canvas.fill(pose[:2] + RADIUS / canvas.scale * CIRCLE, code)
+    canvas.line(np.stack([pose[:2], pose[:2] + ahead]), code, 2.0)

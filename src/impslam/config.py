@@ -29,6 +29,7 @@ from impslam.component import (
 from impslam.errors import ConfigError
 from impslam.estimators.base import Estimator
 from impslam.landmarks.base import LandmarkModel
+from impslam.map import Map
 from impslam.maps.grid import COARSEST, FINEST
 from impslam.parameters import Parameters
 from impslam.paths import is_file
@@ -92,11 +93,12 @@ class Config(Parameters):
         except ValidationError as error:
             raise ConfigError(explain(error, "keyframes", KeyframeGate.model_fields)) from None
 
-    def make_estimator(self) -> Estimator:
-        """Return the estimator, ready for its first keyframe."""
+    def make_estimator(self, known: Map | None = None, *, frozen: bool = False) -> Estimator:
+        """Return the estimator, ready for its first keyframe, or for the next one of a known map."""
         estimator: Estimator = build("estimator", self.estimator)
         parts = {role: build(role, getattr(self, role)) for role in estimator.parts}
-        estimator.start(np.array(self.start), models=self.make_models(), **parts)
+        start, models = np.array(self.start), self.make_models()
+        estimator.start(start, known, frozen, models=models, **parts)
         return estimator
 
     def make_models(self) -> dict[str, LandmarkModel]:

@@ -7,8 +7,8 @@ T_keyframe_base`. When an estimator moves keyframes, the path moves with them, a
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass, field, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from impslam.errors import ImpError
 from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import compose, inverse
-from impslam.maps import archive
+from impslam.maps import archive, layout
 from impslam.maps.direction import Direction, main_direction
 from impslam.maps.grid import OccupancyGrid, PlacedScans
 from impslam.maps.moving import moved_covariances, moved_landmark
@@ -34,7 +34,6 @@ from impslam.types import (
     Match,
     Observation,
     Scan,
-    check_shape,
 )
 
 UPPER = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
@@ -77,6 +76,8 @@ class Keyframe:
     scan : the sweep in base_link at its middle, None for a sensor that has none
     observations : landmarks that the extractors found in the scan
     located : whether the tracker's match of the scan tells where the robot is, along both axes
+    lost : whether the motion from the previous keyframe is unknown: the keyframe begins a session,
+        which is no part of the map until it is found where it lies. `motion` is a guess, or NaN
     """
 
     id: int
@@ -91,6 +92,7 @@ class Keyframe:
     scan: Scan | None = None
     observations: tuple[Observation, ...] = ()
     located: bool = False
+    lost: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,6 +137,7 @@ class Revision:
     born, origins : ids of new landmarks, and the observation from which each was created
     gone : ids of removed landmarks
     refused : why the keyframe could not be used, "" if it was used
+    placed : (r,) or one for all, whether it is known where they are in the map
     """
 
     ids: Ints
@@ -145,6 +148,7 @@ class Revision:
     origins: tuple[int, ...] = ()
     gone: tuple[int, ...] = ()
     refused: str = ""
+    placed: Mask | bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,6 +163,11 @@ class Keyframes:
     origins : (k, 2) m, position of the laser in base_link
     starts : (k + 1,) the points of keyframe i are `points[starts[i] : starts[i + 1]]`
     points : (p, 2) float32 m, end points of valid beams, in base_link at the middle of the sweep
+    motions, motion_covariances : (k, 3), (k, 3, 3) as tracked, from the keyframe before, or from the
+        start; of the first one of a session a guess, or NaN
+    sessions : (k,) number of the session of each, 0, 1, ...: keyframes whose motions connect them
+    placed : (k,) whether it is known where it is in the map; if not, its pose is in a frame of its
+        session's own, and it is no part of the map
     """
 
     stamps: Array
@@ -168,13 +177,25 @@ class Keyframes:
     origins: Array
     starts: Ints
     points: np.ndarray[Any, np.dtype[np.float32]]
+    motions: Array
+    motion_covariances: Array
+    sessions: Ints
+    placed: Mask
 
     def __len__(self) -> int:
         return len(self.stamps)
 
     def draw(self, grid: OccupancyGrid) -> None:
-        """Draw the scans into a grid, which may already contain the first of them."""
-        grid.draw(PlacedScans(self.poses, self.origins, self.starts, self.points))
+        """Draw the scans into a grid, which may already contain the first of them.
+
+        Those that are not placed are left out.
+        """
+        poses, starts, points = self.poses, self.starts, self.points
+        if not self.placed.all():
+            points = points[np.repeat(self.placed, np.diff(starts))]
+            lengths = np.where(self.placed, np.diff(starts), 0)
+            starts = np.concatenate([[0], np.cumsum(lengths)])
+        grid.draw(PlacedScans(poses, self.origins, starts, points))
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -191,7 +212,10 @@ class Map:
     track_covariances : (n, 6) distinct entries of that motion's covariance, in the order of `UPPER`
     odometry_poses : (n, 3) dead reckoning
     live_poses : (n, 3) `T_map_base` of each sweep as it was estimated at the time
+    tracked : (n, 3) `T_anchor_base` as tracked; a settled map blends it with the keyframe after
     edges : the pose graph: motions and loop closures between keyframes i and j; none without one
+    observations : of landmarks, by keyframe, where the estimator goes on with them
+    belief : arrays by name that the estimator goes on with, in the map's frame; see its `belief`
     about : origin of the map: log, config, counts, versions, as JSON values
 
     Examples
@@ -217,7 +241,10 @@ class Map:
     track_covariances: Array
     odometry_poses: Array
     live_poses: Array
+    tracked: Array
     edges: Edges = NO_EDGES
+    observations: tuple[tuple[Observation, ...], ...] = ()
+    belief: Mapping[str, np.ndarray[Any, Any]] = field(default_factory=dict)
     about: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -227,10 +254,11 @@ class Map:
 
     def revised(self, revision: Revision) -> Map:
         """Return the map with the poses of a revision."""
-        poses, covariances = self.keyframes.poses.copy(), self.keyframes.covariances.copy()
-        poses[revision.ids], covariances[revision.ids] = revision.poses, revision.covariances
-        keyframes = replace(self.keyframes, poses=poses, covariances=covariances)
-        return replace(self, keyframes=keyframes)
+        names = ("poses", "covariances", "placed")
+        columns = {name: getattr(self.keyframes, name).copy() for name in names}
+        for name in names:
+            columns[name][revision.ids] = getattr(revision, name)
+        return replace(self, keyframes=replace(self.keyframes, **columns))
 
     def rows(self) -> PathRows:
         """Return the current estimate of the path with covariances."""
@@ -271,7 +299,7 @@ class Map:
     def moved(self, T: Array) -> Map:
         """Return the map after a rigid motion T (3,): what stood at p stands at T p.
 
-        Tracks, edges and scans are relative, and stay as they are.
+        Tracks, edges and scans are relative, and stay as they are. The belief is not, and is left out.
         """
         at = self.keyframes
         keyframes = replace(
@@ -283,6 +311,7 @@ class Map:
             landmarks=tuple(moved_landmark(T, landmark) for landmark in self.landmarks),
             odometry_poses=compose(T, self.odometry_poses),
             live_poses=compose(T, self.live_poses),
+            belief={},
         )
 
     def direction(self) -> Direction:
@@ -328,7 +357,10 @@ class Map:
         ImpError
             If the file cannot be written.
         """
-        return archive.save(Path(path), _to_arrays(self), self.about)
+        columns = {f.name: getattr(self, f.name) for f in fields(self)}
+        keyframes = {f.name: getattr(self.keyframes, f.name) for f in fields(self.keyframes)}
+        rest = (self.landmarks, self.edges, self.observations, self.belief)
+        return archive.save(Path(path), layout.to_arrays(columns, keyframes, *rest), self.about)
 
     @staticmethod
     def load(path: str | Path) -> Map:
@@ -339,7 +371,12 @@ class Map:
         ImpError
             If the file is missing, no map, damaged, or of a newer version.
         """
-        return archive.load(Path(path), _layout, _from_arrays)
+        return archive.load(Path(path), layout.layout, _built)
+
+
+def _built(arrays: archive.Arrays, about: dict[str, Any]) -> Map:
+    parts = layout.from_arrays(arrays)
+    return Map(**{**parts, "keyframes": Keyframes(**parts["keyframes"]), "about": about})
 
 
 @kernel
@@ -368,102 +405,3 @@ def hang(
 def T_map_odom(pose: Array, odometry: Array) -> Array:
     """Return `T_map_odom` (3,) from `T_map_base` and `T_odom_base` (3,) at one stamp (REP 105)."""
     return compose(pose, inverse(odometry))
-
-
-_LAYOUT: archive.Layout = {
-    "stamps": ("f8", ("sweeps",)),
-    "anchors": ("i8", ("sweeps",)),
-    "T_anchor_base": ("f8", ("sweeps", 3)),
-    "track_covariances": ("f8", ("sweeps", 6)),
-    "odometry_poses": ("f8", ("sweeps", 3)),
-    "live_poses": ("f8", ("sweeps", 3)),
-    "keyframes/stamps": ("f8", ("keyframes",)),
-    "keyframes/poses": ("f8", ("keyframes", 3)),
-    "keyframes/covariances": ("f8", ("keyframes", 3, 3)),
-    "keyframes/innovations": ("f8", ("keyframes", 3)),
-    "keyframes/origins": ("f8", ("keyframes", 2)),
-    "keyframes/starts": ("i8", ("starts",)),
-    "keyframes/points": ("f4", ("points", 2)),
-    "landmarks": ("u1", ("bytes",)),  # JSON
-}
-_EDGES: archive.Layout = {
-    "edges/i": ("i8", ("edges",)),
-    "edges/j": ("i8", ("edges",)),
-    "edges/T_i_j": ("f8", ("edges", 3)),
-    "edges/information": ("f8", ("edges", 3, 3)),
-    "edges/kernel": ("f8", ("edges",)),
-}
-_KEYFRAMES = tuple(f.name for f in fields(Keyframes))
-_COLUMNS = tuple(name for name in _LAYOUT if "/" not in name and name != "landmarks")
-
-
-def _layout(version: int) -> archive.Layout:
-    """Return the arrays of a version's files; the first one had no edges."""
-    return _LAYOUT if version < 2 else {**_LAYOUT, **_EDGES}
-
-
-def _to_arrays(known: Map) -> dict[str, np.ndarray[Any, Any]]:
-    arrays = {name: getattr(known, name) for name in _COLUMNS}
-    arrays |= {f"keyframes/{name}": getattr(known.keyframes, name) for name in _KEYFRAMES}
-    marks = [asdict(landmark) for landmark in known.landmarks]
-    arrays |= {f"edges/{name}": array for name, array in known.edges._asdict().items()}
-    text = json.dumps(marks, default=lambda array: array.tolist())
-    return {**arrays, "landmarks": np.frombuffer(text.encode(), np.uint8)}
-
-
-def _from_arrays(arrays: dict[str, np.ndarray[Any, Any]], about: dict[str, Any]) -> Map:
-    keyframes = Keyframes(**{name: arrays[f"keyframes/{name}"] for name in _KEYFRAMES})
-    _check_places(keyframes, arrays["anchors"])
-    edges = _edges(arrays, len(keyframes))
-    marks = tuple(_landmark(m) for m in json.loads(arrays["landmarks"].tobytes()))
-    return Map(
-        keyframes, marks, **{name: arrays[name] for name in _COLUMNS}, edges=edges, about=about
-    )
-
-
-def _check_places(keyframes: Keyframes, anchors: Ints) -> None:
-    """Raise an error for indices out of bounds, which compiled code does not check."""
-    starts = keyframes.starts
-    if len(starts) != len(keyframes) + 1 or starts[0] != 0 or starts[-1] != len(keyframes.points):
-        raise ValueError("keyframes/starts does not fit the points")
-    if (np.diff(starts) < 0).any():
-        raise ValueError("keyframes/starts falls")
-    if ((anchors < 0) | (anchors >= len(keyframes))).any():
-        raise ValueError("anchors are no keyframes")
-
-
-def _edges(arrays: dict[str, np.ndarray[Any, Any]], keyframes: int) -> Edges:
-    """Return the edges; raise an error for one that does not join two keyframes, or has no sense."""
-    if "edges/i" not in arrays:
-        return NO_EDGES
-    edges = Edges(*(arrays[f"edges/{name}"] for name in Edges._fields))
-    ends = np.stack([edges.i, edges.j])
-    if ((ends < 0) | (ends >= keyframes)).any() or (edges.i == edges.j).any():
-        raise ValueError("edges do not join two keyframes")
-    if not (np.isfinite(edges.T_i_j).all() and np.isfinite(edges.information).all()):
-        raise ValueError("edges are not finite")
-    if not (edges.kernel > 0.0).all():
-        raise ValueError("edges/kernel is not positive")
-    return edges
-
-
-def _landmark(mark: dict[str, Any]) -> Landmark:
-    known = Landmark(**mark)
-    position, covariance = (np.array(v, np.float64) for v in (known.position, known.covariance))
-    ends = known.end_points if known.end_points is None else np.array(known.end_points, np.float64)
-    check_shape("position", position, 2)
-    check_shape("covariance", covariance, len(covariance), len(covariance))
-    if ends is not None:
-        check_shape("end_points", ends, 2, 2)
-    if not isinstance(known.kind, str) or not isinstance(known.parameters, dict):
-        raise TypeError("a landmark has no kind, or no parameters")
-    return replace(
-        known,
-        id=int(known.id),
-        observations=int(known.observations),
-        first_stamp=float(known.first_stamp),
-        last_stamp=float(known.last_stamp),
-        position=position,
-        covariance=covariance,
-        end_points=ends,
-    )

@@ -22,22 +22,45 @@ TURN = 0.5
 
 
 class MapBuilder:
-    """Stores poses of sweeps relative to keyframes, and the scans of the keyframes."""
+    """Stores poses of sweeps relative to keyframes, and the scans of the keyframes.
 
-    def __init__(self) -> None:
-        self._stamps, self._anchors = GrowingArray(), GrowingArray(dtype=np.int64)
-        self._T_anchor_base, self._covariances = GrowingArray(3), GrowingArray(6)
-        self._odometry, self._live = GrowingArray(3), GrowingArray(3)
-        self._key_stamps, self._poses = GrowingArray(), GrowingArray(3)
-        self._motions = GrowingArray(3)
-        self._pose_covariances = GrowingArray(3, 3)
-        self._innovations, self._origins = GrowingArray(3), GrowingArray(2)
-        self._starts, self._points = GrowingArray(dtype=np.int64), GrowingArray(2, dtype=np.float32)
-        self._starts.append(0)
+    It begins with a map that is known, if one is given; with `frozen`, new keyframes carry the path
+    alone: neither their scans nor the sweeps of the known map are kept.
+    """
+
+    def __init__(self, known: Map | None = None, *, frozen: bool = False) -> None:
+        self._frozen = frozen
+        self._sweeps = {
+            "stamps": GrowingArray(),
+            "anchors": GrowingArray(dtype=np.int64),
+            "tracked": GrowingArray(3),
+            "track_covariances": GrowingArray(6),
+            "odometry_poses": GrowingArray(3),
+            "live_poses": GrowingArray(3),
+        }
+        self._keyframes = {
+            "stamps": GrowingArray(),
+            "poses": GrowingArray(3),
+            "covariances": GrowingArray(3, 3),
+            "innovations": GrowingArray(3),
+            "origins": GrowingArray(2),
+            "starts": GrowingArray(dtype=np.int64),
+            "points": GrowingArray(2, dtype=np.float32),
+            "motions": GrowingArray(3),
+            "motion_covariances": GrowingArray(3, 3),
+            "sessions": GrowingArray(dtype=np.int64),
+            "placed": GrowingArray(dtype=np.bool_),
+        }
+        if known is None:
+            self._keyframes["starts"].append(0)
+        else:
+            _extend(self._keyframes, known.keyframes)
+            if not frozen:
+                _extend(self._sweeps, known)
 
     def __len__(self) -> int:
         """Return the number of sweeps."""
-        return len(self._stamps)
+        return len(self._sweeps["stamps"])
 
     def follow(self, track: Track) -> PathRows:
         """Add a track; return the current estimate of its sweeps' poses."""
@@ -48,13 +71,19 @@ class MapBuilder:
     def revise(self, keyframe: Keyframe, revision: Revision) -> PathRows:
         """Add a keyframe and update revised ones; return the pose at the keyframe's stamp."""
         own = revision.ids == keyframe.id
-        self._key_stamps.append(keyframe.stamp)
-        self._motions.append(keyframe.motion.d_pose)
-        self._poses.append(revision.poses[own])
-        self._pose_covariances.append(revision.covariances[own])
-        if len(own) > 1:
-            self._poses.replace(revision.ids[~own], revision.poses[~own])
-            self._pose_covariances.replace(revision.ids[~own], revision.covariances[~own])
+        kept, placed = self._keyframes, np.broadcast_to(revision.placed, len(own))
+        sessions = kept["sessions"]
+        session = sessions.array[-1] + keyframe.lost if len(sessions) else 0
+        sessions.append(session)
+        kept["stamps"].append(keyframe.stamp)
+        kept["motions"].append(keyframe.motion.d_pose)
+        kept["motion_covariances"].append(keyframe.motion.covariance)
+        for name, rows in (
+            ("poses", revision.poses), ("covariances", revision.covariances), ("placed", placed),
+        ):  # fmt: skip
+            kept[name].append(rows[own])
+            if len(own) > 1:
+                kept[name].replace(revision.ids[~own], rows[~own])
         self._keep(keyframe, revision)
         return self._hang(
             keyframe.id,
@@ -65,73 +94,50 @@ class MapBuilder:
         )
 
     def _keep(self, keyframe: Keyframe, revision: Revision) -> None:
+        kept = self._keyframes
         nis = sum(match.distance2 for match in revision.matches)
         dof = sum(len(match.innovation) for match in revision.matches)
-        self._innovations.append((len(revision.matches), nis, dof))
+        kept["innovations"].append((len(revision.matches), nis, dof))
         scan = keyframe.scan
-        if scan is None:
-            self._origins.append(0.0)
+        if scan is None or self._frozen:
+            kept["origins"].append(0.0)
         else:
             points = valid_points(scan)
-            self._origins.append(scan.laser[:2])
-            self._points.append(points, len(points))
-        self._starts.append(len(self._points))
+            kept["origins"].append(scan.laser[:2])
+            kept["points"].append(points, len(points))
+        kept["starts"].append(len(kept["points"]))
 
     def _hang(
         self, anchor: int, stamps: Array, T_anchor_base: Array, covariance: Array, odometry: Array
     ) -> PathRows:
-        m = len(stamps)
-        self._stamps.append(stamps, m)
-        self._anchors.append(anchor, m)
-        self._T_anchor_base.append(T_anchor_base, m)
-        self._covariances.append(covariance.reshape(m, 9).take(_DISTINCT, axis=1), m)
-        self._odometry.append(odometry, m)
+        m, kept = len(stamps), self._sweeps
+        kept["stamps"].append(stamps, m)
+        kept["anchors"].append(anchor, m)
+        kept["tracked"].append(T_anchor_base, m)
+        distinct = covariance.reshape(m, 9).take(_DISTINCT, axis=1)
+        kept["track_covariances"].append(distinct, m)
+        kept["odometry_poses"].append(odometry, m)
         poses, covariances = self._place(m)
-        self._live.append(poses, m)
+        kept["live_poses"].append(poses, m)
         return PathRows(stamps, poses, covariances, odometry)
 
     def _place(self, m: int) -> tuple[Array, Array]:
         """Return the poses (m, 3) of the newest sweeps, and their covariances (m, 3, 3)."""
-        new = (self._anchors, self._T_anchor_base, self._covariances)
-        return hang(
-            self._poses.array, self._pose_covariances.array, *(c.array[len(c) - m :] for c in new)
-        )
-
-    def blended(self, known: Map) -> Map:
-        """Return a map with each sweep between where the keyframes before and after it have it.
-
-        Keyframes that were moved against each other leave a step before each of them otherwise. A
-        sweep goes with the keyframe that saw most alike: a radian counts for `TURN` m.
-        """
-        if len(known.keyframes) < 2:
-            return known
-        poses, before, T = known.keyframes.poses, known.anchors, known.T_anchor_base
-        after = np.minimum(before + 1, len(poses) - 1)
-        T_after = between(self._motions.array[after], T)
-        told = (after > before) & np.isfinite(T_after).all(axis=1)
-        T_after = np.where(told[:, None], T_after, 0.0)
-        way, ahead = (np.hypot(d[:, 0], d[:, 1]) + TURN * np.abs(d[:, 2]) for d in (T, T_after))
-        share = np.where(told, way / np.maximum(way + ahead, 1e-9), 0.0)
-        step = between(compose(poses[before], T), compose(poses[after], T_after))
-        return replace(known, T_anchor_base=compose(T, share[:, None] * step))
+        keyframes, begin = self._keyframes, len(self) - m
+        names = ("anchors", "tracked", "track_covariances")
+        new = (self._sweeps[name].array[begin:] for name in names)
+        return hang(keyframes["poses"].array, keyframes["covariances"].array, *new)
 
     def locate(self, stamp: float, T: Array, spread: Array, odometry: Array) -> PathRows:
         """Return the pose at `T_keyframe_base` (3,) from the newest keyframe, without storing it."""
-        poses, covariances = self._poses.array[-1:].copy(), self._pose_covariances.array[-1:].copy()
+        newest = (self._keyframes[name].array[-1:].copy() for name in ("poses", "covariances"))
+        poses, covariances = newest
         advance(poses[0], covariances[0], T, spread)
         return PathRows(np.array([stamp]), poses, covariances, odometry[None])
 
     def keyframes(self) -> Keyframes:
         """Return the current keyframes."""
-        return Keyframes(
-            self._key_stamps.array,
-            self._poses.array,
-            self._pose_covariances.array,
-            self._innovations.array,
-            self._origins.array,
-            self._starts.array,
-            self._points.array,
-        )
+        return Keyframes(**{name: column.array for name, column in self._keyframes.items()})
 
     def map(
         self,
@@ -140,18 +146,43 @@ class MapBuilder:
         edges: Edges = NO_EDGES,
     ) -> Map:
         """Return the current map; later data do not change it."""
+        sweeps: dict[str, Any] = {name: column.array for name, column in self._sweeps.items()}
         return Map(
             self.keyframes(),
             landmarks,
-            self._stamps.array,
-            self._anchors.array,
-            self._T_anchor_base.array,
-            self._covariances.array,
-            self._odometry.array,
-            self._live.array,
-            edges,
-            about or {},
+            **sweeps,
+            T_anchor_base=sweeps["tracked"],
+            edges=edges,
+            about=about or {},
         )
+
+
+def _extend(columns: dict[str, GrowingArray], rows: object) -> None:
+    """Begin columns with those that an object has by their names."""
+    for name, column in columns.items():
+        array = getattr(rows, name)
+        column.append(array, len(array))
+
+
+def blended(known: Map) -> Map:
+    """Return a map with each sweep between where the keyframes before and after it have it.
+
+    Keyframes that were moved against each other leave a step before each of them otherwise. A
+    sweep goes with the keyframe that saw most alike: a radian counts for `TURN` m.
+    """
+    keyframes = known.keyframes
+    if len(keyframes) < 2:
+        return known
+    poses, before, T = keyframes.poses, known.anchors, known.tracked
+    after = np.minimum(before + 1, len(poses) - 1)
+    T_after = between(keyframes.motions[after], T)
+    told = (after > before) & (keyframes.sessions[after] == keyframes.sessions[before])
+    told &= np.isfinite(T_after).all(axis=1)
+    T_after = np.where(told[:, None], T_after, 0.0)
+    way, ahead = (np.hypot(d[:, 0], d[:, 1]) + TURN * np.abs(d[:, 2]) for d in (T, T_after))
+    share = np.where(told, way / np.maximum(way + ahead, 1e-9), 0.0)
+    step = between(compose(poses[before], T), compose(poses[after], T_after))
+    return replace(known, T_anchor_base=compose(T, share[:, None] * step))
 
 
 def valid_points(scan: Scan) -> npt.NDArray[np.float32]:

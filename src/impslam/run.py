@@ -26,7 +26,7 @@ from impslam.errors import SourceError, in_a_line
 from impslam.estimators.base import Draft
 from impslam.geometry.se2 import compose, compose_uncertain
 from impslam.map import Keyframe, Keyframes, Map, PathRows, T_map_odom, Track
-from impslam.map_builder import MapBuilder
+from impslam.map_builder import MapBuilder, blended
 from impslam.observers.base import Dropped, Observer, Outcome
 from impslam.observers.health import HealthMonitor
 from impslam.open_log import open_log
@@ -209,7 +209,9 @@ class Run:
 
     def map(self, about: dict[str, Any] | None = None) -> Map:
         """Return the current map; later data do not change it."""
-        return self._builder.map(self.estimator.landmarks(), about, self.estimator.edges())
+        estimator = self.estimator
+        known = self._builder.map(estimator.landmarks(), about, estimator.edges())
+        return replace(known, observations=estimator.observations(), belief=estimator.belief())
 
     def settled(self) -> Map:
         """Return the map with all keyframes refined jointly, which may take seconds."""
@@ -218,7 +220,7 @@ class Run:
         if revision is not None and revision.refused:
             self.problems.add("settled map", revision.refused)
         known = self.map()
-        return known if revision is None else self._builder.blended(known.revised(revision))
+        return known if revision is None else blended(known.revised(revision))
 
     def draft(self, log: Path) -> Callable[[], tuple[Map, Outcome]]:
         """Return what gives the settled map as of now, and the facts of the run so far.
@@ -228,7 +230,8 @@ class Run:
         """
         estimate, outcome = self.estimator.draft(), self.outcome(log, "", 0)
         known = self._builder.map((), None, self.estimator.edges())
-        return functools.partial(_finished, known, estimate, outcome, self._builder.blended)
+        known = replace(known, observations=self.estimator.observations())
+        return functools.partial(_finished, known, estimate, outcome)
 
     def reading(self) -> Callable[[], tuple[Landmark, ...]]:
         """Return what gives the landmarks as of now; it may be called in another thread."""
@@ -282,7 +285,9 @@ class Run:
         with suppress(Exception):
             known = self.map()
             inside = np.maximum(known.edges.i, known.edges.j) < len(known.keyframes)
-            return replace(known, edges=Edges._make(column[inside] for column in known.edges))
+            edges = Edges._make(column[inside] for column in known.edges)
+            seen = known.observations[: len(known.keyframes)]
+            return replace(known, edges=edges, observations=seen)
         return self._builder.map(())
 
     def _tell_end(self, source: Source, known: Map, partial: str = "") -> Map:
@@ -333,9 +338,7 @@ def _reach(known: Map) -> str:
     return f"it holds the first {len(known.stamps)} scans, {seconds:.0f} s of the log"
 
 
-def _finished(
-    known: Map, estimate: Draft, outcome: Outcome, blended: Callable[[Map], Map]
-) -> tuple[Map, Outcome]:
+def _finished(known: Map, estimate: Draft, outcome: Outcome) -> tuple[Map, Outcome]:
     """Return a map with an estimate's refined poses and landmarks, and the facts that go with it."""
     begin = time.perf_counter()
     revision = estimate.settle()

@@ -422,6 +422,12 @@ class Edges(NamedTuple):
     information: Array
     kernel: Array
 
+    def joined(self, more: Edges) -> Edges:
+        """Return these edges and more of the same poses."""
+        pairs = zip(self, more, strict=True)
+        i, j, T_i_j, information, kernel = (np.concatenate(pair) for pair in pairs)
+        return Edges(i, j, T_i_j, information, kernel)
+
 
 _NONE = np.empty(0, np.int64)
 NO_EDGES = Edges(_NONE, _NONE, np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0))

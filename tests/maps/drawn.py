@@ -6,6 +6,7 @@ from tests.extractors.scans import cast, regular_angles
 from impslam.geometry.se2 import between, compose
 from impslam.map import Keyframes, Map
 from impslam.map_builder import valid_points
+from impslam.maps.layout import undriven
 from impslam.types import Edges
 
 ANGLES = regular_angles(361, 2.0 * np.pi * 0.75)
@@ -23,7 +24,7 @@ def mapped(plan, truth, circles=None, T=(0.0, 0.0, 0.0), noise=0.01, seed=0, lan
     spread = np.tile(np.diag([1e-4, 4e-4, 1e-5]), (k, 1, 1))
     keyframes = Keyframes(
         np.arange(float(k)), poses, spread, np.zeros((k, 3)), np.zeros((k, 2)),
-        np.cumsum([0, *map(len, points)]), np.concatenate(points),
+        np.cumsum([0, *map(len, points)]), np.concatenate(points), **undriven(poses),
     )  # fmt: skip
     anchors = np.repeat(np.arange(k), 2)
     steps = np.tile([[0.0, 0.0, 0.0], [0.1, 0.0, 0.02]], (k, 1))
@@ -35,5 +36,6 @@ def mapped(plan, truth, circles=None, T=(0.0, 0.0, 0.0), noise=0.01, seed=0, lan
     path = compose(poses[anchors], steps)
     return Map(
         keyframes, tuple(landmarks), np.arange(2.0 * k) / 2, anchors, steps,
-        np.tile([1e-5, 0, 0, 1e-5, 0, 1e-6], (2 * k, 1)), path, path, edges, {"log": "drawn"},
+        np.tile([1e-5, 0, 0, 1e-5, 0, 1e-6], (2 * k, 1)), path, path, steps, edges,
+        about={"log": "drawn"},
     )  # fmt: skip

@@ -6,6 +6,7 @@ from tests.recognition.plans import ANGLES
 
 from impslam.map import Keyframes
 from impslam.map_builder import valid_points
+from impslam.maps.layout import undriven
 from impslam.types import Array
 
 LASER = np.array([0.2, 0.05, 0.0])
@@ -33,4 +34,5 @@ def mapped(plan, poses: Array) -> Keyframes:
         np.tile(LASER[:2], (n, 1)),
         np.concatenate([[0], np.cumsum([len(points) for points in scans])]),
         np.concatenate(scans),
+        **undriven(poses),
     )

@@ -84,6 +84,23 @@ class SightingsLog:
         other._columns, other.stamps, other._count = self._columns, self.stamps.copy(), self._count
         return other
 
+    def part(self, rows: Ints) -> SightingsLog:
+        """Return the log of some keyframes (r,), ascending; the numbers of observations stay."""
+        other, place = SightingsLog(), {row: r for r, row in enumerate(rows.tolist())}
+        for kind, kept in self._seen.items():
+            if chosen := [(place[k], number, o) for k, number, o in kept if k in place]:
+                other._seen[kind] = chosen
+        other.stamps, other._count = [self.stamps[row] for row in rows.tolist()], self._count
+        return other
+
+    def by_keyframe(self) -> tuple[tuple[Observation, ...], ...]:
+        """Return the observations of each keyframe."""
+        rows: list[list[tuple[int, Observation]]] = [[] for _ in self.stamps]
+        for kept in self._seen.values():
+            for keyframe, number, observation in kept:
+                rows[keyframe].append((number, observation))
+        return tuple(tuple(o for _, o in sorted(row, key=itemgetter(0))) for row in rows)
+
     def kinds(self) -> list[str]:
         """Return the kinds in the order in which they were met."""
         return list(self._seen)

@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from impslam.component import Component
 from impslam.errors import NumericalError
-from impslam.map import Keyframe, Revision
+from impslam.map import Keyframe, Map, Revision
 from impslam.tracking.base import KeyframeGate
-from impslam.types import NO_EDGES, Array, Edges, Increment, Landmark
+from impslam.types import NO_EDGES, Array, Edges, Increment, Landmark, Observation
 
 
 class Draft(NamedTuple):
@@ -40,8 +41,13 @@ class Estimator(Component):
     """Which scans it takes in, unless the config says otherwise."""
 
     @abstractmethod
-    def start(self, pose: Array, **parts: Any) -> None:
-        """Begin at a pose (3,) with an empty map.
+    def start(
+        self, pose: Array, known: Map | None = None, frozen: bool = False, **parts: Any
+    ) -> None:
+        """Begin at a pose (3,) with an empty map, or go on with a map that is known.
+
+        Keyframes are numbered on from those of the map. With `frozen` its keyframes and landmarks stay
+        as they are.
 
         `parts` are the components named in the class's `parts`, by role, and `models`, the landmark
         models by kind.
@@ -50,6 +56,9 @@ class Estimator(Component):
     @abstractmethod
     def add(self, keyframe: Keyframe) -> Revision:
         """Take in a keyframe: its motion since the one before, and what is seen in it.
+
+        A keyframe that is `lost` begins a session: it and those after it are not placed in the map
+        until it is found where they lie. An estimator that cannot do so takes its motion for a guess.
 
         A keyframe that cannot be used is told in the revision, which then holds the pose by its
         motion alone; it never leaves the estimator half changed.
@@ -79,6 +88,14 @@ class Estimator(Component):
     def edges(self) -> Edges:
         """Return the pose graph, whose nodes are keyframes, by their ids; none without a graph."""
         return NO_EDGES
+
+    def observations(self) -> tuple[tuple[Observation, ...], ...]:
+        """Return what the keyframes saw of landmarks, if it is needed to go on with the map."""
+        return ()
+
+    def belief(self) -> Mapping[str, npt.NDArray[Any]]:
+        """Return arrays by name that are needed beside the `Map` to go on with it, in its frame."""
+        return {}
 
     def counts(self) -> Mapping[str, int]:
         """Return how often what has happened, by name: e.g. loops closed."""

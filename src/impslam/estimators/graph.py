@@ -15,16 +15,17 @@ from impslam.building.landmarks import landmarks_of
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
 from impslam.estimators.base import Draft, Estimator, check_keyframe, is_known
-from impslam.estimators.keyframe_log import KeyframeLog, blended, refined, revised
+from impslam.estimators.keyframe_log import KeyframeLog, Part, blended, refined, revised
 from impslam.estimators.loop_closing import LoopCloser, LoopSearch
 from impslam.estimators.pose_graph import PoseGraph
+from impslam.estimators.restoring import restored
 from impslam.geometry.chain import advance
-from impslam.geometry.se2 import compose_uncertain
+from impslam.geometry.se2 import compose, compose_uncertain
 from impslam.landmarks.base import LandmarkModel
-from impslam.map import Keyframe, Revision
+from impslam.map import Keyframe, Map, Revision
 from impslam.noise import UNKNOWN
 from impslam.tracking.base import KeyframeGate
-from impslam.types import Array, Edges, Landmark
+from impslam.types import Array, Edges, Landmark, Observation
 
 SURE = 1e-4
 """m and rad: no motion is surer, and neither is the start; this only keeps covariances definite."""
@@ -51,12 +52,19 @@ class Graph(Estimator):
     _since: tuple[Array, Array] = PrivateAttr()
     _start: Array = PrivateAttr()
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
+    _known: Map | None = PrivateAttr(None)
     _settled: Revision | None = PrivateAttr(None)
 
-    def start(self, pose: Array, **parts: Any) -> None:
-        """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
-        self._closer, self._start, self._models = LoopCloser(self.loops), pose, parts["models"]
+    def start(
+        self, pose: Array, known: Map | None = None, frozen: bool = False, **parts: Any
+    ) -> None:
+        """Begin at a pose (3,), or go on with a map; see `Estimator.start`."""
+        self._start, self._models = pose, parts["models"]
         self._since = np.zeros(3), np.zeros((3, 3))
+        if known is not None and len(known.keyframes):
+            self._known = known if frozen else None
+            self._keys, self._graph, self._since = restored(known, self.spacing, frozen=frozen)
+        self._closer = LoopCloser(self.loops if self._known is None else _close_by(self.loops))
 
     def add(self, keyframe: Keyframe) -> Revision:
         """Take in a keyframe; see `Estimator.add`."""
@@ -75,17 +83,24 @@ class Graph(Estimator):
         pose, covariance = compose_uncertain(
             self._graph.poses[-1], self._graph.covariances[-1], *self._since
         )
-        return Revision(np.array([keyframe.id]), pose[None], covariance[None], refused=refused)
+        newest, placed = np.array([keyframe.id]), not self._is_pending()
+        return Revision(newest, pose[None], covariance[None], refused=refused, placed=placed)
+
+    def _is_pending(self) -> bool:
+        """Tell whether the newest keyframe is in a session that is not placed in the map."""
+        return bool(self._graph.roots[-1] != 0)
 
     def _drive(self, keyframe: Keyframe) -> None:
-        """Let the chain go on by a keyframe's motion, and keep what it saw."""
+        """Let the chain go on by a keyframe's motion, or begin a session; keep what it saw."""
         d_pose, covariance = keyframe.motion.d_pose, keyframe.motion.covariance
-        first = len(self._graph) == 0
-        self._keys.add(keyframe, self._start if first else None)
-        if first:
-            self._graph.begin(self._keys.chain[0], covariance)
-        else:
+        if len(self._graph) and not keyframe.lost:
+            self._keys.add(keyframe)
             advance(*self._since, d_pose, covariance)
+            return
+        start = compose(self._graph.poses[-1], self._since[0]) if len(self._graph) else self._start
+        self._keys.add(keyframe, start)
+        self._graph.begin(self._keys.chain[-1], covariance)
+        self._since = np.zeros(3), np.zeros((3, 3))
 
     def _is_new_node(self) -> bool:
         """Make the newest keyframe a node where the last one is far enough."""
@@ -115,7 +130,10 @@ class Graph(Estimator):
     def _all(self, graph: PoseGraph) -> Revision:
         """Return all keyframes by a graph; each has the covariance of the node before it."""
         poses, node = revised(self._keys, graph), self._keys.node_before
-        return Revision(np.arange(len(poses)), poses, graph.covariances[node])
+        covariances, placed = graph.covariances[node], graph.roots[node] == 0
+        begin = 0 if self._known is None else len(self._known.keyframes)
+        ids = np.arange(begin, len(poses))
+        return Revision(ids, poses[begin:], covariances[begin:], placed=placed[begin:])
 
     def settle(self) -> Revision | None:
         """Refine all keyframes jointly; see `Estimator.settle`."""
@@ -127,17 +145,25 @@ class Graph(Estimator):
                 graph.solve()
         except NumericalError as error:
             refused = f"the last closures are not in the map: {error}"
-        poses = refined(blended(self._keys, graph), self._keys, self.rounds)
-        self._settled = replace(self._all(graph), poses=poses, refused=refused)
+        settled = self._all(graph)
+        part = _refinable(self._keys, graph)
+        poses = refined(blended(self._keys, graph), self._keys, self.rounds, part)
+        self._settled = replace(settled, poses=poses[settled.ids], refused=refused)
         return self._settled
 
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the landmarks on the keyframes' poses; after `settle` on the refined ones."""
+        if self._known is not None:
+            return self._known.landmarks
         if len(self._graph) == 0:
             return ()
         now = self._settled or self._all(self._graph)
-        scans = self._keys.placed_scans(now.poses)
-        return landmarks_of(now.poses, now.covariances, self._keys.seen, self._models, scans)
+        poses, covariances, seen, rows = now.poses, now.covariances, self._keys.seen, None
+        if not np.all(now.placed):
+            rows = np.flatnonzero(now.placed)
+            poses, covariances, seen = poses[rows], covariances[rows], seen.part(rows)
+        scans = self._keys.placed_scans(poses, rows)
+        return landmarks_of(poses, covariances, seen, self._models, scans)
 
     def draft(self) -> Draft:
         """Return the estimate as it is now; see `Estimator.draft`."""
@@ -150,6 +176,10 @@ class Graph(Estimator):
         edges, nodes = self._graph.edges, self._keys.nodes
         return edges._replace(i=nodes[edges.i], j=nodes[edges.j])
 
+    def observations(self) -> tuple[tuple[Observation, ...], ...]:
+        """Return what the keyframes saw; see `Estimator.observations`."""
+        return self._keys.seen.by_keyframe()
+
     def counts(self) -> Mapping[str, int]:
         """Return how many loop closures were sought, and how many the graph has."""
         tried = self._closer.recogniser.counts["attempts"]
@@ -161,9 +191,30 @@ class Graph(Estimator):
         return self._graph.poses.size
 
 
+def _close_by(search: LoopSearch) -> LoopSearch:
+    """Return the search for a drive through a map that stays: every node is laid on it."""
+    return search.model_copy(update={"way_back": 0.0})
+
+
+def _refinable(keys: KeyframeLog, graph: PoseGraph) -> Part:
+    """Return the keyframes that are placed, with the closures that connect their sessions."""
+    edges, nodes = graph.edges, keys.nodes
+    rows = np.flatnonzero(graph.roots[keys.node_before] == 0)
+    i, j = nodes[edges.i], nodes[edges.j]
+    links = (keys.sessions[i] != keys.sessions[j]) & np.isin(i, rows)
+    ends = np.searchsorted(rows, i[links]), np.searchsorted(rows, j[links])
+    rest = (column[links] for column in edges[2:])
+    frozen = int(nodes[graph.frozen]) if 0 < graph.frozen < len(nodes) else 0
+    return Part(rows, Edges(*ends, *rest), frozen)
+
+
 def _usable(keyframe: Keyframe) -> tuple[Keyframe, str]:
     """Return what is usable of a keyframe, and what is wrong with the rest."""
     motion, wrong = keyframe.motion, ""
+    if keyframe.lost:
+        d_pose = np.where(np.isfinite(motion.d_pose), motion.d_pose, 0.0)
+        motion = replace(motion, d_pose=d_pose, covariance=UNKNOWN * np.eye(3))
+        keyframe = replace(keyframe, motion=motion)
     try:
         check_keyframe(keyframe)
         if not all(o.R[0, 0] > 0.0 and np.linalg.det(o.R) > 0.0 for o in keyframe.observations):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from copy import copy
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,10 +20,12 @@ from impslam.growing import GrowingArray
 from impslam.map import Keyframe
 from impslam.maps.grid import PlacedScans
 from impslam.recognition.submap import View, view
-from impslam.types import Array, Ints
+from impslam.types import NO_EDGES, Array, Ints
 
 TURN = 0.3
 """m of way that a radian counts for: it changes the view by about as much."""
+APART = 1000.0
+"""m of way between two sessions, which is not known: farther than anything is sought along the way."""
 
 
 class KeyframeLog:
@@ -38,31 +41,39 @@ class KeyframeLog:
         self.views: list[View | None] = []
         self.seen = SightingsLog()
         self._chain, self._way, self._steps = GrowingArray(3), GrowingArray(), GrowingArray(3, 3)
-        self._nodes = GrowingArray(dtype=np.int64)
+        self._nodes, self._sessions = (GrowingArray(dtype=np.int64) for _ in range(2))
 
     def __len__(self) -> int:
         """Return the number of keyframes."""
         return len(self.views)
 
     def add(self, keyframe: Keyframe, start: Array | None = None) -> None:
-        """Add a keyframe; the first one, which is a node, with the pose (3,) where the run starts."""
-        d_pose = keyframe.motion.d_pose
+        """Add a keyframe; the first one of a session, which is a node, with the pose (3,) it starts at."""
+        seen = None if keyframe.scan is None else view(keyframe.scan)
+        self.append(keyframe.motion.d_pose, keyframe.motion.covariance, seen, start)
+        self.seen.add(keyframe.observations, keyframe.stamp)
+
+    def append(
+        self, d_pose: Array, covariance: Array, seen: View | None, start: Array | None = None
+    ) -> None:
+        """Add a keyframe by its motion and what was seen, for `add`; `seen` is left to the caller."""
+        way, session = (self._way.array[-1], self._sessions.array[-1]) if len(self) else (0.0, -1)
         if start is None:
-            way = self._way.array[-1] + np.hypot(d_pose[0], d_pose[1]) + TURN * abs(d_pose[2])
+            way = way + np.hypot(d_pose[0], d_pose[1]) + TURN * abs(d_pose[2])
             start = self._chain.array[-1]
         else:
-            way = 0.0
-            self._nodes.append(0)
+            way, session = way + APART if len(self) else 0.0, session + 1
+            self._nodes.append(len(self))
         self._chain.append(compose(start, d_pose))
         self._way.append(way)
-        self._steps.append(keyframe.motion.covariance)
-        self.views.append(None if keyframe.scan is None else view(keyframe.scan))
-        self.seen.add(keyframe.observations, keyframe.stamp)
+        self._sessions.append(session)
+        self._steps.append(covariance)
+        self.views.append(seen)
 
     def copy(self) -> KeyframeLog:
         """Return a log to read, which this one's later keyframes do not change."""
         other = copy(self)  # arrays are shared: this one only writes behind the other's end
-        for name in ("_chain", "_way", "_steps", "_nodes"):
+        for name in ("_chain", "_way", "_steps", "_nodes", "_sessions"):
             setattr(other, name, copy(getattr(self, name)))
         other.views, other.seen = self.views.copy(), self.seen.copy()
         return other
@@ -73,7 +84,7 @@ class KeyframeLog:
 
     @property
     def chain(self) -> Array:
-        """Poses (k, 3) as tracked, composed from the start."""
+        """Poses (k, 3) as tracked, composed from the start of each session."""
         return self._chain.array
 
     @property
@@ -92,6 +103,11 @@ class KeyframeLog:
         return self._nodes.array
 
     @property
+    def sessions(self) -> Ints:
+        """Number (k,) of the session of each."""
+        return self._sessions.array
+
+    @property
     def node_before(self) -> Ints:
         """The newest node (k,) up to each."""
         return np.searchsorted(self.nodes, np.arange(len(self)), side="right") - 1
@@ -101,17 +117,18 @@ class KeyframeLog:
         """Way since the newest node, m."""
         return float(self.way[-1] - self.way[self.nodes[-1]])
 
-    def scans(self) -> Scans:
-        """Return the features of all keyframes."""
+    def scans(self, rows: Ints | None = None) -> Scans:
+        """Return the features of all keyframes, or of those at some rows (r,)."""
         none = np.empty((0, 5), np.float32)
-        rows = [none if view is None else view.features for view in self.views]
-        lasers = [np.zeros(2) if view is None else view.laser for view in self.views]
-        starts = np.concatenate([[0], np.cumsum([len(r) for r in rows])])
-        return Scans(np.concatenate(rows), starts, np.array(lasers))
+        views = self.views if rows is None else [self.views[row] for row in rows]
+        features = [none if view is None else view.features for view in views]
+        lasers = [np.zeros(2) if view is None else view.laser for view in views]
+        starts = np.concatenate([[0], np.cumsum([len(r) for r in features])])
+        return Scans(np.concatenate([none, *features]), starts, np.array(lasers))
 
-    def placed_scans(self, poses: Array) -> PlacedScans:
-        """Return the scans of all keyframes at poses (k, 3); thinned as their features are."""
-        features, starts, lasers = self.scans()
+    def placed_scans(self, poses: Array, rows: Ints | None = None) -> PlacedScans:
+        """Return the scans of keyframes at poses (k, 3); thinned as their features are."""
+        features, starts, lasers = self.scans(rows)
         return PlacedScans(poses, lasers, starts, np.ascontiguousarray(features[:, :2]))
 
 
@@ -123,32 +140,67 @@ def revised(keys: KeyframeLog, graph: PoseGraph) -> Array:
 
 
 def blended(keys: KeyframeLog, graph: PoseGraph) -> Array:
-    """Return the poses (k, 3) of all keyframes: each between the nodes before and after it."""
-    if len(keys.nodes) < 2:
-        return revised(keys, graph)
-    node = np.minimum(keys.node_before, len(keys.nodes) - 2)
-    begin, end = keys.way[keys.nodes[node]], keys.way[keys.nodes[node + 1]]
-    share = np.clip((keys.way - begin) / (end - begin), 0.0, 1.0)[:, None]
+    """Return the poses (k, 3) of all keyframes: each between the nodes before and after it.
+
+    After the last node of a session, they go on from it.
+    """
+    before, after = (ends[keys.node_before] for ends in _legs(keys.sessions[keys.nodes]))
+    begin, end = keys.way[keys.nodes[before]], keys.way[keys.nodes[after]]
+    share = np.clip((keys.way - begin) / np.where(end > begin, end - begin, 1.0), 0.0, 1.0)
     chain = keys.chain[keys.nodes]
-    first = compose(graph.poses[node], between(chain[node], keys.chain))
-    second = compose(graph.poses[node + 1], between(chain[node + 1], keys.chain))
+    first = compose(graph.poses[before], between(chain[before], keys.chain))
+    second = compose(graph.poses[after], between(chain[after], keys.chain))
     difference = second - first
     difference[:, 2] = wrap(difference[:, 2])
-    poses = first + share * difference
+    poses = first + share[:, None] * difference
     poses[:, 2] = wrap(poses[:, 2])
     return np.asarray(poses)
 
 
-def refined(poses: Array, keys: KeyframeLog, rounds: int = 2) -> Array:
-    """Return poses (k, 3) with all overlapping keyframes laid on each other, in so many rounds.
+def _legs(sessions: Ints) -> tuple[Ints, Ints]:
+    """Return the nodes (n,) at both ends of the leg that begins at each of n nodes.
+
+    The last leg of a session goes on behind its last node, which is alone if there is no other.
+    """
+    goes_on = np.append(sessions[1:] == sessions[:-1], False)
+    comes_from = np.append(False, goes_on[:-1])
+    before = np.arange(len(sessions)) - (~goes_on & comes_from)
+    return before, before + (goes_on | comes_from)
+
+
+class Part(NamedTuple):
+    """Which keyframes are refined.
+
+    Attributes
+    ----------
+    rows : (r,) of the keyframes, ascending
+    links : between rows of different sessions, which no motion connects
+    frozen : so many of the first keyframes stay where they are, the very first one in any case
+    """
+
+    rows: Ints
+    links: Edges = NO_EDGES
+    frozen: int = 0
+
+
+def refined(poses: Array, keys: KeyframeLog, rounds: int = 2, part: Part | None = None) -> Array:
+    """Return poses (k, 3) with overlapping keyframes laid on each other, in so many rounds.
 
     They may look any way: a lidar that sees to both sides meets the same walls on a pass there and on
-    one back, and pairs that see different ones are found out by their points. Closures are no part of
-    it: they rest on the same points, which would count twice.
+    one back, and pairs that see different ones are found out by their points. Closures within a
+    session are no part of it: they rest on the same points, which would count twice.
     """
-    i = np.arange(len(poses) - 1)
-    motions = between(keys.chain[:-1], keys.chain[1:])
-    information = np.asarray(np.linalg.inv(keys.steps[1:]))
+    rows, links, frozen = part or Part(np.arange(len(poses)))
+    i = np.flatnonzero((np.diff(rows) == 1) & (np.diff(keys.sessions[rows]) == 0))
+    before, after = rows[i], rows[i + 1]
+    motions = between(keys.chain[before], keys.chain[after])
+    information = np.asarray(np.linalg.inv(keys.steps[after]))
     edges = Edges(i, i + 1, motions, information, np.full(len(i), np.inf))
-    pairs = overlaps(poses, Nearness(turn=math.pi))
-    return refine(poses, keys.scans(), edges, pairs, fit=Fit(rounds=rounds)).poses
+    edges = edges.joined(links)
+    fixed = np.arange(max(1, int(np.searchsorted(rows, frozen))))
+    pairs = overlaps(poses[rows], Nearness(turn=math.pi))
+    pairs = pairs[(pairs >= len(fixed)).any(axis=1)]
+    out = poses.copy()
+    scans, fit = keys.scans(rows), Fit(rounds=rounds)
+    out[rows] = refine(poses[rows], scans, edges, pairs, fixed, fit).poses
+    return out

@@ -10,12 +10,12 @@ from pydantic import PrivateAttr
 
 from impslam.association.base import Association
 from impslam.component import register
-from impslam.errors import NumericalError
+from impslam.errors import ConfigError, NumericalError
 from impslam.estimators.base import Estimator, check_keyframe, is_known
 from impslam.filters.base import Filter
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
-from impslam.map import Keyframe, Revision
+from impslam.map import Keyframe, Map, Revision
 from impslam.types import Array, Increment, Landmark, Observation
 
 START_SIGMA = 1e-4
@@ -33,8 +33,12 @@ class Landmarks(Estimator):
     _lifecycle: Lifecycle = PrivateAttr()
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
 
-    def start(self, pose: Array, **parts: Any) -> None:
+    def start(
+        self, pose: Array, known: Map | None = None, frozen: bool = False, **parts: Any
+    ) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
+        if known is not None:
+            raise ConfigError("estimator 'landmarks' cannot go on with a map; choose 'graph'")
         self._filter, self._association = parts["filter"], parts["association"]
         self._lifecycle, self._models = parts["lifecycle"], parts["models"]
         self._filter.start(pose, START_SIGMA**2 * np.eye(3), self._models)

@@ -75,7 +75,7 @@ class _Pending(NamedTuple):
 
 
 class LoopCloser:
-    """Seeks closures for one node after the other."""
+    """Seeks closures for one node after the other, among those that the graph connects to it."""
 
     def __init__(self, search: LoopSearch) -> None:
         self._search, self.recogniser = search, Recogniser(search.overlap)
@@ -86,7 +86,7 @@ class LoopCloser:
         ways = graph.ways(node)
         windows = np.minimum(self._search.least + self._search.drift * ways, self._search.most)
         apart = np.hypot(*(graph.poses[:, :2] - graph.poses[node, :2]).T)
-        possible = (ways > self._search.way_back) & (apart < windows + 2.0)
+        possible = (ways > self._search.way_back) & (apart < windows + 2.0) & np.isfinite(ways)
         possible[node:] = False
         if not possible.any():
             return False

@@ -1,4 +1,8 @@
-"""The pose graph that grows with the drive: nodes along the way, and closures between them."""
+"""The pose graph that grows with the drive: nodes along the way, and closures between them.
+
+Sessions are drives whose relation is not measured: parts of the graph that no edge connects. Each lies
+in a frame of its own, which its first node holds. A closure from one to another joins them.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +11,8 @@ import math
 import numpy as np
 
 from impslam.geometry.kernels import kernel
-from impslam.geometry.se2 import between, compose_uncertain
-from impslam.graph.pose_graph import Edges
+from impslam.geometry.se2 import between, compose, compose_uncertain, inverse, rotation
+from impslam.graph.pose_graph import Edges, roots
 from impslam.graph.solve import marginals, solve
 from impslam.growing import GrowingArray
 from impslam.types import Array, Ints
@@ -22,15 +26,18 @@ SHIFT = 0.1, 0.01
 
 
 class PoseGraph:
-    """Nodes with their poses, the chain of motions between them, and closures.
+    """Nodes with their poses, the chains of motions between them, and closures.
 
-    The first node is fixed: it says where the map lies.
+    The first node is fixed: it says where the map lies. So is the first one of each session that
+    nothing connects to it, and so are the first `frozen` ones, a map that is to stay as it is.
 
     Attributes
     ----------
-    poses : (n, 3) `T_map_node`
+    poses : (n, 3) `T_map_node`; of a session that is not connected to the first node, in its frame
     covariances : (n, 3, 3), as of the last solution and by the chain from there
     """
+
+    frozen = 0
 
     def __init__(self) -> None:
         self.poses, self.covariances = np.empty((0, 3)), np.empty((0, 3, 3))
@@ -42,9 +49,21 @@ class PoseGraph:
         """Return the number of nodes."""
         return len(self.poses)
 
+    @classmethod
+    def of(cls, poses: Array, covariances: Array, edges: Edges, lengths: Array) -> PoseGraph:
+        """Return a graph of nodes (n, 3) and edges, each of which counts for `lengths` (e,) m of way."""
+        graph = cls()
+        graph.poses, graph.covariances = poses, covariances
+        columns = (graph._i, graph._j, graph._T_i_j, graph._information, graph._kernel)
+        for column, rows in zip(columns, edges, strict=True):
+            column.append(rows, len(rows))
+        graph._length.append(lengths, len(lengths))
+        return graph
+
     def begin(self, pose: Array, covariance: Array) -> None:
-        """Add the first node, at a pose (3,)."""
-        self.poses, self.covariances = pose[None].copy(), covariance[None].copy()
+        """Add the first node of a session, at a pose (3,)."""
+        self.poses = np.concatenate([self.poses, pose[None]])
+        self.covariances = np.concatenate([self.covariances, covariance[None]])
 
     def go_on(self, T: Array, covariance: Array, length: float) -> None:
         """Add a node after the motion T (3,), its covariance (3, 3), along `length` m of way."""
@@ -56,10 +75,30 @@ class PoseGraph:
         )
 
     def close(self, i: int, j: int, T_i_j: Array, information: Array) -> bool:
-        """Add a closure; tell whether it says anything new."""
+        """Add a closure; tell whether it says anything new.
+
+        If it is the first one between two sessions, the later one is moved to where it says.
+        """
+        joins = self._join(i, j, T_i_j)
         self._add(i, j, T_i_j, information, KERNEL, CLOSURE_LENGTH)
         d = between(between(self.poses[i], self.poses[j]), T_i_j)
-        return bool(math.hypot(d[0], d[1]) > SHIFT[0] or abs(d[2]) > SHIFT[1])
+        return joins or bool(math.hypot(d[0], d[1]) > SHIFT[0] or abs(d[2]) > SHIFT[1])
+
+    def _join(self, i: int, j: int, T_i_j: Array) -> bool:
+        """Move the later session of two to where an edge has it; tell whether there are two."""
+        root = self.roots
+        if root[i] == root[j]:
+            return False
+        if root[i] > root[j]:
+            i, j, T_i_j = j, i, inverse(T_i_j)
+        goal, later = compose(self.poses[i], T_i_j), root == root[j]
+        shift = compose(goal, inverse(self.poses[j]))
+        turn = np.eye(3)
+        turn[:2, :2] = rotation(float(shift[2]))
+        self.poses, self.covariances = self.poses.copy(), self.covariances.copy()
+        self.poses[later] = compose(shift, self.poses[later])
+        self.covariances[later] = turn @ self.covariances[later] @ turn.T
+        return True
 
     def take_back(self, closures: int) -> None:
         """Forget the newest closures, which no motion follows."""
@@ -89,7 +128,12 @@ class PoseGraph:
     @property
     def closures(self) -> int:
         """Number of closures."""
-        return len(self._i) - max(len(self) - 1, 0)
+        return int(np.isfinite(self._kernel.array).sum())
+
+    @property
+    def roots(self) -> Ints:
+        """First node (n,) that is connected to each; 0 of those that are placed in the map."""
+        return np.asarray(roots(len(self), self._i.array, self._j.array))
 
     def solve(self) -> None:
         """Move the nodes to where motions and closures agree best.
@@ -99,10 +143,14 @@ class PoseGraph:
         NumericalError
             If there is no solution; the nodes stay where they are.
         """
-        fixed = np.zeros(1, np.int64)
+        root = self.roots
+        fixed = np.flatnonzero(
+            (root == np.arange(len(self))) | (np.arange(len(self)) < self.frozen)
+        )
         solution = solve(self.poses, self.edges, fixed)
-        covariances = marginals(solution.poses, self.edges, fixed)
-        self.poses, self.covariances = solution.poses, covariances + self.covariances[0]
+        covariances = marginals(solution.poses, self.edges, fixed) + self.covariances[root]
+        covariances[: self.frozen] = self.covariances[: self.frozen]
+        self.poses, self.covariances = solution.poses, covariances
 
     def ways(self, node: int) -> Array:
         """Return the shortest way (n,) m from a node to each, along motions and closures."""

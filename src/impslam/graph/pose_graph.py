@@ -18,7 +18,7 @@ from impslam.geometry.kernels import kernel
 from impslam.graph.block_system import BlockSystem, add_relative, clear_system
 from impslam.types import Array, Edges, Ints, Mask
 
-__all__ = ["Costs", "Edges", "edge_error", "first_loose_pose", "linearise"]
+__all__ = ["Costs", "Edges", "edge_error", "first_loose_pose", "linearise", "roots"]
 
 
 class Costs(NamedTuple):
@@ -68,17 +68,26 @@ def linearise(
 @kernel
 def first_loose_pose(i: Ints, j: Ints, fixed: Mask) -> int:
     """Return the first pose that no chain of edges connects to a fixed one, or -1."""
-    root = np.arange(len(fixed))
+    root = roots(len(fixed), i, j)
+    held = np.zeros(len(fixed), np.bool_)
+    for v in range(len(fixed)):
+        held[root[v]] |= fixed[v]
+    for v in range(len(fixed)):
+        if not held[root[v]]:
+            return v
+    return -1
+
+
+@kernel
+def roots(n: int, i: Ints, j: Ints) -> Ints:
+    """Return for each of n poses the first one (n,) that edges i, j (e,) connect it to."""
+    root = np.arange(n)
     for e in range(len(i)):
         a, b = _find(root, i[e]), _find(root, j[e])
         root[max(a, b)] = min(a, b)
-    held = np.zeros(len(fixed), np.bool_)
-    for v in range(len(fixed)):
-        held[_find(root, v)] |= fixed[v]
-    for v in range(len(fixed)):
-        if not held[_find(root, v)]:
-            return v
-    return -1
+    for v in range(n):
+        root[v] = _find(root, v)
+    return root
 
 
 @kernel

@@ -21,8 +21,10 @@ import numpy.typing as npt
 
 from impslam.errors import ImpError
 
-VERSION = 2
-"""Counts up with what a file holds: 2 has edges. Files of all versions up to this one can be read."""
+VERSION = 3
+"""Counts up with what a file holds; see `layout`. Files of all versions up to this one can be read."""
+FREE = "belief/"
+"""Arrays whose names begin so are those of an estimator: any names, shapes and numbers."""
 
 Arrays: TypeAlias = dict[str, npt.NDArray[Any]]
 Layout: TypeAlias = Mapping[str, tuple[str, tuple[int | str, ...]]]
@@ -38,7 +40,9 @@ def save(path: Path, arrays: Arrays, about: dict[str, Any]) -> Path:
     ImpError
         If the file cannot be written.
     """
-    table = json.dumps({"version": VERSION, "about": about}, ensure_ascii=False, default=str)
+    free = [name for name in arrays if name.startswith(FREE)]
+    facts = {"version": VERSION, "about": about, "free": free}
+    table = json.dumps(facts, ensure_ascii=False, default=str)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         try:
@@ -85,8 +89,9 @@ def load(
         raise ImpError(f"{path}: no such file; give a map that impslam has saved")
     try:
         with zipfile.ZipFile(path) as packed:
-            version, about = _about(packed)
-            return build(_arrays(packed, layout(version)), about)
+            version, about, free = _about(packed)
+            arrays = _arrays(packed, layout(version))
+            return build(arrays | {name: _array(packed, name) for name in free}, about)
     except _Version as error:
         raise ImpError(f"{path}: {error}") from None
     except _DAMAGE as error:
@@ -117,7 +122,8 @@ _DAMAGE = (
 )
 
 
-def _about(packed: zipfile.ZipFile) -> tuple[int, dict[str, Any]]:
+def _about(packed: zipfile.ZipFile) -> tuple[int, dict[str, Any], list[str]]:
+    """Return version, table and names of free arrays."""
     table = json.loads(_array(packed, "about", np.dtype(np.uint8)).tobytes())
     version, about = int(table["version"]), dict(table["about"])
     if version > VERSION:
@@ -126,7 +132,10 @@ def _about(packed: zipfile.ZipFile) -> tuple[int, dict[str, Any]]:
         )
     if version < 1:
         raise ValueError(f"there is no version {version}")
-    return version, about
+    free = [str(name) for name in table.get("free", [])]
+    if not all(name.startswith(FREE) for name in free):
+        raise ValueError(f"{free} are no names of free arrays")
+    return version, about, free
 
 
 def _arrays(packed: zipfile.ZipFile, layout: Layout) -> Arrays:
@@ -144,7 +153,9 @@ def _arrays(packed: zipfile.ZipFile, layout: Layout) -> Arrays:
     return arrays
 
 
-def _array(packed: zipfile.ZipFile, name: str, kind: np.dtype[Any]) -> npt.NDArray[Any]:
+def _array(
+    packed: zipfile.ZipFile, name: str, wanted: np.dtype[Any] | None = None
+) -> npt.NDArray[Any]:
     """Return an array, whose memory is that of its bytes in the file: what it says of its size may lie."""
     try:
         member = packed.getinfo(f"{name}.npy")
@@ -157,7 +168,8 @@ def _array(packed: zipfile.ZipFile, name: str, kind: np.dtype[Any]) -> npt.NDArr
     if np.lib.format.read_magic(stream) != (1, 0):
         raise ValueError(f"{name} is of another format")
     shape, by_columns, dtype = np.lib.format.read_array_header_1_0(stream)
-    if dtype != kind or by_columns:
+    kind = wanted or dtype
+    if dtype != kind or dtype.kind not in "fiub" or by_columns:
         raise ValueError(f"{name} holds {dtype}, expected {kind} by rows")
     if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != len(data) - stream.tell():
         raise ValueError(f"{name} is not as long as it says")

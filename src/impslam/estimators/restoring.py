@@ -1,0 +1,117 @@
+"""Goes on with a map: its keyframes, and the pose graph over them, as the run that made it had them."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.errors import NumericalError
+from impslam.estimators.keyframe_log import TURN, KeyframeLog
+from impslam.estimators.pose_graph import CLOSURE_LENGTH, PoseGraph
+from impslam.geometry.chain import advance
+from impslam.geometry.se2 import compose, inverse
+from impslam.map import Keyframes, Map
+from impslam.maps.layout import undriven
+from impslam.recognition.stored import points_view
+from impslam.types import Array, Edges, Ints, Mask
+
+
+class Restored(NamedTuple):
+    """What an estimator goes on with; `since` is the motion from the newest node, (3,) and (3, 3)."""
+
+    keys: KeyframeLog
+    graph: PoseGraph
+    since: tuple[Array, Array]
+
+
+def restored(known: Map, spacing: float, *, frozen: bool = False) -> Restored:
+    """Return the keyframes and the graph of a map; where it has no graph, with nodes every `spacing` m.
+
+    Poses are those of the graph's solution, as they were before all keyframes were refined: motions go
+    on from there. With `frozen` they are those of the map, which are to stay.
+    """
+    rows = known.keyframes
+    if frozen:
+        rows = replace(rows, motions=undriven(rows.poses)["motions"])
+    nodes = _nodes(rows, known.edges, spacing)
+    keys = _keys(rows, nodes)
+    observations = known.observations or ((),) * len(rows)
+    for seen, stamp in zip(observations, rows.stamps.tolist(), strict=True):
+        keys.seen.add(seen, stamp)
+    edges = _edges(rows, known.edges, nodes)
+    ends = nodes[edges.i], nodes[edges.j]
+    lengths = np.where(
+        np.isinf(edges.kernel), keys.way[ends[1]] - keys.way[ends[0]], CLOSURE_LENGTH
+    )
+    graph = PoseGraph.of(rows.poses[nodes], rows.covariances[nodes], edges, lengths)
+    if frozen:
+        graph.frozen = len(nodes)
+    elif len(edges.i):
+        with suppress(NumericalError):  # the poses of the map are as good
+            graph.solve()
+    return Restored(keys, graph, _motion(rows, int(nodes[-1]), len(rows) - 1))
+
+
+def _keys(rows: Keyframes, nodes: Ints) -> KeyframeLog:
+    """Return the keyframes as tracked; each session begins at the pose of its first one."""
+    keys, first = KeyframeLog(), _begins(rows.sessions)
+    at = set(nodes.tolist())
+    starts = rows.starts.tolist()
+    for k in range(len(rows)):
+        motion, start = rows.motions[k], None
+        if first[k]:
+            motion = np.where(np.isfinite(motion), motion, 0.0)
+            start = compose(rows.poses[k], inverse(motion))
+        points = rows.points[starts[k] : starts[k + 1]]
+        seen = points_view(points.astype(float), rows.origins[k]) if len(points) else None
+        keys.append(motion, rows.motion_covariances[k], seen, start)
+        if k in at and not first[k]:
+            keys.mark_node()
+    return keys
+
+
+def _begins(sessions: Ints) -> Mask:
+    return np.append(True, sessions[1:] != sessions[:-1])
+
+
+def _nodes(rows: Keyframes, edges: Edges, spacing: float) -> Ints:
+    """Return the keyframes that are nodes: those with edges, and the first one of each session."""
+    first = np.flatnonzero(_begins(rows.sessions))
+    if len(edges.i):
+        return np.unique(np.concatenate([edges.i, edges.j, first]))
+    steps = np.hypot(rows.motions[:, 0], rows.motions[:, 1]) + TURN * np.abs(rows.motions[:, 2])
+    chosen, since, begins = [], math.inf, _begins(rows.sessions)
+    for k, step in enumerate(steps.tolist()):
+        since += step
+        if begins[k] or since >= spacing:
+            chosen.append(k)
+            since = 0.0
+    return np.array(chosen)
+
+
+def _edges(rows: Keyframes, edges: Edges, nodes: Ints) -> Edges:
+    """Return the edges between nodes, with motions between consecutive ones that none connects."""
+    i, j = np.searchsorted(nodes, edges.i), np.searchsorted(nodes, edges.j)
+    connected = np.zeros(len(nodes), np.bool_)
+    connected[j[np.isinf(edges.kernel) & (j == i + 1)]] = True
+    begins = _begins(rows.sessions)[nodes]
+    motions = []
+    for n in np.flatnonzero(~connected & ~begins).tolist():
+        T, covariance = _motion(rows, int(nodes[n - 1]), int(nodes[n]))
+        motions.append((n - 1, n, T, np.linalg.inv(covariance), math.inf))
+    if not motions:
+        return edges._replace(i=i, j=j)
+    more = Edges(*(np.array(column) for column in zip(*motions, strict=True)))
+    return more.joined(edges._replace(i=i, j=j))
+
+
+def _motion(rows: Keyframes, begin: int, end: int) -> tuple[Array, Array]:
+    """Return the motion (3,) from one keyframe to another of its session, and its covariance."""
+    T, covariance = np.zeros(3), np.zeros((3, 3))
+    for k in range(begin + 1, end + 1):
+        advance(T, covariance, rows.motions[k], rows.motion_covariances[k])
+    return T, covariance

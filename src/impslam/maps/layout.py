@@ -1,0 +1,193 @@
+"""What a map's file holds: the arrays by name, version by version, and what they may be."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from impslam.geometry.se2 import between
+from impslam.maps.archive import Arrays, Layout
+from impslam.maps.observations import packed, unpacked
+from impslam.types import NO_EDGES, Array, Edges, Ints, Landmark, Observation, check_shape
+
+_ROWS: Layout = {
+    "stamps": ("f8", ("sweeps",)),
+    "anchors": ("i8", ("sweeps",)),
+    "T_anchor_base": ("f8", ("sweeps", 3)),
+    "track_covariances": ("f8", ("sweeps", 6)),
+    "odometry_poses": ("f8", ("sweeps", 3)),
+    "live_poses": ("f8", ("sweeps", 3)),
+}
+_KEYFRAMES: Layout = {
+    "keyframes/stamps": ("f8", ("keyframes",)),
+    "keyframes/poses": ("f8", ("keyframes", 3)),
+    "keyframes/covariances": ("f8", ("keyframes", 3, 3)),
+    "keyframes/innovations": ("f8", ("keyframes", 3)),
+    "keyframes/origins": ("f8", ("keyframes", 2)),
+    "keyframes/starts": ("i8", ("starts",)),
+    "keyframes/points": ("f4", ("points", 2)),
+}
+_LANDMARKS: Layout = {"landmarks": ("u1", ("bytes",))}  # JSON
+_EDGES: Layout = {
+    "edges/i": ("i8", ("edges",)),
+    "edges/j": ("i8", ("edges",)),
+    "edges/T_i_j": ("f8", ("edges", 3)),
+    "edges/information": ("f8", ("edges", 3, 3)),
+    "edges/kernel": ("f8", ("edges",)),
+}
+_DRIVE: Layout = {
+    "tracked": ("f8", ("sweeps", 3)),
+    "keyframes/motions": ("f8", ("keyframes", 3)),
+    "keyframes/motion_covariances": ("f8", ("keyframes", 3, 3)),
+    "keyframes/sessions": ("i8", ("keyframes",)),
+    "keyframes/placed": ("b1", ("keyframes",)),
+}
+_OBSERVATIONS: Layout = {
+    "observations/counts": ("i8", ("counts",)),  # one for each keyframe, or none
+    "observations/kinds": ("i8", ("observations",)),
+    "observations/sizes": ("i8", ("observations",)),
+    "observations/z": ("f8", ("z",)),
+    "observations/R": ("f8", ("R",)),
+    "observations/end_points": ("f8", ("observations", 2, 2)),
+    "observations/labels": ("i8", ("observations",)),
+    "observations/delays": ("f8", ("observations",)),
+    "observations/attributes": ("f8", ("attributes",)),
+    "observations/names": ("u1", ("names",)),  # JSON
+}
+MOTION_SIGMA = np.array([0.03, 0.03, 0.01])
+"""m, m, rad of the motion to a keyframe, where a map does not tell: dead reckoning over half a metre."""
+
+
+def layout(version: int) -> Layout:
+    """Return the arrays of a version's files.
+
+    2 has edges; 3 what a run needs to go on: motions, sessions, observations.
+    """
+    known = {**_ROWS, **_KEYFRAMES, **_LANDMARKS}
+    if version > 1:
+        known |= _EDGES
+    if version > 2:
+        known |= {**_DRIVE, **_OBSERVATIONS}
+    return known
+
+
+def to_arrays(
+    columns: Mapping[str, Any],
+    keyframes: Mapping[str, Any],
+    landmarks: Sequence[Landmark],
+    edges: Edges,
+    observations: Sequence[Sequence[Observation]],
+    belief: Mapping[str, Any],
+) -> Arrays:
+    """Return the arrays of a map's file."""
+    marks = json.dumps([asdict(m) for m in landmarks], default=lambda array: array.tolist())
+    return {
+        **{name: columns[name] for name in (*_ROWS, "tracked")},
+        **{f"keyframes/{name}": array for name, array in keyframes.items()},
+        **{f"edges/{name}": array for name, array in edges._asdict().items()},
+        **{f"observations/{name}": array for name, array in packed(observations).items()},
+        **{f"belief/{name}": array for name, array in belief.items()},
+        "landmarks": np.frombuffer(marks.encode(), np.uint8),
+    }
+
+
+def from_arrays(arrays: Arrays) -> dict[str, Any]:
+    """Return the parts of a map by name, those of "keyframes" in a table.
+
+    Raises ValueError where arrays do not fit each other, for compiled code checks no index.
+    """
+    parts: dict[str, Any] = {name: arrays[name] for name in _ROWS}
+    keyframes = _part(arrays, "keyframes/")
+    _check_points(keyframes)
+    _check_finite(keyframes, "poses", "covariances", "origins", "points")
+    if ((arrays["anchors"] < 0) | (arrays["anchors"] >= len(keyframes["stamps"]))).any():
+        raise ValueError("anchors are no keyframes")
+    marks = tuple(_landmark(m) for m in json.loads(arrays["landmarks"].tobytes()))
+    parts |= {"landmarks": marks, "keyframes": keyframes}
+    parts["edges"] = _edges(arrays, len(keyframes["stamps"]))
+    if "tracked" in arrays:
+        _check_sessions(keyframes["sessions"])
+        seen = unpacked(_part(arrays, "observations/"))
+        if len(seen) not in (0, len(keyframes["stamps"])):
+            raise ValueError("observations/counts does not fit the keyframes")
+        parts |= {"observations": seen, "belief": _part(arrays, "belief/")}
+        return {**parts, "tracked": arrays["tracked"]}
+    keyframes |= undriven(keyframes["poses"])
+    return {**parts, "tracked": arrays["T_anchor_base"]}
+
+
+def undriven(poses: Array) -> Arrays:
+    """Return the columns of keyframes of which only the poses (k, 3) are known."""
+    k = len(poses)
+    motions = np.concatenate([poses[:1], between(poses[:-1], poses[1:])])
+    return {
+        "motions": motions,
+        "motion_covariances": np.broadcast_to(np.diag(MOTION_SIGMA**2), (k, 3, 3)).copy(),
+        "sessions": np.zeros(k, np.int64),
+        "placed": np.ones(k, np.bool_),
+    }
+
+
+def _part(arrays: Arrays, prefix: str) -> Arrays:
+    return {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
+
+
+def _check_points(keyframes: Arrays) -> None:
+    starts, k = keyframes["starts"], len(keyframes["stamps"])
+    if len(starts) != k + 1 or starts[0] != 0 or starts[-1] != len(keyframes["points"]):
+        raise ValueError("keyframes/starts does not fit the points")
+    if (np.diff(starts) < 0).any():
+        raise ValueError("keyframes/starts falls")
+
+
+def _check_finite(keyframes: Arrays, *names: str) -> None:
+    for name in names:
+        if not np.isfinite(keyframes[name]).all():
+            raise ValueError(f"keyframes/{name} is not finite")
+
+
+def _check_sessions(sessions: Ints) -> None:
+    """Raise an error unless sessions are numbered from 0 on, without a gap, in the order of keyframes."""
+    if len(sessions) and (sessions[0] != 0 or not np.isin(np.diff(sessions), (0, 1)).all()):
+        raise ValueError("keyframes/sessions do not count up")
+
+
+def _edges(arrays: Arrays, keyframes: int) -> Edges:
+    """Return the edges; raise an error for one that does not join two keyframes, or has no sense."""
+    if "edges/i" not in arrays:
+        return NO_EDGES
+    edges = Edges(*(arrays[f"edges/{name}"] for name in Edges._fields))
+    ends = np.stack([edges.i, edges.j])
+    if ((ends < 0) | (ends >= keyframes)).any() or (edges.i == edges.j).any():
+        raise ValueError("edges do not join two keyframes")
+    if not (np.isfinite(edges.T_i_j).all() and np.isfinite(edges.information).all()):
+        raise ValueError("edges are not finite")
+    if not (edges.kernel > 0.0).all():
+        raise ValueError("edges/kernel is not positive")
+    return edges
+
+
+def _landmark(mark: dict[str, Any]) -> Landmark:
+    known = Landmark(**mark)
+    position, covariance = (np.array(v, np.float64) for v in (known.position, known.covariance))
+    ends = known.end_points if known.end_points is None else np.array(known.end_points, np.float64)
+    check_shape("position", position, 2)
+    check_shape("covariance", covariance, len(covariance), len(covariance))
+    if ends is not None:
+        check_shape("end_points", ends, 2, 2)
+    if not isinstance(known.kind, str) or not isinstance(known.parameters, dict):
+        raise TypeError("a landmark has no kind, or no parameters")
+    return replace(
+        known,
+        id=int(known.id),
+        observations=int(known.observations),
+        first_stamp=float(known.first_stamp),
+        last_stamp=float(known.last_stamp),
+        position=position,
+        covariance=covariance,
+        end_points=ends,
+    )

@@ -1,0 +1,122 @@
+"""Sessions: drives in one graph whose relation is not known until a closure joins them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.estimators.drives import LAP, RING, begun, driven, keyframes, way
+from tests.filters.worlds import MODELS
+from tests.numeric import wrapped
+
+from impslam.estimators.graph import Graph
+from impslam.geometry.se2 import between
+from impslam.map import Map
+from impslam.map_builder import MapBuilder, blended
+
+TRUTH = way(*LAP[:4])
+CUT = 60
+NOWHERE = np.full(3, np.nan)
+FIRM = np.diag([1e4, 1e4, 1e5])
+
+
+@pytest.fixture(scope="module")
+def frames():
+    """The keyframes of a drive on which the motion to number `CUT` is not known."""
+    made = keyframes(RING, TRUTH)
+    motion = replace(made[CUT].motion, d_pose=NOWHERE)
+    return [*made[:CUT], replace(made[CUT], motion=motion, lost=True), *made[CUT + 1 :]]
+
+
+def mapped(made, frames):
+    """Return the map that an estimator makes of keyframes."""
+    builder = MapBuilder()
+    for frame in frames:
+        builder.revise(frame, made.add(frame))
+    known = builder.map(made.landmarks(), None, made.edges())
+    known = replace(known, observations=made.observations())
+    return blended(known.revised(made.settle()))
+
+
+def test_what_follows_an_unknown_motion_is_not_placed(frames):
+    revisions = driven(begun(TRUTH[0]), frames)
+    placed = [bool(np.all(r.placed)) for r in revisions]
+    assert placed == [k < CUT for k in range(len(frames))]
+    assert all(r.refused == "" for r in revisions)
+    assert revisions[CUT].covariances[0].min() >= 0.0
+    assert revisions[-1].covariances[0, 0, 0] > 1e5  # m^2: it may be anywhere
+
+
+def test_a_pending_session_leaves_the_map_as_it_is(frames):
+    """Grid and landmarks are those of a drive that ended before."""
+    known = mapped(begun(TRUTH[0]), frames)
+    before = mapped(begun(TRUTH[0]), frames[:CUT])
+    keyframes = known.keyframes
+    assert keyframes.sessions.tolist() == [0] * CUT + [1] * (len(frames) - CUT)
+    np.testing.assert_array_equal(keyframes.placed, keyframes.sessions == 0)
+    np.testing.assert_array_equal(keyframes.poses[:CUT], before.keyframes.poses)
+    np.testing.assert_array_equal(known.grid().logodds, before.grid().logodds)
+    assert [m.id for m in known.landmarks] == [m.id for m in before.landmarks]
+
+
+def test_a_closure_joins_a_session_to_the_map(frames):
+    made = begun(TRUTH[0])
+    driven(made, frames)
+    graph, keys = made._graph, made._keys
+    (i,) = np.flatnonzero(keys.nodes == 0)
+    j = len(graph) - 1
+    T = between(TRUTH[0], TRUTH[keys.nodes[j]])
+    assert graph.close(int(i), j, T, FIRM)
+    graph.solve()
+    revision = made.settle()
+    assert np.all(revision.placed)
+    assert np.abs(wrapped(revision.poses - TRUTH, 2)).max() < 0.02
+    assert revision.covariances[:, 0, 0].max() < 1.0
+
+
+def test_a_map_of_two_sessions_goes_on_as_it_was(frames, tmp_path):
+    made = begun(TRUTH[0])
+    file = mapped(made, frames).save(tmp_path / "map.imp")
+    again = Graph()
+    again.start(np.zeros(3), Map.load(file), models=MODELS)
+    assert np.all(again.edges().i == made.edges().i)
+    np.testing.assert_array_equal(again._graph.roots, made._graph.roots)
+    np.testing.assert_allclose(again._keys.way, made._keys.way, atol=1e-9)
+
+
+@pytest.mark.parametrize("stop", [40, 61, 90])
+def test_a_map_goes_on_as_if_it_had_never_stopped(stop, tmp_path):
+    frames = keyframes(RING, TRUTH)
+    whole = mapped(begun(TRUTH[0]), frames)
+    part = Map.load(mapped(begun(TRUTH[0]), frames[:stop]).save(tmp_path / "map.imp"))
+    made, builder = Graph(), MapBuilder(part)
+    made.start(np.zeros(3), part, models=MODELS)
+    for frame in frames[stop:]:
+        revision = made.add(frame)
+        assert revision.ids.max() == frame.id
+        builder.revise(frame, revision)
+    resumed = builder.map(()).revised(made.settle())
+    off = wrapped(resumed.keyframes.poses - whole.keyframes.poses, 2)
+    assert np.abs(off).max() < 0.01
+    assert len(made.landmarks()) == len(whole.landmarks)
+    np.testing.assert_array_equal(resumed.keyframes.motions, whole.keyframes.motions)
+
+
+def test_a_frozen_map_stays_and_the_drive_through_it_does_not_drift(tmp_path):
+    known = mapped(begun(TRUTH[0]), keyframes(RING, TRUTH))
+    drift = keyframes(RING, TRUTH, drift=(0.0, 0.0, 0.004), rng=np.random.default_rng(5))
+    made, builder, n = Graph(), MapBuilder(known, frozen=True), len(known.keyframes)
+    made.start(np.zeros(3), known, frozen=True, models=MODELS)
+    for k, given in enumerate(drift, n):
+        frame = replace(given, id=k, lost=k == n)
+        builder.revise(frame, made.add(frame))
+        if frame.id == n + 20:  # found
+            node = len(made._graph) - 1
+            here = known.keyframes.poses[made._keys.nodes[node] - n]
+            made._graph.close(0, node, between(known.keyframes.poses[0], here), FIRM)
+            made._graph.solve()
+    there = builder.map(()).revised(made.settle())
+    np.testing.assert_array_equal(there.keyframes.poses[:n], known.keyframes.poses)
+    np.testing.assert_array_equal(there.grid().logodds, known.grid().logodds)
+    off = wrapped(there.keyframes.poses[n:] - TRUTH, 2)
+    assert np.hypot(off[:, 0], off[:, 1]).max() < 0.1
+    assert made.landmarks() is known.landmarks

@@ -356,8 +356,8 @@ def test_every_figure_is_a_picture_with_a_caption(part: Section) -> None:
         "fig19-hough-people",
     ]
     for picture in part.pictures:
-        assert picture.png[:8] == b"\x89PNG\r\n\x1a\n"
-        width, height = struct.unpack(">II", picture.png[16:24])
+        assert picture.content[:8] == b"\x89PNG\r\n\x1a\n"
+        width, height = struct.unpack(">II", picture.content[16:24])
         assert 500 < width < 1700
         assert 500 < height < 1700
         assert len(picture.caption) > 80
@@ -398,7 +398,7 @@ def test_the_same_again_whatever_the_job(part: Section) -> None:
     again = figures(
         Job(seeds=3, processes=2, progress=lambda _, done, total: steps.append((done, total)))
     )
-    assert [p.png for p in again.pictures] == [p.png for p in part.pictures]
+    assert [p.content for p in again.pictures] == [p.content for p in part.pictures]
     assert again.text == part.text
     assert [p.caption for p in again.pictures] == [p.caption for p in part.pictures]
     assert again.numbers == part.numbers

@@ -81,7 +81,7 @@ def test_figures_are_json_and_pictures_png(small):
         "consistency-loop",
         "consistency-arena",
     ]
-    assert all(picture.png.startswith(b"\x89PNG") for picture in part.pictures)
+    assert all(picture.content.startswith(b"\x89PNG") for picture in part.pictures)
 
 
 def test_progress_is_reported_for_each_study(small):

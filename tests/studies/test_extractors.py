@@ -36,7 +36,7 @@ def test_the_part_is_whole(small):
     for table in part.tables:
         assert {len(row) for row in table.rows} == {len(table.header)}
     (picture,) = part.pictures
-    assert picture.png[:4] == b"\x89PNG"
+    assert picture.content[:4] == b"\x89PNG"
     assert set(part.numbers) == {"wall", "cylinder"}
     assert part.numbers["wall"]["split_merge"]["driving"]["scans_per_second"] > 0.0
     assert part.numbers["wall"][experiment.KNOWN]["standing"]["scans_per_second"] is None

@@ -28,6 +28,7 @@ EXPERIMENTS = {
     "both": ("arena:both", 100),
     "corridor": ("corridor:corridor", 100),
     "figures": ("chapter4:figures", 1),
+    "drawings": ("drawings:drawings", 1),
     "extractors": ("extractors:extractors", 10),
     "consistency": ("consistency:consistency", 1000),
 }
@@ -62,7 +63,7 @@ def reproduce(
     Parameters
     ----------
     experiments
-        Any of points, lines, both, corridor, figures, extractors, consistency. Default: all.
+        Any of points, lines, both, corridor, figures, drawings, extractors, consistency. Default: all.
     output
         The folder to write to, a new one. Default: runs/reproduce-DATE-TIME.
     """
@@ -101,7 +102,7 @@ def _folder(wanted: Path | None, *, force: bool) -> AbstractContextManager[Path]
     from impslam.studies.report import MARKDOWN, NUMBERS, PAGE
 
     there = wanted.iterdir() if wanted is not None and wanted.is_dir() else ()
-    more = {path.name for path in there if path.suffix in {".png", ".csv"}}
+    more = {path.name for path in there if path.suffix in {".png", ".svg", ".csv"}}
     results = {PAGE, MARKDOWN, NUMBERS}
     return run_folder(wanted, "reproduce", force=force, results=results, also=more, mark=NUMBERS)
 

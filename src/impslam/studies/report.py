@@ -49,11 +49,17 @@ class ResultTable:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture: the stem of its file, the PNG, and its caption."""
+    """A picture: the stem of its file, its content, its caption, and its kind: "png" or "svg"."""
 
     name: str
-    png: bytes = field(repr=False)
+    content: bytes = field(repr=False)
     caption: str
+    kind: str = "png"
+
+    @property
+    def file(self) -> str:
+        """Name of its file."""
+        return f"{self.name}.{self.kind}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +121,7 @@ def write(
     folder.mkdir(parents=True, exist_ok=True)
     for part in sections:
         for picture in part.pictures:
-            (folder / f"{picture.name}.png").write_bytes(picture.png)
+            (folder / picture.file).write_bytes(picture.content)
         if part.runs:
             _write_csv(folder / f"{part.name}.csv", part.runs)
     numbers = {part.name: part.numbers for part in sections}
@@ -166,10 +172,11 @@ def _html_table(shown: ResultTable) -> str:
 
 
 def _html_picture(shown: Picture) -> str:
-    data = base64.b64encode(shown.png).decode()
+    data = base64.b64encode(shown.content).decode()
+    kind = "image/svg+xml" if shown.kind == "svg" else "image/png"
     return (
         f'<figure class="picture"><img class="map" alt="{escape(shown.caption)}" '
-        f'src="data:image/png;base64,{data}"><figcaption>{escape(shown.caption)}</figcaption></figure>'
+        f'src="data:{kind};base64,{data}"><figcaption>{escape(shown.caption)}</figcaption></figure>'
     )
 
 
@@ -177,7 +184,7 @@ def _markdown(part: Section) -> str:
     blocks = [f"## {part.title}", part.text]
     for shown in part.tables:
         blocks += [f"**{shown.title}**", _markdown_table(shown), shown.note]
-    blocks += [f"![{p.name}]({p.name}.png)\n\n{p.caption}" for p in part.pictures]
+    blocks += [f"![{p.name}]({p.file})\n\n{p.caption}" for p in part.pictures]
     return "\n\n".join(filter(None, blocks)) + "\n"
 
 

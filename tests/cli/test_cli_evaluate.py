@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
+from tests.estimators.drives import LAP, RING, way
+from tests.evaluation.test_quality import keyframes, made
 
 from impslam.cli import console
 from impslam.cli.comparison import Cell, short_names, show
@@ -210,7 +212,7 @@ def one_line(said, part) -> None:
         (["good.tum", "--truth", "none.tum"], "none.tum: cannot be read"),
         (["none.tum", "--truth", "good.tum"], "none.tum: no such run"),
         (["."], "no trajectory.tum"),
-        (["good.tum"], "good.tum: contains no truth; give --truth"),
+        (["good.tum"], "good.tum: contains neither a truth nor a map.imp; give --truth"),
         (["bad.tum", "--truth", "good.tum"], "bad.tum, line 1: expected stamp x y z"),
         (["good.tum", "--truth", "bad.tum"], "bad.tum, line 1: expected stamp x y z"),
         (["empty.tum", "--truth", "good.tum"], "empty.tum: holds no pose"),
@@ -258,3 +260,14 @@ def test_a_damaged_run_folder_is_one_line(imp, tmp_path, monkeypatch, broken) ->
     monkeypatch.chdir(tmp_path)
     (folder(tmp_path) / broken).write_bytes(b"\xff\xfe,\n1,2\n")
     one_line(imp("evaluate", "run"), broken)
+
+
+def test_a_map_is_compared_with_itself_where_there_is_no_truth(imp, tmp_path) -> None:
+    run = folder(tmp_path, truth=False)
+    made(keyframes(RING, way(*LAP))).save(run / "map.imp")
+    said = imp("evaluate", run, "--json", tmp_path / "numbers.json")
+    assert said.code == 0, said.err
+    assert "disagreement" in said.out
+    numbers = json.loads((tmp_path / "numbers.json").read_text())["runs"][str(run)]
+    assert 0.002 < numbers["quality"]["disagreement_m"] < 0.02
+    assert numbers["path"] is None

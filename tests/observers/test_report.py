@@ -1,5 +1,6 @@
 """The report is one page that needs nothing else, for any run."""
 
+import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -9,9 +10,11 @@ import pytest
 from tests.observers import runs
 
 from impslam.evaluation.landmarks import moved
+from impslam.evaluation.quality import Quality
 from impslam.observers.base import Dropped
 from impslam.observers.history import History
 from impslam.observers.page import Line, chart
+from impslam.observers.quality_section import quality_section
 from impslam.observers.recorder import Recorder
 from impslam.observers.run_folder import write_run
 from impslam.observers.sections import duration
@@ -167,3 +170,11 @@ def test_a_heading_that_is_lost_on_the_way_leaves_two_degrees_of_freedom(tmp_pat
     truth = list(runs.make_truth())
     truth[30] = TruePose(truth[30].stamp, np.array([*truth[30].pose[:2], np.nan]))
     assert "of the position; ideal 2" in write(tmp_path, truth=truth)
+
+
+def test_the_quality_of_a_map_is_told_where_scans_meet():
+    assert quality_section(Quality(*[math.nan] * 7)) == ""
+    text = quality_section(Quality(0.02, 0.01, 0.03, 0.015, 0.004, 0.001, 0.9))
+    for words in ("disagreement", "2.00 cm", "3.00 cm", "0.4 %", "90.0 %"):
+        assert words in text
+    assert "-</td>" in quality_section(Quality(0.01, 0.01, math.nan, 0.015, 0.004, 0.001, 0.0))

@@ -15,6 +15,7 @@ from rich.text import Text
 
 from impslam.cli import console
 from impslam.evaluation.options import Alignment
+from impslam.evaluation.quality import Quality
 from impslam.evaluation.relations import RelationErrors
 from impslam.evaluation.scores import Consistency, KindScore, PathScore
 from impslam.types import Array
@@ -169,6 +170,31 @@ def show_relations(errors: Mapping[str, RelationErrors]) -> None:
     """Print how well runs keep measured relations."""
     header = ("run", "relations", "missing", "metres", "median", "degrees", "median")
     show(header, {(run,): _relation_cells(error) for run, error in errors.items()})
+
+
+def show_quality(found: Mapping[str, Quality]) -> None:
+    """Print how well the scans of runs agree with each other."""
+    header = ["run", "disagreement, cm", "within", "between", "thickness"]
+    header += ["contradicted", "doubled", "revisited"]
+    show(header, {(run,): _quality_cells(q) for run, q in found.items()})
+    console.say(
+        "disagreement: how far scans of the same place are apart, mean of those within a pass and "
+        "between passes; it needs no truth, and sees no bend where no place was revisited"
+    )
+
+
+def _quality_cells(found: Quality) -> list[Cell]:
+    lengths = (found.disagreement, found.within, found.between, found.thickness)
+    shares = (found.contradicted, found.doubled)
+    return [
+        *(_number(100.0 * length, 2) for length in lengths),
+        *(_percent(share, 1) for share in shares),
+        Cell(_percent(found.revisited, 0).text),
+    ]
+
+
+def _percent(share: float, digits: int) -> Cell:
+    return Cell(f"{100.0 * share:.{digits}f} %" if math.isfinite(share) else "-", share)
 
 
 def _relation_cells(errors: RelationErrors) -> list[Cell]:

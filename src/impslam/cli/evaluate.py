@@ -1,4 +1,4 @@
-"""`imp evaluate`: how far runs are from the truth, or from relations that people measured."""
+"""`imp evaluate`: how far runs are from a truth, or from measured relations, and how well scans agree."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def evaluate(
     json: Path | None = None,
     common: Common | None = None,
 ) -> None:
-    """Print the errors of runs against the truth or against measured relations.
+    """Print the errors of runs against the truth or measured relations, and how well their scans agree.
 
     Parameters
     ----------

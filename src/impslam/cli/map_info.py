@@ -15,6 +15,7 @@ from impslam.cli import console
 from impslam.cli.console import Common
 
 if TYPE_CHECKING:
+    from impslam.evaluation.quality import Quality
     from impslam.maps.facts import MapFacts
 
 
@@ -39,6 +40,7 @@ def info(
     """
     from impslam.cli.comparison_json import write_json
     from impslam.cli.map_work import picture_path, working, write_picture
+    from impslam.evaluation.quality import quality
     from impslam.map import Map
     from impslam.maps.facts import facts
     from impslam.maps.files import map_image
@@ -51,11 +53,14 @@ def info(
         image = map_image(known.grid())
         found = facts(known, image, time.time())
         write_picture(picture, known, image)
+    with working("comparing the scans", quiet):
+        agreement = quality(known)
     if not quiet:
         console.say(f"{file}:")
-        console.show_facts({**_rows(found), "picture": str(picture)})
+        shown = {**_rows(found), "quality": _quality(agreement), "picture": str(picture)}
+        console.show_facts(shown)
     if json is not None:
-        write_json(json, asdict(found))
+        write_json(json, {**asdict(found), "quality": agreement.figures()})
 
 
 def _rows(found: MapFacts) -> dict[str, str]:
@@ -91,3 +96,13 @@ def _walls(found: MapFacts) -> str:
         return "no main direction"
     degrees = math.degrees(direction.angle)
     return f"{100 * direction.share:.0f} % within 5° of {degrees:+.1f}° and its right angle"
+
+
+def _quality(found: Quality) -> str:
+    if math.isnan(found.disagreement):
+        return "not told: no two scans see the same surface"
+    return (
+        f"scans disagree by {100 * found.disagreement:.1f} cm, free space contradicts "
+        f"{100 * found.contradicted:.1f} % of their points, {100 * found.doubled:.1f} % on doubled "
+        f"walls; {100 * found.revisited:.0f} % of the places revisited"
+    )

@@ -1,4 +1,4 @@
-"""What `imp evaluate` does: runs compared with the truth or with measured relations."""
+"""What `imp evaluate` does: runs compared with the truth, with measured relations, with themselves."""
 
 from __future__ import annotations
 
@@ -7,13 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from impslam.cli.comparison import short_names, show_landmarks, show_paths, show_relations
+from impslam.cli.comparison import (
+    short_names,
+    show_landmarks,
+    show_paths,
+    show_quality,
+    show_relations,
+)
 from impslam.cli.comparison_json import kind_facts, path_facts, relation_facts, write_json
 from impslam.cli.evaluate import Against
 from impslam.errors import ConfigError, ImpError
 from impslam.evaluation.landmark_files import read_true_landmarks
 from impslam.evaluation.landmarks import corners
 from impslam.evaluation.options import Alignment
+from impslam.evaluation.quality import Quality, quality
 from impslam.evaluation.relations import RelationErrors, read_relations, relation_errors
 from impslam.evaluation.run_files import RecordedRun, read_run
 from impslam.evaluation.scores import KindScore, PathScore, score_kinds, score_path
@@ -46,6 +53,7 @@ class Scores:
     path: PathScore | None
     kinds: list[KindScore] | None
     relations: RelationErrors | None
+    quality: Quality | None
 
 
 def compare(
@@ -83,9 +91,10 @@ def _score(place: Path, by: Yardsticks) -> Scores:
     known = run.true_landmarks if by.landmarks is None else by.landmarks
     if by.landmarks is not None and run.landmarks is None:
         raise ConfigError(f"{place}: contains no landmarks.csv; omit --landmarks")
-    if truth is None and by.relations is None and by.landmarks is None:
+    if truth is None and by.relations is None and by.landmarks is None and run.known is None:
         raise ConfigError(
-            f"{place}: contains no truth; give --truth FILE (TUM) or --relations FILE"
+            f"{place}: contains neither a truth nor a map.imp; give --truth FILE (TUM) or "
+            "--relations FILE"
         )
     try:
         path = None if truth is None else score_path(run, truth, by.how.align, by.how.delta)
@@ -95,7 +104,8 @@ def _score(place: Path, by: Yardsticks) -> Scores:
     kinds = None
     if known and run.landmarks is not None:
         kinds = score_kinds(run.landmarks, [*known, *_corners(known)], path, by.how.gate)
-    return Scores(place, run, path, kinds, relations)
+    own = None if run.known is None else quality(run.known)
+    return Scores(place, run, path, kinds, relations, own)
 
 
 def _corners(known: list[TrueLandmark]) -> list[TrueLandmark]:
@@ -111,6 +121,8 @@ def _show(scores: Mapping[str, Scores], by: Yardsticks) -> None:
         show_landmarks(kinds, by.how.gate, _frame(bool(paths), by.how.align))
     if relations:
         show_relations(relations)
+    if own := {name: score.quality for name, score in scores.items() if score.quality}:
+        show_quality(own)
 
 
 def _by_yardstick(
@@ -140,6 +152,7 @@ def _facts(scores: Mapping[str, Scores], by: Yardsticks) -> dict[str, Any]:
             "path": path_facts(score.path) if score.path else None,
             "landmarks": kind_facts(score.kinds) if score.kinds else None,
             "relations": relation_facts(score.relations) if score.relations else None,
+            "quality": score.quality.figures() if score.quality else None,
         }
     return {"align": by.how.align, "delta_m": by.how.delta, "gate_m": by.how.gate, "runs": runs}
 

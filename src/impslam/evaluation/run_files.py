@@ -10,6 +10,7 @@ import numpy as np
 from impslam.errors import ImpError
 from impslam.evaluation.landmark_files import TRUE_LANDMARKS, read_true_landmarks
 from impslam.evaluation.tum import PATH_COLUMNS, TRUTH, read_numbers, read_tum
+from impslam.map import Map
 from impslam.maps.files import read_landmarks
 from impslam.types import Array, Landmark, TrueLandmark
 
@@ -21,7 +22,7 @@ class RecordedRun:
     """A run as read from its files; what they do not hold is None.
 
     `path` (n, 4) is stamp, x, y, theta; `covariances` (n, 3, 3) those of its poses; `truth` (m, 4)
-    and `true_landmarks` are in the log's own frame, all else is in map.
+    and `true_landmarks` are in the log's own frame, all else is in map. `known` is the whole map.
     """
 
     path: Array
@@ -29,6 +30,7 @@ class RecordedRun:
     landmarks: list[Landmark] | None = None
     truth: Array | None = None
     true_landmarks: list[TrueLandmark] | None = None
+    known: Map | None = None
 
 
 def read_run(place: Path) -> RecordedRun:
@@ -47,13 +49,14 @@ def read_run(place: Path) -> RecordedRun:
         raise ImpError(f"{place}: holds no trajectory.tum; give the folder of a run")
     path = read_tum(place / "trajectory.tum")
     table, marks = place / "trajectory.csv", place / "landmarks.csv"
-    truth, true_marks = place / TRUTH, place / TRUE_LANDMARKS
+    truth, true_marks, known = place / TRUTH, place / TRUE_LANDMARKS, place / "map.imp"
     return RecordedRun(
         path,
         _covariances(table, path) if table.is_file() else None,
         read_landmarks(marks) if marks.is_file() else None,
         read_tum(truth) if truth.is_file() else None,
         read_true_landmarks(true_marks) if true_marks.is_file() else None,
+        Map.load(known) if known.is_file() else None,
     )
 
 

@@ -1,4 +1,4 @@
-"""What the report and the scores need of a run: its path, dead reckoning, innovations and truth."""
+"""What the report and the summary need of a run: its path, dead reckoning, quality and truth."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from impslam.evaluation.quality import Quality, quality
 from impslam.map import Map, PathRows
 from impslam.types import Array
 
@@ -28,6 +29,11 @@ class History:
     def rows(self) -> PathRows:
         """The path with its covariances."""
         return self.known.rows()
+
+    @cached_property
+    def quality(self) -> Quality:
+        """How well the scans agree with each other."""
+        return quality(self.known)
 
     @property
     def path(self) -> Array:

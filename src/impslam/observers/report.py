@@ -14,6 +14,7 @@ from impslam.observers.base import Outcome
 from impslam.observers.history import History
 from impslam.observers.map_picture import Scene, map_png
 from impslam.observers.page import page, section
+from impslam.observers.quality_section import quality_section
 from impslam.observers.sections import (
     details,
     dropped,
@@ -43,6 +44,7 @@ def write_report(
         heading(outcome, history),
         section("Map", _image(picture), note=MAP_NOTE),
         accuracy.section_of(laid, history, landmarks, true_landmarks),
+        quality_section(history.quality),
         uncertainty(history),
         landmark_table(landmarks),
         matching(history),

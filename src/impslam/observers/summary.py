@@ -37,6 +37,7 @@ def summarise(outcome: Outcome, history: History, refused: int) -> dict[str, Any
             "slam": _round(length(history.path), 6),
             "odometry": _round(length(history.odometry), 6),
         },
+        "quality": {name: _round(value, 6) for name, value in history.quality.figures().items()},
         "health": {
             "unreliable_scans": outcome.health.unreliable,
             "first_stamp": _round(outcome.health.stamp),

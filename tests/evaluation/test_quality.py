@@ -29,13 +29,18 @@ def keyframes(plan, truth, noise=NOISE, seed=0, poses=None, every=1):
         np.zeros((k, 2)),
         np.cumsum([0, *map(len, points)]),
         np.concatenate(points) if k else np.zeros((0, 2), np.float32),
+        np.zeros((k, 3)),
+        np.zeros((k, 3, 3)),
+        np.zeros(k, np.int64),
+        np.ones(k, np.bool_),
     )
 
 
 def made(frames):
     """Return a map of keyframes alone."""
     none = np.zeros((0, 3))
-    return Map(frames, (), none[:, 0], np.zeros(0, np.int64), none, np.zeros((0, 6)), none, none)
+    places = none, np.zeros((0, 6)), none, none, none
+    return Map(frames, (), none[:, 0], np.zeros(0, np.int64), *places)
 
 
 TWICE = np.concatenate([way(*LAP), way(*LAP)[1:]])
@@ -122,15 +127,18 @@ def test_a_map_that_tells_nothing_has_no_quality(k):
     assert math.isnan(found.revisited)
 
 
-def test_keyframes_without_points_or_a_finite_pose_are_left_out(ring):
+def test_keyframes_without_points_a_place_or_a_finite_pose_are_left_out(ring):
     poses = np.concatenate([ring.poses, ring.poses[:1]])
-    poses[5] = math.nan
+    poses[5], poses[9] = math.nan, 0.0
+    placed = np.ones(len(poses), np.bool_)
+    placed[9] = False
     odd = replace(
         ring,
         stamps=np.arange(float(len(poses))),
         poses=poses,
         origins=np.zeros((len(poses), 2)),
         starts=np.append(ring.starts, ring.starts[-1]),
+        placed=placed,
     )
     expected = quality(made(ring)).disagreement
     assert quality(made(odd)).disagreement == pytest.approx(expected, rel=0.1)

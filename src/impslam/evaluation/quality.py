@@ -103,9 +103,10 @@ def quality(known: Map) -> Quality:
 
 
 def _spread(keyframes: Keyframes) -> PlacedScans:
-    """Return the keyframes that have points, at least about `STEP` apart along the drive."""
+    """Return the placed keyframes that have points, at least about `STEP` apart along the drive."""
     counts = np.diff(keyframes.starts)
-    rows = np.flatnonzero((counts > 0) & np.isfinite(keyframes.poses).all(axis=1))
+    usable = keyframes.placed & (counts > 0) & np.isfinite(keyframes.poses).all(axis=1)
+    rows = np.flatnonzero(usable)
     poses = keyframes.poses[rows]
     moved = np.abs(np.diff(poses, axis=0))
     moved[:, 2] = np.minimum(moved[:, 2], np.abs(2.0 * math.pi - moved[:, 2]))

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from impslam.component import explain, shorten
 from impslam.config import Config, carried, load, load_plugins
 from impslam.errors import ConfigError, SourceError
+from impslam.fitting import fitted
 from impslam.sources.base import Source, recognise
 
 
@@ -20,7 +21,8 @@ def open_log(
     """Return the config of a run and the reader of its log, which is not open yet.
 
     `config` is the name of a preset, a file, or a config; by default the preset that fits the log.
-    `settings` override it, each as "key=value".
+    `settings` override it, each as "key=value". What the log says of its robot and the config does not
+    is entered: see `fitting`.
 
     Raises
     ------
@@ -32,6 +34,7 @@ def open_log(
     if not isinstance(log, str | Path):
         raise SourceError(f"log = {shorten(log)}: expected the path of a file or folder")
     log = Path(log)
+    odometry_is_free = config is None and not any(_sets(one, "odometry") for one in settings)
     if isinstance(config, Config):
         config = finished(config, settings)
     else:
@@ -50,7 +53,16 @@ def open_log(
     if robot.wanted:
         with _source(log, parameters) as source:
             robot.check({stream.name: stream.used for stream in source.streams()})
-    return config, _source(log, parameters)
+    source = _source(log, parameters)
+    if source.describes_robot:
+        with source:
+            config = fitted(config, source, odometry_is_free=odometry_is_free)
+    return config, source
+
+
+def _sets(setting: str, key: str) -> bool:
+    """Tell whether a setting is one of the table `key`."""
+    return setting.partition("=")[0].strip().split(".")[0] == key
 
 
 def _source(log: Path, parameters: Mapping[str, Any]) -> Source:

@@ -10,7 +10,7 @@ from tests.sources.logs import assert_same, messages, read, write_mcap
 
 from impslam import columns
 from impslam.errors import SourceError
-from impslam.sources import rosbag
+from impslam.sources import ros_rows
 from impslam.sources.base import recognise
 from impslam.sources.recording import McapWriter
 from impslam.sources.rosbag import RosBag
@@ -210,13 +210,13 @@ def test_messages_read_at_once_are_what_they_are_one_by_one(
     entries = [entry(store, i, rng) for i in range(400)]
     path = bag(tmp_path / "b", *entries, store=store)
     given = []
-    real = rosbag.Rows
+    real = ros_rows.Rows
     monkeypatch.setattr(
-        rosbag, "Rows", lambda datas, *about: given.append(len(datas)) or real(datas, *about)
+        ros_rows, "Rows", lambda datas, *about: given.append(len(datas)) or real(datas, *about)
     )
     found, source = read(path, wanted=("/odom2",))
     assert sum(given) > 300
-    monkeypatch.setattr(rosbag, "TABLES", {})
+    monkeypatch.setattr(ros_rows, "TABLES", {})
     expected, slow = read(path, wanted=("/odom2",))
     assert len(found) == len(expected) > 250
     for one, other in zip(found, expected, strict=True):

@@ -34,6 +34,7 @@ def inspect(
     """
     from impslam.cli.job import topic_settings
     from impslam.cli.survey import Survey
+    from impslam.fitting import choices
     from impslam.open_log import open_log
 
     chosen, source = open_log(log, config, [*settings, *topic_settings(topics)])
@@ -45,6 +46,8 @@ def inspect(
     named = config or ("stored in the log" if "\n" in preset else preset)
     console.say(f"{log}: {source.name}, preset {named}")
     _show_streams(streams)
+    if chosen_streams := choices(chosen, source):
+        console.say(f"reads: {chosen_streams}")
     _show_clocks(survey)
     console.show_facts(_scan_facts(survey.beams) | _motion_facts(survey, chosen))
     _show_problems(source, survey.problems)

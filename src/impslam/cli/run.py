@@ -61,11 +61,14 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     from impslam.cli.job import execute, topic_settings
     from impslam.cli.replay import replay
     from impslam.cli.run_folder import run_folder
+    from impslam.fitting import choices
     from impslam.open_log import open_log
 
     changes = [*settings, *topic_settings(topics), *(() if seed is None else (f"seed={seed}",))]
     chosen, source = open_log(log, config, changes)
     quiet = common is not None and common.quiet
+    if not quiet and (chosen_streams := choices(chosen, source)):
+        console.say(f"reads: {chosen_streams}")
     end = EndOfRun()
     page = page or Page()
     player = partial(replay, port=page.port, quiet=quiet) if page.live else None

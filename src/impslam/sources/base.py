@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Self
@@ -40,6 +40,26 @@ class Stream:
     default: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """Where a log says that a laser is mounted.
+
+    Attributes
+    ----------
+    pose : (x, y, yaw) `T_base_laser` in the plane, m, m, rad; None where the log cannot tell
+    upside_down : whether its z axis points down
+    tilt : rad, between its plane and that of base
+    origin : which part of the log says so, or why none does
+    base : the log's name of base
+    """
+
+    pose: tuple[float, float, float] | None
+    upside_down: bool = False
+    tilt: float = 0.0
+    origin: str = ""
+    base: str = ""
+
+
 @dataclass(slots=True)
 class Problems:
     """Problems of a log or run: the count and first example of each kind."""
@@ -65,6 +85,8 @@ class Source(Component):
     """
 
     role: ClassVar[str] = "source"
+    describes_robot: ClassVar[bool] = False
+    """Whether `kinds` and `mounts` tell more than nothing, for which the log must be opened."""
     default_preset: ClassVar[str] = "default"
     """The preset that fits logs of this format; a log that names its own overrides `preset`."""
 
@@ -133,6 +155,23 @@ class Source(Component):
         Ask while the source is open.
         """
         return {}
+
+    def kinds(self) -> frozenset[type[Message]] | None:
+        """Return the types of messages in the log; None where only reading tells.
+
+        Ask while the source is open, or has been.
+        """
+        return None
+
+    def mounts(self) -> Mapping[str, Mount]:
+        """Return where the log says that lasers are mounted, by the stream of their scans.
+
+        Ask while the source is open, or has been.
+        """
+        return {}
+
+    def hold_mounts(self, streams: Collection[str]) -> None:
+        """Drop scans of these streams that are taken while their mount is not that of `mounts`."""
 
     def true_landmarks(self) -> list[TrueLandmark]:
         """Return the surveyed landmarks that come with the log, in its own frame; for scoring."""

@@ -15,6 +15,7 @@ import numpy as np
 from impslam.errors import MessageError
 from impslam.sources.ros_storage import RosMessage
 from impslam.sources.text import beam_angles, beam_times, finite
+from impslam.sources.transforms import rigid
 from impslam.types import Array, Image, Imu, LaserScan, OdometryPose, TruePose
 
 Joints: TypeAlias = tuple[int, int]
@@ -35,9 +36,21 @@ def header_stamp(message: RosMessage) -> int:
 
 
 def read_scan(message: RosMessage, stamp: float) -> LaserScan:
-    """Read a `sensor_msgs/LaserScan`."""
+    """Read a `sensor_msgs/LaserScan`, or a `MultiEchoLaserScan` with the first echo of each beam."""
+    if "Echo" in message.__msgtype__:
+        return _scan(message, stamp, _first_echoes(message.ranges), None)
+    bright = message.intensities if len(message.intensities) == len(message.ranges) else None
+    return _scan(message, stamp, message.ranges, bright)
+
+
+def _first_echoes(beams: Sequence[RosMessage]) -> Array:
+    """Return the nearest echo of each beam: what stands behind it was seen through an edge or glass."""
+    return np.array([beam.echoes[0] if len(beam.echoes) else math.inf for beam in beams])
+
+
+def _scan(message: RosMessage, stamp: float, ranges: Any, bright: Any) -> LaserScan:
     start, step = float(message.angle_min), float(message.angle_increment)
-    n, wait = len(message.ranges), float(message.time_increment)
+    n, wait = len(ranges), float(message.time_increment)
     finite("angle_min, angle_increment or time_increment", start, step, wait)
     if n == 0:
         raise MessageError("the scan has no ranges")
@@ -45,8 +58,8 @@ def read_scan(message: RosMessage, stamp: float) -> LaserScan:
     if low == high == 0.0:  # unset
         low = high = math.nan
     angles, times = beam_angles(n, start, step), beam_times(n, wait)
-    bright = _float64(message.intensities) if len(message.intensities) == n else None
-    return LaserScan(stamp, angles, _float64(message.ranges), times, low, high, bright)
+    bright = None if bright is None else _float64(bright)
+    return LaserScan(stamp, angles, _float64(ranges), times, low, high, bright)
 
 
 def read_imu(message: RosMessage, stamp: float) -> Imu:
@@ -58,13 +71,31 @@ def read_imu(message: RosMessage, stamp: float) -> Imu:
 
 
 def read_odometry(message: RosMessage, stamp: float) -> OdometryPose:
-    """Read the pose of a `nav_msgs/Odometry`."""
-    return OdometryPose(stamp, _planar(message.pose.pose))
+    """Read the pose of a `nav_msgs/Odometry`, or that of base in odom: a `TransformStamped`."""
+    if "Transform" in message.__msgtype__:
+        read_transform(message)
+        pose = message.transform
+        return OdometryPose(stamp, _planar(pose.translation, pose.rotation))
+    return OdometryPose(stamp, _planar(message.pose.pose.position, message.pose.pose.orientation))
 
 
 def read_truth(message: RosMessage, stamp: float) -> TruePose:
     """Read the pose of a `nav_msgs/Odometry` that a simulator or tracking system wrote."""
-    return TruePose(stamp, _planar(message.pose.pose))
+    return TruePose(stamp, _planar(message.pose.pose.position, message.pose.pose.orientation))
+
+
+def read_transform(message: RosMessage) -> Array:
+    """Return the transform (4, 4) of a `geometry_msgs/TransformStamped`.
+
+    Raises
+    ------
+    MessageError
+        If it is not one; see `rigid`.
+    """
+    turn = message.transform.rotation
+    quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
+    shift = message.transform.translation
+    return rigid(np.array([shift.x, shift.y, shift.z]), quaternion)
 
 
 def read_image(message: RosMessage, stamp: float) -> Image:
@@ -93,13 +124,13 @@ def _joint(names: Sequence[str], exact: str, side: str) -> int | None:
     return names.index(min(fit)[1]) if fit else None
 
 
-def _planar(pose: RosMessage) -> Array:
+def _planar(position: RosMessage, orientation: RosMessage) -> Array:
     """Return [x, y, yaw]; the quaternion need not be of unit length."""
-    x, y, z, w = _vector(pose.orientation, "xyzw")
+    x, y, z, w = _vector(orientation, "xyzw")
     if math.hypot(x, y, z, w) < 1e-3:
         raise MessageError("the orientation is a zero quaternion")
     yaw = math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
-    return np.array([*_vector(pose.position, "xy"), yaw])
+    return np.array([*_vector(position, "xy"), yaw])
 
 
 def _vector(message: RosMessage, names: str = "xyz") -> Array:

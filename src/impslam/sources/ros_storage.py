@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from rosbags.interfaces import Connection
+from rosbags.interfaces import Connection, Nodetype
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -23,6 +23,15 @@ _MAGIC: dict[bytes, Callable[[Path], Storage]] = {
     b"\x89MCAP0\r\n": CutMcapReader,
     b"SQLite format 3\0": PlainSqlite3Reader,
 }
+_TRANSFORMS: Any = (
+    [],
+    [
+        (
+            "transforms",
+            (Nodetype.SEQUENCE, ((Nodetype.NAME, "geometry_msgs/msg/TransformStamped"), 0)),
+        )
+    ],
+)
 _REPAIR = "repair it with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`, or copy it again"
 
 
@@ -97,7 +106,10 @@ class Bag:
 
 @lru_cache
 def _standard_types(is_ros1: bool) -> Typestore:
-    return get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.LATEST)
+    store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.LATEST)
+    if is_ros1:  # rosbags lacks these, of tf2 and of tf before it
+        store.register(dict.fromkeys(("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"), _TRANSFORMS))
+    return store
 
 
 def _too_large(path: Path, error: LimitError) -> SourceError:

@@ -16,6 +16,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from impslam.sources import ros_messages as ros
+from impslam.sources.transforms import UNIT
 from impslam.types import Array, Ints, Mask
 
 Values = dict[str, Array]
@@ -125,10 +126,10 @@ class Rows:
         same: Mask = (column == column[0]).all(axis=1)
         return same
 
-    def nanoseconds(self) -> Ints:
-        """Return (m,) the stamps in the headers."""
-        stamp = self["header.stamp.sec"].astype(np.int64) * ros.NANOSECONDS
-        stamp += self["header.stamp.nanosec"]
+    def nanoseconds(self, above: str = "") -> Ints:
+        """Return (m,) the stamps in the headers, of what lies at this path."""
+        stamp = self[f"{above}header.stamp.sec"].astype(np.int64) * ros.NANOSECONDS
+        stamp += self[f"{above}header.stamp.nanosec"]
         return stamp
 
 
@@ -155,15 +156,28 @@ def poses(rows: Rows, joints: ros.Joints | None) -> tuple[Values, Mask]:
     """Return the columns of the pose of `nav_msgs/Odometry`."""
     del joints
     quaternions = rows.vectors("pose.pose.orientation", "xyzw")
-    x, y, z, w = quaternions.T
-    places = rows.vectors("pose.pose.position", "xy")
     with np.errstate(over="ignore", invalid="ignore"):
-        good = np.isfinite(x + y + z + w) & np.isfinite(places.sum(axis=1))
-        good &= (quaternions**2).sum(axis=1) > 1e-5  # zero or nearly so: let it be explained
+        good = (quaternions**2).sum(axis=1) > 1e-5  # zero or nearly so: let it be explained
+    return _planar(rows.vectors("pose.pose.position", "xy"), quaternions, good)
+
+
+def transforms(rows: Rows, above: str) -> tuple[Values, Mask]:
+    """Return the columns of the pose in a transform, which lies at this path."""
+    quaternions = rows.vectors(f"{above}transform.rotation", "xyzw")
+    with np.errstate(over="ignore", invalid="ignore"):
+        good = np.abs((quaternions**2).sum(axis=1) - 1.0) < 0.99 * UNIT  # near it: let it be judged
+    return _planar(rows.vectors(f"{above}transform.translation", "xyz"), quaternions, good)
+
+
+def _planar(places: Array, quaternions: Array, good: Mask) -> tuple[Values, Mask]:
+    """Return poses [x, y, yaw], and which of the good ones are finite."""
+    x, y, z, w = quaternions.T
+    with np.errstate(over="ignore", invalid="ignore"):
+        good = good & np.isfinite(x + y + z + w) & np.isfinite(places.sum(axis=1))
         sines, cosines = 2.0 * (w * z + x * y), w * w + x * x - y * y - z * z
     # numpy's arctan2 may differ in the last bit from machine to machine, and from math's.
     yaws = list(map(math.atan2, sines.tolist(), cosines.tolist()))
-    return {"pose": np.column_stack((places, yaws))}, good
+    return {"pose": np.column_stack((places[:, :2], yaws))}, good
 
 
 def imus(rows: Rows, joints: ros.Joints | None) -> tuple[Values, Mask]:
@@ -184,11 +198,10 @@ def imus(rows: Rows, joints: ros.Joints | None) -> tuple[Values, Mask]:
 
 
 TABLES: dict[str, Callable[[Rows, ros.Joints | None], tuple[Values, Mask]]] = {
-    "scan": scans,
-    "wheels": wheels,
-    "odometry": poses,
-    "truth": poses,
-    "imu": imus,
+    "sensor_msgs/msg/LaserScan": scans,
+    "sensor_msgs/msg/JointState": wheels,
+    "nav_msgs/msg/Odometry": poses,
+    "sensor_msgs/msg/Imu": imus,
 }
 
 

@@ -15,14 +15,16 @@ from impslam.types import Image, Imu, LaserScan, Message, OdometryPose, TruePose
 
 Use: TypeAlias = Literal["scan", "wheels", "odometry", "imu", "image", "truth"]
 
-TYPES: dict[Use, str] = {
-    "truth": "nav_msgs/msg/Odometry",
-    "scan": "sensor_msgs/msg/LaserScan",
-    "wheels": "sensor_msgs/msg/JointState",
-    "odometry": "nav_msgs/msg/Odometry",
-    "imu": "sensor_msgs/msg/Imu",
-    "image": "sensor_msgs/msg/CompressedImage",
+TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+TYPES: dict[Use, tuple[str, ...]] = {
+    "truth": ("nav_msgs/msg/Odometry",),
+    "scan": ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan"),
+    "wheels": ("sensor_msgs/msg/JointState",),
+    "odometry": ("nav_msgs/msg/Odometry", *TF_TYPES),
+    "imu": ("sensor_msgs/msg/Imu",),
+    "image": ("sensor_msgs/msg/CompressedImage",),
 }
+"""The types of message that each use may come from, the best first."""
 KINDS: dict[Use, type[Message]] = {
     "truth": TruePose,
     "scan": LaserScan,
@@ -31,7 +33,7 @@ KINDS: dict[Use, type[Message]] = {
     "imu": Imu,
     "image": Image,
 }
-TRUTH_TOPIC = "/ground_truth"  # and what is below it
+TRUTH_TOPIC = "ground_truth"  # in its name; Stage has /base_pose_ground_truth
 EVENT_TYPE = "rcl_interfaces/msg/Log"
 
 KEPT = {
@@ -51,19 +53,27 @@ Counts: TypeAlias = dict[tuple[str, str], int]
 
 
 def choose(log: Path, asked: Mapping[Use, str], counts: Counts) -> dict[str, Use]:
-    """Return what each topic is used for: what is asked for first, then the fullest of a type."""
+    """Return what each topic is used for: what is asked for first, then the best of each use.
+
+    The best is of the first type in `TYPES`, odometry is called odom (REP 105), and has the most
+    messages.
+    """
     uses: dict[str, Use] = {}
     for use, topic in asked.items():
         if topic:
             _check(log, use, topic, counts)
             uses[topic] = use
-    for use, kind in TYPES.items():
+    for use, kinds in TYPES.items():
         if use in asked:
             continue
-        free = [(-n, t) for (t, k), n in counts.items() if k == kind and t not in uses and n]
-        fit = [(n, t) for n, t in free if _is_truth(t) == (use == "truth")]
+        free = [(kinds.index(k), t, n) for (t, k), n in counts.items() if k in kinds and n]
+        fit = [
+            (kind, use == "odometry" and topic.rsplit("/", 1)[-1] != "odom", -n, topic)
+            for kind, topic, n in free
+            if topic not in uses and is_truth(topic) == (use == "truth")
+        ]
         if fit:
-            uses[min(fit)[1]] = use
+            uses[min(fit)[-1]] = use
     return uses
 
 
@@ -71,25 +81,24 @@ def choose_wanted(wanted: Collection[str], counts: Counts) -> dict[str, Use]:
     """Return what the topics that are asked for by name are used for."""
     uses: dict[str, Use] = {}
     for topic, kind in counts:
-        fit = [use for use, name in TYPES.items() if name == kind]
+        fit = [use for use, kinds in TYPES.items() if kind in kinds]
         if topic in wanted and fit:
-            is_truth = kind == TYPES["truth"] and _is_truth(topic)
-            uses[topic] = "truth" if is_truth else fit[-1]
+            uses[topic] = "truth" if "truth" in fit and is_truth(topic) else fit[-1]
     return uses
 
 
 def _check(log: Path, use: Use, topic: str, counts: Counts) -> None:
-    if (topic, TYPES[use]) not in counts:
-        known = [name for name, kind in counts if kind == TYPES[use]]
+    if not any((topic, kind) in counts for kind in TYPES[use]):
+        known = [name for name, kind in counts if kind in TYPES[use]]
         raise SourceError(
-            f"{log}: no topic {topic!r} of type {TYPES[use]} for source.topics.{use}; "
+            f"{log}: no topic {topic!r} of type {TYPES[use][0]} for source.topics.{use}; "
             + (near_miss(topic, known) if known else "the log has none of this type")
         )
 
 
 def rivals(topic: str, kind: str, defaults: Mapping[str, Use]) -> str:
     """Return which topic of its type is read instead of one, and how to read that; or nothing."""
-    uses = [use for use, name in TYPES.items() if name == kind]
+    uses = [use for use, kinds in TYPES.items() if kind in kinds]
     taken = {use: name for name, use in defaults.items() if use in uses}
     if not taken:
         return ""
@@ -108,5 +117,6 @@ def count_messages(connections: Sequence[Connection]) -> Counts:
     return dict(counts)
 
 
-def _is_truth(topic: str) -> bool:
-    return topic.startswith(TRUTH_TOPIC)
+def is_truth(topic: str) -> bool:
+    """Tell by its name whether a topic of odometry holds the truth."""
+    return TRUTH_TOPIC in topic

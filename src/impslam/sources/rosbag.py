@@ -6,62 +6,47 @@ their headers. Only the messages of topics in use are deserialised.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import ClassVar, Self
 
-import numpy as np
 from pydantic import PrivateAttr
 from rosbags.interfaces import Connection
 
-from impslam.columns import ROWS, Columns, same_layout
+from impslam.columns import ROWS
 from impslam.component import parameter, register
-from impslam.errors import MessageError, SourceError
-from impslam.sources import ros_messages as ros
-from impslam.sources.base import Source, Stream
-from impslam.sources.parts import Located, Piece, single
-from impslam.sources.ros_storage import Bag, RosMessage, one_line, storage_class
-from impslam.sources.ros_tables import TABLES, Rows, stamps
+from impslam.errors import SourceError
+from impslam.sources.base import Mount, Source, Stream
+from impslam.sources.parts import Piece
+from impslam.sources.ros_frames import Frames, links
+from impslam.sources.ros_rows import Record, RowReader
+from impslam.sources.ros_storage import Bag, one_line, storage_class
 from impslam.sources.ros_topics import (
     EVENT_TYPE,
     KEPT,
     KINDS,
+    TF_TYPES,
     TYPES,
+    Counts,
     Use,
     choose,
     choose_wanted,
     count_messages,
     rivals,
 )
-from impslam.sources.text import finite
-from impslam.types import Message, WheelAngles
+from impslam.types import Message
 
-READERS: dict[Use, Callable[[RosMessage, float], Message]] = {
-    "truth": ros.read_truth,
-    "scan": ros.read_scan,
-    "odometry": ros.read_odometry,
-    "imu": ros.read_imu,
-    "image": ros.read_image,
-}
 PART = 1 << 23  # bytes of messages held at once, and the one that exceeds them
-FEW = 4  # messages that are read one by one in the time that a table takes
 PRESET_TOPIC, PRESET_TYPE = "/impslam/preset", "std_msgs/msg/String"
 WARNING, ERROR = 30, 40  # levels of rcl_interfaces/Log
-
-
-class Record(NamedTuple):
-    """A serialised message and its number among those in use."""
-
-    place: int
-    connection: Connection
-    log_time: int
-    data: bytes
 
 
 @register("rosbag")
 class RosBag(Source):
     """ROS 1 bag, ROS 2 bag folder (SQLite or MCAP) or MCAP file."""
+
+    describes_robot: ClassVar[bool] = True
 
     topics: dict[Use, str] = parameter(
         {}, "1", "topic for scan, wheels, odometry, imu, image or truth; an empty name takes none"
@@ -72,7 +57,10 @@ class RosBag(Source):
     _bag: Bag | None = PrivateAttr(default=None)
     _uses: dict[str, Use] = PrivateAttr(default_factory=dict)
     _defaults: dict[str, Use] = PrivateAttr(default_factory=dict)
-    _preset: str = PrivateAttr(default="")
+    _frames: Frames | None = PrivateAttr(default=None)
+    _mounts: dict[str, Mount] = PrivateAttr(default_factory=dict)
+    _held: tuple[str, ...] = PrivateAttr(default=())
+    _preset: str | None = PrivateAttr(default=None)  # None: not looked for yet
     _position: int = PrivateAttr(default=0)
 
     @classmethod
@@ -83,10 +71,14 @@ class RosBag(Source):
     def __enter__(self) -> Self:
         self._bag = Bag(self.path)
         try:
-            counts = count_messages(self._bag.connections)
+            frames = self._frames = self._frames or Frames(self.path, self._bag, self._problems)
+            counts = self._usable(self._bag, frames)
             self._defaults = choose(self.path, self.topics, counts)
             self._uses = choose_wanted(self.wanted, counts) | self._defaults
-            self._preset = self._recorded_preset(self._bag)
+            odometry = next((t for t, use in self._defaults.items() if use == "odometry"), "")
+            self._mounts = frames.mounts(odometry)
+            if self._preset is None:
+                self._preset = self._recorded_preset(self._bag)
         except BaseException:
             self.__exit__()
             raise
@@ -111,6 +103,18 @@ class RosBag(Source):
     def position(self) -> int:
         """Number of messages read so far."""
         return self._position
+
+    def kinds(self) -> frozenset[type[Message]]:
+        """Return what the topics in use hold."""
+        return frozenset(KINDS[use] for use in self._uses.values())
+
+    def mounts(self) -> Mapping[str, Mount]:
+        """Return where TF mounts the lasers, by the topic of their scans."""
+        return self._mounts
+
+    def hold_mounts(self, streams: Collection[str]) -> None:
+        """Drop scans of these topics while TF moves their laser on the robot."""
+        self._held = tuple(streams)
 
     def streams(self) -> list[Stream]:
         """Return the topics, by name, with what they are used for."""
@@ -137,11 +141,19 @@ class RosBag(Source):
     def _note(self, topic: str, kind: str) -> str:
         if topic in self._uses:
             return self._uses[topic]
+        if kind in TF_TYPES:
+            return "frames"
         if topic == PRESET_TOPIC:
             return "preset"
         if self._preset and kind in KEPT:  # the log is one of ours
             return f"kept: {KEPT[kind]}"
         return rivals(topic, kind, self._defaults)
+
+    def _usable(self, bag: Bag, frames: Frames) -> Counts:
+        """Return the numbers of messages without transforms that do not hold odometry."""
+        odometry = frames.odometry.topic if frames.odometry else None
+        counts = count_messages(bag.connections)
+        return {(t, k): n for (t, k), n in counts.items() if k not in TF_TYPES or t == odometry}
 
     def _open(self) -> Bag:
         if self._bag is None:
@@ -152,7 +164,7 @@ class RosBag(Source):
         return [
             c
             for c in self._open().connections
-            if c.topic in self._uses and c.msgtype == TYPES[self._uses[c.topic]]
+            if c.topic in self._uses and c.msgtype in TYPES[self._uses[c.topic]]
         ]
 
     def _recorded_preset(self, bag: Bag) -> str:
@@ -175,33 +187,36 @@ class RosBag(Source):
                 f"{self.path}: lacks its end (power lost, or still being recorded); whole records "
                 "are used; other programs need `mcap recover` first",
             )
+        joints = (self.left_joint, self.right_joint)
+        assert self._frames is not None
+        odometry = self._frames.odometry
+        reader = RowReader(self.path, bag, self._uses, joints, odometry, self._problems)
         for records in self._records(bag, rows):
-            part = []
-            left = dict.fromkeys(record.place for record in records)
-            for group in _alike(records):
-                piece = self._at_once(bag, group)
-                if piece is not None:
-                    part.append(piece)
-                    for place in piece.places.tolist():
-                        del left[place]
-            for record in records:
-                if record.place in left:
-                    part += self._one(bag, record)
-            yield part
+            yield reader.part(records)
 
     def _records(self, bag: Bag, rows: int) -> Iterator[list[Record]]:
         """Yield the messages in use, some at a time."""
-        used = self._used()
+        assert self._frames is not None
+        used, watch = self._used(), self._frames.watch(self._mounts, self._held)
         events = [c for c in bag.connections if self._preset and c.msgtype == EVENT_TYPE]
-        topics, decoders = {c.topic for c in used}, {c.id: bag.decoder(c) for c in events}
+        watched = self._frames.publishers(watch.frames)
+        others = [c for c in (*events, *watched) if c not in used]
+        topics, odometry = {c.topic for c in used}, self._frames.odometry
         self._position = 0
         records: list[Record] = []
         size = 0
-        for connection, log_time, data in self._raw(bag, [*used, *events]):
+        for connection, log_time, data in self._raw(bag, [*used, *others]):
+            if connection in watched:
+                watch.update(links(bag.decoder(connection), data))
             if connection.topic not in topics:
-                self._enter_event(decoders[connection.id], data)
+                self._enter_event(connection, data)
                 continue
             self._position += 1
+            if connection.msgtype in TF_TYPES and not (odometry and odometry.is_in(data)):
+                continue
+            if moved := watch.moved(connection.topic):
+                self._enter_moved(connection.topic, moved)
+                continue
             records.append(Record(self._position, connection, log_time, data))
             size += len(data)
             if len(records) >= min(rows, ROWS) or size > PART:
@@ -210,55 +225,24 @@ class RosBag(Source):
         if records:
             yield records
 
-    def _at_once(self, bag: Bag, group: Sequence[Record]) -> Piece | None:
-        """Return the rows of messages on one topic that lie alike and are sound, if any are."""
-        topic, kind = group[0].connection.topic, group[0].connection.msgtype
-        table = TABLES.get(self._uses[topic])
-        if table is None or len(group) < FEW:
-            return None
-        with suppress(Exception):  # what is not sound is explained one by one
-            decode = bag.decoder(group[0].connection)
-            message = decode(group[0].data)
-            joints = None
-            if self._uses[topic] == "wheels":
-                joints = ros.find_joints(message.name, self.left_joint, self.right_joint)
-            rows = Rows([record.data for record in group], kind, bag.types, bag.is_ros1)
-            values, good = table(rows, joints)
-            nanoseconds = rows.nanoseconds()
-            good &= rows.alike & (nanoseconds != 0)
-            k = int(good.argmax())
-            message = self._convert(topic, decode(group[k].data), group[k].log_time)
-            first = single(Located(message, 0, topic), 0).columns
-            places = np.array([record.place for record in group])[good]
-            values = {name: column[good] for name, column in values.items()}
-            values["stamp"] = stamps(nanoseconds[good].tolist())
-            columns = Columns(topic, first.kind, places, values, first.layout)
-            if good[k] and _same(columns.take(slice(0, 1)), first):
-                return Piece.of(columns, places)
-        return None
-
-    def _one(self, bag: Bag, record: Record) -> Iterator[Piece]:
-        """Yield the row of any message, or say what is wrong with it."""
-        topic = record.connection.topic
-        try:
-            found = bag.decoder(record.connection)(record.data)
-            message = self._convert(topic, found, record.log_time)
-        except Exception as error:  # rosbags raises anything on damaged data
-            self._problems.add(
-                f"malformed {self._uses[topic]} message",
-                f"{self.path}:{record.place}: {topic}: {one_line(error)}; the message is dropped",
-            )
-        else:
-            yield single(Located(message, record.place, topic), record.place)
-
-    def _enter_event(self, decode: Callable[[bytes], RosMessage], data: bytes) -> None:
+    def _enter_event(self, connection: Connection, data: bytes) -> None:
         """Enter what went wrong on the robot; what it merely did is left alone."""
+        if connection.msgtype != EVENT_TYPE:
+            return
         with suppress(Exception):  # rosbags raises anything on damaged data
-            event = decode(data)
+            event = self._open().decoder(connection)(data)
             if event.level >= WARNING:
                 kind = "error on the robot" if event.level >= ERROR else "warning on the robot"
                 said = " ".join(f"{event.name}: {event.msg}".split())
                 self._problems.add(kind, f"{self.path}: {said}")
+
+    def _enter_moved(self, topic: str, moved: str) -> None:
+        """Enter a scan whose laser is not where it was at the first one."""
+        self._problems.add(
+            "scan on a moved mount",
+            f"{self.path}: TF moves the laser of {topic} on the robot by {moved}; scans are dropped "
+            "while it is so: give its mount with --set sensors.lidar.mount=[x,y,yaw] if that is wrong",
+        )
 
     def _raw(self, bag: Bag, used: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
         """Yield the data in use; a damaged log ends early or has gaps, which is a problem."""
@@ -281,44 +265,3 @@ class RosBag(Source):
                 f"{self.path}: holds {number} of the {told} messages that its index tells of: another "
                 "program cut or overwrote it; the others are used; copy it again",
             )
-
-    def _convert(self, topic: str, message: RosMessage, log_time: int) -> Message:
-        nanoseconds = ros.header_stamp(message)
-        if nanoseconds == 0 and log_time > ros.NANOSECONDS:  # simulations do begin at 0
-            nanoseconds = log_time
-            self._problems.add(
-                "no stamp",
-                f"{self.path}: {topic} has headers without a stamp; the time of logging is used",
-            )
-        stamp = ros.seconds(nanoseconds)
-        use = self._uses[topic]
-        return self._wheels(message, stamp) if use == "wheels" else READERS[use](message, stamp)
-
-    def _wheels(self, message: RosMessage, stamp: float) -> WheelAngles:
-        """Read the wheels of a `sensor_msgs/JointState`."""
-        joints = ros.find_joints(message.name, self.left_joint, self.right_joint)
-        if joints is None:
-            raise MessageError(
-                f"no left and right wheel among the joints {', '.join(message.name)}; "
-                "name them with --set source.left_joint=NAME --set source.right_joint=NAME"
-            )
-        left, right = (float(message.position[joint]) for joint in joints)
-        finite("wheel position", left, right)
-        return WheelAngles(stamp, left, right)
-
-
-def _alike(records: Iterable[Record]) -> Iterable[list[Record]]:
-    """Return messages of one publisher and size together."""
-    groups: dict[tuple[int, int], list[Record]] = {}
-    for record in records:
-        groups.setdefault((record.connection.id, len(record.data)), []).append(record)
-    return groups.values()
-
-
-def _same(a: Columns, b: Columns) -> bool:
-    """Tell whether columns of one row are the same to the byte."""
-    return (
-        a.values.keys() == b.values.keys()
-        and same_layout(a, b)
-        and all(a.values[name].tobytes() == b.values[name].tobytes() for name in a.values)
-    )

@@ -1,0 +1,132 @@
+"""Fits a config to what its log says of the robot: where lasers are mounted, whether there is odometry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from impslam.config import Config, merge
+from impslam.errors import SourceError
+from impslam.robot import Robot
+from impslam.sources.base import Mount, Source
+from impslam.types import LaserScan, WheelAngles
+
+LEVEL = math.radians(5.0)
+"""rad: beyond it ranges to walls are more than 0.4 % too long, and beams from 0.2 m height meet the floor
+within 2.3 m."""
+WORTH_SAYING = math.radians(0.5)
+
+
+def fitted(config: Config, source: Source, *, odometry_is_free: bool) -> Config:
+    """Return the config with the mounts that the log gives, where it gives none itself.
+
+    The source is, or has been, open. A log without odometry is mapped by the lidar alone if
+    `odometry_is_free`: nobody has asked for another one.
+
+    Raises
+    ------
+    SourceError
+        If a laser is mounted so that it does not see the plane of the robot.
+    """
+    sensors, held = dict(config.sensors), []
+    for name, stream, mount in _lasers(config.make_robot(), source):
+        table = sensors[name]
+        is_given = "mount" in table or "upside_down" in table
+        if mount.pose is None:
+            if not is_given and stream in source.mounts():
+                said = f"{source.path}: {mount.origin}; give it with --set sensors.{name}.mount=[x,y,yaw]"
+                source.problems.add("unknown mount", said)
+            continue
+        if not is_given:
+            _refuse_tilted(source, name, stream, mount)
+            table = merge(table, {"mount": mount.pose, "upside_down": mount.upside_down})
+            sensors[name] = table
+        if _is_of(mount, table):
+            held.append(stream)
+    source.hold_mounts(held)
+    changes: dict[str, Any] = {"sensors": sensors}
+    if odometry_is_free and _lacks_odometry(config, source):
+        changes["odometry"] = {"kind": "lidar_only"}
+    return config.model_copy(update=changes)
+
+
+def choices(config: Config, source: Source) -> str:
+    """Return in one line which streams of a log are read, as what, and how the lasers are mounted.
+
+    The source is, or has been, open; the line is empty for a log that says nothing of its robot.
+    """
+    if not source.describes_robot:
+        return ""
+    robot = config.make_robot()
+    parts = [
+        f"scan {stream} ({_mount_words(name, mount, config)})"
+        for name, stream, mount in _lasers(robot, source)
+    ]
+    stream = robot.odometry.stream or source.defaults().get(robot.odometry.consumes, "")
+    if not robot.odometry.tells_motion:
+        wheels = source.defaults().get(WheelAngles)
+        parts.append("no odometry: mapped by the lidar alone")
+        if wheels:
+            parts.append(
+                f"wheel angles {wheels} are not read: for them set odometry.kind=encoders, "
+                "odometry.wheel_radius and odometry.track"
+            )
+    elif stream:
+        parts.append(f"odometry {stream}")
+    return "; ".join(parts)
+
+
+def _lasers(robot: Robot, source: Source) -> Iterator[tuple[str, str, Mount]]:
+    """Yield the name of each lidar in the config, its stream, and its mount as the log has it."""
+    mounts = source.mounts()
+    for name, sensor in robot.sensors.items():
+        stream = sensor.stream or source.defaults().get(LaserScan, "")
+        if sensor.consumes is LaserScan and stream:
+            yield name, stream, mounts.get(stream, Mount(None, origin="the log does not tell it"))
+
+
+def _is_of(mount: Mount, table: dict[str, object]) -> bool:
+    given = table.get("mount", (0.0, 0.0, 0.0))
+    is_same = isinstance(given, list | tuple) and tuple(given) == mount.pose
+    return is_same and bool(table.get("upside_down", False)) == mount.upside_down
+
+
+def _lacks_odometry(config: Config, source: Source) -> bool:
+    """Tell whether the log has no odometry of the config's kind, and scans can do without."""
+    kinds = source.kinds()
+    if kinds is None or LaserScan not in kinds or config.tracker["kind"] == "odometry":
+        return False
+    wanted = config.make_robot().odometry.consumes
+    return not any(issubclass(kind, wanted) for kind in kinds)
+
+
+def _refuse_tilted(source: Source, name: str, stream: str, mount: Mount) -> None:
+    assert mount.pose is not None
+    if mount.tilt > LEVEL:
+        x, y, yaw = mount.pose
+        raise SourceError(
+            f"{source.path}: the laser of {stream} is tilted by {math.degrees(mount.tilt):.1f} degrees "
+            f"({mount.origin}), and sees the floor or the ceiling; name a level one with --topic "
+            "scan=TOPIC, or if the log is wrong, give its mount with "
+            f"--set 'sensors.{name}.mount=[{x:.3f},{y:.3f},{yaw:.4f}]'"
+        )
+
+
+def _mount_words(name: str, mount: Mount, config: Config) -> str:
+    table = config.sensors[name]
+    if mount.pose is not None and _is_of(mount, table):
+        tilted = f", tilted by {math.degrees(mount.tilt):.1f} deg and taken as level"
+        return f"mount {_words(mount)}{tilted if mount.tilt > WORTH_SAYING else ''}, {mount.origin}"
+    if "mount" in table or "upside_down" in table:
+        own = Mount(tuple(table.get("mount", (0.0, 0.0, 0.0))), table.get("upside_down", False))
+        log = "" if mount.pose is None else f"; not {_words(mount)}, {mount.origin}"
+        return f"mount {_words(own)}, the config{log}"
+    return f"mount unknown, taken to be at base_link: {mount.origin}; set sensors.{name}.mount"
+
+
+def _words(mount: Mount) -> str:
+    assert mount.pose is not None
+    x, y, yaw = mount.pose
+    down = ", upside down" if mount.upside_down else ""
+    return f"[{x:.3f} m, {y:.3f} m, {math.degrees(yaw):.1f} deg]{down}"

@@ -1,0 +1,249 @@
+"""What the transforms of a ROS log (TF) tell: where lasers are mounted, and which one is odometry.
+
+REP 105 names the frames: odometry is the pose of base_footprint or base_link in odom.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from rosbags.interfaces import Connection
+
+from impslam.errors import MessageError
+from impslam.sources.base import Mount, Problems
+from impslam.sources.mount_watch import MountWatch
+from impslam.sources.ros_messages import read_transform
+from impslam.sources.ros_storage import Bag, RosMessage
+from impslam.sources.ros_topics import TF_TYPES, TYPES, is_truth
+from impslam.sources.transforms import FrameTree, Link, flattened
+
+STATIC = "tf_static"
+BASES = ("base_footprint", "base_link", "base")
+LOOK_AHEAD = 30 * 10**9
+"""ns of the log after its first scan, in which each transform of a robot is published many times."""
+
+
+class Edge(NamedTuple):
+    """A transform of a topic, by the names of its frames as they are written there."""
+
+    topic: str
+    parent: str
+    child: str
+
+    def pick(self, message: RosMessage) -> RosMessage | None:
+        """Return this transform from a message, the newest if there are several, or None."""
+        index = self.find(message)
+        return None if index is None else message.transforms[index]
+
+    def find(self, message: RosMessage) -> int | None:
+        """Return the index of this transform in a message."""
+        names = [(t.header.frame_id, t.child_frame_id) for t in message.transforms]
+        found = [k for k, name in enumerate(names) if name == self[1:]]
+        return found[-1] if found else None
+
+    def is_in(self, data: bytes) -> bool:
+        """Tell whether a serialised message names both frames; if so, it may hold the transform."""
+        return self.parent.encode() in data and self.child.encode() in data
+
+
+class Frames:
+    """The frames of a log, as they are at its first scan.
+
+    Attributes
+    ----------
+    lasers : frame of each topic of scans
+    odometry : the transform that is odometry, if there is one
+    """
+
+    def __init__(self, path: Path, bag: Bag, problems: Problems) -> None:
+        self.lasers: dict[str, str] = {}
+        self.odometry: Edge | None = None
+        self._path, self._problems = path, problems
+        self._tree, self._sources = FrameTree(), dict[str, str]()
+        self._bad: dict[str, str] = {}
+        self._edges: dict[Edge, None] = {}
+        self._children: dict[str, str] = {}
+        self.connections = [c for c in bag.connections if c.msgtype in TF_TYPES and c.msgcount]
+        if self.connections:
+            self._read(bag)
+
+    # ------------------------------------------------------------------ reading
+
+    def _read(self, bag: Bag) -> None:
+        begin = self._read_scans(bag)
+        for connection in bag.connections:
+            if connection.msgtype in TYPES["truth"] and not is_truth(connection.topic):
+                for message, _ in _first(bag, connection):
+                    self._children[connection.topic] = _plain(message.child_frame_id)
+        static = [c for c in self.connections if _is_static(c)]
+        moving = [c for c in self.connections if not _is_static(c)]
+        for connection, time, message in _decoded(bag, static):
+            self._learn(connection.topic, message, time <= begin)
+        for connection, time, message in _decoded(bag, moving):
+            if time > begin and (time > begin + LOOK_AHEAD or self._is_complete()):
+                break
+            self._learn(connection.topic, message, time <= begin)
+        self.odometry = self._find_odometry()
+
+    def _read_scans(self, bag: Bag) -> int:
+        """Learn the frames of the scans; return the time in ns at which the first one was logged."""
+        times = []
+        for connection in bag.connections:
+            if connection.msgtype in TYPES["scan"]:
+                for message, time in _first(bag, connection):
+                    self.lasers.setdefault(connection.topic, _plain(message.header.frame_id))
+                    times.append(time)
+        return min(times, default=0)
+
+    def _learn(self, topic: str, message: RosMessage, is_before: bool) -> None:
+        """Enter the transforms of a message: of each, the last one before the first scan counts."""
+        for transform in message.transforms:
+            parent, child = _plain(transform.header.frame_id), _plain(transform.child_frame_id)
+            self._edges[Edge(topic, transform.header.frame_id, transform.child_frame_id)] = None
+            if not is_before and self._tree.get(child) is not None:
+                continue
+            try:
+                link = Link(parent, child, read_transform(transform))
+            except MessageError as error:
+                self._bad.setdefault(
+                    child, f"the transform {parent} -> {child} is not one: {error}"
+                )
+                continue
+            if self._tree.add(link):
+                self._sources[child] = topic
+            else:
+                self._problems.add(
+                    "frame with two parents",
+                    f"{self._path}: {topic}: {child} has another parent than {parent}; the first "
+                    "one counts: let one program alone publish where it is",
+                )
+
+    def _is_complete(self) -> bool:
+        """Tell whether the mounts of all scans are known, and odometry if it must come from here."""
+        known = all(self._base(frame) for frame in self.lasers.values())
+        return known and bool(self._children or self._find_odometry())
+
+    def _find_odometry(self) -> Edge | None:
+        """Return the transform from odom to what is above a laser, or else to base."""
+        found = [
+            edge
+            for edge in self._edges
+            if "odom" in _last(edge.parent) and not edge.topic.endswith(STATIC)
+        ]
+        above: set[str] = set()
+        for frame in self.lasers.values():
+            with suppress(MessageError):
+                above |= {frame, *(link.parent for link in self._tree.up(frame))}
+        ranked = [
+            (_plain(e.child) not in above, _last(e.child) not in BASES, k)
+            for k, e in enumerate(found)
+        ]
+        best = min(ranked, default=None)
+        return None if best is None or (best[0] and best[1]) else found[best[2]]
+
+    # ------------------------------------------------------------------ mounts
+
+    def mounts(self, odometry: str) -> dict[str, Mount]:
+        """Return the mount of the laser of each topic of scans.
+
+        `odometry` is the topic of odometry: its child frame is base.
+        """
+        base = self._children.get(odometry, "")
+        if self.odometry is not None and odometry == self.odometry.topic:
+            base = _plain(self.odometry.child)
+        return {topic: self._mount(frame, base) for topic, frame in self.lasers.items()}
+
+    def watch(self, mounts: Mapping[str, Mount], topics: Collection[str]) -> MountWatch:
+        """Return what tells when the mount of one of these topics of scans changes."""
+        known = {topic: mounts[topic].base for topic in topics if mounts[topic].pose is not None}
+        return MountWatch(self._tree, {t: (base, self.lasers[t]) for t, base in known.items()})
+
+    def publishers(self, frames: Collection[str]) -> list[Connection]:
+        """Return what publishes where some frames are, and all that is said to be static."""
+        topics = {self._sources[frame] for frame in frames}
+        return [c for c in self.connections if topics and (c.topic in topics or _is_static(c))]
+
+    def _mount(self, frame: str, base: str) -> Mount:
+        try:
+            base = self._base(frame, base)
+            if not base:
+                return Mount(None, origin=self._unknown(frame))
+            T, links = self._tree.way(base, frame)
+        except MessageError as error:
+            return Mount(None, origin=str(error))
+        planar = flattened(T)
+        topics = ", ".join(dict.fromkeys(self._sources[link.child] for link in links))
+        origin = f"{topics + ': ' if topics else ''}{base} -> {frame}"
+        return Mount(planar.pose, planar.upside_down, planar.tilt, origin, base)
+
+    def _base(self, frame: str, base: str = "") -> str:
+        """Return base: the one given if it is related to a laser, or else the one above it by name."""
+        for wanted in (base, *self._named(BASES)):
+            with suppress(MessageError):
+                if wanted and (wanted == frame or self._tree.way(wanted, frame)):
+                    return wanted
+        return ""
+
+    def _named(self, names: Sequence[str]) -> list[str]:
+        known = dict.fromkeys(
+            [_plain(n) for edge in self._edges for n in (edge.parent, edge.child)]
+        )
+        return [frame for name in names for frame in known if _last(frame) == name]
+
+    def _unknown(self, frame: str) -> str:
+        """Return why the mount of a laser is not known."""
+        links = self._tree.up(frame)  # raises where they form a loop
+        top = links[-1].parent if links else frame
+        if top in self._bad:
+            return self._bad[top]
+        bases = self._named(BASES)
+        if not links:
+            return f"no transform tells where {frame} is"
+        return f"{frame} leads up to {top}, not to {bases[0] if bases else 'base_link'}"
+
+
+def links(decode: Callable[[bytes], RosMessage], data: bytes) -> Iterator[Link]:
+    """Yield the sound links of a serialised message."""
+    with suppress(Exception):  # rosbags raises anything on damaged data
+        for transform in decode(data).transforms:
+            with suppress(MessageError):
+                parent, child = _plain(transform.header.frame_id), _plain(transform.child_frame_id)
+                yield Link(parent, child, read_transform(transform))
+
+
+def _is_static(connection: Connection) -> bool:
+    return connection.topic.endswith(STATIC)
+
+
+def _first(bag: Bag, connection: Connection) -> Iterator[tuple[RosMessage, int]]:
+    """Yield the first message of a connection and its time of logging; none if it cannot be read."""
+    for _, time, message in _decoded(bag, [connection]):
+        yield message, time
+        return
+
+
+def _decoded(
+    bag: Bag, connections: Sequence[Connection]
+) -> Iterator[tuple[Connection, int, RosMessage]]:
+    """Yield the messages that can be read; the run tells of the others."""
+    records = bag.messages(connections) if connections else iter(())
+    with suppress(Exception):  # rosbags raises anything on damaged data
+        for connection, time, data in records:
+            message = None
+            with suppress(Exception):
+                message = bag.decoder(connection)(data)
+            if message is not None:
+                yield connection, time, message
+
+
+def _plain(frame: str) -> str:
+    """Return the name of a frame without the slash that tf of ROS 1 put before it."""
+    return frame.lstrip("/")
+
+
+def _last(frame: str) -> str:
+    """Return the name of a frame without its namespace."""
+    return frame.rsplit("/", 1)[-1]

@@ -1,0 +1,186 @@
+"""From the serialised messages of a ROS log to rows: those that lie alike at once, others one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rosbags.interfaces import Connection
+
+from impslam.columns import Columns, same_layout
+from impslam.errors import MessageError
+from impslam.sources import ros_messages as ros
+from impslam.sources.base import Problems
+from impslam.sources.parts import Located, Piece, single
+from impslam.sources.ros_frames import Edge
+from impslam.sources.ros_storage import Bag, RosMessage, one_line
+from impslam.sources.ros_tables import TABLES, Rows, Values, stamps, transforms
+from impslam.sources.ros_topics import TF_TYPES, Use
+from impslam.sources.text import finite
+from impslam.types import Ints, Mask, Message, WheelAngles
+
+READERS: dict[Use, Callable[[RosMessage, float], Message]] = {
+    "truth": ros.read_truth,
+    "scan": ros.read_scan,
+    "odometry": ros.read_odometry,
+    "imu": ros.read_imu,
+    "image": ros.read_image,
+}
+FEW = 4  # messages that are read one by one in the time that a table takes
+
+
+class Record(NamedTuple):
+    """A serialised message and its number among those in use."""
+
+    place: int
+    connection: Connection
+    log_time: int
+    data: bytes
+
+
+class RowReader:
+    """Turns records into rows.
+
+    Parameters
+    ----------
+    path : the log, for what is said of it
+    bag : the open log
+    uses : what the messages of each topic are used for
+    joints : names of the left and the right wheel, empty where they are to be found
+    odometry : the transform that is odometry, if one is
+    problems : takes what is wrong with messages
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        bag: Bag,
+        uses: Mapping[str, Use],
+        joints: tuple[str, str],
+        odometry: Edge | None,
+        problems: Problems,
+    ) -> None:
+        self._path, self._bag, self._uses, self._joints = path, bag, uses, joints
+        self._odometry, self._problems = odometry, problems
+        topics = {connection.topic for connection in bag.connections if connection.msgcount}
+        self._is_simulated = "/clock" in topics  # then stamps may begin at 0
+
+    def part(self, records: Sequence[Record]) -> list[Piece]:
+        """Return the rows of some messages."""
+        part = []
+        left = dict.fromkeys(record.place for record in records)
+        for group in _alike(records):
+            piece = self._at_once(group)
+            if piece is not None:
+                part.append(piece)
+                for place in piece.places.tolist():
+                    del left[place]
+        for record in records:
+            if record.place in left:
+                part += self._one(record)
+        return part
+
+    def _at_once(self, group: Sequence[Record]) -> Piece | None:
+        """Return the rows of messages on one topic that lie alike and are sound, if any are."""
+        connection = group[0].connection
+        kind = connection.msgtype
+        if len(group) < FEW or not (kind in TABLES or kind in TF_TYPES):
+            return None
+        with suppress(Exception):  # what is not sound is explained one by one
+            rows = Rows([r.data for r in group], kind, self._bag.types, self._bag.is_ros1)
+            values, good, nanoseconds = self._columns(rows, self._bag.decoder(connection), group[0])
+            good &= rows.alike & (nanoseconds != 0)
+            k = int(good.argmax())
+            message = self._read(group[k])
+            if not good[k] or message is None:
+                return None
+            first = single(Located(message, 0, connection.topic), 0).columns
+            places = np.array([record.place for record in group])[good]
+            values = {name: column[good] for name, column in values.items()}
+            values["stamp"] = stamps(nanoseconds[good].tolist())
+            columns = Columns(connection.topic, first.kind, places, values, first.layout)
+            if _same(columns.take(slice(0, 1)), first):
+                return Piece.of(columns, places)
+        return None
+
+    def _columns(
+        self, rows: Rows, decode: Callable[[bytes], RosMessage], first: Record
+    ) -> tuple[Values, Mask, Ints]:
+        """Return columns, which of their rows are sound, and stamps in ns; raise if there are none."""
+        kind, joints = first.connection.msgtype, None
+        if kind in TF_TYPES:
+            index = self._odometry.find(decode(first.data)) if self._odometry else None
+            above = f"transforms.{index}."
+            return *transforms(rows, above), rows.nanoseconds(above)
+        if self._uses[first.connection.topic] == "wheels":
+            joints = ros.find_joints(decode(first.data).name, *self._joints)
+        return *TABLES[kind](rows, joints), rows.nanoseconds()
+
+    def _one(self, record: Record) -> Iterator[Piece]:
+        """Yield the row of any message, or say what is wrong with it."""
+        topic = record.connection.topic
+        try:
+            message = self._read(record)
+        except Exception as error:  # rosbags raises anything on damaged data
+            self._problems.add(
+                f"malformed {self._uses[topic]} message",
+                f"{self._path}:{record.place}: {topic}: {one_line(error)}; the message is dropped",
+            )
+        else:
+            if message is not None:
+                yield single(Located(message, record.place, topic), record.place)
+
+    def _read(self, record: Record) -> Message | None:
+        """Return a record as a message; None if it holds other transforms than odometry."""
+        topic = record.connection.topic
+        message = self._bag.decoder(record.connection)(record.data)
+        if record.connection.msgtype in TF_TYPES:
+            message = self._odometry.pick(message) if self._odometry else None
+            if message is None:
+                return None
+        stamp = ros.seconds(self._stamp(topic, message, record.log_time))
+        use = self._uses[topic]
+        return self._wheels(message, stamp) if use == "wheels" else READERS[use](message, stamp)
+
+    def _stamp(self, topic: str, message: RosMessage, log_time: int) -> int:
+        """Return the stamp of a message in ns, or when it was logged if it has none."""
+        nanoseconds = ros.header_stamp(message)
+        if nanoseconds or self._is_simulated or log_time <= ros.NANOSECONDS:
+            return nanoseconds
+        self._problems.add(
+            "no stamp",
+            f"{self._path}: {topic} has headers without a stamp; the time of logging is used",
+        )
+        return log_time
+
+    def _wheels(self, message: RosMessage, stamp: float) -> WheelAngles:
+        """Read the wheels of a `sensor_msgs/JointState`."""
+        joints = ros.find_joints(message.name, *self._joints)
+        if joints is None:
+            raise MessageError(
+                f"no left and right wheel among the joints {', '.join(message.name)}; "
+                "name them with --set source.left_joint=NAME --set source.right_joint=NAME"
+            )
+        left, right = (float(message.position[joint]) for joint in joints)
+        finite("wheel position", left, right)
+        return WheelAngles(stamp, left, right)
+
+
+def _alike(records: Iterable[Record]) -> Iterable[list[Record]]:
+    """Return messages of one publisher and size together."""
+    groups: dict[tuple[int, int], list[Record]] = {}
+    for record in records:
+        groups.setdefault((record.connection.id, len(record.data)), []).append(record)
+    return groups.values()
+
+
+def _same(a: Columns, b: Columns) -> bool:
+    """Tell whether columns of one row are the same to the byte."""
+    return (
+        a.values.keys() == b.values.keys()
+        and same_layout(a, b)
+        and all(a.values[name].tobytes() == b.values[name].tobytes() for name in a.values)
+    )

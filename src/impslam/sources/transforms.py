@@ -1,0 +1,151 @@
+"""Frames in space as TF relates them, and where a laser is in the plane of the robot (REP 103, REP 105).
+
+A link is the pose of a child in its parent, `T_parent_child` (4, 4) in SE(3). Each frame has at most one
+parent, so the way between two frames is unique: up to the nearest frame above both, and down again.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.errors import MessageError
+from impslam.types import Array
+
+UNIT = 0.01
+"""How much the square of a quaternion's norm may differ from 1, as in tf2."""
+
+
+DIGITS = 9
+"""of a pose in m and rad: what products of rotations leave beyond them is not of the robot."""
+
+
+class Link(NamedTuple):
+    """The pose of a frame in its parent: `T` (4, 4), m."""
+
+    parent: str
+    child: str
+    T: Array
+
+
+class Planar(NamedTuple):
+    """The pose of a laser in the plane of base.
+
+    Attributes
+    ----------
+    pose : (x, y, yaw) m, m, rad; yaw is the direction of the laser's x axis
+    upside_down : whether its z axis points down
+    tilt : rad, between its plane and that of base
+    """
+
+    pose: tuple[float, float, float]
+    upside_down: bool
+    tilt: float
+
+
+def rigid(translation: Array, quaternion: Array) -> Array:
+    """Return the transform (4, 4) of a translation (3,) in m and a quaternion [x, y, z, w].
+
+    Raises
+    ------
+    MessageError
+        If a number is not finite, or the quaternion is not of unit length.
+    """
+    if not (np.isfinite(translation).all() and np.isfinite(quaternion).all()):
+        raise MessageError("it holds a number that is not finite")
+    square = float(quaternion @ quaternion)
+    if abs(square - 1.0) > UNIT:
+        raise MessageError(f"its quaternion has the length {math.sqrt(square):.3g} instead of 1")
+    x, y, z, w = quaternion / math.sqrt(square)
+    T = np.eye(4)
+    T[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    T[:3, 3] = translation
+    return T
+
+
+def flattened(T_base_laser: Array) -> Planar:
+    """Return the pose in the plane of base of a laser that is in space at a transform (4, 4)."""
+    R, (x, y, _) = T_base_laser[:3, :3], T_base_laser[:3, 3].tolist()
+    yaw = math.atan2(R[1, 0], R[0, 0])
+    tilt = math.atan2(math.hypot(R[0, 2], R[1, 2]), abs(R[2, 2]))
+    x, y, yaw = (round(value, DIGITS) + 0.0 for value in (x, y, yaw))
+    return Planar((x, y, yaw), bool(R[2, 2] < 0.0), tilt)
+
+
+class FrameTree:
+    """Frames by the links to their parents; of two parents of one frame, the first counts."""
+
+    def __init__(self) -> None:
+        self._links: dict[str, Link] = {}
+
+    def __contains__(self, frame: str) -> bool:
+        """Tell whether a frame has a parent or a child."""
+        return frame in self._links or any(link.parent == frame for link in self._links.values())
+
+    def get(self, child: str) -> Link | None:
+        """Return the link of a frame to its parent."""
+        return self._links.get(child)
+
+    def add(self, link: Link) -> bool:
+        """Set where a frame is in its parent; return whether it has no other parent yet."""
+        known = self._links.get(link.child)
+        if known is not None and known.parent != link.parent:
+            return False
+        self._links[link.child] = link
+        return True
+
+    def copy(self) -> FrameTree:
+        """Return a tree that may change by itself."""
+        tree = FrameTree()
+        tree._links = dict(self._links)
+        return tree
+
+    def up(self, frame: str, top: str = "") -> list[Link]:
+        """Return the links from a frame up to a frame above it, or else to its root.
+
+        Raises
+        ------
+        MessageError
+            If they form a loop.
+        """
+        links: list[Link] = []
+        while frame != top and (link := self._links.get(frame)) is not None:
+            if any(link is passed for passed in links):
+                ring = " -> ".join(passed.child for passed in links)
+                raise MessageError(f"the transforms form a loop: {ring} -> {frame}")
+            links.append(link)
+            frame = link.parent
+        return links
+
+    def way(self, base: str, frame: str) -> tuple[Array, list[Link]]:
+        """Return `T_base_frame` (4, 4) and the links that it is made of.
+
+        Raises
+        ------
+        MessageError
+            If no links lead from one to the other, or they form a loop.
+        """
+        downs = self.up(frame, base)
+        below = [frame, *(link.parent for link in downs)]
+        ups = [] if below[-1] == base else self.up(base)
+        above = [base, *(link.parent for link in ups)]
+        met = next((name for name in below if name in above), None)
+        if met is None:
+            ends = f"{frame} leads up to {below[-1]}, {base} to {above[-1]}"
+            raise MessageError(f"no transforms lead from {base} to {frame} ({ends})")
+        ups, downs = ups[: above.index(met)], downs[: below.index(met)]
+        return np.linalg.inv(_product(ups)) @ _product(downs), ups + downs
+
+
+def _product(links: list[Link]) -> Array:
+    """Return `T_top_bottom` of links from the bottom to the top."""
+    T = np.eye(4)
+    for link in links:
+        T = link.T @ T
+    return T

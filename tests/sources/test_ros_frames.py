@@ -1,0 +1,172 @@
+"""Frames of ROS logs that are wrong: each said in one line, and nothing false used."""
+
+import math
+
+import numpy as np
+import pytest
+from tests.sources.ros_robots import URDF, Recipe, Types, drive, write
+
+from impslam import columns
+from impslam.cli import main
+from impslam.errors import SourceError
+from impslam.fitting import choices
+from impslam.open_log import open_log
+from impslam.simulation.world import load_world
+from impslam.sources.rosbag import RosBag
+from impslam.types import LaserScan, OdometryPose
+
+T = Types(ros1=False)
+STAMP = Recipe().start
+
+
+@pytest.fixture(scope="module")
+def entries():
+    """A second of a drive with odometry in /tf, without static transforms."""
+    found, _ = drive(load_world("room"), Recipe(static=()))
+    return [entry for entry in found if entry[0] < 1.0]
+
+
+def bag(path, entries, *static):
+    """Write the drive with these messages in /tf_static, at these times."""
+    more = [(time, "/tf_static", message) for time, message in static]
+    return write(path / "bag", Recipe(), sorted([*more, *entries], key=lambda entry: entry[0]))
+
+
+def links(*ways):
+    return 0.0, T.links(STAMP, ways)
+
+
+def read(log):
+    """Return what is read of a log with the mounts that TF gives, and what is wrong with it."""
+    config, source = open_log(log)
+    with source:
+        found = list(columns.messages(source.batches()))
+    return found, source.problems, choices(config, source)
+
+
+ZERO = [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("ways", "said"),
+    [
+        ([], "no transform tells where laser is"),
+        ([URDF[0], ("mast", "laser", ZERO, ZERO)], "laser leads up to mast, not to base_footprint"),
+        (
+            [("mast", "laser", ZERO, ZERO), ("laser", "mast", ZERO, ZERO)],
+            "form a loop: laser -> mast",
+        ),
+    ],
+)
+def test_a_mount_that_is_not_told_is_said(entries, tmp_path, ways, said):
+    found, problems, line = read(bag(tmp_path, entries, *([links(*ways)] if ways else [])))
+    assert "mount unknown, taken to be at base_link" in line
+    assert said in line
+    assert "set sensors.lidar.mount" in line
+    assert sum(isinstance(m, LaserScan) for m in found) == 10
+    assert problems.counts == {"unknown mount": 1}
+
+
+@pytest.mark.parametrize(
+    ("values", "said"), [((0, 0, 0, 2.0), "length 2"), ((0, 0, math.nan, 1), "not finite")]
+)
+def test_a_transform_that_is_none_is_left_out(entries, tmp_path, values, said):
+    message = T.links(STAMP, URDF)
+    message.transforms[1].transform.rotation = T.new(
+        "geometry_msgs/msg/Quaternion", *map(float, values)
+    )
+    line = read(bag(tmp_path, entries, (0.0, message)))[2]
+    assert "the transform base_link -> laser is not one: " in line
+    assert said in line
+
+
+def test_a_mount_that_changes_drops_the_scans_until_it_is_back(entries, tmp_path):
+    moved = ("base_link", "laser", [0.1, 0.15, 0.1], ZERO)
+    changes = [links(*URDF), (0.35, T.links(STAMP, [moved])), (0.65, T.links(STAMP, URDF))]
+    found, problems, line = read(bag(tmp_path, entries, *changes))
+    assert "mount [0.100 m, 0.050 m, 0.0 deg]" in line
+    stamps = [m.stamp - STAMP for m in found if isinstance(m, LaserScan)]
+    np.testing.assert_allclose(stamps, [0.0, 0.1, 0.2, 0.3, 0.7, 0.8, 0.9], atol=1e-6)
+    assert problems.counts == {"scan on a moved mount": 3}
+    assert (
+        "moves the laser of /scan on the robot by 0.100 m and 0.0 degrees"
+        in problems.examples["scan on a moved mount"]
+    )
+
+
+def test_a_mount_in_the_config_is_not_watched(entries, tmp_path):
+    moved = ("base_link", "laser", [0.1, 0.15, 0.1], ZERO)
+    log = bag(tmp_path, entries, links(*URDF), (0.35, T.links(STAMP, [moved])))
+    config, source = open_log(log, None, ["sensors.lidar.mount=[0.1, 0.1, 0.0]"])
+    with source:
+        found = list(columns.messages(source.batches()))
+    assert sum(isinstance(m, LaserScan) for m in found) == 10
+    assert not source.problems.counts
+    said = "mount [0.100 m, 0.100 m, 0.0 deg], the config; not [0.100 m, 0.050 m, 0.0 deg], /tf_static: "
+    assert said in choices(config, source)
+
+
+def test_what_holds_at_the_first_scan_counts(entries, tmp_path):
+    before = ("base_link", "laser", [0.5, 0.5, 0.1], ZERO)
+    early = [(-1.0, T.links(STAMP, [URDF[0], before])), (-0.5, T.links(STAMP, URDF))]
+    problems, line = read(bag(tmp_path, entries, *early))[1:]
+    assert "mount [0.100 m, 0.050 m, 0.0 deg]" in line
+    assert not problems.counts
+
+
+@pytest.mark.parametrize("pitch", [0.02, 0.5])
+def test_a_tilted_laser_is_taken_as_level_or_refused(entries, tmp_path, pitch):
+    log = bag(
+        tmp_path, entries, links(URDF[0], ("base_link", "laser", [0.1, 0.05, 0.1], [0, pitch, 0]))
+    )
+    if pitch < 0.1:
+        assert "tilted by 1.1 deg and taken as level" in read(log)[2]
+        return
+    with pytest.raises(
+        SourceError, match=r"is tilted by 28.6 degrees .* --topic scan=TOPIC"
+    ) as error:
+        open_log(log)
+    assert "--set 'sensors.lidar.mount=[0.100,0.050,0.0000]'" in str(error.value)
+    config, source = open_log(log, None, ["sensors.lidar.mount=[0.1,0.05,0.0]"])
+    assert "tilted by 28.6 deg and taken as level" in choices(config, source)
+
+
+def test_a_frame_with_two_parents_is_told(entries, tmp_path):
+    other = ("mast", "laser", [1, 1, 1], ZERO)
+    problems, line = read(bag(tmp_path, entries, links(*URDF), links(other)))[1:]
+    assert problems.counts == {"frame with two parents": 1}
+    assert "mount [0.100 m, 0.050 m" in line
+
+
+def test_odometry_in_transforms_is_read_alike_at_once_and_one_by_one(entries, tmp_path):
+    log = bag(tmp_path, entries, links(*URDF))
+    with RosBag(path=log) as source:
+        whole = [m for m in columns.messages(source.batches()) if isinstance(m, OdometryPose)]
+    with RosBag(path=log) as source:
+        single = [m for m in columns.messages(source.batches(1)) if isinstance(m, OdometryPose)]
+    assert [(m.stamp, m.pose.tolist()) for m in whole] == [
+        (m.stamp, m.pose.tolist()) for m in single
+    ]
+    assert len(whole) == 50
+
+
+def test_odometry_that_is_no_transform_is_dropped_and_counted(entries, tmp_path):
+    spoilt = [e for e in entries if e[1] == "/tf"]
+    for k, value in ((10, math.nan), (20, 3.0), (30, 1.0)):
+        time = spoilt[k][0]
+        odd = T.transform(STAMP + time, "odom", "base_footprint", ZERO, ZERO)
+        odd.transform.rotation.z = value
+        entries = [(*e[:2], T.tf(odd)) if e[0] == time and e[1] == "/tf" else e for e in entries]
+    found, problems, _ = read(bag(tmp_path, entries, links(*URDF)))
+    assert sum(isinstance(m, OdometryPose) for m in found) == 47
+    assert problems.counts == {"malformed odometry message": 3}
+
+
+def test_inspect_and_run_say_the_same(entries, tmp_path, capsys):
+    log = bag(tmp_path, entries, links(*URDF))
+    main(["inspect", str(log)])
+    said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("reads: ")]
+    assert said == [
+        "reads: scan /scan (mount [0.100 m, 0.050 m, 0.0 deg], /tf_static: base_footprint -> laser); "
+        "odometry /tf"
+    ]

@@ -13,6 +13,7 @@ import os
 import struct
 import zipfile
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, TypeAlias, TypeVar
 
@@ -52,6 +53,7 @@ def save(path: Path, arrays: Arrays, about: dict[str, Any]) -> Path:
                 stream.flush()
                 os.fsync(stream.fileno())
             part.replace(path)
+            _settle(path.parent)
         finally:
             part.unlink(missing_ok=True)
     except OSError as error:
@@ -59,6 +61,16 @@ def save(path: Path, arrays: Arrays, about: dict[str, Any]) -> Path:
             f"{path}: cannot be written ({error.strerror or error}); choose another place"
         ) from None
     return path
+
+
+def _settle(folder: Path) -> None:
+    """Have the names in a folder written to the disk; not every file system can."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def _write(stream: IO[bytes], arrays: Arrays) -> None:
@@ -97,6 +109,17 @@ def load(
     except _DAMAGE as error:
         said = " ".join(str(error).split())[:200] or type(error).__name__
         raise ImpError(f"{path}: not a map, or damaged ({said}); save it again") from None
+
+
+def about(path: Path) -> dict[str, Any]:
+    """Return the table of plain values of a map's file alone.
+
+    Raises
+    ------
+    ImpError
+        If the file is missing, is no map, is damaged, or comes from a newer version.
+    """
+    return load(path, lambda version: {}, lambda arrays, table: table)
 
 
 class _Version(Exception):

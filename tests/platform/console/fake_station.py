@@ -31,11 +31,13 @@ from impslam.platform.console.model import Model
 from impslam.platform.console.session import Session
 from impslam.platform.devices.base import Health, now
 from impslam.platform.station.helm import Helm
+from impslam.platform.station.map_store import StoredMap
 from impslam.platform.station.mapper import MapperStatus
 from impslam.platform.station.player import PlayerStatus
 from impslam.platform.station.recorder import RecordingStatus
+from impslam.platform.station.shelf import Binned
 from impslam.platform.station.station import StationHealth
-from impslam.platform.station.store import BinnedLog, StoredLog
+from impslam.platform.station.store import StoredLog
 from impslam.types import Array, Event, Image, Landmark
 
 LIMITS = (0.6, 1.5)
@@ -172,18 +174,18 @@ class FakeStore:
                 "20261118-170455-corridor.mcap", 412_213_554, t - 190_000, False, False, 7812.0
             ),
         ]
-        self.binned: list[BinnedLog] = []
+        self.binned: list[Binned] = []
 
     def logs(self) -> list[StoredLog]:
         return list(self.kept)
 
-    def bin(self) -> list[BinnedLog]:
+    def bin(self) -> list[Binned]:
         return list(self.binned)
 
     def delete(self, name: str) -> None:
         log = next(log for log in self.kept if log.name == name)
         self.kept.remove(log)
-        self.binned.insert(0, BinnedLog("1-" + name, name, log.size, time.time()))
+        self.binned.insert(0, Binned("1-" + name, name, log.size, time.time()))
 
     def restore(self, name: str) -> Path:
         one = next(one for one in self.binned if one.name == name)
@@ -193,6 +195,37 @@ class FakeStore:
 
     def purge(self, name: str | None = None) -> None:
         self.binned = [] if name is None else [one for one in self.binned if one.name != name]
+
+
+class FakeMaps:
+    def __init__(self) -> None:
+        t = time.time()
+        self.kept = [
+            StoredMap("map-20261121-101500", 184_000, t - 20, 412, True, False),
+            StoredMap("map-20261120-141503", 1_912_000, t - 3600, 8512, False, True),
+            StoredMap("map-20261118-170455", 93_000, t - 190_000, 0, False, False, "not a map"),
+        ]
+        self.binned: list[tuple[Binned, StoredMap]] = []
+
+    def maps(self) -> list[StoredMap]:
+        return sorted(self.kept, key=lambda one: -one.modified)
+
+    def bin(self) -> list[Binned]:
+        return [binned for binned, _ in self.binned]
+
+    def delete(self, name: str) -> None:
+        one = next(one for one in self.kept if one.name == name)
+        self.kept.remove(one)
+        self.binned.insert(0, (Binned("1_" + name, name, one.size, time.time()), one))
+
+    def restore(self, name: str) -> Path:
+        found = next(pair for pair in self.binned if pair[0].name == name)
+        self.binned.remove(found)
+        self.kept.append(found[1])
+        return Path(found[1].name)
+
+    def purge(self, name: str | None = None) -> None:
+        self.binned = [pair for pair in self.binned if name not in (None, pair[0].name)]
 
 
 class FakeRecorder:
@@ -242,7 +275,7 @@ class FakeStation:
         self.helm = Helm(cast("Any", self.drive), LIMITS, self._announce)
         self.devices = {"autopilot": self.drive, "lidar": object(), "camera": object()}
         self.store, self.mapper, self.view = FakeStore(), FakeMapper(), FakeView()
-        self.recorder = FakeRecorder(self.store)
+        self.recorder, self.maps = FakeRecorder(self.store), FakeMaps()
         self.picture: Image | None = None
         self.lost: str = ""
         self.pose, self.odometry = np.zeros(3), np.zeros(3)

@@ -20,6 +20,7 @@ from impslam.platform.console.accounts import Accounts, write_private
 from impslam.platform.console.model import Model
 from impslam.platform.console.server import Server, ServerSettings, listening, prepared
 from impslam.platform.console.session import Session
+from impslam.platform.station.map_store import MapStore
 from impslam.platform.station.store import LogStore
 from impslam.types import Image
 
@@ -41,7 +42,10 @@ class Clock:
 def stand_in(folder: Path) -> Model:
     """A model of a station that has logs and a picture, and no devices."""
     station = SimpleNamespace(
-        store=LogStore(folder), folder=folder, picture=Image(0.0, "jpeg", PICTURE)
+        store=LogStore(folder),
+        maps=MapStore(folder / "maps"),
+        folder=folder,
+        picture=Image(0.0, "jpeg", PICTURE),
     )
     return cast(
         "Model", SimpleNamespace(title="test robot", station=station, player=None, view=None)

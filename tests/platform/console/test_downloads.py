@@ -28,6 +28,7 @@ def served(tmp_path_factory):
         (logs / "with space & ä.mcap").write_bytes(b"odd")
         run = logs / "maps" / "map-20260101-120000"
         run.mkdir(parents=True)
+        (run / "map.imp").write_bytes(b"a map")
         (run / "map.pgm").write_bytes(b"P5")
         (run / "report.html").write_text("<script>")
         (run / "secret").symlink_to("/etc/passwd")
@@ -185,7 +186,8 @@ class TestMapsAndPicture:
         with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
             assert archive.testzip() is None
             folder = "map-20260101-120000"
-            assert sorted(archive.namelist()) == [f"{folder}/map.pgm", f"{folder}/report.html"]
+            files = ["map.imp", "map.pgm", "report.html"]
+            assert sorted(archive.namelist()) == [f"{folder}/{name}" for name in files]
 
     @pytest.mark.parametrize("name", ["linked.zip", "none.zip", "map-20260101-120000", ".zip"])
     def test_nothing_else_is_a_map(self, client, name):

@@ -127,7 +127,7 @@ def test_recording(browser, robot):
         expect(watcher.page.get_by_test_id("record-stop")).to_be_hidden()
         page.get_by_test_id("record-stop").click()
         expect(page.get_by_test_id("chip-recording")).to_be_hidden()
-        newest = page.get_by_test_id("log").first
+        newest = page.get_by_test_id("stored-log").first
         expect(newest.locator(".name")).to_contain_text("-hall.mcap")
         link = newest.get_by_test_id("download")
         name = newest.get_attribute("data-name")
@@ -142,7 +142,7 @@ def test_a_log_is_deleted_restored_and_purged(browser, robot):
     with visit(browser, robot) as watched:
         page = watched.page
         name = "20261119-093012.mcap"
-        row = page.locator(f"[data-testid=log][data-name='{name}']")
+        row = page.locator(f"[data-testid=stored-log][data-name='{name}']")
         row.get_by_test_id("delete").click()
         page.get_by_test_id("cancel").click()
         expect(page.get_by_test_id("cancel")).to_be_hidden()
@@ -150,7 +150,7 @@ def test_a_log_is_deleted_restored_and_purged(browser, robot):
         row.get_by_test_id("delete").click()
         page.get_by_test_id("confirm").click()
         expect(row).to_have_count(0)
-        page.get_by_test_id("bin-summary").click()
+        page.get_by_test_id("log-bin-summary").click()
         binned = page.locator(f"[data-testid=binned][data-name='{name}']")
         binned.get_by_test_id("restore").click()
         expect(row).to_have_count(1)
@@ -160,8 +160,36 @@ def test_a_log_is_deleted_restored_and_purged(browser, robot):
         page.get_by_test_id("purge").click()
         page.get_by_test_id("confirm").click()
         expect(page.get_by_test_id("binned")).to_have_count(0)
-        expect(page.get_by_test_id("bin-summary")).to_have_text("Recycle bin is empty")
+        expect(page.get_by_test_id("log-bin-summary")).to_have_text("Recycle bin is empty")
         assert name not in robot.state()["logs"]
+        assert not watched.complaints
+
+
+@pytest.mark.browser
+def test_maps_are_listed_deleted_and_restored(browser, robot):
+    with visit(browser, robot) as watched, visit(browser, robot, "watcher") as watcher:
+        page = watched.page
+        page.get_by_test_id("tab-maps").click()
+        rows = page.get_by_test_id("stored-map")
+        expect(rows).to_have_count(3)
+        making, hall, broken = rows.all()
+        expect(making).to_contain_text("being made")
+        expect(making.get_by_test_id("delete")).to_have_count(0)
+        expect(hall).to_contain_text("1.9 MB · 8512 scans · with report")
+        expect(broken).to_contain_text("damaged")
+        name = hall.get_attribute("data-name")
+        link = hall.get_by_test_id("download")
+        expect(link).to_have_attribute("href", f"/maps/{name}.zip")
+        hall.get_by_test_id("delete").click()
+        page.get_by_test_id("confirm").click()
+        expect(rows).to_have_count(2)
+        page.get_by_test_id("map-bin-summary").click()
+        page.get_by_test_id("map-bin").get_by_test_id("restore").click()
+        expect(rows).to_have_count(3)
+        expect(page.get_by_test_id("map-bin-summary")).to_have_text("Recycle bin is empty")
+        watcher.page.get_by_test_id("tab-maps").click()
+        expect(watcher.page.get_by_test_id("stored-map")).to_have_count(3)
+        expect(watcher.page.get_by_test_id("delete")).to_have_count(0)
         assert not watched.complaints
 
 

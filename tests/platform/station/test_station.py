@@ -1,7 +1,6 @@
 """The station as a whole: what it does when a part of it fails."""
 
 import threading
-import time
 
 import pytest
 
@@ -63,20 +62,6 @@ def test_a_part_that_does_not_end_holds_up_no_other(folder, monkeypatch):
     assert not robot.health().recording.active
 
 
-def test_two_maps_of_one_second_have_a_folder_each(folder, monkeypatch):
-    robot = station(folder)
-    monkeypatch.setattr(time, "strftime", lambda form: "map-1")
-
-    monkeypatch.setattr(robot.mapper, "save", lambda where: where)
-    threads = [threading.Thread(target=robot.save_map) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(5.0)
-    made = {path.name for path in (folder / "maps").iterdir()}
-    assert made == {"map-1", "map-1-2", "map-1-3", "map-1-4"}
-
-
 def test_a_folder_that_cannot_be_made_is_told_in_one_line(folder):
     folder.write_text("a file")
     robot = station(folder)
@@ -105,16 +90,3 @@ def test_readings_of_many_threads_leave_the_events_bounded_and_readable(folder):
     for thread in threads:
         thread.join(5.0)
     assert len(robot.events) == 200
-
-
-def test_a_map_that_the_disk_refuses_leaves_no_half_of_it(folder, monkeypatch):
-    robot = station(folder)
-
-    def save(where):
-        (where / "trajectory.tum").write_text("0 0 0")
-        raise ImpError("the disk is full")
-
-    monkeypatch.setattr(robot.mapper, "save", save)
-    with pytest.raises(ImpError, match="full"):
-        robot.save_map()
-    assert list((folder / "maps").iterdir()) == []

@@ -141,10 +141,9 @@ class _FileEndpoints:
         return path if regular and path.name == name else None
 
     def _maps(self) -> dict[str, Path]:
-        """Return the folders of the maps by name; links are none."""
-        top = self._station.folder / "maps"
-        folders = top.iterdir() if top.is_dir() else ()
-        return {path.name: path for path in folders if path.is_dir() and not path.is_symlink()}
+        """Return the folders of the maps by name; links and the recycle bin are none."""
+        store = self._station.maps
+        return {one.name: store.path(one.name) for one in store.maps()}
 
     def _none(self, request: Request) -> Response:
         self._authenticator.refusals.record(

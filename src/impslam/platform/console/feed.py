@@ -14,8 +14,10 @@ from impslam.observers.live_view import Snapshot
 from impslam.platform.console.encoding import Frame, Known, Mark, common, difference, mark
 from impslam.platform.console.model import Model
 from impslam.platform.devices.base import now
+from impslam.platform.station.map_store import StoredMap
+from impslam.platform.station.shelf import Binned
 from impslam.platform.station.station import StationHealth
-from impslam.platform.station.store import BinnedLog, StoredLog
+from impslam.platform.station.store import StoredLog
 from impslam.types import Array
 
 T = TypeVar("T")
@@ -52,13 +54,14 @@ class Feed:
     Attributes
     ----------
     health : how a robot is doing; call it
-    stored : its logs, and its recycle bin; call it, in a thread, since it looks at the disk
+    logs, maps : those on its disk, and their recycle bin; call it, in a thread, since it looks there
     """
 
     def __init__(self, model: Model) -> None:
         self.model = model
         self.health = Cached(self._health, 0.5)
-        self.stored = Cached(self._stored, 1.5)
+        self.logs = Cached(self._logs, 1.5)
+        self.maps = Cached(self._maps, 1.5)
         self._common: Frame = {"seq": -1}
         self._marks: dict[int, Mark] = {}
         self._landmarks: Any = None
@@ -88,10 +91,15 @@ class Feed:
         assert self.model.station is not None
         return self.model.station.health()
 
-    def _stored(self) -> tuple[list[StoredLog], list[BinnedLog]]:
+    def _logs(self) -> tuple[list[StoredLog], list[Binned]]:
         assert self.model.station is not None
         store = self.model.station.store
         return store.logs(), store.bin()
+
+    def _maps(self) -> tuple[list[StoredMap], list[Binned]]:
+        assert self.model.station is not None
+        store = self.model.station.maps
+        return store.maps(), store.bin()
 
     def _encode(self, snapshot: Snapshot) -> None:
         self._common = common(snapshot)

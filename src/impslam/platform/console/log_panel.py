@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import time
+from collections.abc import Sequence
 from typing import Any
-from urllib.parse import quote
 
-from nicegui import html, run, ui
-from nicegui.element import Element
+from nicegui import ui
 
 from impslam.platform.console.feed import Feed
+from impslam.platform.console.stored_panel import StoredPanel, moment
 from impslam.platform.console.viewer import Viewer
 from impslam.platform.console.widgets import button, card, duration, line, show, size, tagged, text
 from impslam.platform.station.recorder import RecordingStatus
 from impslam.platform.station.station import Station
-from impslam.platform.station.store import BinnedLog, StoredLog
-
-MOST = 100  # logs in the list; more would make the page slow, and nobody reads them
+from impslam.platform.station.store import StoredLog
 
 
 class RecordPanel:
@@ -62,121 +59,24 @@ class RecordPanel:
         self.update(self._station.recorder.status())
 
 
-class LogPanel:
+class LogPanel(StoredPanel[StoredLog]):
     """The logs with size and date: download, delete; and the recycle bin."""
 
     def __init__(self, feed: Feed, station: Station, viewer: Viewer) -> None:
-        self._feed, self._station, self._viewer = feed, station, viewer
-        self._looking = False
-        self._shown: list[StoredLog] | None = None
-        self._binned: list[BinnedLog] | None = None
-        with card("Logs", "folder", "logs"):
-            self._list = tagged(ui.element("div").classes("list"), "logs")
-            with html.details().classes("fold") as self._bin:
-                with html.summary():
-                    self._summary = text("bin-summary", "Recycle bin")
-                self._bin_list = tagged(ui.element("div").classes("list"), "bin")
+        none = "No logs yet. Press Record to make one."
+        super().__init__("log", "folder", none, feed.logs, station.store, viewer)
 
-    async def update(self) -> None:
-        """Show the logs as they are by now; the disk is looked at in a thread."""
-        if self._looking:  # a disk that hangs must not be asked again and again
-            return
-        self._looking = True
-        try:
-            found = await run.io_bound(self._feed.stored)
-        finally:
-            self._looking = False
-        if found is not None and not self._viewer.client.is_deleted:
-            self._show(*found)
+    def facts(self, one: StoredLog) -> Sequence[str]:
+        """Return date, size, duration and state."""
+        return (
+            moment(one.modified),
+            "being recorded" if one.recording else size(one.size),
+            duration(one.duration),
+            "cut short" if one.cut and not one.recording else "",
+        )
 
-    async def _anew(self) -> None:
-        self._feed.stored.expire()
-        await self.update()
-
-    def _show(self, logs: list[StoredLog], binned: list[BinnedLog]) -> None:
-        if logs != self._shown:
-            self._shown = logs
-            self._fill()
-        if binned != self._binned:
-            self._binned = binned
-            self._fill_bin()
-
-    def _fill(self) -> None:
-        self._list.clear()
-        with self._list:
-            for one in (self._shown or [])[:MOST]:
-                self._row(one)
-            if not self._shown:
-                ui.label("No logs yet. Press Record to make one.").classes("soft")
-            elif len(self._shown) > MOST:
-                ui.label(f"and {len(self._shown) - MOST} older ones").classes("soft")
-
-    def _row(self, log: StoredLog) -> None:
-        facts = [
-            time.strftime("%Y-%m-%d %H:%M", time.localtime(log.modified)),
-            "being recorded" if log.recording else size(log.size),
-            duration(log.duration),
-            "cut short" if log.cut and not log.recording else "",
-        ]
-        with _item(log.name, facts, "log"):
-            if not log.recording:
-                self._download(log.name)
-            if self._viewer.session.may_drive and not log.recording:
-                button(
-                    f"Delete {log.name}",
-                    "delete",
-                    lambda: self._delete(log.name),
-                    "quiet",
-                    "delete",
-                )
-
-    @staticmethod
-    def _download(name: str) -> None:
-        link: Element = html.a(href=f"/logs/{quote(name)}", download=name)
-        link.classes("button quiet").props["aria-label"] = f"Download {name}"
-        link.props["title"] = "Download"
-        with tagged(link, "download"):
-            html.i("download").classes("q-icon material-icons notranslate")
-
-    def _fill_bin(self) -> None:
-        binned, may = self._binned or [], self._viewer.session.may_drive
-        self._summary.text = f"Recycle bin ({len(binned)})" if binned else "Recycle bin is empty"
-        self._bin_list.clear()
-        with self._bin_list:
-            for one in binned[:MOST]:
-                moment = time.strftime("%Y-%m-%d %H:%M", time.localtime(one.deleted))
-                with _item(one.original, [f"deleted {moment}", size(one.size)], "binned"):
-                    if may:
-                        act = self._restorer(one.name)
-                        button("Restore", "restore", act, "quiet", "restore_from_trash")
-            if binned and may:
-                button("Empty the recycle bin", "purge", self._purge, "danger", "delete_forever")
-
-    def _restorer(self, name: str) -> Any:
-        async def restore() -> None:
-            await self._viewer.run(lambda: self._station.store.restore(name))
-            await self._anew()
-
-        return restore
-
-    async def _delete(self, name: str) -> None:
-        if await self._viewer.confirm(f"Move {name} to the recycle bin?", "Delete"):
-            await self._viewer.run(lambda: self._station.store.delete(name))
-            await self._anew()
-
-    async def _purge(self) -> None:
-        if await self._viewer.confirm(
-            "Delete everything in the recycle bin for good?", "Delete for good"
-        ):
-            await self._viewer.run(self._station.store.purge)
-            await self._anew()
-
-
-def _item(name: str, facts: list[str], kind: str) -> Element:
-    """Return a row for what has a name; buttons go into it."""
-    row = tagged(ui.element("div").classes("item"), kind)
-    row.props["data-name"] = name
-    with row, ui.element("div").classes("what"):
-        ui.label(name).classes("name")
-        ui.label(" · ".join(filter(None, facts))).classes("soft")
-    return row
+    def acts(self, one: StoredLog) -> None:
+        """Make the buttons."""
+        if not one.recording:
+            self.download(one.name, one.name)
+            self.deleter(one.name)

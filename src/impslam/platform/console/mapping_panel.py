@@ -54,7 +54,7 @@ class MappingPanel:
 
     async def _on_anew(self) -> None:
         if await self._viewer.confirm(
-            "Begin a new map? The present one is given up unless it is saved.", "New map"
+            "Begin a new map? The present one stays under Maps.", "New map"
         ):
             await self._on_start()
 

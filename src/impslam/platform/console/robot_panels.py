@@ -13,6 +13,7 @@ from impslam.platform.console.header import Header
 from impslam.platform.console.health_panel import EventPanel, HealthPanel
 from impslam.platform.console.log_panel import LogPanel, RecordPanel
 from impslam.platform.console.mapping_panel import MappingPanel
+from impslam.platform.console.maps_panel import MapsPanel
 from impslam.platform.console.viewer import Viewer
 from impslam.platform.console.widgets import card, symbol, tagged
 from impslam.platform.devices.base import DriveDevice
@@ -21,6 +22,7 @@ from impslam.platform.station.station import Station, StationHealth
 TABS = {
     "drive": ("sports_esports", "Drive"),
     "record": ("radio_button_checked", "Record"),
+    "maps": ("map", "Maps"),
     "health": ("monitor_heart", "Health"),
     "camera": ("photo_camera", "Camera"),
 }
@@ -49,6 +51,8 @@ class RobotPanels:
                 self._record = RecordPanel(station, viewer)
                 self._mapping = MappingPanel(station, viewer)
                 self._logs = LogPanel(feed, station, viewer)
+            with _tab("maps"):
+                self._maps = MapsPanel(feed, station, viewer)
             with _tab("health"):
                 self._health = HealthPanel(feed, health)
                 if feed.model.fault is not None and viewer.session.may_drive:
@@ -72,6 +76,7 @@ class RobotPanels:
         self._events.update(list(self._station.events))
         if self._count % LOOK == 0:
             background_tasks.create(self._logs.update(), name="logs")
+            background_tasks.create(self._maps.update(), name="maps")
         self._count += 1
         return self._alarms(health)
 

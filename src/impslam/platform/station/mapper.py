@@ -20,6 +20,7 @@ from impslam.observers.recorder import Truth
 from impslam.observers.run_folder import write_run
 from impslam.platform.devices.base import now
 from impslam.platform.station.inbox import LIMIT, Inbox
+from impslam.platform.station.map_store import FILE
 from impslam.platform.station.warm_up import warm_up
 from impslam.run import Run
 from impslam.types import Array, Message
@@ -134,11 +135,26 @@ class LiveMapper:
         ImpError
             If nothing is mapped yet, or the folder cannot be written to.
         """
+        settled, truth = self._draft()
+        return write_run(folder, *settled(), truth)
+
+    def save_map(self, folder: Path) -> Path:
+        """Write the map alone, as `save` does; return its path.
+
+        Raises
+        ------
+        ImpError
+            If nothing is mapped yet, or the file cannot be written.
+        """
+        settled, _ = self._draft()
+        known, _ = settled()
+        return known.save(folder / FILE)
+
+    def _draft(self) -> tuple[Callable[[], tuple[Map, Outcome]], Array]:
         mapping = self._mapping
         if mapping is None or mapping.run.scans == 0:
             raise ImpError("there is no map to save yet; start mapping and wait for a scan")
-        settled, truth = mapping.draft()
-        return write_run(folder, *settled(), truth)
+        return mapping.draft()
 
     def status(self) -> MapperStatus:
         """Return how mapping is doing; never blocks."""

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import threading
-import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -15,9 +12,10 @@ import tomli_w
 from impslam.config import Config, load, presets
 from impslam.errors import ImpError
 from impslam.observers.live_view import LiveView
-from impslam.paths import make_folder
 from impslam.platform.devices.base import Device, DriveDevice, Health, Reading, event, now
 from impslam.platform.station.helm import Helm
+from impslam.platform.station.map_keeper import MapKeeper
+from impslam.platform.station.map_store import MapStore
 from impslam.platform.station.mapper import LiveMapper, MapperStatus
 from impslam.platform.station.recorder import LogRecorder, RecordingStatus
 from impslam.platform.station.store import LogStore
@@ -63,7 +61,9 @@ class Station:
         self.mapper = LiveMapper(config, self.view)
         drives = [device for device in devices.values() if isinstance(device, DriveDevice)]
         self.helm = Helm(drives[0] if drives else None, limits, self._announce, self._commanded)
-        self._saving = threading.Lock()
+        maps = folder / "maps"
+        self.keeper = MapKeeper(self.mapper, maps, self._announce)
+        self.maps = MapStore(maps, lambda: self.keeper.name)
         self.events: list[Event] = []
         self.picture: Image | None = None
 
@@ -71,6 +71,7 @@ class Station:
         """Start everything but recording and mapping."""
         self.helm.start()
         self.mapper.warm_up()
+        self.keeper.start()
         for device in self.devices.values():
             device.start(self._receive)
 
@@ -88,8 +89,12 @@ class Station:
                 self._announce("error", str(error))
 
     def stop(self) -> None:
-        """Stand still, close the log, and end every thread; a part that fails holds up no other."""
+        """Stand still, close the log, save the map, and end every thread.
+
+        A part that fails holds up no other.
+        """
         with ExitStack() as parts:  # the last one in is the first one out
+            parts.callback(self.keeper.stop)
             parts.callback(self.mapper.stop)
             parts.callback(self.recorder.stop)
             for device in reversed(list(self.devices.values())):
@@ -97,22 +102,12 @@ class Station:
             parts.callback(self.helm.stop)
 
     def start_mapping(self) -> None:
-        """Begin a new map, the robot standing at its origin."""
-        self.mapper.start()
+        """Begin a new map, the robot standing at its origin; the present one is saved."""
+        self.keeper.begin()
 
     def save_map(self) -> Path:
-        """Write the map as it is now into a run folder of its own; mapping goes on."""
-        with self._saving:  # two people may press at the same time
-            maps = self.folder / "maps"
-            try:
-                folder = make_folder(maps, time.strftime("map-%Y%m%d-%H%M%S"))
-            except OSError as error:
-                raise ImpError(f"{maps}: cannot be written ({error.strerror}); check it") from None
-            try:
-                return self.mapper.save(folder)
-            except ImpError:  # half a map is none, and takes room on a disk that has none
-                shutil.rmtree(folder, ignore_errors=True)
-                raise
+        """Write the map as it is now, with all files of a run, into its folder; mapping goes on."""
+        return self.keeper.save()
 
     def health(self) -> StationHealth:
         """Return how everything is doing."""

@@ -1,0 +1,134 @@
+"""Keeps the map that the robot makes on the disk: each minute, at its end, and when asked for."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from impslam.errors import ImpError
+from impslam.paths import make_folder
+from impslam.platform.station.map_store import FILE
+from impslam.platform.station.mapper import LiveMapper
+
+PERIOD = 60.0  # s of map that a power failure may cost
+SHARE = 20
+"""A map is not saved again before so many times the seconds that saving took: a large one takes at
+most a twentieth of the computer."""
+
+
+class MapKeeper:
+    """Saves what a mapper maps, each map into a folder of its own.
+
+    The file of the map is replaced at once by one that is on the disk, so that a power failure leaves
+    the old or the new one.
+
+    Parameters
+    ----------
+    mapper : what makes the map
+    folder : where maps are kept; it is made if need be
+    announce : called with a level and a line where a map cannot be saved
+    """
+
+    def __init__(
+        self, mapper: LiveMapper, folder: Path, announce: Callable[[str, str], None]
+    ) -> None:
+        self._mapper, self._folder, self._announce = mapper, folder, announce
+        self._saving = threading.Lock()  # the clock and two people may want to at the same time
+        self._target: Path | None = None
+        self._kept, self._failure = 0, ""
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="map keeper", daemon=True)
+
+    @property
+    def name(self) -> str:
+        """The folder of the map that is being made, "" before it is first saved."""
+        return "" if self._target is None else self._target.name
+
+    def start(self) -> None:
+        """Begin to save each minute; remove what an earlier program did not come to write whole."""
+        for part in self._folder.glob(f"*/.{FILE}.*.part"):
+            with suppress(OSError):
+                part.unlink()
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End, and save what is not saved yet."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._try()
+
+    def begin(self) -> None:
+        """Save the present map and begin a new one.
+
+        Raises
+        ------
+        ImpError
+            If the present map cannot be saved; it is then gone on with.
+        """
+        with self._saving:
+            self._keep()
+            self._mapper.start()
+            self._target, self._kept = None, 0
+
+    def save(self) -> Path:
+        """Write the map as it is now, with all files of a run, into its folder; mapping goes on.
+
+        Raises
+        ------
+        ImpError
+            If nothing is mapped yet, or a file cannot be written.
+        """
+        with self._saving:
+            steps = self._mapper.status().steps
+            folder = self._within(self._mapper.save)
+            self._kept = steps
+            return folder
+
+    def _keep(self) -> None:
+        """Save the map if there is more of it than on the disk."""
+        steps = self._mapper.status().steps
+        if steps > self._kept:
+            self._within(self._mapper.save_map)
+            self._kept = steps
+
+    def _within(self, save: Callable[[Path], Path]) -> Path:
+        """Save into the folder of this map, which is made if need be; an empty one does not stay."""
+        if self._target is None:
+            try:
+                self._target = make_folder(self._folder, time.strftime("map-%Y%m%d-%H%M%S"))
+            except OSError as error:
+                raise ImpError(
+                    f"{self._folder}: cannot be written ({error.strerror}); check it"
+                ) from None
+        try:
+            save(self._target)
+        except ImpError:
+            if not (self._target / FILE).exists():  # half a map is none, and takes room
+                shutil.rmtree(self._target, ignore_errors=True)
+                self._target = None
+            raise
+        return self._target
+
+    def _try(self) -> None:
+        """Save if need be; a failure is told once, until it is another one."""
+        failure = ""
+        try:
+            with self._saving:
+                self._keep()
+        except ImpError as error:
+            failure = str(error)
+        if failure and failure != self._failure:
+            self._announce("error", f"the map is not saved: {failure}")
+        self._failure = failure
+
+    def _work(self) -> None:
+        pause = PERIOD
+        while not self._closing.wait(pause):
+            begin = time.monotonic()
+            self._try()
+            pause = max(PERIOD, SHARE * (time.monotonic() - begin))

@@ -1,0 +1,117 @@
+"""The maps on the robot's disk: a folder each, and a recycle bin before any is gone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from impslam.errors import ImpError
+from impslam.maps import archive
+from impslam.platform.station.shelf import MAPS, Binned, Shelf, StoreError
+
+FILE = "map.imp"
+REPORT = "report.html"
+
+
+@dataclass(frozen=True, slots=True)
+class StoredMap:
+    """A map on the disk.
+
+    Attributes
+    ----------
+    name : of its folder
+    size : bytes of the map's file
+    modified : s since 1970, when it was last written
+    scans : scans that it was made of
+    mapping : whether it is being made
+    report : whether it was saved with a report and pictures, not as map alone
+    damage : one line: why the file cannot be read, "" if it can
+    """
+
+    name: str
+    size: int
+    modified: float
+    scans: int
+    mapping: bool
+    report: bool
+    damage: str = ""
+
+
+class MapStore:
+    """The maps in a folder; every method may be called from any thread.
+
+    Parameters
+    ----------
+    folder : where maps are kept; it may be missing, and maps may vanish at any time
+    making : returns the name of the map that is being made, "" if none is
+    """
+
+    def __init__(self, folder: Path, making: Callable[[], str] = lambda: "") -> None:
+        self._shelf, self._making = Shelf(folder, MAPS), making
+        self._known: dict[str, tuple[tuple[int, int], int, str]] = {}
+
+    def maps(self) -> list[StoredMap]:
+        """Return the maps, newest first."""
+        found = [self._look(name) for name, _ in self._shelf.entries()]
+        return sorted(filter(None, found), key=lambda one: (-one.modified, one.name))
+
+    def path(self, name: str) -> Path:
+        """Return the folder of a map by its name in `maps()`; nothing else is ever returned.
+
+        Raises
+        ------
+        StoreError
+            If there is no such map.
+        """
+        return self._shelf.path(name)
+
+    def delete(self, name: str) -> None:
+        """Move a map to the recycle bin.
+
+        Raises
+        ------
+        StoreError
+            If there is no such map, it is being made, or the disk refuses.
+        """
+        if self.path(name).name == self._making():
+            raise StoreError(f"{name}: is being made; begin a new map before deleting it")
+        self._shelf.discard(name)
+
+    def bin(self) -> list[Binned]:
+        """Return what is in the recycle bin, last deleted first."""
+        return self._shelf.bin()
+
+    def restore(self, name: str) -> Path:
+        """Take a map out of the recycle bin; see `Shelf.restore`."""
+        return self._shelf.restore(name)
+
+    def purge(self, name: str | None = None) -> None:
+        """Remove one map of the recycle bin, or all, for good; see `Shelf.purge`."""
+        self._shelf.purge(name)
+
+    def _look(self, name: str) -> StoredMap | None:
+        """Return what there is to tell of a map; a look inside is taken once for each version."""
+        folder = self._shelf.folder / name
+        try:
+            status = (folder / FILE).lstat()
+            report = (folder / REPORT).exists()
+        except OSError:  # not a map, or it has vanished
+            return None
+        version = status.st_size, status.st_mtime_ns
+        known = self._known.get(name)
+        if known is None or known[0] != version:
+            known = self._known[name] = version, *_scans(folder / FILE)
+        _, scans, damage = known
+        making = name == self._making()
+        return StoredMap(name, status.st_size, status.st_mtime, scans, making, report, damage)
+
+
+def _scans(path: Path) -> tuple[int, str]:
+    """Return of how many scans a map is made, or why its file cannot be read."""
+    try:
+        return int(archive.about(path)["counts"]["steps"]), ""
+    except ImpError as error:
+        return 0, str(error)
+    except (KeyError, TypeError, ValueError):  # made from Python, without a run
+        return 0, ""

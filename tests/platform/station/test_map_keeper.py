@@ -1,0 +1,161 @@
+"""The map on the disk: each minute, at its end, when asked for; whole, or as it was before."""
+
+import threading
+import time
+
+import pytest
+from tests.platform.station.test_mapper import drain, hand, live
+from tests.recorded import perfect
+
+from impslam.config import load
+from impslam.errors import ImpError
+from impslam.map import Map
+from impslam.platform.station import map_keeper as module
+from impslam.platform.station.map_keeper import MapKeeper
+from impslam.platform.station.mapper import MapperStatus
+from impslam.simulation.world import load_world
+
+
+class Toy:
+    """A mapper that counts."""
+
+    def __init__(self):
+        self.steps, self.saved, self.full, self.error, self.pause = 0, [], [], "", 0.0
+
+    def start(self):
+        self.steps = 0
+
+    def status(self):
+        return MapperStatus("running", self.steps, 0, 0, 0.0, 0.0, "")
+
+    def save_map(self, folder):
+        time.sleep(self.pause)
+        if self.error:
+            (folder / "trajectory.tum").write_text("0 0 0")
+            raise ImpError(self.error)
+        (folder / "map.imp").write_text("a map")
+        self.saved.append((folder.name, self.steps))
+        return folder / "map.imp"
+
+    def save(self, folder):
+        self.save_map(folder)
+        self.full.append(folder.name)
+        return folder
+
+
+@pytest.fixture
+def toy(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "PERIOD", 0.02)
+    monkeypatch.setattr(module.time, "strftime", lambda form: "map-1")
+    return Toy()
+
+
+@pytest.fixture
+def told():
+    return []
+
+
+@pytest.fixture
+def keeper(toy, tmp_path, told):
+    keeper = MapKeeper(toy, tmp_path / "maps", lambda level, text: told.append((level, text)))
+    yield keeper
+    keeper.stop()
+
+
+def wait_until(true, seconds=10.0):
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.002)
+
+
+def test_what_is_new_is_saved_by_itself_and_what_is_not_new_is_not(keeper, toy, tmp_path):
+    keeper.start()
+    time.sleep(0.1)
+    assert toy.saved == []
+    assert not (tmp_path / "maps").exists()
+    toy.steps = 5
+    wait_until(lambda: toy.saved)
+    time.sleep(0.1)
+    assert toy.saved == [("map-1", 5)]
+    toy.steps = 9
+    wait_until(lambda: len(toy.saved) > 1)
+    assert toy.saved[-1] == ("map-1", 9)
+    assert keeper.name == "map-1"
+
+
+def test_the_end_saves_what_is_not_saved(keeper, toy, monkeypatch):
+    monkeypatch.setattr(module, "PERIOD", 60.0)
+    keeper.start()
+    toy.steps = 3
+    keeper.stop()
+    assert toy.saved == [("map-1", 3)]
+
+
+def test_a_new_map_saves_the_present_one_and_has_a_folder_of_its_own(keeper, toy):
+    for steps in (3, 4):
+        toy.steps = steps
+        keeper.begin()
+        assert keeper.name == ""
+    assert toy.saved == [("map-1", 3), ("map-1-2", 4)]
+
+
+def test_who_saves_by_hand_has_all_files_in_the_same_folder(keeper, toy, tmp_path):
+    toy.steps = 3
+    threads = [threading.Thread(target=keeper.save) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(5.0)
+    assert toy.full == ["map-1"] * 4
+    assert [path.name for path in (tmp_path / "maps").iterdir()] == ["map-1"]
+
+
+def test_a_disk_that_refuses_is_told_once_and_leaves_no_half_map(keeper, toy, told, tmp_path):
+    toy.error, toy.steps = "the disk is full", 3
+    keeper.start()
+    wait_until(lambda: told)
+    time.sleep(0.1)
+    assert told == [("error", "the map is not saved: the disk is full")]
+    assert list((tmp_path / "maps").iterdir()) == []
+    with pytest.raises(ImpError, match="full"):
+        keeper.save()
+    with pytest.raises(ImpError, match="full"):  # the present map is not given up for a new one
+        keeper.begin()
+    assert toy.steps == 3
+    toy.error = ""
+    wait_until(lambda: toy.saved)
+    assert toy.saved == [("map-1", 3)]
+
+
+def test_a_map_that_takes_long_to_save_is_saved_less_often(keeper, toy):
+    toy.pause = 0.05
+    keeper.start()
+    begin = time.monotonic()
+    while time.monotonic() - begin < 0.6:
+        toy.steps += 1
+        time.sleep(0.01)
+    assert len(toy.saved) == 1  # the next one is due after a second
+
+
+def test_what_a_dead_program_left_is_removed(keeper, tmp_path):
+    folder = tmp_path / "maps" / "map-0"
+    folder.mkdir(parents=True)
+    (folder / "map.imp").write_text("a map")
+    (folder / ".map.imp.123.part").write_text("half a map")
+    keeper.start()
+    assert [path.name for path in folder.iterdir()] == ["map.imp"]
+
+
+def test_a_live_map_comes_back_from_its_file(tmp_path, told):
+    mapper = live(load("imp"))
+    keeper = MapKeeper(mapper, tmp_path, lambda *event: told.append(event))
+    keeper.begin()
+    hand(mapper, perfect(load_world("room"))[:600])
+    drain(mapper)
+    mapper.stop()
+    keeper.stop()
+    known = Map.load(tmp_path / keeper.name / "map.imp")
+    assert len(known.stamps) == mapper.status().steps > 10
+    assert known.about["counts"]["steps"] == len(known.stamps)
+    assert told == []

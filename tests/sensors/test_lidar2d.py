@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from tests.odometry_steps import stacked
 
 from impslam.columns import Sweeps
@@ -154,3 +155,17 @@ def test_an_observation_tells_when_its_beams_were_fired():
     sweeps = Sweeps("lidar", columns, np.zeros(1), empty, empty, np.zeros((1, 3, 3)), scans)
     (seen,) = lidar.look(sweeps, 0, np.random.default_rng(0))
     assert seen.delay == pytest.approx(0.025 - 0.015)
+
+
+@pytest.mark.parametrize(
+    ("limits", "told"),
+    [
+        ({"range_max": -3.0}, "at least 0"),
+        ({"range_min": -0.1}, "at least 0"),
+        ({"range_min": 2.0, "range_max": 1.0}, "above range_min, 2"),
+    ],
+)
+def test_limits_that_no_range_can_keep_are_refused(limits, told):
+    with pytest.raises(ValidationError, match=told):
+        Lidar2D(**limits)
+    assert Lidar2D(range_min=math.nan, range_max=5.6).range_max == 5.6

@@ -7,7 +7,7 @@ from tests.sources.logs import read, write_lego
 from impslam.columns import messages
 from impslam.errors import SourceError
 from impslam.sources.lego import Lego
-from impslam.types import LaserScan, WheelAngles
+from impslam.types import LaserScan, TruePose, WheelAngles
 
 
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
@@ -18,6 +18,8 @@ def test_both_files_are_merged_by_time(tmp_path: Path, newline: str) -> None:
     assert [m.stamp for m in wheels] == [0.0, 0.25, 0.5, 0.75]
     np.testing.assert_allclose([m.stamp for m in scans], [0.575, 0.825, 1.075])
     assert [m.stamp for m in found] == sorted(m.stamp for m in found)
+    true = [m.pose for m in found if isinstance(m, TruePose)]
+    np.testing.assert_array_equal(true, [[1e-3, 2e-3, np.nan]])
     assert [(m.left, m.right) for m in wheels] == [(100 + i, 200 + i) for i in range(4)]
     np.testing.assert_array_equal(scans[0].ranges, np.full(660, 1.5))
     assert np.degrees(scans[0].angles[[0, -1]]) == pytest.approx([-120.0, 111.7], abs=0.1)
@@ -59,7 +61,7 @@ def test_bad_lines_are_counted_and_dropped(tmp_path: Path, file: str, bad: str) 
     with (folder / file).open("a") as end:
         end.write(bad + "\n")
     found, source = read(folder)
-    assert len(found) == 7
+    assert len(found) == 8
     assert len(source.problems.counts) == 1
     (example,) = source.problems.examples.values()
     assert file in example
@@ -71,6 +73,16 @@ def test_a_folder_without_a_pair_is_refused(tmp_path: Path) -> None:
     assert not Lego.recognises(folder)
     with pytest.raises(SourceError, match=r"_scan\.txt"):
         Lego(path=folder).__enter__()
+
+
+def test_cylinders_beside_the_log_are_true_landmarks(tmp_path: Path) -> None:
+    folder = write_lego(tmp_path / "robot")
+    (folder / "arena_landmarks.txt").write_text("L C 1291.0\t1881.0\t55.0\nL C 482 682 55\n# x\n")
+    with Lego(path=folder) as source:
+        marks = source.true_landmarks()
+        assert [s.count for s in source.streams() if s.type == "cylinders"] == [2]
+    assert [m.kind for m in marks] == ["cylinder", "cylinder"]
+    np.testing.assert_allclose([m.position for m in marks], [[1.291, 1.881], [0.482, 0.682]])
 
 
 @pytest.mark.real

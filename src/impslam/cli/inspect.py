@@ -13,7 +13,7 @@ from impslam.cli.progress import display, follow
 if TYPE_CHECKING:
     from impslam.cli.survey import Beams, Survey
     from impslam.config import Config
-    from impslam.sources.base import Problems, Source, Stream
+    from impslam.sources.base import Problems, Stream
 
 
 def inspect(
@@ -50,7 +50,7 @@ def inspect(
         console.say(f"reads: {chosen_streams}")
     _show_clocks(survey)
     console.show_facts(_scan_facts(survey.beams) | _motion_facts(survey, chosen))
-    _show_problems(source, survey.problems)
+    _show_problems(source.problems, survey.unused, survey.problems)
 
 
 def _show_streams(streams: list[Stream]) -> None:
@@ -82,6 +82,8 @@ def _show_clocks(survey: Survey) -> None:
     ]
     header = ("message", "count", "Hz", "seconds", "longest gap, s", "backward", "repeated")
     console.show_table(header, rows, numbers=6)
+    if any(clock.backward for clock in survey.clocks.values()):
+        console.say("backward stamps are no problem by themselves: the order is that of the log")
 
 
 def _scan_facts(beams: Beams) -> dict[str, str]:
@@ -108,12 +110,12 @@ def _motion_facts(survey: Survey, config: Config) -> dict[str, str]:
     return {"odometry": f"{config.odometry['kind']}, {way}, {turns}"}
 
 
-def _show_problems(source: Source, found: Problems) -> None:
+def _show_problems(*found: Problems) -> None:
     console.say()
-    for problems in (source.problems, found):
+    for problems in found:
         for kind, count in problems.counts.items():
             console.show_problem(kind, count, problems.examples[kind])
-    if not (source.problems.counts or found.counts):
+    if not any(problems.counts for problems in found):
         console.say("no problem found")
 
 

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from impslam.columns import Columns, messages
-from impslam.odometry.stream import OdometryStream
+from impslam.columns import Motions, Sweeps, messages
 from impslam.robot import Robot
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Problems, Source
-from impslam.types import LaserScan, Message
+from impslam.types import Array, LaserScan, Message
 
 MOSTLY = 0.5
 """Share of invalid beams above which a problem is reported."""
@@ -93,10 +92,17 @@ class Beams:
 
 
 class Survey:
-    """Reads every message of a log once, without keeping messages."""
+    """Reads every message of a log once, without keeping messages.
+
+    Attributes
+    ----------
+    clocks, beams : of the messages by type, and of the scans
+    way, rotation : m and rad of odometry, added up from scan to scan
+    problems, unused : what is wrong with the log as a whole, and rows that mapping would not use
+    """
 
     def __init__(self, robot: Robot) -> None:
-        self._robot, self._odometry = robot, OdometryStream(robot.odometry)
+        self._robot, self.unused = robot, robot.problems
         self.clocks: dict[str, Clock] = {}
         self.beams = Beams()
         self.way = self.rotation = 0.0
@@ -104,13 +110,14 @@ class Survey:
 
     def read(self, source: Source) -> Iterator[float]:
         """Read an open log; yield the stamps to show progress."""
+        self._robot.choose(source.defaults())
         for batch in source.batches():
-            for columns in batch.values():
-                if issubclass(columns.kind, self._robot.odometry.consumes):
-                    self._add_motion(columns)
+            self._add_motions(self._robot.sense(batch))
             for message in messages([batch]):
                 self._add(message)
                 yield message.stamp
+        self._add_motions(self._robot.flush())
+        self._add_steps(self._robot.ahead().d_pose[None])
         self._judge()
 
     def _add(self, message: Message) -> None:
@@ -119,12 +126,14 @@ class Survey:
             lidars = (s for s in self._robot.sensors.values() if isinstance(s, Lidar2D))
             self.beams.add(message, next(lidars, None))
 
-    def _add_motion(self, columns: Columns) -> None:
-        motions, faults, example = self._odometry.motions(columns)
-        if example:
-            self.problems.add("odometry", example, int(faults.sum()))
-        self.way += float(np.nansum(np.hypot(motions.d_pose[:, 0], motions.d_pose[:, 1])))
-        self.rotation += float(np.nansum(np.abs(motions.d_pose[:, 2])))
+    def _add_motions(self, sensed: Iterable[tuple[Motions, Sweeps]]) -> None:
+        """Add the motions from scan to scan: odometry that trembles in between is no way."""
+        for motions, _ in sensed:
+            self._add_steps(motions.d_pose)
+
+    def _add_steps(self, steps: Array) -> None:
+        self.way += float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+        self.rotation += float(np.abs(steps[:, 2]).sum())
 
     def _judge(self) -> None:
         """Record problems of the log as a whole."""

@@ -6,7 +6,7 @@ import math
 from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import Field, PrivateAttr, field_validator
+from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
 from impslam.columns import Columns, Scans, Sweeps, single_row
 from impslam.component import build, parameter, register
@@ -71,6 +71,15 @@ class Lidar2D(Sensor):
     def model_post_init(self, context: Any) -> None:
         """Start the clock."""
         self._clock = SweepClock(self.period)
+
+    @field_validator("range_min", "range_max")
+    @classmethod
+    def _is_a_range(cls, value: float, info: ValidationInfo) -> float:
+        if value < 0.0:
+            raise ValueError("Input should be at least 0")
+        if info.field_name == "range_max" and value <= info.data.get("range_min", math.nan):
+            raise ValueError(f"Input should be above range_min, {info.data['range_min']:g}")
+        return value
 
     @field_validator("extractors")
     @classmethod

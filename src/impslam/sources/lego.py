@@ -3,6 +3,9 @@
 `*_motors.txt` holds `M t left(4) right(4) third(4)` with the ticks in the first word of each four,
 `*_scan.txt` holds `S t n r0 ... r(n-1)`; times are in ms on one clock, ranges in mm.
 
+Where they exist, `*_reference.txt` holds the true positions as `P t x y` and `*landmarks.txt` the
+cylinders as `L C x y size`, in mm, in a frame of their own.
+
 The lectures pair the i-th M with the i-th S. But both are stamped when they arrive, unevenly and in
 streams of their own: so each keeps its own stamps here, and the files are merged by them. How late the
 lidar's are is a property of the robot (`latency` of its lidar).
@@ -17,18 +20,21 @@ from operator import attrgetter
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
+
 from impslam.component import register
 from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Stream
 from impslam.sources.parts import Located
 from impslam.sources.text import TextSource, beam_angles, beam_times, finite, head, numbers
-from impslam.types import LaserScan, Message, WheelAngles
+from impslam.types import LaserScan, Message, TrueLandmark, TruePose, WheelAngles
 
 STEP = 2.0 * math.pi / 1024.0  # rad, beams of a URG-04LX
 MOUNT = math.radians(-4.0)  # rad; the format's beam angles include the turn of the mount
 START = -330.0 * STEP + MOUNT
 BEAM_TIME = 60.0 / 600.0 / 1024.0  # s; 600 rpm
 RANGE_MIN = 0.02  # m; below are error codes
+SCORING = "for scoring only"
 
 
 @register("lego")
@@ -46,17 +52,38 @@ class Lego(TextSource):
         runs = _runs(self.path)
         if not runs:
             raise SourceError(f"{self.path}: no *_motors.txt with its *_scan.txt; check the folder")
-        return list(runs[0])
+        motors, scans = runs[0]
+        reference = motors.with_name(motors.name.replace("_motors.txt", "_reference.txt"))
+        return [motors, scans, *([reference] if reference.is_file() else [])]
 
     def _messages(self) -> Iterator[Located]:
-        motors, scans = self._files()
+        motors, scans, *reference = self._files()
         wheels = self._read(motors, b"M", _wheels)
         sweeps = self._read(scans, b"S", self._scan)
         # Lines are not sorted within a file; merging only says whose turn it is.
-        yield from heapq.merge(wheels, sweeps, key=attrgetter("message.stamp"))
+        truth = (self._read(path, b"P", _position, checked=False) for path in reference)
+        yield from heapq.merge(wheels, sweeps, *truth, key=attrgetter("message.stamp"))
+
+    def true_landmarks(self) -> list[TrueLandmark]:
+        """Return the cylinders of the folder, by their centres."""
+        lines = [
+            line.split()
+            for path in sorted(self.path.glob("*landmarks.txt"))
+            for line in path.read_bytes().splitlines()
+        ]
+        centres = [1e-3 * numbers(t[2:4]) for t in lines if t[:2] == [b"L", b"C"] and len(t) > 3]
+        return [
+            TrueLandmark(f"cylinder {number}", "cylinder", centre, {})
+            for number, centre in enumerate(centres, 1)
+            if np.isfinite(centre).all()
+        ]
 
     def _read(
-        self, path: Path, tag: bytes, convert: Callable[[list[bytes]], Message]
+        self,
+        path: Path,
+        tag: bytes,
+        convert: Callable[[list[bytes]], Message],
+        checked: bool = True,
     ) -> Iterator[Located]:
         for number, line in self._lines(path):
             tokens = line.split()
@@ -67,7 +94,7 @@ class Lego(TextSource):
             except (ValueError, IndexError, MessageError) as error:
                 self._reject(f"{tag.decode()} line", path, number, error)
             else:
-                yield Located(message, number, path.name)
+                yield Located(message, number, path.name, checked=checked)
 
     def _scan(self, tokens: list[bytes]) -> LaserScan:
         n = int(tokens[2])
@@ -81,7 +108,7 @@ class Lego(TextSource):
 
     def streams(self) -> list[Stream]:
         """Return the files of the run in use, and others that are there."""
-        motors, scans = self._files()
+        motors, scans, *_ = self._files()
         found = [
             Stream(
                 motors.name,
@@ -95,7 +122,10 @@ class Lego(TextSource):
         ]
         for path in sorted(self.path.glob("*_reference.txt")):
             count = self._first_words(path)["P"]
-            found.append(Stream(path.name, "positions", count, used=False, note="for scoring only"))
+            found.append(Stream(path.name, "TruePose", count, used=False, note=SCORING))
+        for path in sorted(self.path.glob("*landmarks.txt")):
+            count = self._first_words(path)["L"]
+            found.append(Stream(path.name, "cylinders", count, used=False, note=SCORING))
         for run in _runs(self.path)[1:]:
             found += [Stream(p.name, "text", None, used=False, note="another run") for p in run]
         return found
@@ -111,6 +141,12 @@ def _wheels(tokens: list[bytes]) -> WheelAngles:
     stamp, left, right = float(tokens[1]) / 1000.0, float(tokens[2]), float(tokens[6])
     finite("stamp or ticks", stamp, left, right)
     return WheelAngles(stamp, left, right)
+
+
+def _position(tokens: list[bytes]) -> TruePose:
+    stamp, x, y = (float(token) / 1000.0 for token in tokens[1:4])
+    finite("stamp or position", stamp, x, y)
+    return TruePose(stamp, np.array([x, y, math.nan]))
 
 
 def _runs(folder: Path) -> list[tuple[Path, Path]]:

@@ -24,6 +24,7 @@ import numpy as np
 from impslam.columns import Motions, Sweeps
 from impslam.component import build
 from impslam.geometry.se2 import between, compose
+from impslam.health import PUSHED, SLIPPED, STALLED
 from impslam.open_log import open_log
 from impslam.robot import Robot
 from impslam.tracking.base import KeyframeGate, Tracker
@@ -31,6 +32,7 @@ from impslam.types import Array
 
 KINDS = ("odometry", "scan_to_map")
 SECONDS = 30.0
+AGAINST = (SLIPPED, PUSHED, STALLED)
 Sensed = list[tuple[Motions, Sweeps]]
 
 
@@ -71,7 +73,7 @@ def follow(kind: str, sensed: Sensed) -> tuple[Array, Array, int, float]:
     seconds = time.process_time() - begin
     pose, stamps, poses, contradicted = np.zeros(3), [], [], 0
     for track in tracks:
-        contradicted += int(track.contradicted.sum())
+        contradicted += sum(reason in AGAINST for reason in track.reasons.tolist())
         for stamp, T in zip(track.stamps, track.T_anchor_base, strict=True):
             stamps.append(stamp)
             poses.append(compose(pose, T))
@@ -79,7 +81,7 @@ def follow(kind: str, sensed: Sensed) -> tuple[Array, Array, int, float]:
             pose = compose(pose, track.keyframe.motion.d_pose)
             stamps.append(track.keyframe.stamp)
             poses.append(compose(pose, track.keyframe.T_keyframe_stamp))
-            contradicted += track.keyframe.contradicted
+            contradicted += track.keyframe.reason in AGAINST
     return np.array(stamps), np.array(poses), contradicted, seconds
 
 

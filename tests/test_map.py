@@ -76,8 +76,10 @@ def track(anchor, m=2):
     stamps = anchor + (1.0 + np.arange(m)) / (m + 1)
     steps = np.column_stack([0.1 * (1.0 + np.arange(m)), np.zeros((m, 2))])
     spread = np.broadcast_to(1e-4 * EYE, (m, 3, 3))
-    flags = np.zeros(m, bool)
-    return Track(anchor, stamps, steps, spread, steps, no_sweeps(), slice(0, m), flags, flags, None)
+    return Track(
+        *(anchor, stamps, steps, spread, steps, no_sweeps(), slice(0, m)),
+        *(np.zeros(m, bool), np.zeros(m, np.int8), np.zeros(m), None),
+    )
 
 
 def revision(ids, poses):

@@ -19,6 +19,7 @@ from impslam.errors import ImpError
 from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import compose, inverse
+from impslam.health import NONE, Reasons
 from impslam.maps import archive, layout
 from impslam.maps.direction import Direction, main_direction
 from impslam.maps.grid import OccupancyGrid, PlacedScans
@@ -72,12 +73,13 @@ class Keyframe:
     odometry : (3,) `T_odom_base` at `stamp`, dead reckoning from the start of the run
     T_keyframe_stamp, stamp_covariance : (3,), (3, 3) motion from the sweep's middle to `stamp`
     sweeps, row : the sweep is this row of its sensor's data
-    contradicted : whether the scans contradict odometry; the motion is then that of the scans
     scan : the sweep in base_link at its middle, None for a sensor that has none
     observations : landmarks that the extractors found in the scan
     located : whether the tracker's match of the scan tells where the robot is, along both axes
     lost : whether the motion from the previous keyframe is unknown: the keyframe begins a session,
         which is no part of the map until it is found where it lies. `motion` is a guess, or NaN
+    reason, amount : why the pose cannot be trusted, and the way or share that goes with it; see
+        `impslam.health`
     """
 
     id: int
@@ -88,11 +90,12 @@ class Keyframe:
     stamp_covariance: Array
     sweeps: Sweeps
     row: int
-    contradicted: bool = False
     scan: Scan | None = None
     observations: tuple[Observation, ...] = ()
     located: bool = False
     lost: bool = False
+    reason: int = NONE
+    amount: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,8 +110,8 @@ class Track:
     covariance : (m, 3, 3) of that motion
     odometry : (m, 3) `T_odom_base` at these stamps
     sweeps, rows : the m sweeps are these rows of their sensor's data
-    contradicted : (m,) whether the scans show another motion than odometry at each of them
     located : (m,) whether the tracker's match of each tells where the robot is, along both axes
+    reasons, amounts : (m,) why each pose cannot be trusted, and the way or share that goes with it
     keyframe : the keyframe that ends the track, None if the track continues
     """
 
@@ -119,8 +122,9 @@ class Track:
     odometry: Array
     sweeps: Sweeps
     rows: slice
-    contradicted: Mask
     located: Mask
+    reasons: Reasons
+    amounts: Array
     keyframe: Keyframe | None
 
 

@@ -25,6 +25,7 @@ from impslam.config import Config
 from impslam.errors import SourceError, in_a_line
 from impslam.estimators.base import Draft
 from impslam.geometry.se2 import compose, compose_uncertain
+from impslam.health import UNEXPLAINED
 from impslam.map import Keyframe, Keyframes, Map, PathRows, T_map_odom, Track
 from impslam.map_builder import MapBuilder, blended
 from impslam.observers.base import Dropped, Observer, Outcome
@@ -159,7 +160,9 @@ class Run:
                 observer.follow(track, path)
 
     def _look(self, keyframe: Keyframe) -> Keyframe:
-        """Return the keyframe with its scan and observations."""
+        """Return the keyframe with its scan and observations; without, if the scan does not fit."""
+        if keyframe.reason == UNEXPLAINED:
+            return keyframe
         with self.clock("look"):
             sweeps, row = keyframe.sweeps, keyframe.row
             seen = self.robot.look(sweeps, row, self._rng)

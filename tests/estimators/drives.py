@@ -66,7 +66,9 @@ def keyframe(k, d_pose, scan=None, seen=()):
     """Return keyframe k, a second after the one before."""
     motion = Increment(float(k), np.array(d_pose, float), np.diag(SIGMA**2), 1.0)
     none = np.zeros((3, 3))
-    return Keyframe(k, float(k), motion, none[0], none[0], none, None, 0, False, scan, tuple(seen))
+    return Keyframe(
+        k, float(k), motion, none[0], none[0], none, None, 0, scan=scan, observations=tuple(seen)
+    )
 
 
 def keyframes(plan, truth, drift=(0.0, 0.0, 0.0), noise=0.01, rng=None):

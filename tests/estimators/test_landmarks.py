@@ -35,9 +35,7 @@ def estimator(belief, lifecycle=None):
 def keyframe(motion, seen=(), scan=None):
     """Return a keyframe; its stamp is the motion's."""
     none = np.zeros((3, 3))
-    return Keyframe(
-        0, motion.stamp, motion, none[0], none[0], none, None, 0, False, scan, tuple(seen)
-    )
+    return Keyframe(0, motion.stamp, motion, none[0], none[0], none, None, 0, scan, tuple(seen))
 
 
 @pytest.fixture(params=sorted(components("filter")))

@@ -84,7 +84,7 @@ class Scripted:
             spread = (of_motion.T @ (result.covariance - known) @ of_motion)[None]
             track = Track(
                 self._count - 1, np.array([result.stamp]), T, spread, result.odometry[None],
-                sweeps, slice(0, 1), np.zeros(1, bool), np.zeros(1, bool), None,
+                sweeps, slice(0, 1), np.zeros(1, bool), np.zeros(1, np.int8), np.zeros(1), None,
             )  # fmt: skip
             path = self.builder.follow(track)
             for observer in self.observers:
@@ -94,7 +94,7 @@ class Scripted:
         none = np.zeros((3, 3))
         keyframe = Keyframe(
             self._count, result.stamp, Increment.none(result.stamp), result.odometry, none[0],
-            none, sweeps, 0, False, result.scan,
+            none, sweeps, 0, result.scan,
         )  # fmt: skip
         revision = Revision(
             np.array([self._count]), result.pose[None], result.covariance[None], result.matches,

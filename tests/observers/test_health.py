@@ -1,55 +1,91 @@
-"""Health: why a pose is unreliable, and that it does not matter how a log is cut."""
+"""Health: why a pose cannot be trusted, and that it does not matter how a log is cut."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from impslam.health import ELSEWHERE, NONE, OPEN, STALLED, UNEXPLAINED, Health, words
 from impslam.map import PathRows
 from impslam.observers.health import HealthMonitor
 
 
-def watch(spreads, cuts, *, valid=None, contradicted=None, located=None):
+def watch(spreads, cuts, *, valid=None, reasons=None, located=None, monitor=None):
     """Let a robot drive 1 m a scan with these position variances; return the monitor's health."""
     n = len(spreads)
     poses = np.column_stack((np.arange(n), np.zeros((n, 2)))).astype(float)
     covariances = np.array(spreads)[:, None, None] * np.full((3, 3), 0.5)
     valid = np.ones((n, 3), bool) if valid is None else valid
-    contradicted = np.zeros(n, bool) if contradicted is None else contradicted
+    reasons = np.array([NONE] * n if reasons is None else reasons, np.int8)
     located = np.zeros(n, bool) if located is None else located
-    monitor = HealthMonitor()
+    monitor = monitor or HealthMonitor()
     for a, b in zip((0, *cuts), (*cuts, n), strict=True):
         rows = slice(a, b)
-        sweeps = SimpleNamespace(scans=SimpleNamespace(valid=valid))
         track = SimpleNamespace(
-            sweeps=sweeps, rows=rows, contradicted=contradicted[rows], located=located[rows]
+            sweeps=SimpleNamespace(scans=SimpleNamespace(valid=valid)),
+            rows=rows,
+            reasons=reasons[rows],
+            amounts=0.1 * reasons[rows],
+            located=located[rows],
         )
         path = PathRows(10.0 + np.arange(n)[rows], poses[rows], covariances[rows], poses[rows])
         monitor.follow(track, path)
     return monitor.health
 
 
+def why(health):
+    """Return the reason of the newest scan."""
+    return words(int(health.reasons[-1]), float(health.amounts[-1]))
+
+
 @pytest.mark.parametrize("cuts", [(), (1,), (1, 2, 3, 4), (3,)])
 def test_growth_since_the_first_pose_counts_and_no_cut_of_the_log(cuts):
     health = watch([9.0, 9.04, 9.09, 9.16, 9.0], cuts)
-    assert (health.unreliable, health.stamp) == (2, 12.0)
-    assert health.first == "nothing known was seen for 2.0 m, position uncertain by 0.3 m"
-    assert health.at_end == ""
+    (span,) = health.spans()
+    assert (span.begin, span.end, span.scans, span.state) == (12.0, 13.0, 2, "DEGRADED")
+    assert span.words == "nothing known was seen for 3.0 m; the position is uncertain"
+    assert health.counts() == {"TRACKING": 3, "DEGRADED": 2, "LOST": 0}
+    assert why(health) == ""
 
 
 def test_the_most_severe_reason_is_told():
-    blind, doubt = np.zeros((3, 3), bool), np.ones(3, bool)
-    assert "not finite" in watch([1.0, 1.0, np.inf], (), valid=blind, contradicted=doubt).at_end
-    assert "nothing known was seen" in watch([0.0, 1.0, 1.0], (), contradicted=doubt).at_end
-    assert "another motion" in watch([0.0, 0.0, 0.0], (), valid=blind, contradicted=doubt).at_end
-    assert "no valid range" in watch([0.0, 0.0, 0.0], (), valid=blind).at_end
-    assert watch([0.0, 0.0, 0.0], ()).summary == "reliable throughout"
+    blind, doubt = np.zeros((3, 3), bool), [STALLED] * 3
+    assert "not finite" in why(watch([1.0, 1.0, np.inf], (), valid=blind, reasons=doubt))
+    assert "nothing known was seen" in why(watch([0.0, 1.0, 1.0], (), reasons=doubt))
+    assert "the wheels turn" in why(watch([0.0, 0.0, 0.0], (), valid=blind, reasons=doubt))
+    assert "the lidar sees nothing" in why(watch([0.0, 0.0, 0.0], (), valid=blind))
+    assert "40 % of the scan" not in why(watch([0.0, 9.0], (), reasons=[NONE, OPEN]))
+    assert watch([0.0, 0.0, 0.0], ()).summary == "TRACKING throughout"
 
 
 @pytest.mark.parametrize("cuts", [(), (2,), (1, 2, 3, 4)])
 def test_growth_since_the_last_match_counts(cuts):
     """Two located scans start afresh; 2 m after the second, 0.3 m are uncertain again."""
     located = np.array([False, True, True, False, False])
-    health = watch([9.0, 9.5, 10.0, 10.04, 10.09], cuts, located=located)
-    assert (health.unreliable, health.stamp) == (1, 14.0)
-    assert health.first == "nothing known was seen for 2.0 m, position uncertain by 0.3 m"
+    (span,) = watch([9.0, 9.5, 10.0, 10.04, 10.09], cuts, located=located).spans()
+    assert (span.begin, span.scans) == (14.0, 1)
+    assert span.words == "nothing known was seen for 2.0 m; the position is uncertain"
+
+
+@pytest.mark.parametrize("cuts", [(), (2,), (1, 2, 3)])
+def test_a_robot_that_is_lost_stays_so_until_a_place_is_recognised(cuts):
+    monitor = HealthMonitor()
+    health = watch([0.0] * 4, cuts, reasons=[NONE, UNEXPLAINED, ELSEWHERE, NONE], monitor=monitor)
+    assert health.states.tolist() == [0, 1, 2, 2]
+    assert why(health) == "only 80 % of the scan fits the map: the robot is elsewhere"
+    sweep = SimpleNamespace(scan=None, reason=NONE, amount=0.0, located=True)
+    path = PathRows(np.array([14.0]), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3)))
+    for ids, state in (([4], 2), ([3, 4], 0)):
+        monitor.revise(sweep, SimpleNamespace(ids=ids, matches=()), path)
+        assert monitor.health.states[-1] == state
+
+
+def test_spans_tell_the_worst_way_and_the_least_share():
+    reasons = np.array([OPEN, OPEN, NONE, UNEXPLAINED, UNEXPLAINED], np.int8)
+    health = Health(np.arange(5.0), reasons, np.array([1.0, 2.0, 0.0, 0.12, 0.3]))
+    assert [span.words for span in health.spans()] == [
+        "nothing to see along the corridor for 2.0 m",
+        "only 12 % of the scan fits the map; the map takes in nothing",
+    ]
+    assert health.summary.startswith("TRACKING at 1 scans, DEGRADED at 4 scans; longest at 0.000 s")
+    assert health.summary.endswith("at the end DEGRADED: " + list(health.spans())[1].words)

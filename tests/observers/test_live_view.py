@@ -397,7 +397,7 @@ def test_a_picture_of_the_map_before_is_not_shown(monkeypatch):
     assert view.snapshot().grid.size == (1, 1)  # nothing is known of it
 
 
-# --------------------------------------------------------------------------- lost
+# --------------------------------------------------------------------------- health
 
 
 class Words(Observer):
@@ -408,11 +408,11 @@ class Words(Observer):
 
     def follow(self, track, path):
         self._monitor.follow(track, path)
-        self.said.append(self._monitor.health.at_end)
+        self.said.append(self._monitor.newest[1])
 
     def revise(self, keyframe, revision, path):
         self._monitor.revise(keyframe, revision, path)
-        self.said.append(self._monitor.health.at_end)
+        self.said.append(self._monitor.newest[1])
 
 
 def said(*results, keyframe=True):
@@ -443,7 +443,7 @@ def test_a_robot_that_recognises_nothing_says_so_once_it_matters(keyframe):
     reasons = said(still(3.0), *drive, keyframe=keyframe)[1:]
     assert reasons[24] == ""
     assert "nothing known was seen for" in reasons[25]
-    assert "uncertain by 0.3 m" in reasons[26]
+    assert "for 2.7 m" in reasons[26]
     assert said(still(3.0), *drive, still(5.0))[-1] == ""
 
 
@@ -452,7 +452,7 @@ def test_a_standing_robot_without_landmarks_is_not_lost():
 
 
 def test_a_blind_lidar_and_a_broken_estimate_are_told():
-    assert "no valid range" in said(still(0.1, matched=False, seen=False))[0]
+    assert "the lidar sees nothing" in said(still(0.1, matched=False, seen=False))[0]
     assert "not finite" in said(still(np.nan))[0]
 
 
@@ -529,4 +529,4 @@ def test_a_result_without_numbers_does_not_break_the_view():
     run.step(
         replace(next(make_results(1)), pose=np.full(3, np.nan), covariance=np.full((3, 3), np.nan))
     )
-    assert "not finite" in view.snapshot().lost
+    assert "not finite" in view.snapshot().why

@@ -47,7 +47,8 @@ def test_the_path_comes_back_in_order_at_the_logs_stamps(folder):
 
 def test_the_table_holds_the_covariance(folder):
     table = np.genfromtxt(folder / "trajectory.csv", delimiter=",", names=True)
-    assert table.dtype.names == ("stamp", "x", "y", "theta", "xx", "xy", "xt", "yy", "yt", "tt")
+    names = ("stamp", "x", "y", "theta", "xx", "xy", "xt", "yy", "yt", "tt", "health")
+    assert table.dtype.names == names
     for row, result in zip(table, runs.make_results(), strict=True):
         np.testing.assert_allclose(row["yy"], result.covariance[1, 1], rtol=1e-9)
         np.testing.assert_allclose(row["tt"], result.covariance[2, 2], rtol=1e-9)

@@ -10,6 +10,7 @@ from tests.tracking.sweeps import motions_of, steps, sweeps_of
 
 from impslam.geometry.algebra import invert, solve
 from impslam.geometry.se2 import between, compose
+from impslam.health import SLIPPED
 from impslam.noise import UNKNOWN, MotionNoise
 from impslam.tracking.base import KeyframeGate
 from impslam.tracking.learned_odometry import START
@@ -116,7 +117,7 @@ def test_a_lap_is_followed_without_drift(rng, laser, upside_down):
     _, out, off = drive(poses, told(poses, error), scans)
     assert_near(off, 0.015, 0.006)
     assert out.located[1:].all()
-    assert not out.contradicted.any()
+    assert not out.reasons.any()
     for covariance in out.covariance[1:]:
         assert_spd(covariance)
 
@@ -241,10 +242,10 @@ def test_a_slip_is_found_again(slip):
     _, out, off = drive(poses, told(poses, error), seen(poses))
     assert_near(off[:20], 0.01, 0.005)
     assert_near(off[24:], 0.03, 0.01)
-    assert out.contradicted[20] == (
+    assert (out.reasons[20] == SLIPPED) == (
         abs(slip[2]) > 0.0
     )  # half a metre of way may be half a metre off
-    assert not np.delete(out.contradicted, [19, 20, 21]).any()
+    assert not np.delete(out.reasons, [19, 20, 21]).any()
     assert out.located[25:].all()
 
 
@@ -376,7 +377,7 @@ def test_the_first_scan_returns_the_increment():
     np.testing.assert_allclose(out.d_pose[0], given.d_pose, atol=1e-15)
     np.testing.assert_allclose(out.covariance[0], given.covariance, atol=1e-12)
     assert out.reference[0]
-    assert not out.contradicted[0]
+    assert not out.reasons[0]
 
 
 @pytest.mark.parametrize("beams", [0, 1, 9])
@@ -434,7 +435,7 @@ def test_a_lidar_of_8_beams_is_odometry_or_better(rng):
     out = steps(ScanToMap(), increments, scans)
     np.testing.assert_allclose(out.moved[1:], [i.d_pose for i in increments[1:]], atol=1e-9)
     assert not out.located.any()
-    assert not out.contradicted.any()
+    assert not out.reasons.any()
 
 
 def test_a_lidar_of_24_beams_does_no_harm(rng):

@@ -9,7 +9,7 @@ import numpy as np
 
 from impslam.errors import ImpError
 from impslam.evaluation.landmark_files import TRUE_LANDMARKS, read_true_landmarks
-from impslam.evaluation.tum import PATH_COLUMNS, TRUTH, read_numbers, read_tum
+from impslam.evaluation.tum import HEALTH_COLUMN, PATH_COLUMNS, TRUTH, read_numbers, read_tum
 from impslam.map import Map
 from impslam.maps.files import read_landmarks
 from impslam.types import Array, Landmark, TrueLandmark
@@ -62,7 +62,10 @@ def read_run(place: Path) -> RecordedRun:
 
 def _covariances(table: Path, path: Array) -> Array:
     """Return the covariances (n, 3, 3) of the poses of a path (n, 4)."""
-    rows = np.array(list(read_numbers(table, 10, PATH_COLUMNS, head=PATH_COLUMNS))).reshape(-1, 10)
+    with table.open(encoding="utf-8", errors="replace") as stream:
+        told = stream.readline().rstrip().endswith(f",{HEALTH_COLUMN}")
+    head, n = (f"{PATH_COLUMNS},{HEALTH_COLUMN}", 11) if told else (PATH_COLUMNS, 10)
+    rows = np.array(list(read_numbers(table, n, head, head=head))).reshape(-1, n)
     if not np.array_equal(rows[:, 0], path[:, 0]):
         raise ImpError(f"{table}: has other stamps than trajectory.tum; run the log again")
-    return rows[:, 4:][:, SYMMETRIC].reshape(-1, 3, 3)
+    return rows[:, 4:10][:, SYMMETRIC].reshape(-1, 3, 3)

@@ -19,6 +19,8 @@ TRUTH = "truth.tum"
 """The true path in a run folder, where the log holds it, in the log's own frame."""
 PATH_COLUMNS = "stamp,x,y,theta,xx,xy,xt,yy,yt,tt"
 """Columns of trajectory.csv: m, rad, s; xx to tt are the pose covariance's distinct entries."""
+HEALTH_COLUMN = "health"
+"""The last column where a run is told of: 0 TRACKING, 1 DEGRADED, 2 LOST."""
 
 
 _ROW = "%.9f %.9f %.9f 0 0 0 %.12f %.12f\n"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from impslam.health import ALL_WELL, Health
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.types import Array, TruePose
 
@@ -17,36 +18,6 @@ class Dropped:
 
     count: int
     example: str
-
-
-@dataclass(frozen=True, slots=True)
-class Health:
-    """Reliability of the pose estimate over a run.
-
-    Attributes
-    ----------
-    unreliable : number of scans at which the pose was unreliable
-    stamp, first : s, stamp of the first of these scans, and the reason
-    at_end : the reason at the end of the run, "" if the pose is reliable there
-    """
-
-    unreliable: int = 0
-    stamp: float = float("nan")
-    first: str = ""
-    at_end: str = ""
-
-    @property
-    def summary(self) -> str:
-        """One line for the report and the terminal."""
-        if not self.unreliable:
-            return "reliable throughout"
-        text = f"unreliable at {self.unreliable} scans, first at {self.stamp:.3f} s: {self.first}"
-        return text + (
-            f"; at the end: {self.at_end}" if self.at_end else "; reliable again at the end"
-        )
-
-
-RELIABLE = Health()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +35,7 @@ class Outcome:
     log_seconds : from the first to the last message in use, corrected for clocks that were set
     wall_seconds : duration of the run
     state_size : number of scalars in the filter state at the end
-    health : reliability of the pose estimate
+    health : whether the pose can be trusted, scan by scan
     lidar_alone : whether the run had no odometry
     partial : why the run is not whole and where in the log it ended, "" for a whole one
     """
@@ -78,7 +49,7 @@ class Outcome:
     log_seconds: float
     wall_seconds: float
     state_size: int
-    health: Health = RELIABLE
+    health: Health = ALL_WELL
     lidar_alone: bool = False
     partial: str = ""
 

@@ -1,4 +1,4 @@
-"""Monitors whether the pose estimate is reliable."""
+"""Records of every scan whether its pose can be trusted, and why not."""
 
 from __future__ import annotations
 
@@ -7,80 +7,99 @@ import math
 import numpy as np
 
 from impslam.geometry.kernels import kernel
+from impslam.growing import GrowingArray
+from impslam.health import BLIND, ELSEWHERE, GROWN, NONE, NOT_FINITE, Health, Reasons, words
 from impslam.map import Keyframe, PathRows, Revision, Track
-from impslam.observers.base import RELIABLE, Health, Observer
+from impslam.observers.base import Observer
 from impslam.types import Array, Mask
 
-LOST = 0.25
+UNCERTAIN = 0.25
 """m, 1 sigma: beyond this a landmark in a room may be mistaken for another one, because landmarks are
 0.5 m or more apart."""
-NOT_FINITE, GROWN, CONTRADICTED, BLIND = 1, 2, 3, 4
-"""Why a pose is unreliable, the most severe reason first; 0 is reliable."""
 
 
 class HealthMonitor(Observer):
-    """Reports when the pose estimate is unreliable, and why.
+    """Joins what the tracker tells of each scan with what the estimate tells.
 
-    A pose is unreliable if its covariance is not finite, if the position uncertainty has grown by
-    more than `LOST` since the last match (of a landmark, of a scan with a map, or of a place), if scans
-    contradict odometry, or if a scan has no valid beam. The growth counts, not the uncertainty
-    itself, which is large far from the start; a robot that stands still may see no landmark for long.
+    The estimate tells that it is not finite, that the position uncertainty has grown by more than
+    `UNCERTAIN` since the last match (of a landmark, of a scan with a map, or of a place), or that a scan
+    has no valid beam. The growth counts, not the uncertainty itself, which is large far from the start;
+    a robot that stands still may see no landmark for long. A robot that is lost stays so until a place
+    is recognised.
     """
 
     def __init__(self) -> None:
-        self._walked = np.zeros(4)  # x, y of the last pose, way since a match, variance there
+        # x, y of the last pose, way since a match, variance there, share that fitted when it was lost
+        self._walked = np.array([0.0, 0.0, 0.0, 0.0, np.nan])
         self._fresh = True  # no pose yet, or landmarks were recognised
-        self._count = 0
-        self._first = RELIABLE
-        self._at_end = 0, 0.0, 0.0
+        self._stamps, self._amounts = GrowingArray(), GrowingArray()
+        self._reasons = GrowingArray(dtype=np.int8)
 
     @property
     def health(self) -> Health:
-        """Health of the run so far; `at_end` is why the newest pose is unreliable, or ""."""
-        first = self._first
-        return Health(self._count, first.stamp, first.first, _reason(*self._at_end))
+        """Health of all scans so far."""
+        return Health(self._stamps.array, self._reasons.array, self._amounts.array)
+
+    @property
+    def newest(self) -> tuple[int, str]:
+        """The reason of the newest scan, and its words."""
+        if not len(self._reasons):
+            return NONE, ""
+        reason = int(self._reasons.array[-1])
+        return reason, words(reason, float(self._amounts.array[-1]))
 
     def follow(self, track: Track, path: PathRows) -> None:
-        """Check the poses of a track."""
+        """Record the scans of a track."""
         scans = track.sweeps.scans
-        valid = (
-            np.ones((len(path.stamps), 1), np.bool_) if scans is None else scans.valid[track.rows]
-        )
-        self._check(path, valid, track.contradicted.copy(), track.located.copy())
+        valid = np.ones((len(path.stamps), 1), np.bool_)
+        if scans is not None:
+            valid = scans.valid[track.rows]
+        seen = np.asarray(valid.any(axis=1))
+        self._record(path, seen, track.reasons.copy(), track.amounts.copy(), track.located.copy())
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
-        """Check the pose of a keyframe."""
-        if revision.matches or len(revision.ids) > 1:  # landmarks, or a place known
+        """Record the scan of a keyframe."""
+        if len(revision.ids) > 1:  # a place was recognised
+            self._walked[4] = np.nan
+        if revision.matches or len(revision.ids) > 1:
             self._fresh = True
-        valid = np.ones(1, np.bool_) if keyframe.scan is None else keyframe.scan.valid
-        self._check(
-            path, valid[None], np.array([keyframe.contradicted]), np.array([keyframe.located])
+        seen = keyframe.scan is None or bool(keyframe.scan.valid.any())
+        self._record(
+            path,
+            np.array([seen]),
+            np.array([keyframe.reason], np.int8),
+            np.array([keyframe.amount]),
+            np.array([keyframe.located]),
         )
 
-    def _check(self, path: PathRows, valid: Mask, contradicted: Mask, fresh: Mask) -> None:
+    def _record(
+        self, path: PathRows, seen: Mask, reasons: Reasons, amounts: Array, fresh: Mask
+    ) -> None:
         fresh[:1] |= self._fresh
-        reasons, facts = _judge(
-            self._walked, fresh, path.poses, path.covariances, valid, contradicted
-        )
         self._fresh = False
-        if not self._count and reasons.any():
-            k = int(np.argmax(reasons != 0))
-            reason = _reason(int(reasons[k]), *facts[k].tolist())
-            self._first = Health(1, float(path.stamps[k]), reason)
-        self._count += int(np.count_nonzero(reasons))
-        self._at_end = int(reasons[-1]), *facts[-1].tolist()
+        _judge(self._walked, fresh, path.poses, path.covariances, seen, reasons, amounts)
+        m = len(reasons)
+        self._stamps.append(path.stamps, m)
+        self._reasons.append(reasons, m)
+        self._amounts.append(amounts, m)
 
 
 @kernel
 def _judge(
-    walked: Array, fresh: Mask, poses: Array, covariances: Array, valid: Mask, contradicted: Mask
-) -> tuple[np.ndarray, Array]:
-    """Return why each of m poses is unreliable, and (m, 2) m: way and growth of sigma since a match.
+    walked: Array,
+    fresh: Mask,
+    poses: Array,
+    covariances: Array,
+    seen: Mask,
+    reasons: Reasons,
+    amounts: Array,
+) -> None:
+    """Put in place of the tracker's m reasons (m,) and amounts (m,) what is worse.
 
-    walked (4,) is x, y of the last pose, the way since the last match and the variance there; it is
-    carried on. fresh (m,): which poses are those of a match.
+    walked (5,) is x, y of the last pose, the way since the last match, the variance there, and the share
+    that fitted when the robot was lost, NaN if it is not; it is carried on. fresh (m,): which poses are
+    those of a match; seen (m,): which scans have a valid beam.
     """
-    reasons, facts = np.zeros(len(poses), np.int8), np.empty((len(poses), 2))
     for k in range(len(poses)):
         variance = covariances[k, 0, 0] + covariances[k, 1, 1]
         if fresh[k]:
@@ -88,23 +107,14 @@ def _judge(
         else:
             walked[2] += math.hypot(poses[k, 0] - walked[0], poses[k, 1] - walked[1])
         walked[0], walked[1] = poses[k, 0], poses[k, 1]
-        facts[k] = walked[2], math.sqrt(max(variance - walked[3], 0.0))
+        grown = variance - walked[3] > UNCERTAIN**2
+        if reasons[k] == ELSEWHERE:
+            walked[4] = amounts[k]
         if not math.isfinite(variance):
-            reasons[k] = NOT_FINITE
-        elif facts[k, 1] > LOST:
-            reasons[k] = GROWN
-        elif contradicted[k]:
-            reasons[k] = CONTRADICTED
-        elif not valid[k].any():
-            reasons[k] = BLIND
-    return reasons, facts
-
-
-def _reason(reason: int, way: float, grown: float) -> str:
-    """Return why a pose is unreliable, or ""."""
-    return {
-        NOT_FINITE: "the estimate is not finite; start a new map",
-        GROWN: f"nothing known was seen for {way:.1f} m, position uncertain by {grown:.1f} m",
-        CONTRADICTED: "the scans show another motion than odometry; the pose follows the scans",
-        BLIND: "the scan has no valid range; the pose is dead-reckoned",
-    }.get(reason, "")
+            reasons[k], amounts[k] = NOT_FINITE, 0.0
+        elif not math.isnan(walked[4]):
+            reasons[k], amounts[k] = ELSEWHERE, walked[4]
+        elif grown and reasons[k] < GROWN:
+            reasons[k], amounts[k] = GROWN, walked[2]
+        elif not seen[k] and reasons[k] < BLIND:
+            reasons[k], amounts[k] = BLIND, 0.0

@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from impslam.geometry.se2 import compose, inverse, transform
+from impslam.health import DEGRADED, STATES, TRACKING, state_of
 from impslam.map import Keyframe, Keyframes, Map, PathRows, Revision, Track
 from impslam.map_builder import valid_points
 from impslam.maps.grid import OccupancyGrid
@@ -56,7 +57,8 @@ class Snapshot:
     points : (n, 2) float32 m in map, end points of the valid beams of the newest scan, empty if it
         is old
     grid : picture of the occupancy grid, None before the first; at most some seconds older than the pose
-    lost : why the pose is unreliable, "" if it is reliable
+    state : TRACKING, DEGRADED or LOST
+    why : why the pose cannot be trusted, "" if it can
     arrived : host time (`devices.base.now`) at which the newest scan arrived, NaN if unknown
     truth : (3,) the newest true pose from a log or a simulator, else None
     finished : whether the run is over
@@ -73,7 +75,8 @@ class Snapshot:
     landmarks: tuple[Landmark, ...]
     points: Points
     grid: GridPicture | None
-    lost: str
+    state: str
+    why: str
     arrived: float
     truth: Array | None
     finished: bool
@@ -82,8 +85,8 @@ class Snapshot:
 def _empty(version: int, run: int) -> Snapshot:
     nan, points, zero = float("nan"), np.empty((0, 2), np.float32), np.zeros(3)
     return Snapshot(
-        version, run, nan, 0, zero, np.zeros((3, 3)), zero, points, (), points, None, "", nan,
-        None, False,
+        version, run, nan, 0, zero, np.zeros((3, 3)), zero, points, (), points, None,
+        STATES[TRACKING], "", nan, None, False,
     )  # fmt: skip
 
 
@@ -174,11 +177,16 @@ class LiveView(Observer):
             self._read(),
             _moved(path.poses[-1], points),
             self._painted(),
-            self._health.health.at_end,
+            *self._state(),
             self._arrival(stamp),
             self._truth,
             finished=False,
         )
+
+    def _state(self) -> tuple[str, str]:
+        """Return the state of the newest scan, and why."""
+        reason, why = self._health.newest
+        return STATES[state_of(reason)], why
 
     def carry(self, path: PathRows, silent: float) -> None:
         """Show where dead reckoning says that the robot is after so many s without a scan."""
@@ -191,7 +199,8 @@ class LiveView(Observer):
             covariance=path.covariances[-1],
             odometry=path.odometry[-1],
             points=nothing,
-            lost=f"no usable scan for {max(silent, 1.0):.0f} s; the pose is dead-reckoned",
+            state=STATES[DEGRADED],
+            why=f"lidar silent for {max(silent, 1.0):.0f} s; the pose is dead-reckoned",
             arrived=float("nan"),
         )
 

@@ -9,8 +9,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from impslam.evaluation.tum import PATH_COLUMNS, write_tum
+from impslam.evaluation.tum import HEALTH_COLUMN, PATH_COLUMNS, write_tum
 from impslam.graph.g2o import G2o, write_g2o
+from impslam.health import Reasons
 from impslam.map import UPPER, Map, PathRows
 from impslam.maps.files import MapImage, write_landmarks, write_map
 
@@ -32,13 +33,22 @@ def together(*names: str) -> Iterator[None]:
     yield
 
 
-def write_map_files(folder: Path, known: Map, image: MapImage, keep: Keep = together) -> None:
-    """Write `MAP_FILES` into a folder, which exists; `image` is the map's grid."""
+def write_map_files(
+    folder: Path,
+    known: Map,
+    image: MapImage,
+    keep: Keep = together,
+    states: Reasons | None = None,
+) -> None:
+    """Write `MAP_FILES` into a folder, which exists; `image` is the map's grid.
+
+    `states` (m,) are those of the newest m sweeps, if a run tells of them; earlier ones are TRACKING.
+    """
     rows = known.rows()
     with keep("trajectory.tum"):
         write_tum(folder / "trajectory.tum", np.column_stack((rows.stamps, rows.poses)))
     with keep("trajectory.csv"):
-        _write_table(folder / "trajectory.csv", rows)
+        _write_table(folder / "trajectory.csv", rows, states)
     with keep("landmarks.csv"):
         write_landmarks(folder / "landmarks.csv", known.landmarks)
     if len(known.edges.i):
@@ -57,14 +67,22 @@ def _graph(known: Map) -> G2o:
     return G2o(ids, known.keyframes.poses[ids], edges._replace(i=i, j=j), first)
 
 
-_ROW = "%.9f,%.9f,%.9f,%.9f" + 6 * ",%.9e" + "\n"
+_ROW = "%.9f,%.9f,%.9f,%.9f" + 6 * ",%.9e"
 
 
-def _write_table(path: Path, rows: PathRows) -> None:
+def _write_table(path: Path, rows: PathRows, states: Reasons | None) -> None:
     spread = rows.covariances[:, UPPER[0], UPPER[1]]
-    values = np.column_stack((rows.stamps, rows.poses, spread))
+    values, head, row = np.column_stack((rows.stamps, rows.poses, spread)), PATH_COLUMNS, _ROW
+    if states is not None:
+        column = np.zeros(len(values))
+        column[len(values) - len(states) :] = states
+        values, head, row = (
+            np.column_stack((values, column)),
+            f"{head},{HEALTH_COLUMN}",
+            row + ",%d",
+        )
     with path.open("w", encoding="utf-8") as stream:
-        stream.write(PATH_COLUMNS + "\n")
+        stream.write(head + "\n")
         for begin in range(0, len(values), 1000):  # a Python number takes four times its own size
             some = values[begin : begin + 1000]
-            stream.write(_ROW * len(some) % tuple(some.ravel().tolist()))
+            stream.write(f"{row}\n" * len(some) % tuple(some.ravel().tolist()))

@@ -11,6 +11,7 @@ import numpy as np
 from impslam.maps.files import MapImage
 from impslam.observers import accuracy
 from impslam.observers.base import Outcome
+from impslam.observers.health_band import health_section
 from impslam.observers.history import History
 from impslam.observers.map_picture import Scene, map_png
 from impslam.observers.page import page, section
@@ -43,6 +44,7 @@ def write_report(
     sections = [
         heading(outcome, history),
         section("Map", _image(picture), note=MAP_NOTE),
+        health_section(outcome.health),
         accuracy.section_of(laid, history, landmarks, true_landmarks),
         quality_section(history.quality),
         uncertainty(history),

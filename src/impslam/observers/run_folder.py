@@ -89,7 +89,7 @@ def write_end(
     grid = known.grid(outcome.config["grid"]["resolution"])
     image, refused = map_image(grid), grid.refused
     del grid  # its memory serves the picture
-    write_map_files(folder, known, image, keep)
+    write_map_files(folder, known, image, keep, outcome.health.states)
     with keep("odometry.tum"):
         write_tum(folder / "odometry.tum", history.odometry)
     if true_landmarks:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
+from impslam.health import STATES, TRACKING, Health, state_of
 from impslam.observers.base import Outcome
 from impslam.observers.history import History
 from impslam.provenance import versions
@@ -38,12 +39,7 @@ def summarise(outcome: Outcome, history: History, refused: int) -> dict[str, Any
             "odometry": _round(length(history.odometry), 6),
         },
         "quality": {name: _round(value, 6) for name, value in history.quality.figures().items()},
-        "health": {
-            "unreliable_scans": outcome.health.unreliable,
-            "first_stamp": _round(outcome.health.stamp),
-            "first": outcome.health.first,
-            "at_end": outcome.health.at_end,
-        },
+        "health": _health(outcome.health),
         "dropped": {
             kind: {"count": dropped.count, "example": dropped.example}
             for kind, dropped in sorted(outcome.dropped.items())
@@ -56,6 +52,22 @@ def summarise(outcome: Outcome, history: History, refused: int) -> dict[str, Any
             "stages_ms": {name: stage_times(t) for name, t in outcome.stages.items()},
         },
     }
+
+
+def _health(health: Health) -> dict[str, Any]:
+    """Return how many scans are in each state, the spans that are not TRACKING, and the newest state."""
+    spans = [
+        {
+            "begin": _round(span.begin),
+            "end": _round(span.end),
+            "state": span.state,
+            "reason": span.words,
+            "scans": span.scans,
+        }
+        for span in health.spans()
+    ]
+    newest = state_of(int(health.reasons[-1])) if len(health.reasons) else TRACKING
+    return {"scans": health.counts(), "spans": spans, "at_end": STATES[newest]}
 
 
 def loops(counts: Mapping[str, int]) -> str:

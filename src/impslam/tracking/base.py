@@ -18,6 +18,7 @@ from impslam.columns import Motions, Sweeps
 from impslam.component import Component, parameter
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
+from impslam.health import SLIPPED, STALLED, Reasons
 from impslam.map import Keyframe, Track
 from impslam.parameters import Parameters
 from impslam.sources.base import Problems
@@ -75,8 +76,9 @@ class Steps(NamedTuple):
     reference : (m,) whether the motion of the next ones is told from there: it was matched, or has
         too few points to match
     ends : (m,) whether it is a keyframe
-    contradicted : (m,) whether odometry told another motion than the scan shows
     located : (m,) whether the scan tells where the robot is, along both axes
+    reasons, amounts : (m,) why its pose cannot be trusted, and the way or share that goes with it; see
+        `impslam.health`
     """
 
     d_pose: Array
@@ -84,8 +86,9 @@ class Steps(NamedTuple):
     moved: Array
     reference: Mask
     ends: Mask
-    contradicted: Mask
     located: Mask
+    reasons: Reasons
+    amounts: Array
 
 
 class _Tracked(NamedTuple):
@@ -151,7 +154,8 @@ class Tracker(Component):
         """
         travelled = self._travelled.setdefault(sweeps.sensor, np.full(3, math.inf))
         steps = self.steps(motions, sweeps, Gate(self._limits, travelled))
-        for k in np.flatnonzero(steps.contradicted).tolist():
+        against = (steps.reasons >= SLIPPED) & (steps.reasons <= STALLED)
+        for k in np.flatnonzero(against).tolist():
             stamp = sweeps.columns.stamps[k]
             self._problems.add("odometry against scans", _CONTRADICTED.format(stamp))
         for name, others in self._travelled.items():  # each sensor looks at what others do not see
@@ -195,8 +199,9 @@ class Tracker(Component):
             odometry[rows],
             sweeps,
             rows,
-            steps.contradicted[rows],
             steps.located[rows],
+            steps.reasons[rows],
+            steps.amounts[rows],
             keyframe,
         )
         self._keyframes += ends
@@ -215,8 +220,9 @@ class Tracker(Component):
             stamp_covariance=sweeps.stamp_covariance[row],
             sweeps=sweeps,
             row=row,
-            contradicted=bool(steps.contradicted[row]),
             located=bool(steps.located[row]),
+            reason=int(steps.reasons[row]),
+            amount=float(steps.amounts[row]),
         )
 
 

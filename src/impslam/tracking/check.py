@@ -6,9 +6,10 @@ proof that the robot does. Here scans are matched to the last metres with a prio
 cannot bind it. Over a few seconds the two motions must agree: their difference d has the covariance S of
 odometry and of matching, and d^T S^-1 d is chi-square distributed with three degrees of freedom
 (Bar-Shalom et al. 2001, ch. 5.4). Only odometry that lacks motion, or tells of a turn that the scans do not
-show, is tested. Beyond the gate the scans' motion replaces odometry's, from the beginning of those seconds
-on. A robot that stands is not contradicted, so that its covariance does not grow. Trackers that match scans
-themselves have no use for this.
+show, is tested; a robot that stands while its wheels turn is found by `standing`. Beyond the gate the
+scans' motion replaces odometry's, from the beginning of those seconds on. A robot that stands is not
+contradicted, so that its covariance does not grow. Trackers that match scans themselves have no use for
+this.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from impslam.geometry.algebra import between, solve, turned
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
+from impslam.health import NONE, PUSHED, SLIPPED, Reasons
 from impslam.tracking.local_map import LocalMap, empty_map
 from impslam.tracking.matching import UNSOLVED, Settings, match
 from impslam.tracking.surfels import Surfels, thin
@@ -49,6 +51,8 @@ Odometry that tells more than happened, or another direction, is left to its own
 bushes, of people or of a long corridor can show anything, but seldom a way that was not gone."""
 LEAST = (0.05, 0.1)
 """m, rad: what has to lack at least; matching is off by less (`SPREAD`, to three sigma)."""
+STANDS = 0.3
+"""Share of the way shown below which the wheels stand."""
 SPIN = 0.3
 """rad within 3 s that odometry turns more or less than the scans show: one wheel that stands on a straight
 drive of 4 cm/s, on a track of 0.4 m, tells so much. Scans show turns even along a bare corridor."""
@@ -72,10 +76,10 @@ SETTINGS = Settings(
 
 
 class Checked(NamedTuple):
-    """The motions to use, and at which sweeps (m,) the scans contradict the odometry."""
+    """The motions to use, and how the scans contradict the odometry at each sweep (m,), if they do."""
 
     motions: Motions
-    contradicted: Mask
+    reasons: Reasons
 
 
 class Places(NamedTuple):
@@ -132,7 +136,7 @@ class OdometryCheck:
     def check(self, motions: Motions, surfels: Surfels | None) -> Checked:
         """Return the motions to these sweeps as they are best taken; call it once for each sweep."""
         if surfels is None:
-            return Checked(motions, np.zeros(len(motions.stamps), np.bool_))
+            return Checked(motions, np.zeros(len(motions.stamps), np.int8))
         d_pose, covariance = motions.d_pose.copy(), motions.covariance.copy()
         taken = motions._replace(d_pose=d_pose, covariance=covariance)
         return Checked(
@@ -149,10 +153,10 @@ def _check(
     settings: Settings,
     places: Places,
     pending: Pending,
-) -> Mask:
-    """Change in place the motions that the scans contradict; return which these are, (m,)."""
+) -> Reasons:
+    """Change in place the motions that the scans contradict; return how they do, (m,)."""
     stamps, d_pose, covariance, _ = motions
-    out, before = np.zeros(len(d_pose), np.bool_), np.empty(3)
+    out, before = np.zeros(len(d_pose), np.int8), np.empty(3)
     for k in range(len(d_pose)):
         # A clock may be set, back or ahead.
         elapsed = min(max(stamps[k] - pending.clock[1], 0.0), SECONDS) if places.ring[1] else 0.0
@@ -168,10 +172,10 @@ def _check(
         _widen(wide, pending.clock[0])
         if match(motion, wide, points, known, settings) != UNSOLVED:
             out[k] = _contradicted(before, motion, wide, places, pending)
-            if out[k]:
+            if out[k] != NONE:
                 _instead(d_pose[k], covariance[k], before, motion, wide, places)
             advance_pose(places.used[(places.ring[1] - 1) % MOST], d_pose[k])
-        pending.doubt[0] = out[k]
+        pending.doubt[0] = out[k] != NONE
         pending.pose[:], pending.covariance[:], pending.clock[0] = 0.0, 0.0, 0.0
     return out
 
@@ -196,8 +200,8 @@ def _widen(covariance: Array, seconds: float) -> None:
 @kernel
 def _contradicted(
     before: Array, matched: Array, spread: Array, places: Places, pending: Pending
-) -> bool:
-    """Enter a scan that was matched; tell whether it contradicts odometry.
+) -> int:
+    """Enter a scan that was matched; tell how it contradicts odometry, if it does.
 
     `before` is the pending motion without that of the newest sweep, `matched` all of it as the scans
     show it, with the covariance `spread`. Of `used` the newest motion is still to come.
@@ -205,7 +209,7 @@ def _contradicted(
     last, new = (places.ring[1] - 1) % MOST, places.ring[1] % MOST
     places.ring[1] += 1
     if places.ring[1] == 1:
-        return False  # the first place is the origin of all chains
+        return NONE  # the first place is the origin of all chains
     for chain, motion in (
         (places.matched, matched),
         (places.odometry, pending.pose),
@@ -222,24 +226,33 @@ def _contradicted(
         and places.time[(places.ring[0] + 1) % MOST] < places.time[new] - SECONDS
     ):
         places.ring[0] += 1
-    return _distance2(places) > GATE
+    first = places.ring[0] % MOST
+    told, shown = np.empty(3), np.empty(3)
+    between(places.odometry[first], places.odometry[new], told)
+    between(places.matched[first], places.matched[new], shown)
+    reason = _difference(told, shown)
+    if reason == NONE or _distance2(places, told, shown) <= GATE:
+        return NONE
+    return reason
 
 
 @kernel
-def _distance2(places: Places) -> float:
-    """Return d^T S^-1 d of the two motions from the first place to the newest.
+def _difference(told: Array, shown: Array) -> int:
+    """Return how the motion that odometry tells differs from that shown, unless it may just be noise.
 
-    It is 0 where odometry lacks no good part of the way or of the turn that the scans show, and tells
-    of no turn that they do not.
+    It lacks a good part of the way or of the turn, or it tells of a turn that is not shown.
     """
-    first, new = places.ring[0] % MOST, (places.ring[1] - 1) % MOST
-    told, shown, d = np.empty(3), np.empty(3), np.empty(3)
-    between(places.odometry[first], places.odometry[new], told)
-    between(places.matched[first], places.matched[new], shown)
     way, seen = math.hypot(told[0], told[1]), math.hypot(shown[0], shown[1])
-    goes = way >= LACKS * seen - LEAST[0] and abs(told[2]) >= LACKS * abs(shown[2]) - LEAST[1]
-    if goes and abs(wrap_in_kernel(told[2] - shown[2])) < SPIN:
-        return 0.0
+    if way < LACKS * seen - LEAST[0] or abs(told[2]) < LACKS * abs(shown[2]) - LEAST[1]:
+        stands = way < STANDS * seen and abs(told[2]) < LEAST[1]
+        return PUSHED if stands else SLIPPED
+    return SLIPPED if abs(wrap_in_kernel(told[2] - shown[2])) >= SPIN else NONE
+
+
+@kernel
+def _distance2(places: Places, told: Array, shown: Array) -> float:
+    """Return d^T S^-1 d of the two motions (3,) from the first place to the newest."""
+    first, new, d = places.ring[0] % MOST, (places.ring[1] - 1) % MOST, np.empty(3)
     between(told, shown, d)
     S = turned(places.spread[new] - places.spread[first], -places.odometry[new, 2])
     way = max(abs(told[0]), abs(shown[0]), abs(told[1]), abs(shown[1]))

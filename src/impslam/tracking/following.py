@@ -18,10 +18,12 @@ from impslam.geometry.algebra import between, invert, turned
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
+from impslam.health import ELSEWHERE, NONE, UNEXPLAINED
 from impslam.noise import UNKNOWN
 from impslam.surfaces.features import Features, find_features
 from impslam.surfaces.surface_map import Alignment, Evidence, align
 from impslam.tracking.base import Gate, Steps, go, passed
+from impslam.tracking.doubt import FITS, Doubt, compare, judge
 from impslam.tracking.hypotheses import Prediction, chi2_of, is_steady, reconsider, search
 from impslam.tracking.learned_odometry import LearnedOdometry, correct, learn, variances
 from impslam.tracking.submaps import Submaps, extend, is_empty, oldest
@@ -39,13 +41,10 @@ SLIP = (0.1, 0.025)
 """m, rad: a difference from odometry that is smaller is no slip, however sure odometry is."""
 SLIP_SIGMAS = 3.0
 """Standard deviations of odometry below which a difference is no slip."""
-LOST = 0.7
+SOUGHT = 0.7
 """Share of the mean inlier share below which the pose is searched for."""
 SURE = 1e-4
 """m, rad: no match is surer."""
-FITS = 0.55
-"""Share of the mean inlier share below which a scan shows another place: nearly all scans of a robot
-that was carried elsewhere, and about one in an hour of one that was not."""
 LOCATED = 0.02
 """m, 1 sigma: the position is known where the scan alone leaves less, or less than odometry does."""
 DEGENERATE = 0.05
@@ -84,12 +83,13 @@ class State(NamedTuple):
     submaps, odometry : the last metres, and what odometry is worth
     pose, matched : (3,) in the frame of the submaps: now, and at the newest match
     since, covariance : (3,), (3, 3) odometry since the newest match
-    lengths : (2,) m and rad that are in it
+    lengths : (3,) m, rad and s that are in it
     velocity : (3,) motion between the last two matches
     prior : (2,) variances of the prediction of the pose: m^2 along each axis, rad^2
     means : (3,) running means of the inlier share, of the squared distance, m^2, and of the time
         between scans, s
     evidence : of the newest match
+    doubt : whether the newest scans show the submaps
     """
 
     submaps: Submaps
@@ -103,6 +103,7 @@ class State(NamedTuple):
     prior: Array
     means: Array
     evidence: Evidence
+    doubt: Doubt
 
 
 class Seen(NamedTuple):
@@ -146,7 +147,8 @@ def follow(
         alone = _predict(motions, k, state, d_pose)
         out.d_pose[k], out.covariance[k] = state.since, state.covariance
         ends = passed(gate, d_pose, motions.duration[k])
-        if ends or alone or _due(beams.ranges[k], beams.valid[k], state, seen):
+        doubted = state.doubt.poor[0] > 0.0
+        if ends or alone or doubted or _due(beams.ranges[k], beams.valid[k], state, seen):
             count = find_features(
                 beams.points[k], beams.valid[k], beams.ranges[k], beams.origins[k],
                 beams.spacing, how.thin, features,
@@ -155,14 +157,17 @@ def follow(
                 state.submaps.way[0] += state.lengths[0]
             else:
                 _match(features[:count], k, alone, state, how, out)
-                _remember(features[:count], k, beams, state, seen, how)
+                if out.reasons[k] == ELSEWHERE:  # the next maps begin here
+                    state.submaps.way[:], seen.added[:] = math.nan, math.nan
+                if out.reasons[k] != UNEXPLAINED:
+                    _remember(features[:count], k, beams, state, seen, how)
             out.reference[k] = True
             state.matched[:] = state.pose
             state.since[:], state.covariance[:], state.lengths[:] = 0.0, 0.0, 0.0
         between(before, state.pose, out.moved[k])
         ends = passed(gate, out.moved[k], motions.duration[k])
         go(gate, out.moved[k], motions.duration[k])
-        out.ends[k] = out.reference[k] and ends
+        out.ends[k] = out.reference[k] and (ends or out.reasons[k] == ELSEWHERE)
         if out.ends[k]:
             gate.travelled[:] = 0.0
 
@@ -187,6 +192,7 @@ def _predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
         correct(state.odometry, d_pose)
     state.lengths[0] += math.hypot(d_pose[0], d_pose[1])
     state.lengths[1] += abs(d_pose[2])
+    state.lengths[2] += motions.duration[k]
     if not alone:
         place, heading = variances(state.odometry, state.lengths[0], state.lengths[1])
     state.prior[0], state.prior[1] = place, heading
@@ -227,14 +233,18 @@ def _remember(
 def _match(
     features: Features, k: int, alone: bool, state: State, how: Settings, out: Steps
 ) -> None:
-    """Match sweep k, and take it into the state."""
+    """Match sweep k, and take it into the state; one that does not fit changes only the doubt."""
     if is_empty(state.submaps):
         return
-    guess, usual = state.pose.copy(), state.means[0]
-    H, W = np.empty((3, 3)), np.empty(3)
+    guess, means = state.pose.copy(), state.means.copy()
+    usual, H, W = means[0], np.empty((3, 3)), np.empty(3)
     share = _find(features, state, how, H, W)
-    out.contradicted[k] = W[0] * state.prior[0] < 0.1  # beyond three times what counts fully
-    state.means[0] += MEMORY[0] * (share - state.means[0])
+    out.reasons[k] = judge(state.doubt, share, usual, state.lengths[2])
+    if out.reasons[k] != NONE:
+        out.amounts[k] = share
+        state.pose[:], state.means[:] = guess, means
+        return
+    state.means[0] += MEMORY[0] * (share - usual)
     enough = LOCATED**-2 if alone else min(1.0 / state.prior[0], LOCATED**-2)
     weakest, strongest = _information(H)
     sure = weakest > enough and weakest > DEGENERATE * strongest
@@ -249,6 +259,11 @@ def _match(
     spread = turned(state.covariance, state.matched[2])
     _fuse(state, how, guess, H, W, spread)
     between(state.matched, state.pose, state.velocity)
+    far = W[0] * state.prior[0] < 0.1  # beyond three times what counts fully
+    told = state.velocity if alone else state.since
+    out.reasons[k], out.amounts[k] = compare(
+        state.doubt, told, state.velocity, out.located[k], far, state.lengths[2]
+    )
     out.d_pose[k], out.covariance[k] = state.velocity, turned(spread, -state.matched[2])
     # Errors have heavy tails, as on ramps: with D added their mean square is what is claimed.
     way, turn = math.hypot(state.velocity[0], state.velocity[1]), abs(state.velocity[2])
@@ -294,7 +309,7 @@ def _find(features: Features, state: State, how: Settings, H: Array, W: Array) -
     if state.evidence.sums[3] > 5.0:
         square = state.evidence.sums[2] / state.evidence.sums[3]
         state.means[1] += MEMORY[1] * (square - state.means[1])
-    if share < LOST * usual:
+    if share < SOUGHT * usual:
         share = search(known, features, predicted, match, state.pose, state.evidence)
     chi2 = chi2_of(state.pose, predicted)
     H[:] = worth * state.evidence.H

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from pydantic import PrivateAttr
 
-from impslam.columns import Motions, Sweeps
+from impslam.columns import Motions, Scans, Sweeps
 from impslam.component import register
 from impslam.tracking.base import Gate, Steps, Tracker, count
 from impslam.tracking.check import OdometryCheck
+from impslam.tracking.standing import Standing, hold, no_reference
 from impslam.tracking.surfels import prepare
 
 
@@ -17,15 +18,24 @@ class OdometryTracker(Tracker):
     """Follows odometry alone, as the thesis does, unless the scans contradict it."""
 
     _check: OdometryCheck = PrivateAttr(default_factory=OdometryCheck)
+    _standing: dict[str, Standing] = PrivateAttr(default_factory=dict)
 
     def steps(self, motions: Motions, sweeps: Sweeps, gate: Gate) -> Steps:
         """Follow odometry; see `Tracker.steps`."""
-        scans = sweeps.scans
+        scans, m = sweeps.scans, len(sweeps)
         surfels = None if scans is None else prepare(scans, OdometryCheck.spacing)
-        checked, contradicted = self._check.check(motions, surfels)
-        m = len(sweeps)
+        checked, reasons = self._check.check(motions, surfels)
+        if scans is not None:
+            hold(motions.d_pose, checked, scans, self._reference_of(sweeps.sensor, scans), reasons)
         ends = count(checked.d_pose, motions.duration, gate)
         return Steps(
             checked.d_pose, checked.covariance, checked.d_pose, np.ones(m, np.bool_), ends,
-            contradicted, np.zeros(m, np.bool_),
+            np.zeros(m, np.bool_), reasons, np.zeros(m),
         )  # fmt: skip
+
+    def _reference_of(self, sensor: str, scans: Scans) -> Standing:
+        """Return what is kept of a lidar; motions to the sweeps of others are not compared."""
+        beams, kept = scans.ranges.shape[1], self._standing.get(sensor)
+        if kept is None or len(kept.ranges) != beams:
+            kept = self._standing[sensor] = no_reference(beams)
+        return kept

@@ -14,6 +14,7 @@ from impslam.noise import MotionNoise
 from impslam.surfaces.features import beam_spacing
 from impslam.surfaces.surface_map import Alignment, no_evidence
 from impslam.tracking.base import Gate, Steps, Tracker
+from impslam.tracking.doubt import no_doubt
 from impslam.tracking.following import RESIDUAL, USUAL, Beams, Seen, Settings, State, follow
 from impslam.tracking.learned_odometry import unlearned
 from impslam.tracking.submaps import empty_submaps
@@ -68,11 +69,12 @@ class ScanToMap(Tracker):
             matched=np.zeros(3),
             since=np.zeros(3),
             covariance=np.zeros((3, 3)),
-            lengths=np.zeros(2),
+            lengths=np.zeros(3),
             velocity=np.zeros(3),
             prior=np.zeros(2),
             means=np.array([USUAL, RESIDUAL**2, 0.1]),
             evidence=no_evidence(),
+            doubt=no_doubt(),
         )
 
     def settings(self) -> Settings:
@@ -95,9 +97,10 @@ class ScanToMap(Tracker):
             seen = Seen(np.zeros(beams.ranges.shape[1]), np.full(3, np.nan))
             self._seen[sweeps.sensor] = seen
         m = len(sweeps)
+        reference, ends, located = np.zeros((3, m), np.bool_)
         out = Steps(
-            np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 3)), np.zeros(m, np.bool_),
-            *np.zeros((3, m), np.bool_),
+            np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 3)), reference, ends, located,
+            np.zeros(m, np.int8), np.zeros(m),
         )  # fmt: skip
         follow(motions, beams, self._state, seen, gate, self.settings(), out)
         return out

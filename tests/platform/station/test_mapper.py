@@ -259,7 +259,7 @@ def test_a_folder_that_cannot_be_made_ends_in_one_line(room, tmp_path):
 
 
 def silence(snapshot):
-    return int(re.search(r"(\d+) s", snapshot.lost)[1])
+    return int(re.search(r"(\d+) s", snapshot.why)[1])
 
 
 def test_a_robot_whose_lidar_is_silent_is_shown_where_its_wheels_say(tmp_path):
@@ -274,12 +274,13 @@ def test_a_robot_whose_lidar_is_silent_is_shown_where_its_wheels_say(tmp_path):
     hand(mapper, messages[:third])
     drain(mapper)
     before = view.snapshot()
-    assert before.lost == ""
+    assert (before.state, before.why) == ("TRACKING", "")
     hand(mapper, blind)
     wait_until(lambda: view.snapshot().stamp >= blind[-1].stamp)
     shown = view.snapshot()
     seconds = silence(shown)
-    assert shown.lost == f"no usable scan for {seconds} s; the pose is dead-reckoned"
+    assert shown.state == "DEGRADED"
+    assert shown.why == f"lidar silent for {seconds} s; the pose is dead-reckoned"
     assert np.linalg.norm(shown.pose[:2] - before.pose[:2]) > 0.5
     assert np.abs(shown.pose - truth[shown.stamp])[:2].max() < 0.01
     assert np.trace(shown.covariance) > np.trace(before.covariance)
@@ -289,7 +290,7 @@ def test_a_robot_whose_lidar_is_silent_is_shown_where_its_wheels_say(tmp_path):
     hand(mapper, messages[2 * third :])
     drain(mapper)
     after = view.snapshot()
-    assert (after.lost, len(after.points) > 0) == ("", True)
+    assert (after.why, len(after.points) > 0) == ("", True)
     mapper.save(tmp_path / "live")
     mapper.stop()
     recorder = Recorder(tmp_path / "log")

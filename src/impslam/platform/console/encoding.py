@@ -50,7 +50,8 @@ def common(snapshot: Snapshot) -> Frame:
         "odometry": _pose(snapshot.odometry),
         "truth": None if snapshot.truth is None else _pose(snapshot.truth),
         "points": packed(snapshot.points, snapshot.pose[:2]),
-        "lost": snapshot.lost,
+        "state": snapshot.state,
+        "why": snapshot.why,
         "finished": snapshot.finished,
     }
 

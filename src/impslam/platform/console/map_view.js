@@ -20,8 +20,8 @@ export default {
           <span class="soft" data-testid="pose-sigma" title="One standard deviation">σ {{ sigma }}</span>
         </template>
         <span v-else class="soft">No map yet</span>
-        <div v-if="lost" class="lost" data-testid="lost">
-          <i class="q-icon material-icons" aria-hidden="true">wrong_location</i>{{ lost }}</div>
+        <div v-if="pose" :class="'pose-state ' + state" data-testid="pose-state" role="status">
+          <b>{{ state }}</b><span v-if="why">{{ why }}</span></div>
       </div>
       <div class="layers" :class="{ open }">
         <button type="button" class="tool" data-testid="layers" :aria-expanded="open" title="Layers"
@@ -49,7 +49,7 @@ export default {
     </div>`,
   props: { footprint: Array },
   data: () => ({
-    pose: null, sigma: "", lost: "", mode: "fit", open: window.innerWidth > 700, tip: null, data: {}, hasTruth: false,
+    pose: null, sigma: "", state: "", why: "", mode: "fit", open: window.innerWidth > 700, tip: null, data: {}, hasTruth: false,
     shown: Object.fromEntries(LAYERS.map(([name, , on]) => [name, on])),
   }),
   computed: {
@@ -122,10 +122,11 @@ export default {
       this.pose = moved ? frame.pose : null;
       this.sigma = moved && frame.sigma[0] !== null
         ? `${(100 * frame.sigma[0]).toFixed(1)} cm, ${((frame.turn * 180) / Math.PI).toFixed(1)}°` : "";
-      this.lost = frame.lost;
+      this.state = frame.state;
+      this.why = frame.why;
       this.data = {
         "data-x": frame.pose[0], "data-y": frame.pose[1], "data-heading": frame.pose[2], "data-stamp": frame.t,
-        "data-scans": frame.scans, "data-run": frame.run, "data-version": frame.seq, "data-lost": frame.lost,
+        "data-scans": frame.scans, "data-run": frame.run, "data-version": frame.seq, "data-state": frame.state, "data-why": frame.why,
         "data-landmarks": this.map.marks.size, "data-finished": frame.finished,
       };
     },

@@ -1,0 +1,139 @@
+"""Whether the pose of a scan can be trusted: a code for the reason, and the reason in words.
+
+The codes are ordered: of several reasons that hold for a scan, the greatest one is told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from impslam.types import Array
+
+Reasons = np.ndarray[Any, np.dtype[np.int8]]
+
+TRACKING, DEGRADED, LOST = range(3)
+STATES = ("TRACKING", "DEGRADED", "LOST")
+"""The states of a pose.
+
+TRACKING: the pose is within its own ellipse. DEGRADED: it is the best there is, but part of what it rests
+on has failed. LOST: it may be anywhere; the map takes in nothing.
+"""
+(
+    NONE,
+    OPEN,
+    BLIND,
+    SLIPPED,
+    PUSHED,
+    STALLED,
+    GROWN,
+    UNEXPLAINED,
+    ELSEWHERE,
+    NOT_FINITE,
+) = range(10)
+"""The reasons. `OPEN` and `GROWN` come with a way in m, `UNEXPLAINED` and `ELSEWHERE` with a share."""
+_WORDS = (
+    "",
+    "nothing to see along the corridor for {0:.1f} m",
+    "the lidar sees nothing; the pose is dead-reckoned",
+    "the scans show another motion than odometry; the pose follows the scans",
+    "the robot moves, the wheels do not; the pose follows the scans",
+    "the wheels turn, the robot does not; the pose follows the scans",
+    "nothing known was seen for {0:.1f} m; the position is uncertain",
+    "only {1:.0f} % of the scan fits the map; the map takes in nothing",
+    "only {1:.0f} % of the scan fits the map: the robot is elsewhere",
+    "the estimate is not finite; start a new map",
+)
+_SHARES = (UNEXPLAINED, ELSEWHERE)
+
+
+class Span(NamedTuple):
+    """Consecutive scans with one reason.
+
+    Attributes
+    ----------
+    begin, end : s, stamps of the first and the last of them
+    reason, amount : the reason, and what is worst of its way or share
+    scans : how many they are
+    """
+
+    begin: float
+    end: float
+    reason: int
+    amount: float
+    scans: int
+
+    @property
+    def state(self) -> str:
+        """The name of the state."""
+        return STATES[state_of(self.reason)]
+
+    @property
+    def words(self) -> str:
+        """The reason in words."""
+        return words(self.reason, self.amount)
+
+
+class Health(NamedTuple):
+    """Health of n scans.
+
+    Attributes
+    ----------
+    stamps : (n,) s, the log's own
+    reasons : (n,) int8, why each pose cannot be trusted; `NONE` where it can
+    amounts : (n,) the way in m or the share that the reason comes with, else 0
+    """
+
+    stamps: Array
+    reasons: Reasons
+    amounts: Array
+
+    @property
+    def states(self) -> Reasons:
+        """(n,) `TRACKING`, `DEGRADED` or `LOST`."""
+        return np.where(self.reasons == NONE, TRACKING, DEGRADED).astype(np.int8) + (
+            self.reasons >= ELSEWHERE
+        )
+
+    def counts(self) -> dict[str, int]:
+        """Return the number of scans in each state."""
+        return dict(zip(STATES, np.bincount(self.states, minlength=3).tolist(), strict=True))
+
+    def spans(self) -> Iterator[Span]:
+        """Yield the stretches of scans that cannot be trusted, in their order."""
+        edges = np.flatnonzero(np.diff(self.reasons, prepend=-1, append=-1))
+        for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+            reason, amounts = int(self.reasons[a]), self.amounts[a:b]
+            worst = amounts.min() if reason in _SHARES else amounts.max()
+            if reason != NONE:
+                span = float(self.stamps[a]), float(self.stamps[b - 1])
+                yield Span(*span, reason, float(worst), b - a)
+
+    @property
+    def summary(self) -> str:
+        """One line for the report and the terminal."""
+        spans = list(self.spans())
+        if not spans:
+            return "TRACKING throughout"
+        counts = self.counts()
+        told = ", ".join(f"{state} at {counts[state]} scans" for state in STATES if counts[state])
+        worst = max(spans, key=lambda span: (span.reason >= ELSEWHERE, span.scans))
+        told += f"; longest at {worst.begin:.3f} s: {worst.words}"
+        if self.reasons[-1] == NONE:
+            return told + "; TRACKING at the end"
+        return told + f"; at the end {spans[-1].state}: {spans[-1].words}"
+
+
+def state_of(reason: int) -> int:
+    """Return the state of a pose with this reason."""
+    return LOST if reason >= ELSEWHERE else DEGRADED if reason else TRACKING
+
+
+def words(reason: int, amount: float) -> str:
+    """Return a reason in words, "" for `NONE`."""
+    return _WORDS[reason].format(amount, 100.0 * amount)
+
+
+ALL_WELL = Health(np.empty(0), np.empty(0, np.int8), np.empty(0))

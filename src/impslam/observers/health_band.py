@@ -1,0 +1,71 @@
+"""The section of the report that shows over time whether the pose can be trusted, and why not."""
+
+from __future__ import annotations
+
+from impslam.health import STATES, Health, Span
+from impslam.observers.page import escape, round_numbers, section, table
+from impslam.types import Array
+
+ROWS = 30
+"""Spans in the table at most: the longest of each state."""
+LEAST = 2.0
+"""Of 1000, how wide a span is drawn at least: two pixels, so that one scan can be seen."""
+NOTE = (
+    "TRACKING: the pose is within its own ellipse. DEGRADED: part of what it rests on has failed. "
+    "LOST: it may be anywhere, and the map takes in nothing."
+)
+
+
+def health_section(health: Health) -> str:
+    """Return the section, with a band coloured by state and a table of reasons."""
+    if len(health.stamps) < 2:
+        return ""
+    spans = list(health.spans())
+    counts = health.counts()
+    keys = "".join(
+        f'<span class="key {state}">{state} {100.0 * counts[state] / len(health.stamps):.3g} %</span>'
+        for state in STATES
+        if counts[state]
+    )
+    figure = f'<figure class="chart"><figcaption>{keys}</figcaption>{_band(health.stamps, spans)}</figure>'
+    return section("Health", figure, _reasons(spans, float(health.stamps.min())), note=NOTE)
+
+
+def _band(stamps: Array, spans: list[Span]) -> str:
+    """Return a band over time, from the first stamp to the last, with each span in its colour."""
+    first = float(stamps.min())
+    seconds = max(float(stamps.max()) - first, 1e-9)
+    marks = []
+    for span in sorted(spans, key=lambda span: span.state != "DEGRADED"):  # LOST on top
+        x = 1000.0 * (min(span.begin, span.end) - first) / seconds
+        width = max(1000.0 * abs(span.end - span.begin) / seconds, LEAST)
+        said = f"{span.begin - first:.1f} s: {span.state}, {span.words}"
+        marks.append(
+            f'<rect class="{span.state}" x="{x:.1f}" y="0" width="{width:.1f}" height="100">'
+            f"<title>{escape(said)}</title></rect>"
+        )
+    ticks = [t for t in round_numbers(0.0, seconds, 5) if t <= seconds]
+    labels = "".join(
+        f'<span class="tick x" style="left:{100.0 * t / seconds:.2f}%">{t:g}'
+        f"{' s' * (t == ticks[-1])}</span>"
+        for t in ticks
+    )
+    return (
+        '<div class="plot health"><svg viewBox="0 0 1000 100" preserveAspectRatio="none" role="img" '
+        'aria-label="Health over time"><rect class="TRACKING" x="0" y="0" width="1000" height="100"/>'
+        f"{''.join(marks)}</svg>{labels}</div>"
+    )
+
+
+def _reasons(spans: list[Span], first: float) -> str:
+    """Return the table of the longest spans, in their order."""
+    if not spans:
+        return "<p>The pose could be trusted throughout.</p>"
+    longest = sorted(spans, key=lambda span: (span.state != "LOST", -span.scans))[:ROWS]
+    rows = [
+        (span.state, span.words, f"{span.begin - first:.1f}", f"{span.end - first:.1f}", span.scans)
+        for span in sorted(longest, key=spans.index)
+    ]
+    hidden = len(spans) - len(longest)
+    more = f"<p>{hidden} shorter ones are in summary.json.</p>" if hidden else ""
+    return table(("state", "reason", "from s", "to s", "scans"), rows, text=2) + more

@@ -1,0 +1,109 @@
+"""What a match says of health: whether the scan shows the map, and whether wheels and scans agree.
+
+A scan of the place that the map shows fits about as well as those before it. Of a robot that was carried
+elsewhere nearly all first scans fit less than `FITS` as well, and of one that was not about one in an
+hour. Such a scan changes nothing: no map, no mean, nothing learned of odometry, and the pose follows
+odometry. If the next ones do not fit either, the robot is elsewhere, and its maps begin anew.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.geometry.kernels import kernel
+from impslam.health import ELSEWHERE, NONE, OPEN, PUSHED, SLIPPED, STALLED, UNEXPLAINED
+from impslam.types import Array
+
+FITS = 0.55
+"""Share of the mean inlier share below which a scan shows another place."""
+SIGMAS = 3.0
+"""Standard deviations below the mean inlier share, at least: bushes and people fit by chance."""
+AGAIN = 0.7
+"""Share of the mean inlier share above which a scan shows the map again."""
+PERSISTS = 3, 0.5
+"""Scans and s after which it is another place: what people hide one after another fits in between."""
+MEMORY = 0.05
+"""Weight of the newest scan in the variance of the inlier share: 20 scans, one view."""
+SPREAD = 0.08
+"""Standard deviation of the inlier share indoors."""
+SECONDS = 1.0
+"""s over which odometry and scans are compared: a few scans, and half a metre at walking pace."""
+LACKS = 0.3
+"""Share of the motion that one tells below which the other one stands."""
+LEAST = 0.15, 0.25
+"""m, rad: motion that is told within those seconds at least; matches are off by less."""
+BARE = 1.0
+"""m of way along a bare corridor that are told of: shorter, odometry is off by no more than a match."""
+
+
+class Doubt(NamedTuple):
+    """What the newest scans said; kernels change all of it in place.
+
+    Attributes
+    ----------
+    poor : (2,) scans in a row that do not fit, and s since the first of them
+    variance : (1,) of the inlier share
+    told, shown : (2,) m and rad that odometry told and that the scans showed within `SECONDS`
+    bare : (1,) m of way since a scan told where the robot is
+    """
+
+    poor: Array
+    variance: Array
+    told: Array
+    shown: Array
+    bare: Array
+
+
+def no_doubt() -> Doubt:
+    """Return what is assumed before the first scan."""
+    return Doubt(np.zeros(2), np.full(1, SPREAD**2), np.zeros(2), np.zeros(2), np.zeros(1))
+
+
+@kernel
+def judge(doubt: Doubt, share: float, usual: float, duration: float) -> int:
+    """Tell whether a scan, of which `share` fits the map, shows it: `NONE`, `UNEXPLAINED`, `ELSEWHERE`.
+
+    `usual` is the mean share before, `duration` s since the last scan.
+    """
+    off = usual - share
+    least = AGAIN * usual if doubt.poor[0] > 0.0 else FITS * usual
+    if share >= least or off < SIGMAS * math.sqrt(doubt.variance[0]):
+        doubt.variance[0] += MEMORY * (off * off - doubt.variance[0])
+        doubt.poor[:] = 0.0
+        return NONE
+    doubt.poor[1] += duration if doubt.poor[0] > 0.0 else 0.0
+    doubt.poor[0] += 1.0
+    if doubt.poor[0] < PERSISTS[0] or doubt.poor[1] < PERSISTS[1]:
+        return UNEXPLAINED
+    doubt.poor[:] = 0.0
+    return ELSEWHERE
+
+
+@kernel
+def compare(
+    doubt: Doubt, told: Array, shown: Array, located: bool, far: bool, duration: float
+) -> tuple[int, float]:
+    """Take in a match; return a reason and the way in m that comes with it.
+
+    `told` and `shown` are the motions (3,) since the last match by odometry and by the scans, `located`
+    whether the scan tells where the robot is, and `far` whether it is far from where odometry has it.
+    """
+    keep = math.exp(-duration / SECONDS)
+    for sums, motion in ((doubt.told, told), (doubt.shown, shown)):
+        sums[0] = keep * sums[0] + math.hypot(motion[0], motion[1])
+        sums[1] = keep * sums[1] + abs(motion[2])
+    doubt.bare[0] = 0.0 if located else doubt.bare[0] + math.hypot(shown[0], shown[1])
+    if located:
+        for a in range(2):
+            if doubt.told[a] > LEAST[a] and doubt.shown[a] < LACKS * doubt.told[a]:
+                return STALLED, 0.0
+            if doubt.shown[a] > LEAST[a] and doubt.told[a] < LACKS * doubt.shown[a]:
+                return PUSHED, 0.0
+    if far:
+        return SLIPPED, 0.0
+    if doubt.bare[0] > BARE:
+        return OPEN, doubt.bare[0]
+    return NONE, 0.0

@@ -1,6 +1,7 @@
 """The pose graph that grows: its chain, its closures, and the ways along both."""
 
 import math
+from copy import copy
 from itertools import pairwise
 
 import numpy as np
@@ -223,3 +224,16 @@ def test_ways_are_the_shortest(rng):
         apart = np.minimum(apart, apart[:, k : k + 1] + apart[k : k + 1])
     for node in range(n):
         np.testing.assert_allclose(graph.ways(node), apart[node])
+
+
+def test_a_copy_stays_as_it_is_while_the_graph_goes_on():
+    graph = PoseGraph()
+    graph.begin(np.zeros(3), 1e-4 * np.eye(3))
+    step = np.array([1.0, 0.0, 0.0])
+    graph.go_on(step, 1e-4 * np.eye(3), 1.0)
+    before = copy(graph)
+    graph.go_on(step, 1e-4 * np.eye(3), 1.0)
+    graph.close(0, 2, np.array([2.0, 0.1, 0.0]), 1e4 * np.eye(3))
+    assert (len(before), len(before.edges.i), before.closures) == (2, 1, 0)
+    before.solve()
+    np.testing.assert_allclose(before.poses[1], step, atol=1e-12)

@@ -7,6 +7,7 @@ in a frame of its own, which its first node holds. A closure from one to another
 from __future__ import annotations
 
 import math
+from copy import copy
 
 import numpy as np
 
@@ -44,6 +45,13 @@ class PoseGraph:
         self._i, self._j = GrowingArray(dtype=np.int64), GrowingArray(dtype=np.int64)
         self._T_i_j, self._information = GrowingArray(3), GrowingArray(3, 3)
         self._kernel, self._length = GrowingArray(), GrowingArray()
+
+    def __copy__(self) -> PoseGraph:
+        """Return the graph as it is now; this one only writes behind the other's end."""
+        other = type(self).__new__(type(self))
+        for name, value in vars(self).items():
+            setattr(other, name, copy(value) if isinstance(value, GrowingArray) else value)
+        return other
 
     def __len__(self) -> int:
         """Return the number of nodes."""

@@ -1,4 +1,4 @@
-"""Encoders that freeze while the robot drives: the pose follows the scans, and the run says so."""
+"""Encoders that freeze, and wheels that turn against a wall: the pose follows the scans, and says so."""
 
 import json
 import math
@@ -13,7 +13,7 @@ from impslam.cli.job import execute
 from impslam.config import load
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
-from impslam.types import TruePose, WheelAngles
+from impslam.types import LaserScan, TruePose, WheelAngles
 
 
 def frozen(messages, at, seconds, wheels):
@@ -29,6 +29,31 @@ def frozen(messages, at, seconds, wheels):
             yield replace(m, left=float(left), right=float(right))
         else:
             yield m
+
+
+def against_a_wall(messages, at, seconds, speed):
+    """Return the messages with a stay in between, in which the wheels turn at a speed in rad/s."""
+    before = [m for m in messages if m.stamp < at]
+    stay, rng = [], np.random.default_rng(2)
+    newest = {type(m): m for m in before}
+    for kind, rate in ((WheelAngles, 50.0), (LaserScan, 10.0), (TruePose, 10.0)):
+        for k in range(int(rate * seconds)):
+            m, t = newest[kind], (k + 1) / rate
+            if kind is WheelAngles:
+                m = replace(m, left=m.left + speed * t, right=m.right + speed * t)
+            elif kind is LaserScan:
+                noise = 0.003 * rng.standard_normal(len(m.ranges))
+                m = replace(m, ranges=m.ranges + noise)
+            stay.append(replace(m, stamp=m.stamp + t))
+    turned = speed * seconds
+    after = [
+        replace(m, stamp=m.stamp + seconds, left=m.left + turned, right=m.right + turned)
+        if isinstance(m, WheelAngles)
+        else replace(m, stamp=m.stamp + seconds)
+        for m in messages
+        if m.stamp >= at
+    ]
+    return [*before, *sorted(stay, key=lambda m: m.stamp), *after]
 
 
 def mapped(messages, folder):
@@ -76,3 +101,18 @@ def test_an_unperturbed_run_is_trusted_throughout(arena, tmp_path):
     assert set(np.loadtxt(run / "trajectory.csv", delimiter=",", skiprows=1)[:, 10]) == {0.0}
     assert outcome.dropped == {}
     assert "Pose: TRACKING throughout." in (run / "report.html").read_text()
+
+
+@pytest.mark.parametrize("speed", [1.0, 5.0])
+def test_wheels_that_turn_against_a_wall_do_not_move_the_robot(arena, speed, tmp_path):
+    """Before ranges were compared, the robot went on through the wall for as far as its wheels told."""
+    begin, end = arena[0].stamp, arena[-1].stamp
+    messages = against_a_wall(arena, begin + 0.4 * (end - begin), 8.0, speed)
+    error, _, summary, _ = mapped(messages, tmp_path / "log")
+    assert error < 0.05
+    told = summary["health"]
+    assert told["scans"]["DEGRADED"] > 20
+    assert {span["reason"].split(";")[0] for span in told["spans"]} == {
+        "the wheels turn, the robot does not"
+    }
+    assert told["at_end"] == "TRACKING"

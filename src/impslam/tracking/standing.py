@@ -102,15 +102,16 @@ def _hold(
         before[:] = standing.used
         advance_pose(standing.told, told[k])
         advance_pose(standing.used, used.d_pose[k])
-        way, turn = math.hypot(standing.told[0], standing.told[1]), abs(standing.told[2])
-        due = way >= TOLD[0] or turn >= TOLD[1]
-        if standing.stands[0] and not (due or standing.stands[1]):
-            continue
-        changed, same, alike = _compare(rows.ranges[k], rows.valid[k], geometry, standing)
+        if standing.stands[0] and not standing.stands[1]:
+            way, turn = math.hypot(standing.told[0], standing.told[1]), abs(standing.told[2])
+            if way < TOLD[0] and turn < TOLD[1]:
+                continue
+        # One that stands moves off in the direction of the newest motion.
+        supposed = told[k] if standing.stands[1] else standing.told
+        changed, same = _compare(rows.ranges[k], rows.valid[k], supposed, geometry, standing)
         stands = changed >= FEWEST and same >= STANDS * changed
-        if standing.stands[1] and changed < FEWEST and not due:
-            stands = alike > STANDS
         standing.stands[1] = standing.stands[0] and stands
+        standing.told[:] = 0.0
         if standing.stands[1]:
             between(before, origin, used.d_pose[k])
             used.covariance[k] = np.outer(before, before)
@@ -118,9 +119,7 @@ def _hold(
                 used.covariance[k, a, a] += FAR**2
             standing.used[:] = 0.0
             reasons[k] = STALLED
-        if due or not standing.stands[1]:
-            standing.told[:] = 0.0
-        if not standing.stands[1]:
+        else:
             _refer(rows.points[k], rows.ranges[k], rows.valid[k], standing)
 
 
@@ -135,23 +134,20 @@ def _refer(points: Array, ranges: Array, valid: Mask, standing: Standing) -> Non
 
 @kernel
 def _compare(
-    ranges: Array, valid: Mask, geometry: Geometry, standing: Standing
-) -> tuple[int, int, float]:
-    """Return how many beams the motion told would have changed, how many of these are as they were.
+    ranges: Array, valid: Mask, supposed: Array, geometry: Geometry, standing: Standing
+) -> tuple[int, int]:
+    """Return how many beams a motion (3,) would have changed, and how many of these are as they were.
 
-    And the share of all beams that are as they were.
+    A shorter motion is taken for one of `TOLD` m, which tells apart what it would change.
     """
-    n, told, laser = len(ranges), standing.told, geometry.laser
-    changed = same = both = alike = 0
+    n, laser, changed, same = len(ranges), geometry.laser, 0, 0
+    way = math.hypot(supposed[0], supposed[1])
+    scale = max(TOLD[0] / way, 1.0) if way > 0.0 else 1.0
     for j in range(n):
-        before = standing.ranges[j]
-        if before > 0.0 and valid[j]:
-            both += 1
-            alike += abs(ranges[j] - before) < SAME[0] + SAME[1] * before
-        if before <= 0.0:
+        if standing.ranges[j] <= 0.0:
             continue
-        dx = standing.points[j, 0] - told[0] - laser[0]
-        dy = standing.points[j, 1] - told[1] - laser[1]
+        dx = standing.points[j, 0] - scale * supposed[0] - laser[0]
+        dy = standing.points[j, 1] - scale * supposed[1] - laser[1]
         angle = math.atan2(dy, dx) - laser[2] - geometry.first
         angle -= 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
         if geometry.spacing * angle < 0.0:
@@ -166,4 +162,4 @@ def _compare(
         if expected < least - CHANGE or expected > most + CHANGE:
             changed += 1
             same += abs(ranges[k] - standing.ranges[k]) < SAME[0] + SAME[1] * standing.ranges[k]
-    return changed, same, alike / max(both, 1)
+    return changed, same

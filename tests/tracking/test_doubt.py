@@ -1,0 +1,74 @@
+"""What scans that do not fit, and motions that do not agree, are said to be."""
+
+import numpy as np
+import pytest
+
+from impslam.health import ELSEWHERE, NONE, OPEN, PUSHED, SLIPPED, STALLED, UNEXPLAINED
+from impslam.tracking.doubt import BARE, FITS, compare, judge, no_doubt
+
+USUAL = 0.85
+AHEAD, STILL = np.array([0.1, 0.0, 0.0]), np.zeros(3)
+
+
+def judged(shares, period=0.2):
+    doubt = no_doubt()
+    return [judge(doubt, share, USUAL, period) for share in shares]
+
+
+def test_one_scan_that_does_not_fit_is_suspected_and_three_are_another_place():
+    assert judged([0.8, 0.1, 0.8]) == [NONE, UNEXPLAINED, NONE]
+    assert judged([0.8, 0.1, 0.1, 0.1, 0.1]) == [NONE, *[UNEXPLAINED] * 3, ELSEWHERE]
+    assert judged([0.8, 0.1, 0.1, 0.1], period=0.4) == [NONE, UNEXPLAINED, UNEXPLAINED, ELSEWHERE]
+
+
+@pytest.mark.parametrize("period", [0.02, 0.1, 0.2, 0.5])
+def test_another_place_is_told_within_a_second(period):
+    said = judged([0.1] * 60, period)
+    assert period * said.index(ELSEWHERE) < max(0.75, 2.5 * period)
+
+
+def test_a_scan_fits_again_only_where_it_fits_well():
+    middle = (0.5 * (FITS + 0.7)) * USUAL
+    assert judged([middle, 0.1, middle, USUAL]) == [NONE, UNEXPLAINED, UNEXPLAINED, NONE]
+
+
+def test_where_shares_vary_a_low_one_says_less():
+    doubt, rng = no_doubt(), np.random.default_rng(1)
+    outdoors = np.clip(0.65 + 0.15 * rng.standard_normal(300), 0.0, 1.0)
+    assert judge(no_doubt(), 0.3, 0.65, 0.2) == UNEXPLAINED
+    for share in outdoors[outdoors > 0.4]:
+        judge(doubt, share, 0.65, 0.2)
+    doubt.variance[0] = max(doubt.variance[0], 0.12**2)
+    assert judge(doubt, 0.3, 0.65, 0.2) == NONE
+
+
+@pytest.mark.parametrize(
+    ("told", "shown", "said"),
+    [(AHEAD, AHEAD, NONE), (AHEAD, STILL, STALLED), (STILL, AHEAD, PUSHED), (STILL, STILL, NONE)],
+)
+def test_wheels_and_scans_are_compared_over_a_second(told, shown, said):
+    doubt = no_doubt()
+    for k in range(5):
+        reason, _ = compare(doubt, told, shown, True, False, 0.2)
+        assert reason in {NONE, said}
+        assert k > 0 or reason == NONE  # one match tells nothing
+    assert reason == said
+
+
+def test_turns_are_compared_as_well():
+    doubt, turn = no_doubt(), np.array([0.0, 0.0, 0.1])
+    said = [compare(doubt, turn, STILL, True, False, 0.2)[0] for _ in range(5)]
+    assert said[-1] == STALLED
+
+
+def test_along_a_bare_corridor_nothing_is_compared_and_the_way_is_told():
+    doubt = no_doubt()
+    said = [compare(doubt, AHEAD, STILL if k < 5 else AHEAD, False, False, 0.2) for k in range(20)]
+    assert [reason for reason, _ in said[:5]] == [NONE] * 5
+    assert said[-1] == (OPEN, pytest.approx(1.5))
+    assert said[-1][1] > BARE
+    assert compare(doubt, AHEAD, AHEAD, True, False, 0.2) == (NONE, 0.0)
+
+
+def test_a_pose_far_from_odometry_has_slipped():
+    assert compare(no_doubt(), AHEAD, 3.0 * AHEAD, True, True, 0.2)[0] == SLIPPED

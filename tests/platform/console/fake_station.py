@@ -78,7 +78,7 @@ class FakeView:
         self.count = 0
         self.now: Snapshot = Snapshot(
             0, 1, math.nan, 0, np.zeros(3), np.zeros((3, 3)), np.zeros(3), np.zeros((0, 2), np.float32),
-            (), np.zeros((0, 2), np.float32), None, "", math.nan, None, False,
+            (), np.zeros((0, 2), np.float32), None, "TRACKING", "", math.nan, None, False,
         )  # fmt: skip
 
     def snapshot(self) -> Snapshot:
@@ -101,7 +101,8 @@ class FakeView:
             self.now.version + 1, 1, arrived, self.count, pose.copy(), covariance, odometry.copy(),
             np.array([*self.path, pose[:2]], np.float32), self._landmarks(arrived),
             ends[valid].astype(np.float32),
-            self._grid() if self.count % 10 == 1 else self.now.grid, "", arrived, None, False,
+            self._grid() if self.count % 10 == 1 else self.now.grid, "TRACKING", "",
+            arrived, None, False,
         )  # fmt: skip
 
     def _paint(self, pose: Array, ends: Array, valid: Any) -> None:

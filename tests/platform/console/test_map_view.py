@@ -23,7 +23,7 @@ from impslam.types import Landmark
 
 EMPTY = Snapshot(
     0, 1, math.nan, 0, np.zeros(3), np.zeros((3, 3)), np.zeros(3), np.zeros((0, 2), np.float32),
-    (), np.zeros((0, 2), np.float32), None, "", math.nan, None, False,
+    (), np.zeros((0, 2), np.float32), None, "TRACKING", "", math.nan, None, False,
 )  # fmt: skip
 
 

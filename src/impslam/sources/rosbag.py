@@ -185,7 +185,7 @@ class RosBag(Source):
             self._problems.add(
                 "cut file",
                 f"{self.path}: lacks its end (power lost, or still being recorded); whole records "
-                "are used; other programs need `mcap recover` first",
+                f"are used; other programs need `{bag.repair}` first",
             )
         joints = (self.left_joint, self.right_joint)
         assert self._frames is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -26,6 +27,17 @@ def topic_settings(topics: Sequence[str]) -> list[str]:
         if not (role and equals and name):
             raise ConfigError(f"--topic {topic}: expected role=name, e.g. --topic scan=/scan")
     return [f"source.topics.{topic}" for topic in topics]
+
+
+def column_settings(columns: Sequence[str]) -> list[str]:
+    """Turn "stamp=t,ranges=r0:r359" into the settings that it abbreviates."""
+    pairs = [one.partition("=") for text in columns for one in text.split(",")]
+    for role, equals, name in pairs:
+        if not (role.strip() and equals and name.strip()):
+            raise ConfigError(
+                f"--columns {role + equals + name}: expected role=column, e.g. --columns stamp=t"
+            )
+    return [f"source.columns.{role.strip()}={json.dumps(name.strip())}" for role, _, name in pairs]
 
 
 def execute(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Base, Common, Flag, Force, Output, Seed, Settings, Topics
+from impslam.cli.console import Base, Columns, Common, Flag, Force, Output, Seed, Settings, Topics
 
 if TYPE_CHECKING:
     from impslam.map import Map
@@ -43,6 +43,7 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     output: Output = None,
     settings: Settings = (),
     topics: Topics = (),
+    columns: Columns = (),
     seed: Seed = None,
     force: Force = False,
     page: Page | None = None,
@@ -58,13 +59,18 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
         The folder to write to, a new one. Default: runs/LOG-DATE-TIME.
     """
     from impslam.cli.ending import EndOfRun
-    from impslam.cli.job import execute, topic_settings
+    from impslam.cli.job import column_settings, execute, topic_settings
     from impslam.cli.replay import replay
     from impslam.cli.run_folder import run_folder
     from impslam.fitting import choices
     from impslam.open_log import open_log
 
-    changes = [*settings, *topic_settings(topics), *(() if seed is None else (f"seed={seed}",))]
+    changes = [
+        *settings,
+        *topic_settings(topics),
+        *column_settings(columns),
+        *(() if seed is None else (f"seed={seed}",)),
+    ]
     chosen, source = open_log(log, config, changes)
     quiet = common is not None and common.quiet
     if not quiet and (chosen_streams := choices(chosen, source)):

@@ -189,6 +189,17 @@ class Keyframes:
     def __len__(self) -> int:
         return len(self.stamps)
 
+    def take(self, rows: Ints) -> Keyframes:
+        """Return some of the keyframes (r,), in the order of the rows."""
+        lengths = np.diff(self.starts)[rows]
+        starts = np.concatenate([[0], np.cumsum(lengths)])
+        points = np.repeat(self.starts[rows] - starts[:-1], lengths) + np.arange(starts[-1])
+        some = {f.name: getattr(self, f.name) for f in fields(self)}
+        some = {
+            name: column[rows] for name, column in some.items() if name not in ("starts", "points")
+        }
+        return Keyframes(**{**some, "starts": starts, "points": self.points[points]})
+
     def draw(self, grid: OccupancyGrid) -> None:
         """Draw the scans into a grid, which may already contain the first of them.
 

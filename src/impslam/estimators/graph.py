@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -74,7 +75,7 @@ class Graph(Estimator):
         moved = False
         if self._is_new_node():
             try:
-                moved = self._close_loops()
+                moved = self._close_loops(len(self._graph) - 2)
             except NumericalError as error:
                 failed = f"no loop is closed at {keyframe.stamp:.3f} s: {error}"
                 refused = "; ".join(filter(None, (refused, failed)))
@@ -112,12 +113,18 @@ class Graph(Estimator):
         self._since = np.zeros(3), np.zeros((3, 3))
         return True
 
-    def _close_loops(self) -> bool:
-        """Seek closures of the node before the newest; tell whether the nodes have moved.
+    def seek_loops(self, begin: int) -> None:
+        """Seek closures of all nodes from a keyframe on, the newest one aside, as when they were driven."""
+        for node in range(int(np.searchsorted(self._keys.nodes, begin)), len(self._graph) - 1):
+            with suppress(NumericalError):  # they are taken back
+                self._close_loops(node)
+
+    def _close_loops(self, node: int) -> bool:
+        """Seek closures of a node, which is not the newest; tell whether the nodes have moved.
 
         Those that leave the graph without a solution are taken back, or no later one would have any.
         """
-        node, before = len(self._graph) - 2, self._graph.closures
+        before = self._graph.closures
         if node < 1 or not self._closer.seek(node, self._keys, self._graph):
             return False
         try:

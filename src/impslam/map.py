@@ -142,6 +142,7 @@ class Revision:
     gone : ids of removed landmarks
     refused : why the keyframe could not be used, "" if it was used
     placed : (r,) or one for all, whether it is known where they are in the map
+    dropped : keyframes whose scans are not kept, for they add nothing to those of others
     """
 
     ids: Ints
@@ -153,6 +154,7 @@ class Revision:
     gone: tuple[int, ...] = ()
     refused: str = ""
     placed: Mask | bool = True
+    dropped: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,6 +20,7 @@ from impslam.estimators.keyframe_log import KeyframeLog, Part, blended, refined,
 from impslam.estimators.loop_closing import LoopCloser, LoopSearch
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.restoring import restored
+from impslam.estimators.thinning import Thinner
 from impslam.geometry.chain import advance
 from impslam.geometry.se2 import compose, compose_uncertain
 from impslam.landmarks.base import LandmarkModel
@@ -49,6 +50,7 @@ class Graph(Estimator):
 
     _graph: PoseGraph = PrivateAttr(default_factory=PoseGraph)
     _closer: LoopCloser = PrivateAttr()
+    _thinner: Thinner = PrivateAttr(default_factory=Thinner)
     _keys: KeyframeLog = PrivateAttr(default_factory=KeyframeLog)
     _since: tuple[Array, Array] = PrivateAttr()
     _start: Array = PrivateAttr()
@@ -73,19 +75,27 @@ class Graph(Estimator):
         used, refused = _usable(keyframe)
         self._drive(used)
         moved = False
+        dropped: tuple[int, ...] = ()
         if self._is_new_node():
+            dropped = self._thinner.thin(self._keys, self._graph)
             try:
                 moved = self._close_loops(len(self._graph) - 2)
             except NumericalError as error:
                 failed = f"no loop is closed at {keyframe.stamp:.3f} s: {error}"
                 refused = "; ".join(filter(None, (refused, failed)))
         if moved:
-            return replace(self._all(self._graph), refused=refused)
+            return replace(self._all(self._graph), refused=refused, dropped=dropped)
         pose, covariance = compose_uncertain(
             self._graph.poses[-1], self._graph.covariances[-1], *self._since
         )
-        newest, placed = np.array([keyframe.id]), not self._is_pending()
-        return Revision(newest, pose[None], covariance[None], refused=refused, placed=placed)
+        return Revision(
+            np.array([keyframe.id]),
+            pose[None],
+            covariance[None],
+            refused=refused,
+            placed=not self._is_pending(),
+            dropped=dropped,
+        )
 
     def _is_pending(self) -> bool:
         """Tell whether the newest keyframe is in a session that is not placed in the map."""
@@ -204,9 +214,9 @@ def _close_by(search: LoopSearch) -> LoopSearch:
 
 
 def _refinable(keys: KeyframeLog, graph: PoseGraph) -> Part:
-    """Return the keyframes that are placed, with the closures that connect their sessions."""
+    """Return the keyframes that are placed and kept, with the closures that connect their sessions."""
     edges, nodes = graph.edges, keys.nodes
-    rows = np.flatnonzero(graph.roots[keys.node_before] == 0)
+    rows = np.flatnonzero((graph.roots[keys.node_before] == 0) & keys.is_kept)
     i, j = nodes[edges.i], nodes[edges.j]
     links = (keys.sessions[i] != keys.sessions[j]) & np.isin(i, rows)
     ends = np.searchsorted(rows, i[links]), np.searchsorted(rows, j[links])

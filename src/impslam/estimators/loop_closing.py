@@ -88,6 +88,7 @@ class LoopCloser:
         apart = np.hypot(*(graph.poses[:, :2] - graph.poses[node, :2]).T)
         possible = (ways > self._search.way_back) & (apart < windows + 2.0) & np.isfinite(ways)
         possible[node:] = False
+        possible &= ~graph.is_folded
         if not possible.any():
             return False
         query = self._query(node, keys)
@@ -120,11 +121,12 @@ class LoopCloser:
         near &= np.hypot(*(graph.poses[:, :2] - graph.poses[u, :2]).T) < REFERENCE_RADIUS
         chosen = near[keys.node_before]
         chosen &= keys.way < keys.way[keys.nodes[node]] - AFRESH
+        chosen &= keys.seeing
         rows = np.flatnonzero(chosen)
         if len(rows) < FEWEST_REFERENCES:
             return None
         rows = rows[:: max(1, len(rows) // MOST_REFERENCES)]
-        poses = revised(keys, graph)[rows]
+        poses = revised(keys, graph, rows)
         extent = (REFERENCE_CELL, REFERENCE_REACH)
         reference = _gathered(rows, poses, graph.poses[u], keys, extent)
         if reference is None:

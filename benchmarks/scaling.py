@@ -48,7 +48,7 @@ def driven(log: list[tuple[str, Message]], times: int) -> Iterator[tuple[str, Me
 
 
 def measure(task: tuple[Path, int]) -> list[float]:
-    """Return scans, keyframes, and what scans and keyframes cost and take."""
+    """Return numbers of scans, keyframes, their scans kept, nodes and closures; what they cost and take."""
     log, times = task
     config, source = open_log(log, None, PLAIN)
     with source:
@@ -73,7 +73,8 @@ def measure(task: tuple[Path, int]) -> list[float]:
     known = run.settled()
     settling = time.process_time() - begin
     graph = run.estimator._graph  # type: ignore[attr-defined]  # the graph's
-    counts = [scans, len(known.keyframes), len(graph), graph.closures]
+    kept = int((known.keyframes.starts[1:] > known.keyframes.starts[:-1]).sum())
+    counts = [scans, len(known.keyframes), kept, int((~graph.is_folded).sum()), graph.closures]
     return [*counts, 1e3 * spent / scans, 1e3 * newest, settling, _peak() - before]
 
 
@@ -93,17 +94,15 @@ def main() -> None:
     options.add_argument("--log", default="intel")
     options.add_argument("--times", type=int, nargs="+", default=[1, 2, 4, 8])
     given = options.parse_args()
-    head = "driven|scans|keyframes|nodes|closures|scan, ms|of the last tenth|settling, s|memory, MB"
-    print("| " + head.replace("|", " | ") + " |\n|" + "---|" * 9)
+    head = "driven|scans|keyframes|kept|nodes|closures|scan, ms|of the last tenth|settling, s|memory, MB"
+    print("| " + head.replace("|", " | ") + " |\n|" + "---|" * 10)
     log = given.data / given.log / f"{given.log}.log"
     with get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
         for times in given.times:
-            n, keyframes, nodes, closures, mean, last, settling, memory = pool.apply(
-                measure, [(log, times)]
-            )
+            *counts, mean, last, settling, memory = pool.apply(measure, [(log, times)])
+            numbers = " | ".join(str(count) for count in (times, *counts))
             print(
-                f"| {times} | {n} | {keyframes} | {nodes} | {closures} | {mean:.3f} | {last:.3f} | "
-                f"{settling:.1f} | {memory:.0f} |",
+                f"| {numbers} | {mean:.3f} | {last:.3f} | {settling:.1f} | {memory:.0f} |",
                 flush=True,
             )
 

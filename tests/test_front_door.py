@@ -132,6 +132,7 @@ def test_a_text_is_no_log(tmp_path):
         "impslam.map",
         "impslam.recognition.relocalisation",
         "impslam.localisation",
+        "impslam.maps.merge",
     ],
 )
 def test_the_examples_in_docstrings_run(name, tmp_path, monkeypatch):

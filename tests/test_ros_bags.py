@@ -1,6 +1,7 @@
 """Bags as users of slam_toolbox have them, each mapped by `imp run BAG` alone."""
 
 import math
+import shutil
 
 import numpy as np
 import pytest
@@ -101,3 +102,30 @@ def test_without_the_mount_a_bag_is_mapped_wrongly(room, tmp_path):
     entries, truth = drive(room, recipe)
     log = write(tmp_path / "bag", recipe, entries)
     assert worst(impslam.run(log, settings=["sensors.lidar.mount=[0,0,0]"]).path(), truth) > 0.1
+
+
+def test_a_second_lidar_is_added_by_what_the_line_says(room, tmp_path):
+    recipe = BAGS["two lidars"][0]
+    entries, truth = drive(room, recipe)
+    log = write(tmp_path / "bag", recipe, entries)
+    said = "--set sensors.NAME.kind=lidar2d --set sensors.NAME.stream=/rear/scan"
+    assert f"/rear/scan is another lidar, added by {said}" in choices(*open_log(log))
+    settings = ["sensors.rear.kind=lidar2d", "sensors.rear.stream=/rear/scan"]
+    assert "/rear/scan (mount [-0.150 m, 0.000 m, 180.0 deg]" in choices(
+        *open_log(log, None, settings)
+    )
+    both = impslam.run(log, settings=settings)
+    assert len(both.path()) == 2 * len(truth)
+    assert worst(both.path()[::2], truth) < 0.01
+
+
+def test_a_folder_of_several_pieces_is_one_log(room, tmp_path):
+    recipe = Recipe()
+    entries, truth = drive(room, recipe)
+    middle = len(entries) // 2
+    log = write(tmp_path / "bag", recipe, entries[:middle])
+    rest = write(tmp_path / "rest", recipe, entries[middle:])
+    shutil.move(rest / "rest.mcap", log / "rest.mcap")
+    text = (log / "metadata.yaml").read_text()
+    (log / "metadata.yaml").write_text(text.replace("- bag.mcap", "- bag.mcap\n  - rest.mcap"))
+    assert worst(impslam.run(log).path(), truth) < 0.01

@@ -59,9 +59,15 @@ def choices(config: Config, source: Source) -> str:
     if not source.describes_robot:
         return ""
     robot = config.make_robot()
+    lasers = list(_lasers(robot, source))
     parts = [
-        f"scan {stream} ({_mount_words(name, mount, config)})"
-        for name, stream, mount in _lasers(robot, source)
+        f"scan {stream} ({_mount_words(name, mount, config)})" for name, stream, mount in lasers
+    ]
+    others = source.mounts().keys() - {stream for _, stream, _ in lasers}
+    parts += [
+        f"{other} is another lidar, added by --set sensors.NAME.kind=lidar2d --set "
+        f"sensors.NAME.stream={other}"
+        for other in sorted(others)
     ]
     stream = robot.odometry.stream or source.defaults().get(robot.odometry.consumes, "")
     if not robot.odometry.tells_motion:

@@ -142,6 +142,7 @@ class Revision:
     gone : ids of removed landmarks
     refused : why the keyframe could not be used, "" if it was used
     placed : (r,) or one for all, whether it is known where they are in the map
+    dropped : keyframes whose scans are not kept, for they add nothing to those of others
     """
 
     ids: Ints
@@ -153,6 +154,7 @@ class Revision:
     gone: tuple[int, ...] = ()
     refused: str = ""
     placed: Mask | bool = True
+    dropped: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,6 +190,17 @@ class Keyframes:
 
     def __len__(self) -> int:
         return len(self.stamps)
+
+    def take(self, rows: Ints) -> Keyframes:
+        """Return some of the keyframes (r,), in the order of the rows."""
+        lengths = np.diff(self.starts)[rows]
+        starts = np.concatenate([[0], np.cumsum(lengths)])
+        points = np.repeat(self.starts[rows] - starts[:-1], lengths) + np.arange(starts[-1])
+        some = {f.name: getattr(self, f.name) for f in fields(self)}
+        some = {
+            name: column[rows] for name, column in some.items() if name not in ("starts", "points")
+        }
+        return Keyframes(**{**some, "starts": starts, "points": self.points[points]})
 
     def draw(self, grid: OccupancyGrid) -> None:
         """Draw the scans into a grid, which may already contain the first of them.
@@ -266,35 +279,27 @@ class Map:
 
     def rows(self) -> PathRows:
         """Return the current estimate of the path with covariances."""
-        keyframes, at = self.keyframes, self.placed()
+        keyframes = self.keyframes
         poses, covariances = hang(
             keyframes.poses,
             keyframes.covariances,
-            self.anchors[at],
-            self.T_anchor_base[at],
-            self.track_covariances[at],
+            self.anchors,
+            self.T_anchor_base,
+            self.track_covariances,
         )
-        return PathRows(self.stamps[at], poses, covariances, self.odometry_poses[at])
-
-    def placed(self) -> Mask:
-        """Tell of which sweeps (n,) it is known where in the map they are."""
-        return np.asarray(self.keyframes.placed[self.anchors])
+        return PathRows(self.stamps, poses, covariances, self.odometry_poses)
 
     def path(self) -> Array:
-        """Return (n, 4) stamp, x, y, theta of base_link in map, a row for each sweep.
-
-        Sweeps of sessions that are not placed in the map are left out, here and in the paths below.
-        """
-        rows = self.rows()
-        return np.column_stack((rows.stamps, rows.poses))
+        """Return (n, 4) stamp, x, y, theta of base_link in map, a row for each sweep."""
+        return np.column_stack((self.stamps, self.rows().poses))
 
     def live_path(self) -> Array:
         """Return (n, 4) stamp, x, y, theta as each was estimated at the time of its sweep."""
-        return np.column_stack((self.stamps, self.live_poses))[self.placed()]
+        return np.column_stack((self.stamps, self.live_poses))
 
     def odometry(self) -> Array:
         """Return (n, 4) stamp, x, y, theta by dead reckoning from the same start."""
-        return np.column_stack((self.stamps, self.odometry_poses))[self.placed()]
+        return np.column_stack((self.stamps, self.odometry_poses))
 
     def grid(self, resolution: float = 0.05) -> OccupancyGrid:
         """Draw the occupancy grid from the keyframes' scans; `resolution` is a cell's side in m.

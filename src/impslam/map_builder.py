@@ -85,6 +85,8 @@ class MapBuilder:
             if len(own) > 1:
                 kept[name].replace(revision.ids[~own], rows[~own])
         self._keep(keyframe, revision)
+        if revision.dropped:
+            self._drop(revision.dropped)
         return self._hang(
             keyframe.id,
             np.array([keyframe.stamp]),
@@ -106,6 +108,19 @@ class MapBuilder:
             kept["origins"].append(scan.laser[:2])
             kept["points"].append(points, len(points))
         kept["starts"].append(len(kept["points"]))
+
+    def _drop(self, ids: tuple[int, ...]) -> None:
+        """Drop the points of keyframes."""
+        starts, points = (self._keyframes[name].array for name in ("starts", "points"))
+        lengths = np.diff(starts)
+        own = np.zeros(len(lengths), np.bool_)
+        own[list(ids)] = True
+        kept = points[np.repeat(~own, lengths)]
+        starts = np.append(0, np.cumsum(np.where(own, 0, lengths)))
+        self._keyframes["starts"] = GrowingArray(dtype=np.int64)
+        self._keyframes["starts"].append(starts, len(starts))
+        self._keyframes["points"] = GrowingArray(2, dtype=np.float32)
+        self._keyframes["points"].append(kept, len(kept))
 
     def _hang(
         self, anchor: int, stamps: Array, T_anchor_base: Array, covariance: Array, odometry: Array

@@ -99,6 +99,25 @@ def test_diff_of_two_buildings_is_refused(imp, office, tmp_path) -> None:
     assert said.err.count("\n") == 1
 
 
+def test_merge_joins_maps_of_several_drives(imp, office, tmp_path) -> None:
+    other = mapped(OFFICE, DRIVE, T=(30.0, 9.0, -2.0), seed=3).save(tmp_path / "other.imp")
+    said = imp("map", "merge", office, other, "-o", tmp_path / "both.imp")
+    assert said.code == 0, said.err
+    assert "2 maps, joined by" in said.out
+    both = Map.load(tmp_path / "both.imp")
+    assert len(both.keyframes) == 20 + len(DRIVE)
+    assert "made from  drawn, drawn" in imp("map", "info", tmp_path / "both.imp").out
+
+
+def test_merge_names_the_map_that_lies_elsewhere(imp, office, tmp_path) -> None:
+    hall = mapped(room(0, 9, 0, 7), way(1, 1, 8, 5, 30)).save(tmp_path / "hall.imp")
+    said = imp("map", "merge", office, hall, "-o", tmp_path / "both.imp")
+    assert said.code == 2
+    assert said.err.startswith(f"imp: error: {hall}: is not merged: they have no place in common")
+    assert said.err.count("\n") == 1
+    assert not (tmp_path / "both.imp").exists()
+
+
 @pytest.fixture(scope="module")
 def lived_in(room: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The map's file of a drive through a small room."""
@@ -152,6 +171,7 @@ def test_a_round_hall_is_not_straightened(imp, tmp_path) -> None:
         ("straighten", ("-o", "x.imp")),
         ("export", ("-o", "x")),
         ("diff", ("y.imp",)),
+        ("merge", ("y.imp", "-o", "x.imp")),
         ("localise", ("y.log",)),
     ],
 )
@@ -182,6 +202,8 @@ def test_files_that_are_no_maps_are_told_in_one_line(imp, office, tmp_path, comm
         (("export", "MAP", "-o", "FOLDER"), "holds 'mine.txt', which is none"),
         (("export", "MAP", "-o", "MAP"), "MAP"),
         (("export", "MAP", "-o", "new", "--resolution", "0"), "resolution"),
+        (("merge", "MAP", "-o", "new.imp"), "two maps or more"),
+        (("merge", "MAP", "MAP"), "output"),
         (("turn", "MAP"), "turn"),
     ],
 )  # fmt: skip

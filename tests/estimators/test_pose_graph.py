@@ -11,7 +11,7 @@ from tests.numeric import wrapped
 
 from impslam.errors import NumericalError
 from impslam.estimators.pose_graph import KERNEL, PoseGraph
-from impslam.geometry.se2 import between, compose, compose_uncertain
+from impslam.geometry.se2 import between, compose, compose_uncertain, inverse
 from impslam.graph.solve import marginals
 
 Q = np.array([[2e-4, 3e-5, 1e-5], [3e-5, 1e-4, -1e-5], [1e-5, -1e-5, 4e-5]])
@@ -237,3 +237,133 @@ def test_a_copy_stays_as_it_is_while_the_graph_goes_on():
     assert (len(before), len(before.edges.i), before.closures) == (2, 1, 0)
     before.solve()
     np.testing.assert_allclose(before.poses[1], step, atol=1e-12)
+
+
+# --------------------------------------------------------------------------- folded nodes
+
+
+def folded(graph, truth, node, host):
+    graph.fold(node, host, between(truth[host], truth[node]), np.linalg.inv(FIRM))
+
+
+def test_edges_of_a_folded_node_are_those_of_its_host():
+    """Of a chain 0 1 ... 8 with 7 folded into 1, and closures to both: exact where all are exact."""
+    truth = square(n=2)
+    graph = grown(truth)
+    closed(graph, truth, 3, 7)
+    folded(graph, truth, 7, 1)
+    closed(graph, truth, 7, 8)
+    edges = graph.edges
+    assert not ((edges.i == 7) | (edges.j == 7)).any()
+    expected = between(truth[edges.i], truth[edges.j])
+    assert np.abs(wrapped(edges.T_i_j - expected, 2)).max() < 1e-12
+    assert {(1, 6), (1, 8), (1, 3)} <= {
+        tuple(sorted(e)) for e in zip(edges.i.tolist(), edges.j.tolist(), strict=True)
+    }
+    assert (graph.closures, len(graph), graph.is_folded.sum()) == (2, 9, 1)
+    graph.solve()
+    assert np.abs(wrapped(graph.poses - truth, 2)).max() < 1e-9
+
+
+def test_an_edge_that_is_moved_errs_by_both_of_its_parts(rng):
+    """The covariance of each edge of a folded node is that of samples."""
+    truth = square(n=2)
+    graph = grown(truth)
+    C = np.diag([1e-4, 2e-4, 3e-5])
+    graph.fold(7, 1, between(truth[1], truth[7]), C)
+    edges = graph.edges
+    n = 40000
+    hosts = between(truth[1], truth[7]) + rng.multivariate_normal(np.zeros(3), C, n)
+    for other in (6, 8):
+        a, b = min(other, 7), max(other, 7)
+        motion = between(truth[a], truth[b]) + rng.multivariate_normal(np.zeros(3), Q, n)
+        at = compose(motion, inverse(hosts)) if b == 7 else compose(hosts, motion)
+        row = np.flatnonzero((edges.i == other) | (edges.j == other))
+        row = next(k for k in row if 1 in (edges.i[k], edges.j[k]))
+        assert (edges.i[row], edges.j[row]) == ((other, 1) if b == 7 else (1, other))
+        np.testing.assert_allclose(
+            np.cov(at.T), np.linalg.inv(edges.information[row]), rtol=0.05, atol=3e-6
+        )
+
+
+def test_a_folded_leaf_leaves_what_is_known_of_the_others():
+    truth = square(n=2)
+    graph, twin = grown(truth), grown(truth[:-1])
+    folded(graph, truth, 8, 0)
+    folded(graph, truth, 7, 1)
+    graph._merge(1, 3, between(truth[1], truth[3]), 1e-9 * np.eye(3), math.inf, 1.0)
+    assert len(graph.edges.i) == 8
+    graph.solve()
+    twin.solve()
+    assert (
+        np.trace(graph.covariances[:7], axis1=1, axis2=2)
+        <= np.trace(twin.covariances[:7], axis1=1, axis2=2) + 1e-12
+    ).all()
+
+
+def test_of_two_motions_between_the_same_nodes_the_better_one_stays():
+    truth = square(n=2)
+    for better in (False, True):
+        graph = grown(truth)
+        information = np.linalg.inv(Q) * (2.0 if better else 0.5)
+        graph._merge(1, 0, between(truth[1], truth[0]), information, math.inf, 1.0)
+        edges = graph.edges
+        assert len(edges.i) == 8
+        assert (edges.i[0], edges.j[0]) == ((1, 0) if better else (0, 1))
+
+
+def test_a_building_driven_again_and_again_is_one_graph():
+    lap = square(n=4)[:-1]
+    truth = np.concatenate([lap] * 6)
+    graph = grown(truth[: len(lap)])
+    edges = []
+    for k in range(len(lap), len(truth)):
+        graph.go_on(between(truth[k - 1], truth[k]), Q, 2.5)
+        if k > len(lap) + 4:
+            folded(graph, truth, k - 4, (k - 4) % len(lap))
+        edges.append(len(graph.edges.i))
+    assert np.count_nonzero(~graph.is_folded) <= len(lap) + 5
+    assert max(edges) <= len(lap) + 6
+    graph.solve()
+    assert np.abs(wrapped(graph.poses - truth, 2)).max() < 1e-9
+    assert graph.ways(len(graph) - 5)[0] < 2.5 * len(lap)
+
+
+def test_a_folded_node_moves_with_its_host():
+    truth = square()
+    graph = grown(truth, drift=(0.0, 0.0, 0.004))
+    graph.fold(20, 18, between(graph.poses[18], graph.poses[20]), np.linalg.inv(FIRM))
+    T = between(graph.poses[18], graph.poses[20])
+    before = graph.poses[20].copy()
+    closed(graph, truth, 0, 32)
+    graph.solve()
+    assert np.abs(graph.poses[20] - before).max() > 0.05
+    np.testing.assert_allclose(between(graph.poses[18], graph.poses[20]), T, atol=1e-12)
+
+
+def test_nothing_is_folded_twice_or_into_itself():
+    truth = square(n=2)
+    graph = grown(truth)
+    folded(graph, truth, 7, 1)
+    known = graph.edges
+    folded(graph, truth, 7, 2)
+    folded(graph, truth, 1, 7)  # 7 is 1 by now
+    folded(graph, truth, 0, 3)  # the first node says where the map lies
+    assert graph.hosts.tolist() == [0, 1, 2, 3, 4, 5, 6, 1, 8]
+    np.testing.assert_array_equal(graph.edges.i, known.i)
+
+
+def test_a_copy_stays_as_it_is():
+    truth = square()
+    graph = grown(truth[:20], drift=(0.0, 0.0, 0.004))
+    still = copy(graph)
+    before = still.edges
+    graph.go_on(np.array([1.0, 0.0, 0.0]), Q, 1.0)
+    folded(graph, truth, 10, 3)
+    graph.close(0, 20, np.zeros(3), FIRM)
+    graph.solve()
+    assert len(still) == 20
+    for one, other in zip(still.edges, before, strict=True):
+        np.testing.assert_array_equal(one, other)
+    still.solve()
+    assert not still.is_folded.any()

@@ -1,5 +1,6 @@
 """Each example is one file outside the package, used through a config that names it."""
 
+import json
 import math
 from pathlib import Path
 
@@ -59,7 +60,7 @@ def assert_cylinders(landmarks, tolerance):
 
 def test_every_example_is_short_and_tried_here():
     files = {path.stem: path.read_text().count("\n") for path in EXAMPLES.glob("*.py")}
-    assert set(files) == {"poles", "pillar", "csv_log", "huber"}
+    assert set(files) == {"poles", "pillar", "json_log", "huber"}
     assert max(files.values()) < 80
 
 
@@ -105,9 +106,10 @@ def test_the_jacobians_of_the_landmark(theta):
         np.testing.assert_allclose(analytic, numeric, atol=1e-8)
 
 
-def write_csv(path):
+def write_json(path):
     """Write what a perfect robot records in a room, in stops of a lidar that takes no time."""
-    lidar = Lidar.perfect(beam_time=0.0)
+    beams = {"beams": 181, "angle_min": -math.pi / 2, "angle_step": math.pi / 180}
+    lidar = Lidar.perfect(beam_time=0.0, **beams)
     robot = SimulatedRobot(encoders=WheelEncoders.perfect(), lidar=lidar, imu=None)
     rows, truth, wheels = [], {}, {}
     for message in simulate(load_world("room"), robot):
@@ -116,21 +118,18 @@ def write_csv(path):
         elif isinstance(message, WheelAngles):
             wheels[message.stamp] = (message.left, message.right)
         elif isinstance(message, LaserScan):
-            if not rows:
-                degrees = [f"{math.degrees(a):.9g}" for a in message.angles]
-                rows.append(",".join(["stamp", "left", "right", *degrees]))
-            left, right = wheels[message.stamp]
-            cells = [f"{r:.9g}" if r > 0.0 else "" for r in message.ranges]
-            rows.append(",".join([f"{message.stamp:.6f}", f"{left:.12g}", f"{right:.12g}", *cells]))
-    rows += ["1020.0,1.0,2.0", "1020.1,nan" + ",1.0" * 683, "x" + ",1.0" * 684]
+            ranges = [r if r > 0.0 else None for r in message.ranges.tolist()]
+            row = {"stamp": message.stamp, "wheels": wheels[message.stamp], "ranges": ranges}
+            rows.append(json.dumps(row))
+    rows += ['{"stamp": 1020.0}', '{"stamp": 1020.1, "wheels": [NaN, 1], "ranges": [1, 2]}', "what"]
     path.write_text("\n".join(rows) + "\n")
     return np.array([[stamp, *pose] for stamp, pose in truth.items()])
 
 
 def test_a_format_of_logs(tmp_path):
     log = tmp_path / "log.txt"  # the format is told from the content
-    truth = write_csv(log)
-    out = imp(tmp_path, log, "csv_log")
+    truth = write_json(log)
+    out = imp(tmp_path, log, "json_log")
     pairs = associate(read_tum(out / "trajectory.tum"), truth)
     assert len(pairs.stamps) > 80
     assert position_errors(pairs).max() < 0.01
@@ -141,7 +140,7 @@ def test_a_format_of_logs(tmp_path):
 
 def test_the_log_is_of_no_known_format_without_the_example(tmp_path, capsys):
     log = tmp_path / "log.txt"
-    write_csv(log)
+    write_json(log)
     assert main(["run", str(log)]) == 2
     assert "no known log format" in capsys.readouterr().err
 

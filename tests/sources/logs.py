@@ -164,10 +164,18 @@ def write_mrpt_text(path: Path) -> Path:
     return path
 
 
+def write_csv(path: Path) -> Path:
+    rows = ["stamp,x,y,theta,-90,-45,0,45,90"]
+    rows += [f"{1.5 + 0.25 * i},{0.5 * i},0.25,-0.5,1.5,{1 + i},inf,,0.5" for i in range(4)]
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
 WRITERS: dict[str, Callable[[Path], Path]] = {
     "acfr_carpark": write_acfr_carpark,
     "acfr_park": write_acfr_park,
     "carmen": write_carmen,
+    "csv": write_csv,
     "dat": write_dat,
     "lego": write_lego,
     "mrclam": write_mrclam,

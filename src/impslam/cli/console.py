@@ -54,6 +54,15 @@ Topics: TypeAlias = Annotated[
         help="Which topic plays a role: --topic scan=/scan.",
     ),
 ]
+Columns: TypeAlias = Annotated[
+    tuple[str, ...],
+    Parameter(
+        name="--columns",
+        negative="",
+        show_default=False,
+        help="Which column of a CSV log is what: --columns stamp=t,ranges=r0:r359*0.001.",
+    ),
+]
 Seed: TypeAlias = Annotated[int | None, Parameter(help="Seed of everything that is random.")]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impslam.cli import console
-from impslam.cli.console import Base, Common, Settings, Topics
+from impslam.cli.console import Base, Columns, Common, Settings, Topics
 from impslam.cli.progress import display, follow
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ def inspect(
     config: Base = None,
     settings: Settings = (),
     topics: Topics = (),
+    columns: Columns = (),
     common: Common | None = None,
 ) -> None:
     """Print the contents of a log, how they are used, and problems with their fixes.
@@ -32,12 +33,14 @@ def inspect(
     log
         A file or folder; its format is recognised from its content.
     """
-    from impslam.cli.job import topic_settings
+    from impslam.cli.job import column_settings, topic_settings
     from impslam.cli.survey import Survey
     from impslam.fitting import choices
     from impslam.open_log import open_log
 
-    chosen, source = open_log(log, config, [*settings, *topic_settings(topics)])
+    chosen, source = open_log(
+        log, config, [*settings, *topic_settings(topics), *column_settings(columns)]
+    )
     survey = Survey(chosen.make_robot())
     with source, display(common is not None and common.quiet) as shown:
         streams, preset = source.streams(), source.preset

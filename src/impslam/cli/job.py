@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -9,7 +10,6 @@ from impslam.cli.bar import Bar
 from impslam.cli.interruption import Interruption
 from impslam.cli.progress import display
 from impslam.config import Config
-from impslam.continuing import Known
 from impslam.errors import ConfigError
 from impslam.evaluation.landmark_files import landmarks_path, read_true_landmarks
 from impslam.map import Map
@@ -29,23 +29,31 @@ def topic_settings(topics: Sequence[str]) -> list[str]:
     return [f"source.topics.{topic}" for topic in topics]
 
 
-def execute(  # noqa: PLR0913  # all that a run consists of
+def column_settings(columns: Sequence[str]) -> list[str]:
+    """Turn "stamp=t,ranges=r0:r359" into the settings that it abbreviates."""
+    pairs = [one.partition("=") for text in columns for one in text.split(",")]
+    for role, equals, name in pairs:
+        if not (role.strip() and equals and name.strip()):
+            raise ConfigError(
+                f"--columns {role + equals + name}: expected role=column, e.g. --columns stamp=t"
+            )
+    return [f"source.columns.{role.strip()}={json.dumps(name.strip())}" for role, _, name in pairs]
+
+
+def execute(
     config: Config,
     source: Source,
     folder: Path,
     quiet: bool,
-    *,
     more: Iterable[Observer] = (),
     known: Sequence[TrueLandmark] = (),
     player: Callable[[Config, Source, list[Observer]], Map] | None = None,
-    begin: Known | None = None,
 ) -> Map:
     """Run a log, write its files into a folder, and show how far it has come.
 
     A run that an error or a signal ends early writes what it knows, marked as partial. `known` are the
     true landmarks, for scoring alone, where neither the source nor a file beside it tells them.
-    `begin` is a map to go on with. `player` takes the log through the estimator in another way than at
-    once.
+    `player` takes the log through the estimator in another way than at once.
     """
     if folder.resolve().is_relative_to(source.path.resolve()):
         raise ConfigError(f"{folder}: is inside the log and would change it; give another -o")
@@ -56,7 +64,7 @@ def execute(  # noqa: PLR0913  # all that a run consists of
         if player is not None:
             return player(config, source, observers)
         with Interruption(bar.interrupted) as interruption:
-            return map_log(config, source, [*observers, interruption], interruption.check, begin)
+            return map_log(config, source, [*observers, interruption], interruption.check)
 
 
 def _surveyed(log: Path) -> list[TrueLandmark]:

@@ -14,6 +14,10 @@ COMMANDS = {
         "Show what has changed between two maps of a place: walls gone, and new ones.",
         "monday.imp friday.imp -o changes.png",
     ),
+    "merge": (
+        "Merge maps of one building, of any number of robots; how they lie is found, or told not to be.",
+        "one.imp two.imp three.imp -o all.imp",
+    ),
     "localise": (
         "Find where in a map each scan of a log was taken, each by itself.",
         "office.imp drive.mcap --every 10 -o places",

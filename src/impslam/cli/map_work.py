@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,15 +17,28 @@ if TYPE_CHECKING:
     from impslam.maps.files import MapImage
 
 
+class Work:
+    """What is going on, on a display of progress, or nowhere if that is None."""
+
+    def __init__(self, display: Any, what: str) -> None:
+        self._display, self._what = display, what
+        self._task = None if display is None else display.add_task(what, total=None)
+
+    def __call__(self, share: float) -> None:
+        """Show the share that is done, 0 to 1."""
+        self.step(self._what, share)
+
+    def step(self, what: str, share: float) -> None:
+        """Show what is being done now, and the share of it that is done."""
+        if self._display is not None:
+            self._display.update(self._task, description=what, total=1.0, completed=share)
+
+
 @contextmanager
-def working(what: str, quiet: bool) -> Iterator[Callable[[float], None]]:
-    """Show that something is going on; call what it gives with the share done, 0 to 1, if known."""
+def working(what: str, quiet: bool) -> Iterator[Work]:
+    """Show that something is going on, and how far it has come as soon as that is told."""
     with display(quiet) as shown:
-        if shown is None:
-            yield lambda share: None
-            return
-        task = shown.add_task(what, total=None)
-        yield lambda share: shown.update(task, total=1.0, completed=share)
+        yield Work(shown, what)
 
 
 def picture_path(beside: Path, wanted: Path | None) -> Path:
@@ -62,10 +75,10 @@ def result_folder(folder: Path, files: frozenset[str]) -> Path:
 
 def write_picture(path: Path, known: Map, image: MapImage) -> None:
     """Draw a map: grid, path and landmarks."""
-    from impslam.observers.map_picture import Scene, map_png
+    from impslam.observers.map_picture import Scene, drawn_path, map_png
 
     none = np.empty((0, 2))
-    scene = Scene(image, known.path()[:, 1:3], none, none, known.landmarks)
+    scene = Scene(image, drawn_path(known), none, none, known.landmarks)
     write_bytes(path, map_png(scene))
 
 

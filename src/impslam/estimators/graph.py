@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -15,13 +16,13 @@ from impslam.building.landmarks import landmarks_of
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
 from impslam.estimators.base import Draft, Estimator, check_keyframe, is_known
-from impslam.estimators.finding import Finder
 from impslam.estimators.keyframe_log import KeyframeLog, Part, blended, refined, revised
 from impslam.estimators.loop_closing import LoopCloser, LoopSearch
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.restoring import restored
+from impslam.estimators.thinning import Thinner
 from impslam.geometry.chain import advance
-from impslam.geometry.se2 import between, compose, compose_uncertain
+from impslam.geometry.se2 import compose, compose_uncertain
 from impslam.landmarks.base import LandmarkModel
 from impslam.map import Keyframe, Map, Revision
 from impslam.noise import UNKNOWN
@@ -49,7 +50,7 @@ class Graph(Estimator):
 
     _graph: PoseGraph = PrivateAttr(default_factory=PoseGraph)
     _closer: LoopCloser = PrivateAttr()
-    _finder: Finder = PrivateAttr()
+    _thinner: Thinner = PrivateAttr(default_factory=Thinner)
     _keys: KeyframeLog = PrivateAttr(default_factory=KeyframeLog)
     _since: tuple[Array, Array] = PrivateAttr()
     _start: Array = PrivateAttr()
@@ -58,12 +59,7 @@ class Graph(Estimator):
     _settled: Revision | None = PrivateAttr(None)
 
     def start(
-        self,
-        pose: Array,
-        known: Map | None = None,
-        frozen: bool = False,
-        hint: Array | None = None,
-        **parts: Any,
+        self, pose: Array, known: Map | None = None, frozen: bool = False, **parts: Any
     ) -> None:
         """Begin at a pose (3,), or go on with a map; see `Estimator.start`."""
         self._start, self._models = pose, parts["models"]
@@ -71,7 +67,6 @@ class Graph(Estimator):
         if known is not None and len(known.keyframes):
             self._known = known if frozen else None
             self._keys, self._graph, self._since = restored(known, self.spacing, frozen=frozen)
-        self._finder = Finder(hint)
         self._closer = LoopCloser(self.loops if self._known is None else _close_by(self.loops))
 
     def add(self, keyframe: Keyframe) -> Revision:
@@ -80,19 +75,27 @@ class Graph(Estimator):
         used, refused = _usable(keyframe)
         self._drive(used)
         moved = False
+        dropped: tuple[int, ...] = ()
         if self._is_new_node():
+            dropped = self._thinner.thin(self._keys, self._graph)
             try:
-                moved = self._close_loops()
+                moved = self._close_loops(len(self._graph) - 2)
             except NumericalError as error:
                 failed = f"no loop is closed at {keyframe.stamp:.3f} s: {error}"
                 refused = "; ".join(filter(None, (refused, failed)))
         if moved:
-            return replace(self._all(self._graph), refused=refused)
+            return replace(self._all(self._graph), refused=refused, dropped=dropped)
         pose, covariance = compose_uncertain(
             self._graph.poses[-1], self._graph.covariances[-1], *self._since
         )
-        newest, placed = np.array([keyframe.id]), not self._is_pending()
-        return Revision(newest, pose[None], covariance[None], refused=refused, placed=placed)
+        return Revision(
+            np.array([keyframe.id]),
+            pose[None],
+            covariance[None],
+            refused=refused,
+            placed=not self._is_pending(),
+            dropped=dropped,
+        )
 
     def _is_pending(self) -> bool:
         """Tell whether the newest keyframe is in a session that is not placed in the map."""
@@ -120,15 +123,19 @@ class Graph(Estimator):
         self._since = np.zeros(3), np.zeros((3, 3))
         return True
 
-    def _close_loops(self) -> bool:
-        """Seek closures of the node before the newest; tell whether the nodes have moved.
+    def seek_loops(self, begin: int) -> None:
+        """Seek closures of all nodes from a keyframe on, the newest one aside, as when they were driven."""
+        for node in range(int(np.searchsorted(self._keys.nodes, begin)), len(self._graph) - 1):
+            with suppress(NumericalError):  # they are taken back
+                self._close_loops(node)
+
+    def _close_loops(self, node: int) -> bool:
+        """Seek closures of a node, which is not the newest; tell whether the nodes have moved.
 
         Those that leave the graph without a solution are taken back, or no later one would have any.
         """
-        node, before = len(self._graph) - 2, self._graph.closures
-        if node < 1 or not (
-            self._closer.seek(node, self._keys, self._graph) or self._find_session(node)
-        ):
+        before = self._graph.closures
+        if node < 1 or not self._closer.seek(node, self._keys, self._graph):
             return False
         try:
             self._graph.solve()
@@ -136,16 +143,6 @@ class Graph(Estimator):
             self._graph.take_back(self._graph.closures - before)
             raise
         return True
-
-    def _find_session(self, node: int) -> bool:
-        """Seek where the pending session of the newest node lies; tell whether it is found."""
-        keys, graph = self._keys, self._graph
-        if not self._is_pending():
-            return False
-        pose = self._finder.find(keys, graph)
-        if pose is not None:
-            pose = compose(pose, between(keys.chain[-1], keys.chain[keys.nodes[node]]))
-        return self._closer.tie(node, pose, keys, graph)
 
     def _all(self, graph: PoseGraph) -> Revision:
         """Return all keyframes by a graph; each has the covariance of the node before it."""
@@ -203,12 +200,7 @@ class Graph(Estimator):
     def counts(self) -> Mapping[str, int]:
         """Return how many loop closures were sought, and how many the graph has."""
         tried = self._closer.recogniser.counts["attempts"]
-        counts = {"loops tried": tried, "loops closed": self._graph.closures}
-        first = np.unique(self._keys.sessions, return_index=True)[1]
-        if len(first) > 1:
-            pending = np.count_nonzero(self._graph.roots[self._keys.node_before[first]])
-            counts |= {"sessions": len(first), "sessions not found": int(pending)}
-        return counts
+        return {"loops tried": tried, "loops closed": self._graph.closures}
 
     @property
     def state_size(self) -> int:
@@ -222,9 +214,9 @@ def _close_by(search: LoopSearch) -> LoopSearch:
 
 
 def _refinable(keys: KeyframeLog, graph: PoseGraph) -> Part:
-    """Return the keyframes that are placed, with the closures that connect their sessions."""
+    """Return the keyframes that are placed and kept, with the closures that connect their sessions."""
     edges, nodes = graph.edges, keys.nodes
-    rows = np.flatnonzero(graph.roots[keys.node_before] == 0)
+    rows = np.flatnonzero((graph.roots[keys.node_before] == 0) & keys.is_kept)
     i, j = nodes[edges.i], nodes[edges.j]
     links = (keys.sessions[i] != keys.sessions[j]) & np.isin(i, rows)
     ends = np.searchsorted(rows, i[links]), np.searchsorted(rows, j[links])

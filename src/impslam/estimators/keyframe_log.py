@@ -4,29 +4,24 @@ from __future__ import annotations
 
 import math
 from copy import copy
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from impslam.building.sightings import SightingsLog
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.geometry.angles import wrap
-from impslam.geometry.se2 import between, compose
+from impslam.geometry.se2 import between, compose, inverse
 from impslam.graph.bearings import Scans
 from impslam.graph.bundle import Fit, refine
 from impslam.graph.overlaps import Nearness, overlaps
 from impslam.graph.pose_graph import Edges
 from impslam.growing import GrowingArray
-from impslam.map import Keyframe, Keyframes
-from impslam.map_builder import valid_points
+from impslam.map import Keyframe
 from impslam.maps.grid import PlacedScans
-from impslam.maps.layout import undriven
 from impslam.recognition.submap import View, view
-from impslam.types import NO_EDGES, Array, Ints
+from impslam.types import NO_EDGES, Array, Ints, Mask
 
-Points: TypeAlias = npt.NDArray[np.float32]
-NO_POINTS: Points = np.empty((0, 2), np.float32)
 TURN = 0.3
 """m of way that a radian counts for: it changes the view by about as much."""
 APART = 1000.0
@@ -38,17 +33,17 @@ class KeyframeLog:
 
     Attributes
     ----------
-    views : what each saw; None of a sensor that is no lidar
-    points : (n, 2) float32 m, the end points of each one's valid beams, in base_link
+    views : what each saw; None of a sensor that is no lidar, and of those that were dropped
     seen : the observations of landmarks
     """
 
     def __init__(self) -> None:
         self.views: list[View | None] = []
-        self.points: list[Points] = []
         self.seen = SightingsLog()
         self._chain, self._way, self._steps = GrowingArray(3), GrowingArray(), GrowingArray(3, 3)
         self._nodes, self._sessions = (GrowingArray(dtype=np.int64) for _ in range(2))
+        self._hosts, self._T_host = GrowingArray(dtype=np.int64), GrowingArray(3)
+        self._seeing = GrowingArray(dtype=np.bool_)
 
     def __len__(self) -> int:
         """Return the number of keyframes."""
@@ -56,17 +51,14 @@ class KeyframeLog:
 
     def add(self, keyframe: Keyframe, start: Array | None = None) -> None:
         """Add a keyframe; the first one of a session, which is a node, with the pose (3,) it starts at."""
-        scan, seen, points = keyframe.scan, None, NO_POINTS
-        if scan is not None:
-            seen, points = view(scan), valid_points(scan)
+        seen = None if keyframe.scan is None else view(keyframe.scan)
         self.append(keyframe.motion.d_pose, keyframe.motion.covariance, seen, start)
-        self.points.append(points)
         self.seen.add(keyframe.observations, keyframe.stamp)
 
     def append(
         self, d_pose: Array, covariance: Array, seen: View | None, start: Array | None = None
     ) -> None:
-        """Add a keyframe by its motion and view; the caller adds to `seen` and `points`."""
+        """Add a keyframe by its motion and what was seen, for `add`; `seen` is left to the caller."""
         way, session = (self._way.array[-1], self._sessions.array[-1]) if len(self) else (0.0, -1)
         if start is None:
             way = way + np.hypot(d_pose[0], d_pose[1]) + TURN * abs(d_pose[2])
@@ -78,20 +70,59 @@ class KeyframeLog:
         self._way.append(way)
         self._sessions.append(session)
         self._steps.append(covariance)
+        self._hosts.append(len(self))
+        self._T_host.append(0.0)
+        self._seeing.append(seen is not None)
         self.views.append(seen)
 
     def copy(self) -> KeyframeLog:
         """Return a log to read, which this one's later keyframes do not change."""
         other = copy(self)  # arrays are shared: this one only writes behind the other's end
-        for name in ("_chain", "_way", "_steps", "_nodes", "_sessions"):
+        for name in (
+            "_chain",
+            "_way",
+            "_steps",
+            "_nodes",
+            "_sessions",
+            "_hosts",
+            "_T_host",
+            "_seeing",
+        ):
             setattr(other, name, copy(getattr(self, name)))
         other.views, other.seen = self.views.copy(), self.seen.copy()
-        other.points = self.points.copy()
         return other
 
     def mark_node(self) -> None:
         """Make the newest keyframe a node of the graph."""
         self._nodes.append(len(self) - 1)
+
+    def drop(self, rows: Ints, hosts: Ints, T_host_row: Array) -> None:
+        """Drop the views of keyframes (m,), which others, their hosts, see at T (m, 3)."""
+        self._hosts.replace(rows, hosts)
+        self._T_host.replace(rows, T_host_row)
+        self._seeing.replace(rows, np.zeros(len(rows), np.bool_))
+        for row in rows.tolist():
+            self.views[row] = None
+
+    @property
+    def hosts(self) -> Ints:
+        """The keyframe (k,) that each one's place is known from: itself unless it was dropped."""
+        return self._hosts.array
+
+    @property
+    def T_host(self) -> Array:
+        """Poses (k, 3) of all, seen from their hosts."""
+        return self._T_host.array
+
+    @property
+    def seeing(self) -> Mask:
+        """Whether each (k,) has a view."""
+        return self._seeing.array
+
+    @property
+    def is_kept(self) -> Mask:
+        """Whether each (k,) was not dropped."""
+        return np.asarray(self.hosts == np.arange(len(self)))
 
     @property
     def chain(self) -> Array:
@@ -137,33 +168,17 @@ class KeyframeLog:
         starts = np.concatenate([[0], np.cumsum([len(r) for r in features])])
         return Scans(np.concatenate([none, *features]), starts, np.array(lasers))
 
-    def keyframes(self, poses: Array, rows: Ints) -> Keyframes:
-        """Return some rows (r,) of the keyframes, which lie at poses (k, 3), as a part of a map."""
-        points = [self.points[row] for row in rows.tolist()]
-        lasers = [
-            np.zeros(2) if (v := self.views[row]) is None else v.laser for row in rows.tolist()
-        ]
-        return Keyframes(
-            np.array(self.seen.stamps)[rows],
-            poses[rows],
-            self.steps[rows],
-            np.zeros((len(rows), 3)),
-            np.array(lasers),
-            np.concatenate([[0], np.cumsum([len(p) for p in points])]),
-            np.concatenate([NO_POINTS, *points]),
-            **undriven(poses[rows]),
-        )
-
     def placed_scans(self, poses: Array, rows: Ints | None = None) -> PlacedScans:
         """Return the scans of keyframes at poses (k, 3); thinned as their features are."""
         features, starts, lasers = self.scans(rows)
         return PlacedScans(poses, lasers, starts, np.ascontiguousarray(features[:, :2]))
 
 
-def revised(keys: KeyframeLog, graph: PoseGraph) -> Array:
-    """Return the poses (k, 3) of all keyframes: each goes with the node before it."""
-    node = keys.node_before
-    offset = between(keys.chain[keys.nodes][node], keys.chain)
+def revised(keys: KeyframeLog, graph: PoseGraph, rows: Ints | None = None) -> Array:
+    """Return the poses of all keyframes (k,), or of some rows: each goes with the node before it."""
+    rows = np.arange(len(keys)) if rows is None else rows
+    node = np.searchsorted(keys.nodes, rows, side="right") - 1
+    offset = between(keys.chain[keys.nodes[node]], keys.chain[rows])
     return compose(graph.poses[node], offset)
 
 
@@ -218,17 +233,31 @@ def refined(poses: Array, keys: KeyframeLog, rounds: int = 2, part: Part | None 
     one back, and pairs that see different ones are found out by their points. Closures within a
     session are no part of it: they rest on the same points, which would count twice.
     """
-    rows, links, frozen = part or Part(np.arange(len(poses)))
-    i = np.flatnonzero((np.diff(rows) == 1) & (np.diff(keys.sessions[rows]) == 0))
-    before, after = rows[i], rows[i + 1]
-    motions = between(keys.chain[before], keys.chain[after])
-    information = np.asarray(np.linalg.inv(keys.steps[after]))
-    edges = Edges(i, i + 1, motions, information, np.full(len(i), np.inf))
-    edges = edges.joined(links)
+    rows, links, frozen = part or Part(np.flatnonzero(keys.is_kept))
+    edges = motions(keys, rows).joined(links)
     fixed = np.arange(max(1, int(np.searchsorted(rows, frozen))))
     pairs = overlaps(poses[rows], Nearness(turn=math.pi))
     pairs = pairs[(pairs >= len(fixed)).any(axis=1)]
     out = poses.copy()
     scans, fit = keys.scans(rows), Fit(rounds=rounds)
     out[rows] = refine(poses[rows], scans, edges, pairs, fixed, fit).poses
+    dropped = ~keys.is_kept
+    out[dropped] = compose(out[keys.hosts[dropped]], keys.T_host[dropped])
     return out
+
+
+def motions(keys: KeyframeLog, rows: Ints) -> Edges:
+    """Return the motions between keyframes that follow each other, by their places in `rows` (r,).
+
+    For one that was dropped its host stands. Motions between two of these are left out: there are as
+    many as are driven, and they tell of hosts what other motions tell.
+    """
+    place = np.full(len(keys), -1)
+    place[rows] = np.arange(len(rows))
+    i, j = place[keys.hosts[:-1]], place[keys.hosts[1:]]
+    told = (i >= 0) & (j >= 0) & (i != j) & (np.diff(keys.sessions) == 0)
+    k = np.flatnonzero(told & (keys.is_kept[:-1] | keys.is_kept[1:]))
+    T = compose(keys.T_host[k], between(keys.chain[k], keys.chain[k + 1]))
+    T = compose(T, inverse(keys.T_host[k + 1]))
+    information = np.asarray(np.linalg.inv(keys.steps[k + 1]))
+    return Edges(i[k], j[k], T, information, np.full(len(k), np.inf))

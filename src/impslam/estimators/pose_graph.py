@@ -8,15 +8,23 @@ from __future__ import annotations
 
 import math
 from copy import copy
+from typing import Any
 
 import numpy as np
 
 from impslam.geometry.kernels import kernel
-from impslam.geometry.se2 import between, compose, compose_uncertain, inverse, rotation
+from impslam.geometry.se2 import (
+    between,
+    compose,
+    compose_jacobians,
+    compose_uncertain,
+    inverse,
+    rotation,
+)
 from impslam.graph.pose_graph import Edges, roots
 from impslam.graph.solve import marginals, solve
 from impslam.growing import GrowingArray
-from impslam.types import Array, Ints
+from impslam.types import Array, Ints, Mask
 
 KERNEL = 25.0
 """Squared Mahalanobis distance beyond which a closure counts for less and less: 5 sigma."""
@@ -30,31 +38,34 @@ class PoseGraph:
     """Nodes with their poses, the chains of motions between them, and closures.
 
     The first node is fixed: it says where the map lies. So is the first one of each session that
-    nothing connects to it, and so are the first `frozen` ones, a map that is to stay as it is.
+    nothing connects to it, and so are the first `frozen` ones, a map that is to stay as it is. A node
+    where another one is already can be folded into that one: what its edges say is then said of the
+    other, and it moves with it (the reduced pose graph, Johannsson et al. 2013).
 
     Attributes
     ----------
     poses : (n, 3) `T_map_node`; of a session that is not connected to the first node, in its frame
     covariances : (n, 3, 3), as of the last solution and by the chain from there
+    hosts : (n,) the node that each is folded into; itself where it is not
+    closures : number of closures
     """
 
     frozen = 0
 
     def __init__(self) -> None:
         self.poses, self.covariances = np.empty((0, 3)), np.empty((0, 3, 3))
-        self._i, self._j = GrowingArray(dtype=np.int64), GrowingArray(dtype=np.int64)
-        self._T_i_j, self._information = GrowingArray(3), GrowingArray(3, 3)
-        self._kernel, self._length = GrowingArray(), GrowingArray()
+        self.hosts, self.closures = np.empty(0, np.int64), 0
+        self._T_host_node, self._spreads = np.empty((0, 3)), np.empty((0, 3, 3))
+        self._edges = _columns()
 
     def __copy__(self) -> PoseGraph:
         """Return the graph as it is now; this one only writes behind the other's end."""
         other = type(self).__new__(type(self))
-        for name, value in vars(self).items():
-            setattr(other, name, copy(value) if isinstance(value, GrowingArray) else value)
+        vars(other).update(vars(self), _edges=tuple(copy(column) for column in self._edges))
         return other
 
     def __len__(self) -> int:
-        """Return the number of nodes."""
+        """Return the number of nodes, folded ones among them."""
         return len(self.poses)
 
     @classmethod
@@ -62,25 +73,27 @@ class PoseGraph:
         """Return a graph of nodes (n, 3) and edges, each of which counts for `lengths` (e,) m of way."""
         graph = cls()
         graph.poses, graph.covariances = poses, covariances
-        columns = (graph._i, graph._j, graph._T_i_j, graph._information, graph._kernel)
-        for column, rows in zip(columns, edges, strict=True):
+        graph.hosts, graph._T_host_node = np.arange(len(poses)), np.zeros_like(poses)
+        graph._spreads = np.zeros_like(covariances)
+        for column, rows in zip(graph._edges, (*edges, lengths), strict=True):
             column.append(rows, len(rows))
-        graph._length.append(lengths, len(lengths))
+        graph.closures = int(np.isfinite(edges.kernel).sum())
         return graph
 
     def begin(self, pose: Array, covariance: Array) -> None:
         """Add the first node of a session, at a pose (3,)."""
-        self.poses = np.concatenate([self.poses, pose[None]])
-        self.covariances = np.concatenate([self.covariances, covariance[None]])
+        self.hosts = np.append(self.hosts, len(self))
+        for name, row in (
+            ("poses", pose), ("covariances", covariance),
+            ("_T_host_node", np.zeros(3)), ("_spreads", np.zeros((3, 3))),
+        ):  # fmt: skip
+            setattr(self, name, np.concatenate([getattr(self, name), row[None]]))
 
     def go_on(self, T: Array, covariance: Array, length: float) -> None:
         """Add a node after the motion T (3,), its covariance (3, 3), along `length` m of way."""
-        pose, spread = compose_uncertain(self.poses[-1], self.covariances[-1], T, covariance)
-        self.poses = np.concatenate([self.poses, pose[None]])
-        self.covariances = np.concatenate([self.covariances, spread[None]])
-        self._add(
-            len(self) - 2, len(self) - 1, T, np.asarray(np.linalg.inv(covariance)), math.inf, length
-        )
+        self.begin(*compose_uncertain(self.poses[-1], self.covariances[-1], T, covariance))
+        information = np.asarray(np.linalg.inv(covariance))
+        self._add(len(self) - 2, len(self) - 1, T, information, math.inf, length)
 
     def close(self, i: int, j: int, T_i_j: Array, information: Array) -> bool:
         """Add a closure; tell whether it says anything new.
@@ -88,7 +101,8 @@ class PoseGraph:
         If it is the first one between two sessions, the later one is moved to where it says.
         """
         joins = self._join(i, j, T_i_j)
-        self._add(i, j, T_i_j, information, KERNEL, CLOSURE_LENGTH)
+        self.closures += 1
+        self._add(*self._hung(i, j, T_i_j, information), KERNEL, CLOSURE_LENGTH)
         d = between(between(self.poses[i], self.poses[j]), T_i_j)
         return joins or bool(math.hypot(d[0], d[1]) > SHIFT[0] or abs(d[2]) > SHIFT[1])
 
@@ -110,38 +124,85 @@ class PoseGraph:
 
     def take_back(self, closures: int) -> None:
         """Forget the newest closures, which no motion follows."""
-        for column in (
-            self._i, self._j, self._T_i_j, self._information, self._kernel, self._length,
-        ):  # fmt: skip
+        self.closures -= closures
+        for column in self._edges:
             column.shorten(closures)
 
-    def _add(
-        self, i: int, j: int, T_i_j: Array, information: Array, kernel2: float, length: float
-    ) -> None:
-        self._i.append(i)
-        self._j.append(j)
-        self._T_i_j.append(T_i_j)
-        self._information.append(information)
-        self._kernel.append(kernel2)
-        self._length.append(length)
+    def _add(self, *edge: Any) -> None:
+        for column, value in zip(self._edges, edge, strict=True):
+            column.append(value)
+
+    @property
+    def is_folded(self) -> Mask:
+        """Whether each node (n,) is folded into another one."""
+        return np.asarray(self.hosts != np.arange(len(self)))
 
     @property
     def edges(self) -> Edges:
-        """All motions and closures."""
-        return Edges(
-            self._i.array, self._j.array, self._T_i_j.array, self._information.array,
-            self._kernel.array,
-        )  # fmt: skip
+        """All motions and closures, between nodes that are not folded."""
+        return Edges(*(column.array for column in self._edges[:5]))
 
-    @property
-    def closures(self) -> int:
-        """Number of closures."""
-        return int(np.isfinite(self._kernel.array).sum())
+    def fold(self, node: int, host: int, T_host_node: Array, covariance: Array) -> None:
+        """Fold a node into another one, from which it is seen at T (3,) with covariance (3, 3).
+
+        Each edge of the node is moved to the host, as if T were measured anew for each. Of edges of one
+        sort between the same two nodes the one that says most is kept: what is seen again in one
+        place errs alike, and edges have to be as few as places.
+        """
+        T_host_node, covariance = compose_uncertain(
+            self._T_host_node[host], self._spreads[host], T_host_node, covariance
+        )
+        host = int(self.hosts[host])
+        if node in (0, host) or self.is_folded[node]:
+            return
+        for name, value in (
+            ("hosts", host),
+            ("_T_host_node", T_host_node),
+            ("_spreads", covariance),
+        ):
+            column = getattr(self, name).copy()
+            column[node] = value
+            setattr(self, name, column)
+        old, self._edges = [column.array for column in self._edges], _columns()
+        moved = (old[0] == node) | (old[1] == node)
+        for column, values in zip(self._edges, old, strict=True):
+            column.append(values[~moved], int(np.count_nonzero(~moved)))
+        for i, j, T_i_j, information, kernel2, length in zip(*(v[moved] for v in old), strict=True):
+            self._merge(*self._hung(i, j, T_i_j, information), kernel2, length + CLOSURE_LENGTH)
+
+    def _hung(self, i: int, j: int, T_i_j: Array, information: Array) -> tuple[Any, ...]:
+        """Return an edge between the hosts of its ends."""
+        if not (self.is_folded[i] or self.is_folded[j]):
+            return i, j, T_i_j, information
+        T, P, at, spread = (
+            T_i_j,
+            np.asarray(np.linalg.inv(information)),
+            self._T_host_node,
+            self._spreads,
+        )
+        T, P = compose_uncertain(at[i], spread[i], T, P)
+        T, P = _reversed(*compose_uncertain(at[j], spread[j], *_reversed(T, P)))
+        return self.hosts[i], self.hosts[j], T, np.asarray(np.linalg.inv(P))
+
+    def _merge(self, *edge: Any) -> None:
+        """Add an edge; where one of its sort is already, the one that says less goes."""
+        i, j, _, information, kernel2, _ = edge
+        if i == j:
+            return
+        ends, others, _, known, kernels, _ = (column.array for column in self._edges)
+        same = ((ends == i) & (others == j)) | ((ends == j) & (others == i))
+        rows = np.flatnonzero(same & (kernels == kernel2))
+        if not len(rows):
+            self._add(*edge)
+        elif np.linalg.det(known[rows[0]]) < np.linalg.det(information):
+            for column, value in zip(self._edges, edge, strict=True):
+                column.replace(rows[:1], np.asarray(value))
 
     @property
     def roots(self) -> Ints:
         """First node (n,) that is connected to each; 0 of those that are placed in the map."""
-        return np.asarray(roots(len(self), self._i.array, self._j.array))
+        i, j, *_ = self.edges
+        return np.asarray(roots(len(self), i, j)[self.hosts])
 
     def solve(self) -> None:
         """Move the nodes to where motions and closures agree best.
@@ -151,18 +212,33 @@ class PoseGraph:
         NumericalError
             If there is no solution; the nodes stay where they are.
         """
-        root = self.roots
-        fixed = np.flatnonzero(
-            (root == np.arange(len(self))) | (np.arange(len(self)) < self.frozen)
-        )
+        root, nodes = self.roots, np.arange(len(self))
+        fixed = np.flatnonzero((root == nodes) | (nodes < self.frozen) | self.is_folded)
         solution = solve(self.poses, self.edges, fixed)
-        covariances = marginals(solution.poses, self.edges, fixed) + self.covariances[root]
+        covariances = marginals(solution.poses, self.edges, fixed)[self.hosts]
+        covariances += self.covariances[root]
         covariances[: self.frozen] = self.covariances[: self.frozen]
-        self.poses, self.covariances = solution.poses, covariances
+        self.poses = compose(solution.poses[self.hosts], self._T_host_node)
+        self.covariances = covariances
 
     def ways(self, node: int) -> Array:
         """Return the shortest way (n,) m from a node to each, along motions and closures."""
-        return _ways(len(self), self._i.array, self._j.array, self._length.array, node)
+        i, j, *_, length = (column.array for column in self._edges)
+        return _ways(len(self), i, j, length, int(self.hosts[node]))[self.hosts]
+
+
+def _columns() -> tuple[GrowingArray, ...]:
+    """Return columns for the edges: i, j, T_i_j, information, kernel, length."""
+    i, j = GrowingArray(dtype=np.int64), GrowingArray(dtype=np.int64)
+    return i, j, GrowingArray(3), GrowingArray(3, 3), GrowingArray(), GrowingArray()
+
+
+def _reversed(T_i_j: Array, covariance: Array) -> tuple[Array, Array]:
+    """Return T_j_i and its covariance: from compose(T, inverse(T)) = 0, differentiated."""
+    T_j_i = inverse(T_i_j)
+    by_first, by_second = compose_jacobians(T_i_j, T_j_i)
+    J = by_second.T @ by_first  # the second one is a rotation
+    return T_j_i, np.asarray(J @ covariance @ J.T)
 
 
 @kernel

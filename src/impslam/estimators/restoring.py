@@ -43,10 +43,7 @@ def restored(known: Map, spacing: float, *, frozen: bool = False) -> Restored:
     for seen, stamp in zip(observations, rows.stamps.tolist(), strict=True):
         keys.seen.add(seen, stamp)
     edges = _edges(rows, known.edges, nodes)
-    ends = nodes[edges.i], nodes[edges.j]
-    lengths = np.where(
-        np.isinf(edges.kernel), keys.way[ends[1]] - keys.way[ends[0]], CLOSURE_LENGTH
-    )
+    lengths = _lengths(edges, keys.way[nodes])
     graph = PoseGraph.of(rows.poses[nodes], rows.covariances[nodes], edges, lengths)
     if frozen:
         graph.frozen = len(nodes)
@@ -67,9 +64,8 @@ def _keys(rows: Keyframes, nodes: Ints) -> KeyframeLog:
             motion = np.where(np.isfinite(motion), motion, 0.0)
             start = compose(rows.poses[k], inverse(motion))
         points = rows.points[starts[k] : starts[k + 1]]
-        seen = points_view(points, rows.origins[k]) if len(points) else None
+        seen = points_view(points.astype(float), rows.origins[k]) if len(points) else None
         keys.append(motion, rows.motion_covariances[k], seen, start)
-        keys.points.append(points)
         if k in at and not first[k]:
             keys.mark_node()
     return keys
@@ -108,6 +104,16 @@ def _edges(rows: Keyframes, edges: Edges, nodes: Ints) -> Edges:
         return edges._replace(i=i, j=j)
     more = Edges(*(np.array(column) for column in zip(*motions, strict=True)))
     return more.joined(edges._replace(i=i, j=j))
+
+
+def _lengths(edges: Edges, way: Array) -> Array:
+    """Return the way (e,) m that each edge counts for, with that of the nodes.
+
+    Motions of nodes that were folded are between others, which were not driven one after the other.
+    """
+    folded = np.hypot(edges.T_i_j[:, 0], edges.T_i_j[:, 1]) + TURN * np.abs(edges.T_i_j[:, 2])
+    driven = np.where(edges.j == edges.i + 1, way[edges.j] - way[edges.i], folded + CLOSURE_LENGTH)
+    return np.where(np.isinf(edges.kernel), driven, CLOSURE_LENGTH)
 
 
 def _motion(rows: Keyframes, begin: int, end: int) -> tuple[Array, Array]:

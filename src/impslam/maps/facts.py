@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 
@@ -53,6 +54,7 @@ class MapFacts:
 def facts(known: Map, image: MapImage, now: float) -> MapFacts:
     """Return the figures of a map; `image` is its grid, `now` the Unix time, s."""
     steps = np.diff(known.path()[:, 1:3], axis=0)
+    steps = steps[np.diff(known.keyframes.sessions[known.anchors]) == 0]
     closures = int(np.isfinite(known.edges.kernel).sum())
     first, last = (
         (float(known.stamps.min()), float(known.stamps.max()))
@@ -60,7 +62,7 @@ def facts(known: Map, image: MapImage, now: float) -> MapFacts:
         else (math.nan, math.nan)
     )
     return MapFacts(
-        logs=tuple(filter(None, [known.about.get("log")])),
+        logs=_logs(known.about),
         scans=len(known.stamps),
         keyframes=len(known.keyframes),
         path=float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
@@ -74,3 +76,9 @@ def facts(known: Map, image: MapImage, now: float) -> MapFacts:
         age=now - last if last > CLOCK else math.nan,
         direction=known.direction(),
     )
+
+
+def _logs(about: dict[str, Any]) -> tuple[str, ...]:
+    """Return the logs that a map, or the maps that it was merged from, are made from."""
+    parts = about.get("merged", [about])
+    return tuple(str(part["log"]) for part in parts if isinstance(part, dict) and "log" in part)

@@ -106,7 +106,9 @@ def aligned_to(first: Map, second: Map, progress: Progress = lambda _: None) -> 
 def align_maps(
     first: Keyframes, second: Keyframes, progress: Progress = lambda _: None
 ) -> Alignment:
-    """Return how the keyframes of a second map lie in a first one's."""
+    """Return how the keyframes of a second map lie in a first one's; those not placed are left out."""
+    if not (first.placed.all() and second.placed.all()):
+        return _align_placed(first, second, progress)
     ways = _ways(second.poses)
     if not len(first) or not ways:
         return Alignment(Outcome.APART, np.zeros(3), (), 0, 0)
@@ -122,6 +124,14 @@ def align_maps(
         if found.outcome is Outcome.FOUND and len(found.links) >= ENOUGH:
             break
     return found
+
+
+def _align_placed(first: Keyframes, second: Keyframes, progress: Progress) -> Alignment:
+    """Return `align_maps` of those keyframes that are placed."""
+    rows = np.flatnonzero(second.placed)
+    placed = first.take(np.flatnonzero(first.placed)), second.take(rows)
+    found = align_maps(*placed, progress)
+    return found._replace(links=tuple(Link(int(rows[row]), pose) for row, pose in found.links))
 
 
 def _ways(poses: Array) -> list[Ints]:

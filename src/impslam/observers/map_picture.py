@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from impslam.evaluation import colours
 from impslam.evaluation.colours import INK, ODOMETRY, PATH, POINT, SIGMAS, TRUTH, WALL
+from impslam.map import Map
 from impslam.maps.files import FREE, OCCUPIED, MapImage
 from impslam.observers.canvas import Canvas, Picture, colour, png
 from impslam.observers.map_frame import CIRCLE, SQUARE, Frame, Key
@@ -28,7 +29,7 @@ DASH, GAP = 11.0, 7.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """What is drawn; paths are (n, 2) m in map, empty where there is none."""
+    """What is drawn; paths are (n, 2) m in map, empty where there is none, parted where not finite."""
 
     image: MapImage
     path: Array
@@ -74,23 +75,36 @@ def draw_grid(canvas: Canvas, image: MapImage) -> None:
 
 def _draw_paths(canvas: Canvas, scene: Scene, thickness: float) -> None:
     walls = [mark.end_points for mark in scene.landmarks if mark.end_points is not None]
-    canvas.line(_thin(scene.odometry), ODOMETRY, 2.7 * thickness)
+    for piece in _pieces(scene.odometry):
+        canvas.line(piece, ODOMETRY, 2.7 * thickness)
     before = canvas.pixels.copy()
     for ends in walls:
         canvas.line(ends, WALL, 8.0 * thickness)
     canvas.fade(before, 0.75)
-    canvas.line(_thin(scene.path), PATH, 4.0 * thickness)
-    if len(truth := _thin(scene.truth)):
-        canvas.dashes(truth, TRUTH, 2.7, DASH, GAP)
+    for piece in _pieces(scene.path):
+        canvas.line(piece, PATH, 4.0 * thickness)
+    for piece in _pieces(scene.truth):
+        canvas.dashes(piece, TRUTH, 2.7, DASH, GAP)
 
 
-def _thin(path: Array) -> Array:
-    """Return every k-th finite point of a path, and its last."""
-    path = path[np.isfinite(path).all(axis=1)]
-    if len(path) <= MAX_POINTS:
-        return path
+def drawn_path(known: Map) -> Array:
+    """Return a map's path (n, 2) m, parted where one drive ends and another one begins.
+
+    Where it is not known where the robot was in the map, it is NaN.
+    """
+    path, anchors = known.rows().poses[:, :2].copy(), known.anchors
+    path[~known.keyframes.placed[anchors]] = np.nan
+    begins = np.flatnonzero(np.diff(known.keyframes.sessions[anchors])) + 1
+    return np.insert(path, begins, np.nan, axis=0)
+
+
+def _pieces(path: Array) -> Iterator[Array]:
+    """Yield the finite pieces of a path, of each every k-th point and its last."""
     step = -(-len(path) // MAX_POINTS)
-    return np.vstack((path[:-1:step], path[-1]))
+    known = np.isfinite(path).all(axis=1)
+    for piece in np.split(path, np.flatnonzero(np.diff(known)) + 1):
+        if len(piece) and np.isfinite(piece[0]).all():
+            yield np.vstack((piece[:-1:step], piece[-1])) if step > 1 else piece
 
 
 def _draw_landmarks(canvas: Canvas, landmarks: Sequence[Landmark], thickness: float) -> None:
@@ -111,6 +125,7 @@ def _draw_landmarks(canvas: Canvas, landmarks: Sequence[Landmark], thickness: fl
 
 def _draw_ends(canvas: Canvas, path: Array) -> None:
     """Mark where the path begins and where it ends."""
+    path = path[np.isfinite(path).all(axis=1)]
     if not len(path):
         return
     for place, outline, code in ((path[0], CIRCLE, TRUTH), (path[-1], SQUARE, INK)):

@@ -13,7 +13,7 @@ from impslam.observers import accuracy
 from impslam.observers.base import Outcome
 from impslam.observers.health_band import health_section
 from impslam.observers.history import History
-from impslam.observers.map_picture import Scene, map_png
+from impslam.observers.map_picture import Scene, drawn_path, map_png
 from impslam.observers.page import page, section
 from impslam.observers.quality_section import quality_section
 from impslam.observers.sections import (
@@ -67,7 +67,7 @@ def draw(
     image: MapImage, history: History, truth: np.ndarray, landmarks: Sequence[Landmark]
 ) -> bytes:
     """Return the picture of the map as a PNG."""
-    path, odometry = history.path[:, 1:3], history.odometry[:, 1:3]
+    path, odometry = drawn_path(history.known), history.odometry[:, 1:3]
     return map_png(Scene(image, path, odometry, truth, landmarks))
 
 

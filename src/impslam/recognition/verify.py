@@ -133,10 +133,10 @@ def _survey(
     counts[0] = _match(known, features, pose, moved, matched)
     step = max(1, len(features) // SAMPLE)
     for i in range(0, len(features), step):
-        if not matched[i] and _held(moved[i, 0], moved[i, 1], seeing[0], seeing[1]) < 0:
+        if not matched[i] and evidence_at(moved[i, 0], moved[i, 1], seeing[0], seeing[1]) < 0:
             counts[1] += step
     for i in range(len(looking[0])):
-        held = _held(looking[0][i, 0], looking[0][i, 1], looking[1], looking[2])
+        held = evidence_at(looking[0][i, 0], looking[0][i, 1], looking[1], looking[2])
         if held != 0:
             counts[2 if held > 0 else 3] += 1
 
@@ -168,7 +168,7 @@ def _match(known: SurfaceMap, features: Features, pose: Array, moved: Array, mat
 
 
 @kernel
-def _held(x: float, y: float, vantages: Array, free: Floats) -> int:
+def evidence_at(x: float, y: float, vantages: Array, free: Floats) -> int:
     """Return -1 for a point well inside free space of any scan, 1 where beams end, 0 if unseen."""
     held = 0
     for k in range(len(vantages)):

@@ -1,19 +1,16 @@
-"""The readers of rosbags, within limits, and for MCAP files that lack their end."""
+"""The readers of rosbags for ROS 2, within limits, and for MCAP files that lack their end."""
 
 from __future__ import annotations
 
 import shutil
 import struct
 import tempfile
-from collections.abc import Callable, Collection, Generator, Iterator
+from collections.abc import Collection, Generator, Iterator
 from io import BufferedReader, BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
-from rosbags import rosbag1
 from rosbags.interfaces import Connection
-from rosbags.rosbag1.reader import Chunk
-from rosbags.rosbag1.reader import decompressors as decompressors1
 from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import (
@@ -31,7 +28,6 @@ from impslam.sources.unpack import (
     check_size,
     check_together,
     check_unpacked,
-    unpack_bz2,
     unpack_lz4,
     unpack_zstd,
 )
@@ -211,19 +207,3 @@ class BagFolder(DirectoryReader):
         """Yield (connection, log time in ns, data)."""
         for connection, stamp, data in super().messages(connections, start, stop):
             yield connection, stamp, unpack_zstd(data) if self._packs_messages else data
-
-
-class BoundedReader1(rosbag1.Reader):
-    """A ROS 1 bag, its chunks unpacked within limits."""
-
-    def read_chunk(self) -> Chunk:
-        """Read the header of a chunk."""
-        chunk = super().read_chunk()
-        check_size("a chunk", chunk.datasize)
-        return chunk._replace(decompressor=_BOUNDED.get(chunk.decompressor, chunk.decompressor))
-
-
-_BOUNDED: dict[Callable[[bytes], bytes], Callable[[bytes], bytes]] = {
-    decompressors1["bz2"]: unpack_bz2,
-    decompressors1["lz4"]: unpack_lz4,
-}

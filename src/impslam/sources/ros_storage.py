@@ -12,7 +12,8 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from impslam.errors import SourceError
-from impslam.sources.ros_files import BagFolder, BoundedReader1, CutMcapReader, PlainSqlite3Reader
+from impslam.sources.ros1_files import BoundedReader1
+from impslam.sources.ros_files import BagFolder, CutMcapReader, PlainSqlite3Reader
 from impslam.sources.unpack import LimitError
 
 Storage: TypeAlias = BoundedReader1 | BagFolder | CutMcapReader | PlainSqlite3Reader
@@ -67,7 +68,7 @@ class Bag:
         except Exception as error:  # a damaged index leads rosbags to raise anything
             raise SourceError(f"{path}: cannot be opened ({one_line(error)}); {_REPAIR}") from None
         self._path, self.is_ros1 = path, make is BoundedReader1
-        self.is_cut = isinstance(self._storage, CutMcapReader | BagFolder) and self._storage.is_cut
+        self.is_cut = not isinstance(self._storage, PlainSqlite3Reader) and self._storage.is_cut
 
     def close(self) -> None:
         """Close the storage."""
@@ -86,6 +87,11 @@ class Bag:
             yield from self._storage.messages(connections)
         except LimitError as error:
             raise _too_large(self._path, error) from None
+
+    @property
+    def repair(self) -> str:
+        """The command that gives a cut file its end."""
+        return "rosbag reindex" if self.is_ros1 else "mcap recover"
 
     @property
     def types(self) -> Typestore:

@@ -124,7 +124,7 @@ class RosBag(Source):
                 topic,
                 kind,
                 count,
-                self._is_used(topic),
+                self._is_used(topic) or kind in TF_TYPES,
                 self._note(topic, kind),
                 topic in self._defaults,
             )
@@ -139,6 +139,9 @@ class RosBag(Source):
         return topic in self._uses or (topic == PRESET_TOPIC and bool(self._preset))
 
     def _note(self, topic: str, kind: str) -> str:
+        edge = self._frames.odometry if self._frames else None
+        if edge and topic in self._uses and topic == edge.topic:
+            return f"{self._uses[topic]}: {edge.parent} -> {edge.child}"
         if topic in self._uses:
             return self._uses[topic]
         if kind in TF_TYPES:
@@ -185,7 +188,7 @@ class RosBag(Source):
             self._problems.add(
                 "cut file",
                 f"{self.path}: lacks its end (power lost, or still being recorded); whole records "
-                "are used; other programs need `mcap recover` first",
+                f"are used; other programs need `{bag.repair}` first",
             )
         joints = (self.left_joint, self.right_joint)
         assert self._frames is not None

@@ -1,0 +1,214 @@
+"""Loop closures of recorded buildings: tried, accepted, false, and the time of each attempt.
+
+    python -m benchmarks.closures --data ../shared/data [LOG ...]
+
+Every accepted closure is checked in three ways. By relations that people measured (Kümmerle et al.
+2009), where one joins the same two passes within `NEAR` m of way of both ends; by an exhaustive search,
+that is by the best pose of all headings within `WINDOW` m; and by the poses as settled at the end. Where
+it differs by more than 0.5 m or 5 degrees from the relation or from the best pose found, free space is
+asked: a closure is false where it agrees with the other pose at least as much. Rooms and corridors look
+alike, and a reference may be bent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from benchmarks.buildings import FALSE, LOGS, row, table, timed
+
+from impslam.estimators.keyframe_log import KeyframeLog
+from impslam.estimators.loop_closing import QUERY_CELL, QUERY_REACH, REFERENCE_CELL
+from impslam.evaluation.relations import read_relations
+from impslam.geometry.se2 import between, compose
+from impslam.map import Map
+from impslam.open_log import open_log
+from impslam.recognition.correlative import Window, deep_enough, search
+from impslam.recognition.places import search_points
+from impslam.recognition.pyramid import build
+from impslam.recognition.submap import Submap, gather
+from impslam.recognition.verify import verify
+from impslam.run import Run
+from impslam.surfaces.surface_map import add, clear, empty_surface_map
+from impslam.types import Array
+
+NEAR = (
+    2.0  # m of way between an end of a relation and that of a closure: tracking drifts 2 cm there
+)
+WINDOW = 8.0  # m, half the extent of the exhaustive search
+REFERENCE_WAY, QUERY_WAY = 8.0, 4.0  # m of way on both sides that the two submaps consist of
+REACH = 30.0  # m: what the query can see from the edge of the window
+SAME = 0.3  # m and rad: a closure is where the search looks for its own score
+NONE = np.full(3, math.nan)
+
+
+class Check(NamedTuple):
+    """What the checks say of one closure; NaN where there is no relation.
+
+    Attributes
+    ----------
+    i, j : the keyframes
+    pose : (3,) T_i_j as closed
+    relation, settled, found : (3,) differences of the closure from the relation, from the settled poses,
+        and from the best pose of the search
+    scores : of the closure's own pose and of that best one
+    agreements : with free space, of both, and of the pose by the relation
+    """
+
+    i: int
+    j: int
+    pose: Array
+    relation: Array
+    settled: Array
+    found: Array
+    scores: tuple[float, float]
+    agreements: tuple[float, float, float]
+
+    @property
+    def elsewhere(self) -> bool:
+        """Whether another pose than the closure's has the best score."""
+        return differs(self.found)
+
+    @property
+    def off(self) -> bool:
+        """Whether it differs from the relation."""
+        return differs(self.relation)
+
+    @property
+    def false(self) -> bool:
+        mine, best, relation = self.agreements
+        return (self.elsewhere and best >= mine) or (self.off and relation >= mine)
+
+
+def differs(d: Array) -> bool:
+    return bool(math.hypot(d[0], d[1]) > FALSE[0] or abs(d[2]) > FALSE[1])
+
+
+def mapped(log: Path) -> tuple[Run, Map, list[float]]:
+    """Return a finished run with its map, and the CPU ms of each attempt to close a loop."""
+    config, source = open_log(log, None, ())
+    run, attempts = Run(config), []
+    recogniser = run.estimator._closer.recogniser  # type: ignore[attr-defined]  # the graph's
+    recogniser.close = timed(recogniser.close, attempts)
+    with source:
+        run.robot.choose(source.defaults())
+        for batch in source.batches():
+            run.feed(batch)
+    run.flush()
+    return run, run.settled(), attempts
+
+
+def checks(run: Run, known: Map, relations: Array) -> list[Check]:
+    """Check all closures of a run."""
+    keys: KeyframeLog = run.estimator._keys  # type: ignore[attr-defined]
+    poses, edges, out = known.keyframes.poses, known.edges, []
+    for k in np.flatnonzero(np.isfinite(edges.kernel)):
+        i, j, pose = int(edges.i[k]), int(edges.j[k]), edges.T_i_j[k]
+        settled = between(between(poses[i], poses[j]), pose)
+        relation = by_relations(known, keys, i, j, pose, relations)
+        other = compose(pose, between(relation, np.zeros(3)))
+        out.append(Check(i, j, pose, relation, settled, *by_search(keys, i, j, pose, other)))
+    return out
+
+
+def by_relations(
+    known: Map, keys: KeyframeLog, i: int, j: int, pose: Array, relations: Array
+) -> Array:
+    """Return the difference of a closure from the relation that joins its ends best; NaN if none does.
+
+    What lies between an end of the closure and that of the relation is taken from the settled map.
+    """
+    order = np.argsort(known.stamps, kind="stable")
+    ranks = np.searchsorted(known.stamps[order], relations[:, :2].ravel()).clip(0, len(order) - 1)
+    sweeps = order[ranks].reshape(-1, 2)
+    ways = keys.way[known.anchors[sweeps]]
+    poses = known.path()[:, 1:][sweeps]
+    base, best, out = known.keyframes.poses, NEAR, NONE
+    for way, ends, (*_, x, y, theta) in zip(ways, poses, relations, strict=True):
+        for one, other in ((0, 1), (1, 0)):
+            away = max(abs(way[one] - keys.way[i]), abs(way[other] - keys.way[j]))
+            if away >= best:
+                continue
+            T = np.array([x, y, theta])
+            T = T if one == 0 else between(T, np.zeros(3))
+            expected = compose(between(base[i], ends[one]), T)
+            best, out = away, between(compose(expected, between(ends[other], base[j])), pose)
+    return out
+
+
+def by_search(
+    keys: KeyframeLog, i: int, j: int, pose: Array, other: Array
+) -> tuple[Array, tuple[float, float], tuple[float, float, float]]:
+    """Return the best pose of all around, less that of the closure; the scores and the agreements.
+
+    `other` (3,) is the pose by the relation.
+    """
+    reference = around(keys, i, REFERENCE_WAY, (REFERENCE_CELL, REACH))
+    query = around(keys, j, QUERY_WAY, (QUERY_CELL, QUERY_REACH))
+    points, turn = search_points(query.features)
+    window, own = Window(WINDOW, WINDOW, math.pi), Window(SAME, SAME, SAME)
+    pyramid = build(reference.features, deep_enough(window))
+    mine = search(pyramid, points, pose, own, turn=turn)
+    best = search(pyramid, points, pose, window, turn=turn)
+    low = reference.features[:, :2].min(0).astype(float) - 1.0
+    x, y = reference.features[:, :2].max(0).astype(float) + 1.0 - low
+    surface = empty_surface_map(x, y, len(reference.features))
+    clear(surface, low)
+    add(surface, reference.features, np.zeros(3), 20.0)
+    poses = (pose, best.pose, other if np.isfinite(other).all() else pose)
+    mine_, best_, other_ = (verify(surface, reference, query, p).agreement for p in poses)
+    return between(pose, best.pose), (mine.score, best.score), (mine_, best_, other_)
+
+
+def around(keys: KeyframeLog, k: int, way: float, extent: tuple[float, float]) -> Submap:
+    """Return what was seen around a keyframe, as tracked: closures have no part in it."""
+    near = np.flatnonzero(np.abs(keys.way - keys.way[k]) <= way)
+    rows = [row for row in near if keys.views[row] is not None]
+    views: list[Any] = [keys.views[row] for row in rows]
+    return gather(views, keys.chain[rows], keys.chain[k], *extent)
+
+
+def figures(run: Run, found: Sequence[Check], attempts: Sequence[float]) -> list[object]:
+    """Return a row of the table."""
+    covered = [c for c in found if np.isfinite(c.relation[0])]
+    offs = [f"{np.hypot(*c.relation[:2]):.2f}" for c in covered]
+    return [
+        run.estimator._closer.recogniser.counts["attempts"],  # type: ignore[attr-defined]
+        len(found),
+        f"{len(covered)} ({max(offs, default='-')} m)",
+        sum(c.off for c in found),
+        sum(differs(c.settled) for c in found),
+        sum(c.elsewhere for c in found),
+        sum(c.false for c in found),
+        f"{np.median(attempts):.1f}",
+        f"{np.quantile(attempts, 0.99):.0f}",
+        f"{max(attempts):.0f}",
+    ]
+
+
+HEAD = ("log", "tried", "accepted", "with a relation (worst)", "off from it", "off when settled")
+HEAD += ("better score elsewhere", "false", "median, ms", "p99", "worst")
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    options.add_argument("--data", type=Path, required=True)
+    options.add_argument("logs", nargs="*", default=LOGS)
+    given = options.parse_args()
+    rows = []
+    for name in given.logs:
+        run, known, attempts = mapped(given.data / name / f"{name}.log")
+        found = checks(run, known, read_relations(given.data / name / f"{name}.relations"))
+        rows.append(row(name, *figures(run, found, attempts)))
+        for c in found:
+            if c.elsewhere or c.off:
+                print(f"{name} {c.i} to {c.j}: {c}", flush=True)
+    table(HEAD, rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,55 @@
+"""`imp map merge`: several maps as one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from impslam.cli import console
+from impslam.cli.console import Common
+from impslam.errors import ConfigError, ImpError
+
+
+def merge(
+    *files: Path,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    common: Common | None = None,
+) -> None:
+    """Merge maps of one building, in the frame of the first.
+
+    Parameters
+    ----------
+    files
+        Two or more maps, as `imp run` writes them.
+    output
+        The merged map.
+    """
+    from impslam.cli.map_work import working
+    from impslam.map import Map
+    from impslam.maps.merge import NotMergedError, merged
+
+    if len(files) < 2:
+        raise ConfigError("merge takes two maps or more: imp map merge A.imp B.imp -o C.imp")
+    quiet = common is not None and common.quiet
+    maps = [Map.load(file) for file in files]
+    with working("merging", quiet) as progress:
+        try:
+            known = merged(*maps, progress=progress.step)
+        except NotMergedError as error:
+            why = f"{error.found.words}; drive where the others have been"
+            raise ImpError(f"{files[error.which]}: is not merged: {why}") from None
+        known.save(output)
+    if quiet:
+        return
+    closures = sum(int((part.edges.kernel < float("inf")).sum()) for part in maps)
+    more = int((known.edges.kernel < float("inf")).sum()) - closures
+    console.show_facts(
+        {
+            "merged": f"{len(maps)} maps, joined by {more} closures",
+            "scans": str(len(known.stamps)),
+            "landmarks": f"{len(known.landmarks)} of {sum(len(part.landmarks) for part in maps)}",
+            "map": str(output),
+        }
+    )

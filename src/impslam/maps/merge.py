@@ -1,0 +1,113 @@
+"""Several maps of one building as one, by any number of robots.
+
+Each map is laid on what is merged so far (see `relation`) and joined to its pose graph by the places that
+were recognised (see `joining`); more closures are sought all along it. Then all keyframes are refined
+jointly, and landmarks are estimated anew, each once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+from impslam.config import Config, load
+from impslam.errors import ImpError
+from impslam.estimators.graph import Graph
+from impslam.map import Map
+from impslam.map_builder import blended
+from impslam.maps.joining import joined
+from impslam.maps.relation import Alignment, Outcome, align_maps
+from impslam.provenance import versions
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done, and the share of it that is done, 0 to 1."""
+
+
+class NotMergedError(ImpError):
+    """It cannot be told how a map lies to the others.
+
+    Attributes
+    ----------
+    which : its number among the maps, from 0
+    found : what is known
+    """
+
+    def __init__(self, which: int, found: Alignment) -> None:
+        super().__init__(f"map {which + 1}: {found.words}; drive where the others have been")
+        self.which, self.found = which, found
+
+
+def merged(first: Map, *others: Map, progress: Progress = lambda what, share: None) -> Map:
+    """Return maps as one, in the frame of the first.
+
+    Raises
+    ------
+    NotMergedError
+        If it cannot be told how one of them lies to the others.
+
+    Examples
+    --------
+    Two robots have driven through one room, the second one the other way round:
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import impslam
+    >>> from impslam.maps.merge import merged
+    >>> from impslam.simulation.robot import SimulatedRobot
+    >>> from impslam.simulation.simulate import simulate
+    >>> from impslam.simulation.world import load_world
+    >>> from impslam.sources.recording import McapWriter
+    >>> maps = []
+    >>> for seed in (1, 2):
+    ...     log = Path(tempfile.mkdtemp()) / "room.mcap"
+    ...     with McapWriter(log) as writer:
+    ...         for message in simulate(load_world("room"), SimulatedRobot(imu=None), seed=seed):
+    ...             writer.write(message)
+    ...     maps.append(impslam.run(log, "imp", ["estimator.kind=graph"]))
+    >>> both = merged(*maps)
+    >>> len(both.stamps) == len(maps[0].stamps) + len(maps[1].stamps)
+    True
+    """
+    config = load("default")
+    known, waiting = _with_graph(first, config), dict(enumerate(others, 1))
+    while waiting:
+        which, found = _next(known, waiting, progress)
+        other = _with_graph(waiting.pop(which), config).moved(found.T)
+        progress("joining", 1.0 - len(waiting) / len(others))
+        known = _settled(joined(known, other, found.links), len(known.keyframes), config)
+    return known
+
+
+def _next(known: Map, waiting: dict[int, Map], progress: Progress) -> tuple[int, Alignment]:
+    """Return the first map that lies on what is merged, and how."""
+    failed: dict[int, Alignment] = {}
+    for which, other in waiting.items():
+        step = partial(progress, f"finding map {which + 1}")
+        found = align_maps(known.keyframes, other.keyframes, step)
+        if found.outcome is Outcome.FOUND:
+            return which, found
+        failed[which] = found
+    raise NotMergedError(*next(iter(failed.items())))
+
+
+def _graph(known: Map, config: Config) -> Graph:
+    estimator = config.make_estimator(known)
+    assert isinstance(estimator, Graph), "the default estimates by a graph"
+    return estimator
+
+
+def _with_graph(known: Map, config: Config) -> Map:
+    """Return a map with the motions between its keyframes as a graph, if it has none."""
+    return known if len(known.edges.i) else replace(known, edges=_graph(known, config).edges())
+
+
+def _settled(known: Map, begin: int, config: Config) -> Map:
+    """Return a joined map with more closures of the keyframes from `begin` on, all of it refined."""
+    graph = _graph(known, config)
+    graph.seek_loops(begin)
+    revision = graph.settle()
+    assert revision is not None, "there are keyframes"
+    settled = blended(replace(known, edges=graph.edges()).revised(revision))
+    about = {**known.about, "versions": versions()}
+    return replace(settled, landmarks=graph.landmarks(), about=about)

@@ -1,0 +1,181 @@
+"""Which column of a CSV file is what: from its header, or as the user says."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from impslam.component import near_miss
+from impslam.errors import MessageError
+from impslam.types import Array
+
+Role: TypeAlias = Literal[
+    "stamp", "x", "y", "theta", "left", "right", "speed", "turn_rate",
+    "ranges", "angle_min", "angle_step", "range_min", "range_max",
+]  # fmt: skip
+
+NAMES: dict[Role, tuple[str, ...]] = {
+    "stamp": ("stamp", "timestamp", "time", "t"),
+    "x": ("x", "odom_x"),
+    "y": ("y", "odom_y"),
+    "theta": ("theta", "yaw", "heading", "odom_theta"),
+    "left": ("left", "left_wheel"),
+    "right": ("right", "right_wheel"),
+    "speed": ("speed", "v"),
+    "turn_rate": ("turn_rate", "omega"),
+    "angle_min": ("angle_min",),
+    "angle_step": ("angle_step", "angle_increment"),
+    "range_min": ("range_min",),
+    "range_max": ("range_max",),
+}
+"""Names in a header that need not be said, without unit and what is before a dot."""
+UNITS = {
+    "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "m": 1.0, "cm": 1e-2, "mm": 1e-3,
+    "rad": 1.0, "deg": math.pi / 180.0,
+}  # fmt: skip
+MOTIONS: tuple[tuple[Role, ...], ...] = (
+    ("x", "y", "theta"),
+    ("left", "right"),
+    ("speed", "turn_rate"),
+)
+FEWEST = 3  # columns of one name and a number that are taken for beams
+
+
+class Cells(NamedTuple):
+    """Columns first to last - 1, and what their numbers are multiplied by to be in m, s or rad."""
+
+    first: int
+    last: int
+    factor: float
+
+
+class Layout(NamedTuple):
+    """What the columns of a file are.
+
+    Attributes
+    ----------
+    cells : by role
+    motion : the roles that are odometry; empty if there is none
+    angles : (n,) rad, of the beams; None where each row tells
+    """
+
+    cells: Mapping[Role, Cells]
+    motion: tuple[Role, ...]
+    angles: Array | None
+
+
+def layout(header: Sequence[str], said: Mapping[Role, str], start: float, step: float) -> Layout:
+    """Return what the columns are, by their names and what is said of them.
+
+    Parameters
+    ----------
+    header : the names of the columns
+    said : by role "NAME", "FIRST:LAST" for ranges, either with "*FACTOR"
+    start, step : rad, direction of the first beam and from beam to beam; NaN: as the header says
+
+    Raises
+    ------
+    MessageError
+        If stamp or ranges cannot be found, or directions of beams; the text says what to do.
+    """
+    cells = {role: _said(header, role, text) for role, text in said.items()}
+    for role, names in NAMES.items():
+        if role not in cells and (found := _named(header, names)):
+            cells[role] = found
+    if "ranges" not in cells and (beams := _beams(header)):
+        cells["ranges"] = beams
+    for role in ("stamp", "ranges"):
+        if role not in cells:
+            example = "stamp=NAME" if role == "stamp" else "ranges=FIRST:LAST"
+            shown = ", ".join(header[:8]) + (", ..." if len(header) > 8 else "")
+            raise MessageError(f"no column is known as {role} ({shown}): say --columns {example}")
+    motion = next((roles for roles in MOTIONS if all(role in cells for role in roles)), ())
+    return Layout(cells, motion, _angles(header, cells, start, step))
+
+
+def _said(header: Sequence[str], role: Role, text: str) -> Cells:
+    names, times, factor = text.partition("*")
+    first, to, last = names.strip().partition(":")
+    if bool(to) != (role == "ranges"):
+        form = "FIRST:LAST" if role == "ranges" else "NAME"
+        raise MessageError(f"--columns {role}={text}: expected {role}={form} or {form}*FACTOR")
+    try:
+        by = float(factor) if times else UNITS.get(first.rpartition("_")[2], 1.0)
+    except ValueError:
+        raise MessageError(f"--columns {role}={text}: {factor!r} is not a number") from None
+    begin, end = _find(header, first), _find(header, last if to else first) + 1
+    if end <= begin:
+        raise MessageError(f"--columns {role}={text}: {last} is before {first} in the file")
+    return Cells(begin, end, by)
+
+
+def _find(header: Sequence[str], name: str) -> int:
+    name = name.strip()
+    if name not in header:
+        raise MessageError(f"no column {name!r} in it; {near_miss(name, list(header))}")
+    return list(header).index(name)
+
+
+def _named(header: Sequence[str], names: Sequence[str]) -> Cells | None:
+    """Return the column that has one of some names, the first of them that is there."""
+    short = [name.lower().lstrip("%# ").rpartition(".")[2] for name in header]
+    for name in names:
+        for k, column in enumerate(short):
+            stem, _, unit = column.rpartition("_")
+            if column == name:
+                return Cells(k, k + 1, 1.0)
+            if stem == name and unit in UNITS:
+                return Cells(k, k + 1, UNITS[unit])
+    return None
+
+
+def _beams(header: Sequence[str]) -> Cells | None:
+    """Return the longest run of columns that are numbers, or one name with a number after it."""
+    stems = [_stem(name) for name in header]
+    best, k = (0, 0), 0
+    while k < len(stems):
+        end = k
+        while end < len(stems) and stems[end] is not None and stems[end] == stems[k]:
+            end += 1
+        best, k = max(best, (end - k, -k)), max(end, k + 1)
+    count, first = best[0], -best[1]
+    if count < FEWEST:
+        return None
+    unit = (stems[first] or "").strip("_[").rpartition("_")[2]
+    return Cells(first, first + count, UNITS.get(unit, 1.0))
+
+
+def _stem(name: str) -> str | None:
+    if _number(name) is not None:
+        return ""
+    found = re.fullmatch(r"(.*[^\d])\d+\]?", name)
+    return found[1] if found else None
+
+
+def _number(name: str) -> float | None:
+    try:
+        value = float(name)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _angles(
+    header: Sequence[str], cells: Mapping[Role, Cells], start: float, step: float
+) -> Array | None:
+    beams = cells["ranges"]
+    if math.isfinite(start) and math.isfinite(step):
+        return start + step * np.arange(beams.last - beams.first, dtype=np.float64)
+    degrees = [_number(name) for name in header[beams.first : beams.last]]
+    if None not in degrees:
+        return np.radians(np.array(degrees, np.float64))
+    if "angle_min" in cells and "angle_step" in cells:
+        return None
+    raise MessageError(
+        "the directions of the beams are not known: say --set source.angle_min=RAD and --set "
+        "source.angle_step=RAD, of the first beam and from beam to beam, counter-clockwise"
+    )

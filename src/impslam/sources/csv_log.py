@@ -1,0 +1,201 @@
+"""CSV files whose rows hold odometry, a scan, or both; the columns are told by their names.
+
+A row may leave cells of odometry, or all ranges, empty; a single empty range is a beam without return.
+Lines that begin with # are comments, but for the header.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import ClassVar, Self
+
+import numpy as np
+from pydantic import PrivateAttr
+
+from impslam.component import parameter, register
+from impslam.errors import MessageError, SourceError
+from impslam.sources.base import Stream
+from impslam.sources.csv_columns import Cells, Layout, Role, layout
+from impslam.sources.parts import Located
+from impslam.sources.text import TextSource, beam_angles, beam_times, finite, head
+from impslam.types import Array, LaserScan, Message, OdometryPose, Velocity, WheelAngles
+
+SEPARATORS = (b",", b";", b"\t")
+FEWEST = 4  # columns: a stamp and three ranges
+EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+"""Stamps from which on they are ns, us or ms since 1970: s will be as many in 5000 years."""
+
+
+STREAMS: dict[type[Message], str] = {
+    LaserScan: "ranges",
+    OdometryPose: "pose",
+    WheelAngles: "wheels",
+    Velocity: "velocity",
+}
+
+
+@register("csv")
+class CsvLog(TextSource):
+    """CSV with a header that names its columns, or columns that are named by `columns`."""
+
+    describes_robot: ClassVar[bool] = True
+
+    columns: dict[Role, str] = parameter(
+        {}, "1", "column of each role: NAME, for ranges FIRST:LAST, or either with *FACTOR"
+    )
+    angle_min: float = parameter(math.nan, "rad", "direction of the first beam; nan: in the file")
+    angle_step: float = parameter(
+        math.nan, "rad", "from beam to beam, counter-clockwise; nan: in the file"
+    )
+
+    _has_header: bool = PrivateAttr(default=True)
+    _header: list[str] = PrivateAttr(default_factory=list)
+    _layout: Layout | None = PrivateAttr(default=None)
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Tell by the first two lines: as many cells in both, and numbers in the second."""
+        lines = [line.strip() for line in head(path)[:50]]
+        lines = [lines[0], *(line for line in lines[1:] if line[:1] != b"#")] if lines else []
+        if len(lines) < 2 or b"{" in lines[0]:  # JSON has commas, too
+            return False
+        first, second = (line.split(_separator(lines[0])) for line in lines[:2])
+        return len(first) == len(second) and sum(map(_is_cell, second)) >= FEWEST
+
+    def __enter__(self) -> Self:
+        super().__enter__()
+        first = head(self.path)[0].strip()
+        cells = [
+            cell.decode("utf-8", "replace").strip(' "') for cell in first.split(_separator(first))
+        ]
+        cells[0] = cells[0].lstrip("#% \ufeff")
+        self._has_header = sum(_is_cell(cell.encode()) for cell in cells) < len(cells) / 2
+        self._has_header |= not _is_cell(cells[0].encode())
+        self._header = cells if self._has_header else [str(k + 1) for k in range(len(cells))]
+        return self
+
+    def kinds(self) -> frozenset[type[Message]]:
+        """Return scans, and the kind of odometry that the columns hold."""
+        motion = self._motion()
+        return frozenset({LaserScan} if motion is None else {LaserScan, motion})
+
+    def defaults(self) -> Mapping[type[Message], str]:
+        """Return the two streams that a file has."""
+        return {kind: STREAMS[kind] for kind in self.kinds()}
+
+    def streams(self) -> list[Stream]:
+        """Return odometry and scans, with the columns that they are read from."""
+        streams, found = [], self._columns()
+        for kind, name in sorted(self.defaults().items(), key=lambda item: item[1]):
+            roles = ("ranges",) if kind is LaserScan else found.motion
+            cells = [found.cells[role] for role in roles]
+            streams.append(
+                Stream(name, kind.__name__, None, True, self._named(cells), default=True)
+            )
+        return streams
+
+    def _named(self, cells: list[Cells]) -> str:
+        firsts = [self._header[one.first] for one in cells]
+        if cells[0].last - cells[0].first > 1:
+            return f"columns {firsts[0]} to {self._header[cells[0].last - 1]}"
+        return f"columns {', '.join(firsts)}"
+
+    def _columns(self) -> Layout:
+        if self._layout is None:
+            try:
+                self._layout = layout(self._header, self.columns, self.angle_min, self.angle_step)
+            except MessageError as error:
+                raise SourceError(f"{self.path}: {error}") from None
+        return self._layout
+
+    def _motion(self) -> type[Message] | None:
+        kinds: dict[str, type[Message]] = {
+            "x": OdometryPose,
+            "left": WheelAngles,
+            "speed": Velocity,
+        }
+        motion = self._columns().motion
+        return kinds[motion[0]] if motion else None
+
+    def _messages(self) -> Iterator[Located]:
+        """Yield the odometry of a row before its scan."""
+        found, width, unit, mark = self._columns(), len(self._header), 0.0, b","
+        used = sorted({k for cells in found.cells.values() for k in range(*cells[:2])})
+        for number, line in self._lines(self.path):
+            text = line.strip()
+            mark = _separator(text) if number == 1 else mark
+            if not text or text[:1] == b"#" or (number == 1 and self._has_header):
+                continue
+            try:
+                values = _numbers(text.split(mark), used, width)
+                stamp = _value(values, found.cells["stamp"])
+                finite("the stamp", stamp)
+                unit = unit or next((by for least, by in EPOCHS if abs(stamp) > least), 1.0)
+                motion = self._odometry(values, found, stamp * unit)
+                row = [*motion, *_scan(values, found, stamp * unit)]
+            except (ValueError, MessageError) as error:
+                self._reject("row", self.path, number, error)
+                continue
+            for k, message in enumerate(row):
+                stream = STREAMS[type(message)]
+                yield Located(message, number, stream, checked=k == len(row) - 1)
+
+    def _odometry(self, values: Array, found: Layout, stamp: float) -> Iterator[Message]:
+        """Yield the odometry of a row, unless its cells are empty."""
+        cells = [_value(values, found.cells[role]) for role in found.motion]
+        if not cells or all(map(math.isnan, cells)):
+            return
+        finite("odometry", *cells)
+        kind = self._motion()
+        if kind is OdometryPose:
+            yield OdometryPose(stamp, np.array(cells))
+        elif kind is WheelAngles:
+            yield WheelAngles(stamp, *cells)
+        else:
+            yield Velocity(stamp, *cells)
+
+
+def _scan(values: Array, found: Layout, stamp: float) -> Iterator[LaserScan]:
+    """Yield the scan of a row, unless its cells are empty."""
+    beams = found.cells["ranges"]
+    ranges = beams.factor * values[beams.first : beams.last]
+    if np.isnan(ranges).all():
+        return
+    angles = found.angles
+    if angles is None:
+        start, step = (_value(values, found.cells[role]) for role in ("angle_min", "angle_step"))
+        finite("angle_min or angle_step", start, step)
+        angles = beam_angles(len(ranges), start, step)
+    low, high = (
+        _value(values, found.cells[role]) if role in found.cells else math.nan
+        for role in ("range_min", "range_max")
+    )
+    yield LaserScan(stamp, angles, ranges, beam_times(len(ranges)), low, high)
+
+
+def _numbers(cells: list[bytes], used: list[int], width: int) -> Array:
+    """Return (width,) the numbers in the columns that are used, NaN in the others and where empty."""
+    if len(cells) != width:
+        raise MessageError(f"{len(cells)} cells instead of {width}")
+    values = np.full(width, np.nan)
+    values[used] = [float(cells[k]) if cells[k].strip() else math.nan for k in used]
+    return values
+
+
+def _value(values: Array, cells: Cells) -> float:
+    return cells.factor * float(values[cells.first])
+
+
+def _separator(line: bytes) -> bytes:
+    return max(SEPARATORS, key=line.count)
+
+
+def _is_cell(text: bytes) -> bool:
+    """Tell whether a cell is a number or empty."""
+    try:
+        float(text.strip() or b"nan")
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,128 @@
+"""The rosbags reader of ROS 1 bags, within limits, and for bags that lack their index.
+
+The index of a bag is written when it is closed. A bag whose recorder was stopped by force
+(`.bag.active`), or that was cut, is a row of whole chunks; the last one may be open, with a length that
+is still 0 (wiki.ros.org/Bags/Format/2.0).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from io import BytesIO
+from typing import BinaryIO
+
+from rosbags import rosbag1
+from rosbags.rosbag1.reader import (
+    Chunk,
+    Header,
+    IndexData,
+    ReaderError,
+    RecordType,
+    decompressors,
+    read_uint32,
+)
+
+from impslam.sources.unpack import UNIT_LIMIT, check_size, unpack_bz2, unpack_lz4
+
+_BOUNDED: dict[Callable[[bytes], bytes], Callable[[bytes], bytes]] = {
+    decompressors["bz2"]: unpack_bz2,
+    decompressors["lz4"]: unpack_lz4,
+}
+
+
+class BoundedReader1(rosbag1.Reader):
+    """A ROS 1 bag, its chunks unpacked within limits; without an index, it is read from the front."""
+
+    is_cut = False
+
+    def open(self) -> None:
+        """Open the bag and read its index, or make one."""
+        try:
+            super().open()
+        except (ReaderError, AssertionError) as error:
+            if not any(word in str(error) for word in ("not indexed", "index looks damaged")):
+                raise
+            self.is_cut = True
+            self.bio = self.path.open("rb")
+            try:
+                self._scan()
+            except BaseException:
+                self.close()
+                raise
+
+    def read_chunk(self) -> Chunk:
+        """Read the header of a chunk."""
+        chunk = super().read_chunk()
+        check_size("a chunk", chunk.datasize)
+        return chunk._replace(decompressor=_BOUNDED.get(chunk.decompressor, chunk.decompressor))
+
+    def _scan(self) -> None:
+        """Make the index from all whole chunks."""
+        file = self.bio
+        assert file is not None
+        size = file.seek(0, 2)
+        file.seek(0)
+        file.readline()  # the magic
+        end = _following(file)
+        indexes: dict[int, list[IndexData]] = {}
+        while end < size:
+            file.seek(end)
+            try:
+                op = Header.read(file).get_uint8("op")
+                is_chunk, place = op == RecordType.CHUNK, file.seek(end)
+                end = self._scan_chunk(file, place, indexes) if is_chunk else _following(file)
+            except (ReaderError, ValueError):
+                break  # cut within a record, or what is behind the end may be anything
+        self.indexes = {c.id: sorted(indexes.get(c.id, [])) for c in self.connections}
+        counted = [c._replace(msgcount=len(self.indexes[c.id])) for c in self.connections]
+        self.connections = counted
+
+    def _scan_chunk(self, file: BinaryIO, place: int, indexes: dict[int, list[IndexData]]) -> int:
+        """Enter the messages of the chunk at some place in the file; return where it ends."""
+        chunk = self.read_chunk()
+        file.seek(chunk.datapos)
+        data = file.read(chunk.datasize or UNIT_LIMIT)
+        is_open = not chunk.datasize or len(data) < chunk.datasize
+        if is_open and chunk.decompressor is not decompressors["none"]:
+            raise ReaderError("The last chunk is not complete.")
+        try:
+            self.bio = BytesIO(chunk.decompressor(data))
+            whole = self._scan_records(self.bio, place, indexes)
+        except (EOFError, OSError, RuntimeError):  # a damaged chunk between whole ones
+            whole = 0
+        finally:
+            self.bio = file
+        self.chunks[place] = chunk._replace(datasize=whole) if is_open else chunk
+        return chunk.datapos + (whole if is_open else chunk.datasize)
+
+    def _scan_records(
+        self, records: BytesIO, chunk: int, indexes: dict[int, list[IndexData]]
+    ) -> int:
+        """Enter the records of an unpacked chunk; return the length of the whole ones."""
+        known, size, at = {c.id for c in self.connections}, len(records.getbuffer()), 0
+        while at < size:
+            records.seek(at)
+            try:
+                header = Header.read(records)
+                op = header.get_uint8("op")
+                following = records.tell() + 4 + read_uint32(records)
+                if following > size or op not in (RecordType.MSGDATA, RecordType.CONNECTION):
+                    break
+                if op == RecordType.MSGDATA:
+                    entry = IndexData(header.get_time("time"), chunk, at)
+                    indexes.setdefault(header.get_uint32("conn"), []).append(entry)
+                elif header.get_uint32("conn") not in known:
+                    records.seek(at)
+                    self.connections.append(self.read_connection())
+                    known.add(self.connections[-1].id)
+            except (ReaderError, ValueError):
+                break
+            at = following
+        return at
+
+
+def _following(file: BinaryIO) -> int:
+    """Return where the record ends that begins here."""
+    Header.read(file)
+    size = read_uint32(file)
+    return file.tell() + size

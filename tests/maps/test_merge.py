@@ -1,0 +1,80 @@
+"""Maps of several drives through one building become one, or it is told why not."""
+
+import numpy as np
+import pytest
+from tests.extractors.scans import room
+from tests.maps.drawn import mapped
+from tests.numeric import wrapped
+from tests.recognition.plans import OFFICE, way
+
+from impslam.map import Map
+from impslam.maps.merge import NotMergedError, merged
+
+LEFT = np.concatenate([way(-7.0, -0.3, 0.0, -0.2, 16), way(0.0, 0.2, -7.0, 0.3, 16)])
+MIDDLE = np.concatenate([way(-5.0, 0.2, 5.0, -0.2, 22), way(5.0, 0.3, -2.5, 0.0, 16)])
+RIGHT = np.concatenate([way(1.0, -0.4, 8.0, 0.2, 16), way(8.0, -0.2, 1.5, 0.3, 14)])
+FAR = (40.0, -30.0, 2.5)
+
+
+def drives(*ways, seed=0):
+    """Return the map of each way, each in a frame of its own but the first."""
+    frames = [(0.0, 0.0, 0.0), FAR, (-3.0, 7.0, -1.0)]
+    return [
+        mapped(OFFICE, w, T=T, seed=seed + k)
+        for k, (w, T) in enumerate(zip(ways, frames, strict=False))
+    ]
+
+
+def test_two_maps_become_one_in_the_frame_of_the_first():
+    one, other = drives(LEFT, MIDDLE)
+    told = []
+    both = merged(one, other, progress=lambda what, share: told.append((what, share)))
+    truth = np.concatenate([LEFT, MIDDLE])
+    off = wrapped(both.keyframes.poses - truth, 2)
+    assert np.hypot(off[:, 0], off[:, 1]).max() < 0.05
+    assert np.abs(off[:, 2]).max() < 0.01
+    assert both.keyframes.placed.all()
+    assert both.keyframes.sessions.tolist() == [0] * len(LEFT) + [1] * len(MIDDLE)
+    assert len(both.path()) == len(one.stamps) + len(other.stamps)
+    assert told[0] == ("finding map 2", 0.0)
+    assert told[-1][0] == "joining"
+
+
+def test_a_map_that_overlaps_a_later_one_alone_waits_for_it():
+    maps = drives(LEFT[:24], RIGHT, MIDDLE)
+    known = merged(*maps)
+    truth = np.concatenate([LEFT[:24], MIDDLE, RIGHT])
+    assert known.keyframes.sessions.max() == 2
+    off = wrapped(known.keyframes.poses - truth, 2)
+    assert np.hypot(off[:, 0], off[:, 1]).max() < 0.1
+
+
+def test_a_merged_map_is_a_map_like_any_other(tmp_path):
+    both = merged(*drives(LEFT, MIDDLE))
+    again = Map.load(both.save(tmp_path / "both.imp"))
+    third = mapped(OFFICE, RIGHT, T=(-3.0, 7.0, -1.0), seed=2)
+    known = merged(again, third)
+    assert known.keyframes.sessions.max() == 2
+    assert [part["log"] for part in known.about["merged"]] == ["drawn"] * 3
+
+
+def test_the_second_map_says_as_much_of_its_errors_as_the_first():
+    one, other = drives(LEFT, MIDDLE)
+    both = merged(one, other)
+    spread = np.sqrt(both.keyframes.covariances[:, 0, 0])
+    assert np.isfinite(spread).all()
+    assert spread[len(LEFT) :].max() < 0.5  # it was 40 m away, and is known to centimetres
+
+
+def test_a_map_of_another_building_is_named():
+    one, other = drives(LEFT, MIDDLE)
+    hall = mapped(room(0.0, 9.0, 0.0, 7.0), way(1, 1, 8, 5, 30), seed=5)
+    with pytest.raises(NotMergedError, match="map 3: they have no place in common") as caught:
+        merged(one, other, hall)
+    assert caught.value.which == 2
+
+
+def test_nothing_is_changed_where_nothing_is_merged():
+    (one,) = drives(LEFT)
+    assert merged(one) is not None
+    np.testing.assert_array_equal(merged(one).keyframes.poses, one.keyframes.poses)

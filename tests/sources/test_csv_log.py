@@ -1,0 +1,183 @@
+"""CSV logs: what their headers say, and what is said of them."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.sources.logs import read
+
+import impslam
+from impslam.cli import main
+from impslam.errors import SourceError
+from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
+from impslam.simulation.simulate import simulate
+from impslam.simulation.world import load_world
+from impslam.types import LaserScan, Message, OdometryPose, TruePose, Velocity, WheelAngles
+
+
+def log(path: Path, *lines: str) -> Path:
+    file = path / "log"
+    file.write_text("\n".join(lines) + "\n")
+    return file
+
+
+def messages(path: Path, *lines: str, **parameters: object) -> list[Message]:
+    return read(log(path, *lines), **parameters)[0]
+
+
+@pytest.mark.parametrize("mark", [",", ";", "\t", " , "])
+def test_beams_that_are_named_by_degrees(tmp_path: Path, mark: str) -> None:
+    rows = ["stamp,x,y,theta,-90,0,90", "12.5,1,2,0.5,1.5,,inf", "13.0,1,2,0.5,4,5,6"]
+    pose, scan, *_ = messages(tmp_path, *(row.replace(",", mark) for row in rows))
+    assert isinstance(pose, OdometryPose)
+    assert isinstance(scan, LaserScan)
+    assert pose.stamp == scan.stamp == 12.5
+    np.testing.assert_array_equal(pose.pose, [1.0, 2.0, 0.5])
+    np.testing.assert_allclose(scan.angles, [-math.pi / 2, 0.0, math.pi / 2])
+    np.testing.assert_array_equal(scan.ranges, [1.5, math.nan, math.inf])
+
+
+@pytest.mark.parametrize(
+    ("header", "kind"),
+    [
+        ("Time,left,right,0,90,180", WheelAngles),
+        ("# t,v,omega,0,90,180", Velocity),
+        ("timestamp,odom_x,odom_y,yaw_deg,0,90,180", OdometryPose),
+    ],
+)
+def test_odometry_by_its_names(tmp_path: Path, header: str, kind: type[Message]) -> None:
+    row = ",".join(["1.5"] * len(header.split(",")))
+    assert [type(m) for m in messages(tmp_path, header, row)] == [kind, LaserScan]
+
+
+def test_units_in_names(tmp_path: Path) -> None:
+    header = "time_ms,x_mm,y_cm,theta_deg,range_mm_0,range_mm_1,range_mm_2"
+    pose, scan = messages(
+        tmp_path, header, "1500,250,25,90,1000,2000,", angle_min=-0.5, angle_step=0.5
+    )
+    assert isinstance(pose, OdometryPose)
+    assert isinstance(scan, LaserScan)
+    assert pose.stamp == 1.5
+    np.testing.assert_allclose(pose.pose, [0.25, 0.25, math.pi / 2])
+    np.testing.assert_array_equal(scan.ranges, [1.0, 2.0, math.nan])
+    np.testing.assert_array_equal(scan.angles, [-0.5, 0.0, 0.5])
+
+
+def test_columns_that_are_said(tmp_path: Path) -> None:
+    columns = {"stamp": "secs", "x": "px", "y": "py", "theta": "dir*0.5", "ranges": "d0:d2*0.001"}
+    rows = ["secs,px,py,dir,note,d0,d1,d2", "1.5,1,2,3,hello,1000,2000,3000"]
+    pose, scan = messages(tmp_path, *rows, columns=columns, angle_min=1.0, angle_step=-1.0)
+    np.testing.assert_array_equal(pose.pose, [1.0, 2.0, 1.5])  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(scan.ranges, [1.0, 2.0, 3.0])  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(scan.angles, [1.0, 0.0, -1.0])  # type: ignore[attr-defined]
+
+
+def test_without_a_header_columns_have_numbers(tmp_path: Path) -> None:
+    columns = {"stamp": "1", "left": "2", "right": "3", "ranges": "4:6"}
+    rows = ["1.5,1,2,3,4,5", "2.5,1,2,3,4,5"]
+    found = messages(tmp_path, *rows, columns=columns, angle_min=0.0, angle_step=0.1)
+    assert [(type(m), m.stamp) for m in found] == [
+        (WheelAngles, 1.5), (LaserScan, 1.5), (WheelAngles, 2.5), (LaserScan, 2.5),
+    ]  # fmt: skip
+
+
+def test_what_rostopic_echo_writes(tmp_path: Path) -> None:
+    """`rostopic echo -p /scan`, with stamps in ns and a frame between the numbers."""
+    names = [
+        "angle_min",
+        "angle_max",
+        "angle_increment",
+        "range_min",
+        "range_max",
+        "ranges0",
+        "ranges1",
+    ]
+    header = ["%time", "field.header.seq", "field.header.stamp", "field.header.frame_id"]
+    header += [f"field.{name}" for name in [*names, "ranges2"]]
+    row = ["1700000000500000000", "7", "1700000000250000000", "laser", "-1", "0", "0.5", "0.1", "8"]
+    (scan,) = messages(tmp_path, ",".join(header), ",".join([*row, "1", "2", "inf"]))
+    assert isinstance(scan, LaserScan)
+    assert scan.stamp == 1700000000.25
+    np.testing.assert_array_equal(scan.angles, [-1.0, -0.5, 0.0])
+    np.testing.assert_array_equal(scan.ranges, [1.0, 2.0, math.inf])
+    assert (scan.range_min, scan.range_max) == (0.1, 8.0)
+
+
+def test_rows_may_hold_one_of_both(tmp_path: Path) -> None:
+    rows = ["stamp,left,right,0,1,2", "1,1,2,,,", "2,,,1,2,3", "3,1,2,1,2,3", "# no row", ""]
+    assert [(m.stamp, type(m)) for m in messages(tmp_path, *rows)] == [
+        (1.0, WheelAngles), (2.0, LaserScan), (3.0, WheelAngles), (3.0, LaserScan),
+    ]  # fmt: skip
+
+
+def test_bad_rows_are_counted_and_dropped(tmp_path: Path) -> None:
+    rows = ["stamp,left,right,0,1,2", "1,1,2,3,4,5", "2,1,2,3,4", "x,1,2,3,4,5", "3,nan,2,3,4,5"]
+    rows += [",1,2,3,4,5", "4,1,2,3,what,5", "5,1,2,3,4,5"]
+    found, source = read(log(tmp_path, *rows))
+    assert [m.stamp for m in found] == [1.0, 1.0, 5.0, 5.0]
+    assert source.problems.counts == {"malformed row": 5}
+
+
+@pytest.mark.parametrize(
+    ("header", "parameters", "said"),
+    [
+        ("when,left,right,0,1,2", {}, r"no column is known as stamp \(when, left, right, 0"),
+        ("stamp,a,b,c,d,e", {}, "known as ranges .*: say --columns ranges=FIRST:LAST"),
+        (
+            "stamp,a,r0,r1,r2,r3",
+            {},
+            "directions of the beams are not known: say --set source.angle_min",
+        ),
+        ("stamp,a,0,1,2,3", {"columns": {"x": "ab"}}, "no column 'ab' in it; did you mean 'a'"),
+        ("stamp,a,0,1,2,3", {"columns": {"ranges": "0"}}, "expected ranges=FIRST:LAST"),
+        ("stamp,a,0,1,2,3", {"columns": {"ranges": "2:0"}}, "0 is before 2"),
+        ("stamp,a,0,1,2,3", {"columns": {"x": "a*b"}}, "'b' is not a number"),
+    ],
+)
+def test_columns_that_cannot_be_told_are_said(
+    tmp_path: Path, header: str, parameters: dict[str, object], said: str
+) -> None:
+    path = log(tmp_path, header, "1,2,3,4,5,6")
+    with pytest.raises(SourceError, match=said):
+        read(path, **parameters)
+
+
+def test_a_csv_log_is_mapped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Wheel angles, with the columns said on the command line; and by the lidar alone."""
+    robot = SimulatedRobot(
+        encoders=WheelEncoders.perfect(),
+        lidar=Lidar.perfect(beam_time=0.0, mount=(0.0, 0.0, 0.0)),
+        imu=None,
+    )
+    rows, truth, wheels = ["clock,enc_l,enc_r," + ",".join(f"b{k}" for k in range(682))], {}, {}
+    for m in simulate(load_world("room"), robot):
+        if isinstance(m, TruePose):
+            truth[m.stamp] = m.pose
+        elif isinstance(m, WheelAngles):
+            wheels[m.stamp] = (m.left, m.right)
+        elif isinstance(m, LaserScan):
+            cells = [f"{r:.4f}" if r > 0.0 else "" for r in m.ranges]
+            rows.append(",".join([f"{m.stamp:.6f}", *map(str, wheels[m.stamp]), *cells]))
+    path = log(tmp_path, *rows)
+    assert main(["run", str(path)]) == 2
+    assert "no column is known as stamp (clock, enc_l, enc_r, b0" in capsys.readouterr().err
+    given = ["--columns", "stamp=clock,left=enc_l,right=enc_r", "--columns", "ranges=b0:b681"]
+    for one in (f"angle_min={-340 * math.tau / 1024}", f"angle_step={math.tau / 1024}"):
+        given += ["--set", f"source.{one}"]
+    assert (
+        main(
+            ["run", str(path), *given, "-o", str(tmp_path / "alone"), "-q" if False else "--quiet"]
+        )
+        == 0
+    )
+    wheel = ["odometry.kind=encoders", "odometry.wheel_radius=0.0635", "odometry.track=0.4"]
+    for one in wheel:
+        given += ["--set", one]
+    assert main(["run", str(path), *given, "-o", str(tmp_path / "wheels")]) == 0
+    assert "odometry wheels" in capsys.readouterr().out
+    for name in ("alone", "wheels"):
+        known = impslam.Map.load(tmp_path / name / "map.imp")
+        for stamp, *pose in known.path():
+            nearest = min(truth, key=lambda t: abs(t - stamp))
+            assert math.dist(pose[:2], truth[nearest][:2]) < 0.01

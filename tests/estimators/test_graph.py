@@ -380,3 +380,10 @@ def test_covariances_of_landmarks_include_those_of_the_poses_that_saw_them():
     assert np.sqrt(np.diag(first.covariance)).max() < 0.03
     P = revisions[-1].covariances[-1]
     assert (np.diag(last.covariance)[:2] >= 0.9 * np.diag(P)[:2]).all()
+
+
+def test_without_a_loop_settling_claims_no_more_than_was_claimed_on_the_way():
+    made = begun()
+    truth = way(*LAP[:3])
+    claimed = [r.covariances[-1] for r in driven(made, keyframes(RING, truth))]
+    np.testing.assert_allclose(made.settle().covariances, claimed, rtol=1e-9, atol=1e-15)

@@ -16,7 +16,7 @@ from impslam.building.landmarks import landmarks_of
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
 from impslam.estimators.base import Draft, Estimator, check_keyframe, is_known
-from impslam.estimators.keyframe_log import KeyframeLog, Part, blended, refined, revised
+from impslam.estimators.keyframe_log import KeyframeLog, Part, blended, refined, revised, spreads
 from impslam.estimators.loop_closing import LoopCloser, LoopSearch
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.restoring import restored
@@ -145,9 +145,9 @@ class Graph(Estimator):
         return True
 
     def _all(self, graph: PoseGraph) -> Revision:
-        """Return all keyframes by a graph; each has the covariance of the node before it."""
-        poses, node = revised(self._keys, graph), self._keys.node_before
-        covariances, placed = graph.covariances[node], graph.roots[node] == 0
+        """Return all keyframes by a graph."""
+        poses, covariances = revised(self._keys, graph), spreads(self._keys, graph)
+        placed = graph.roots[self._keys.node_before] == 0
         begin = 0 if self._known is None else len(self._known.keyframes)
         ids = np.arange(begin, len(poses))
         return Revision(ids, poses[begin:], covariances[begin:], placed=placed[begin:])

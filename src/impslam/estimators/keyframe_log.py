@@ -11,6 +11,8 @@ import numpy as np
 from impslam.building.sightings import SightingsLog
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.geometry.angles import wrap
+from impslam.geometry.chain import advance
+from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import between, compose, inverse
 from impslam.graph.bearings import Scans
 from impslam.graph.bundle import Fit, refine
@@ -180,6 +182,30 @@ def revised(keys: KeyframeLog, graph: PoseGraph, rows: Ints | None = None) -> Ar
     node = np.searchsorted(keys.nodes, rows, side="right") - 1
     offset = between(keys.chain[keys.nodes[node]], keys.chain[rows])
     return compose(graph.poses[node], offset)
+
+
+def spreads(keys: KeyframeLog, graph: PoseGraph) -> Array:
+    """Return the covariances (k, 3, 3) of all keyframes: of the node before, and of the motion since."""
+    out = np.empty((len(keys), 3, 3))
+    motions = np.zeros((len(keys), 3))
+    motions[1:] = between(keys.chain[:-1], keys.chain[1:])
+    _spread(graph.poses, graph.covariances, keys.nodes, motions, keys.steps, out)
+    return out
+
+
+@kernel
+def _spread(
+    poses: Array, covariances: Array, nodes: Ints, motions: Array, steps: Array, out: Array
+) -> None:
+    """Fill `out` from n nodes and the motions (k, 3) to each keyframe, with their covariances."""
+    n, pose, P = 0, np.empty(3), np.empty((3, 3))
+    for k in range(len(out)):
+        if n < len(nodes) and nodes[n] == k:
+            pose[:], P[:] = poses[n], covariances[n]
+            n += 1
+        else:
+            advance(pose, P, motions[k], steps[k])
+        out[k] = P
 
 
 def blended(keys: KeyframeLog, graph: PoseGraph) -> Array:

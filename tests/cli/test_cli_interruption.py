@@ -170,6 +170,8 @@ def test_an_error_keeps_what_was_mapped_before(
     known = check_partial(folder, room, "ArithmeticError")
     assert len(known.keyframes) == 9
     assert np.isfinite(known.path()).all()
+    assert "warning: " in imp("evaluate", folder).err
+    assert "partial    ArithmeticError" in imp("map", "info", folder / "map.imp").out
 
 
 def test_a_run_is_replaced_by_a_whole_one_only(imp, room, tmp_path) -> None:

@@ -57,7 +57,13 @@ def info(
         agreement = quality(known)
     if not quiet:
         console.say(f"{file}:")
-        shown = {**_rows(found), "quality": _quality(agreement), "picture": str(picture)}
+        partial = known.about.get("partial")
+        shown = {
+            **_rows(found),
+            **({"partial": str(partial)} if partial else {}),
+            "quality": _quality(agreement),
+            "picture": str(picture),
+        }
         console.show_facts(shown)
     if json is not None:
         write_json(json, {**asdict(found), "quality": agreement.figures()})

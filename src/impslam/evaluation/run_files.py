@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from impslam.evaluation.tum import HEALTH_COLUMN, PATH_COLUMNS, TRUTH, read_numb
 from impslam.map import Map
 from impslam.maps.files import read_landmarks
 from impslam.types import Array, Landmark, TrueLandmark
+
+log = logging.getLogger(__name__)
 
 SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)
 
@@ -49,14 +52,17 @@ def read_run(place: Path) -> RecordedRun:
         raise ImpError(f"{place}: holds no trajectory.tum; give the folder of a run")
     path = read_tum(place / "trajectory.tum")
     table, marks = place / "trajectory.csv", place / "landmarks.csv"
-    truth, true_marks, known = place / TRUTH, place / TRUE_LANDMARKS, place / "map.imp"
+    truth, true_marks = place / TRUTH, place / TRUE_LANDMARKS
+    known = Map.load(place / "map.imp") if (place / "map.imp").is_file() else None
+    if known is not None and (partial := known.about.get("partial")):
+        log.warning("%s: is the run of a part of its log: %s", place, partial)
     return RecordedRun(
         path,
         _covariances(table, path) if table.is_file() else None,
         read_landmarks(marks) if marks.is_file() else None,
         read_tum(truth) if truth.is_file() else None,
         read_true_landmarks(true_marks) if true_marks.is_file() else None,
-        Map.load(known) if known.is_file() else None,
+        known,
     )
 
 

@@ -170,3 +170,35 @@ def test_inspect_and_run_say_the_same(entries, tmp_path, capsys):
         "reads: scan /scan (mount [0.100 m, 0.050 m, 0.0 deg], /tf_static: base_footprint -> laser); "
         "odometry /tf"
     ]
+
+
+def test_static_transforms_among_odometry_are_watched_and_read_once(tmp_path):
+    recipe = Recipe(republished=True)
+    found, _ = drive(load_world("room"), recipe)
+    log = write(tmp_path / "bag", recipe, [entry for entry in found if entry[0] < 1.0])
+    messages, problems, line = read(log)
+    assert "/tf: base_footprint -> laser" in line
+    assert sum(isinstance(m, OdometryPose) for m in messages) == 50
+    assert not problems.counts
+
+
+def test_transforms_out_of_order_are_counted(entries, tmp_path):
+    times = [k for k, entry in enumerate(entries) if entry[1] == "/tf"]
+    entries = list(entries)
+    a, b = times[20], times[21]
+    (s, topic, one), (t, _, two) = entries[a], entries[b]
+    entries[a], entries[b] = (s, topic, two), (t, topic, one)
+    problems = read(bag(tmp_path, entries, links(*URDF)))[1]
+    assert problems.counts == {"backward stamp": 1}
+
+
+def test_odometry_of_another_body_is_not_base(tmp_path):
+    """A tracking camera that is not related to the robot but through odom."""
+    recipe = Recipe(
+        odometry={"/camera/odom": "camera_pose"}, tf_odometry=("odom", "base_footprint")
+    )
+    found, _ = drive(load_world("room"), recipe)
+    camera = ("odom", "camera_pose", [0.3, 0.4, 0.5], [0, 0, 1])
+    entries = [(0.0, "/tf", T.links(STAMP, [camera])), *(e for e in found if e[0] < 1.0)]
+    line = read(write(tmp_path / "bag", recipe, entries))[2]
+    assert "(mount [0.100 m, 0.050 m, 0.0 deg], /tf_static: base_footprint -> laser)" in line

@@ -38,13 +38,19 @@ class MountWatch:
 
     def update(self, links: Iterable[Link]) -> None:
         """Enter links that have arrived."""
-        for link in links:
-            if link.child in self.frames:
-                self._tree.add(link)
+        own = [link for link in links if link.child in self.frames]
+        for link in own:
+            self._tree.add(link)
+        if not own:
+            return
         for stream, frames in self._lasers.items():
             with suppress(MessageError):
                 T, _ = self._tree.way(*frames)
                 self._moved[stream] = _difference(self._first[stream], T)
+
+    def may_be_in(self, data: bytes) -> bool:
+        """Tell whether a serialised message names one of the frames."""
+        return any(frame.encode() in data for frame in self.frames)
 
     def moved(self, stream: str) -> str:
         """Return by how much the mount of a stream's laser differs from the first one, or nothing."""
@@ -52,8 +58,9 @@ class MountWatch:
 
 
 def _difference(first: Array, now: Array) -> str:
-    D = np.linalg.inv(first) @ now
-    way = float(np.linalg.norm(D[:3, 3]))
+    with np.errstate(all="ignore"):  # a damaged log may move it by 1e300 m
+        D = np.linalg.inv(first) @ now
+        way = float(np.linalg.norm(D[:3, 3]))
     sine = 0.5 * float(np.linalg.norm((D - D.T)[[2, 0, 1], [1, 2, 0]]))
     turn = math.atan2(sine, 0.5 * (float(np.trace(D)) - 2.0))
     if way <= SAME_PLACE and turn <= SAME_DIRECTION:

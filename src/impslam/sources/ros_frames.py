@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from rosbags.interfaces import Connection
 
 from impslam.errors import MessageError
@@ -19,9 +20,12 @@ from impslam.sources.ros_messages import read_transform
 from impslam.sources.ros_storage import Bag, RosMessage
 from impslam.sources.ros_topics import TF_TYPES, TYPES, is_truth
 from impslam.sources.transforms import FrameTree, Link, flattened
+from impslam.types import Array
 
 STATIC = "tf_static"
 BASES = ("base_footprint", "base_link", "base")
+WORLDS = ("map", "world", "earth")
+FARTHEST = 100.0  # m from base to a laser; on no robot it is as far
 LOOK_AHEAD = 30 * 10**9
 """ns of the log after its first scan, in which each transform of a robot is published many times."""
 
@@ -66,20 +70,20 @@ class Frames:
         self._bad: dict[str, str] = {}
         self._edges: dict[Edge, None] = {}
         self._children: dict[str, str] = {}
-        self.connections = [c for c in bag.connections if c.msgtype in TF_TYPES and c.msgcount]
-        if self.connections:
-            self._read(bag)
+        publishers = [c for c in bag.connections if c.msgtype in TF_TYPES and c.msgcount]
+        if publishers:
+            self._read(bag, publishers)
 
     # ------------------------------------------------------------------ reading
 
-    def _read(self, bag: Bag) -> None:
+    def _read(self, bag: Bag, publishers: Sequence[Connection]) -> None:
         begin = self._read_scans(bag)
         for connection in bag.connections:
             if connection.msgtype in TYPES["truth"] and not is_truth(connection.topic):
                 for message, _ in _first(bag, connection):
                     self._children[connection.topic] = _plain(message.child_frame_id)
-        static = [c for c in self.connections if _is_static(c)]
-        moving = [c for c in self.connections if not _is_static(c)]
+        static = [c for c in publishers if _is_static(c)]
+        moving = [c for c in publishers if not _is_static(c)]
         for connection, time, message in _decoded(bag, static):
             self._learn(connection.topic, message, time <= begin)
         for connection, time, message in _decoded(bag, moving):
@@ -161,29 +165,40 @@ class Frames:
         known = {topic: mounts[topic].base for topic in topics if mounts[topic].pose is not None}
         return MountWatch(self._tree, {t: (base, self.lasers[t]) for t, base in known.items()})
 
-    def publishers(self, frames: Collection[str]) -> list[Connection]:
+    def publishers(self, bag: Bag, frames: Collection[str]) -> list[Connection]:
         """Return what publishes where some frames are, and all that is said to be static."""
         topics = {self._sources[frame] for frame in frames}
-        return [c for c in self.connections if topics and (c.topic in topics or _is_static(c))]
+        found = [c for c in bag.connections if c.msgtype in TF_TYPES]
+        return [c for c in found if topics and (c.topic in topics or _is_static(c))]
 
     def _mount(self, frame: str, base: str) -> Mount:
         try:
             base = self._base(frame, base)
             if not base:
                 return Mount(None, origin=self._unknown(frame))
-            T, links = self._tree.way(base, frame)
+            T, links = self._way(base, frame)
         except MessageError as error:
             return Mount(None, origin=str(error))
+        if not np.abs(T).max() < FARTHEST:
+            return Mount(None, origin=f"the transforms put {frame} far away from {base}")
         planar = flattened(T)
         topics = ", ".join(dict.fromkeys(self._sources[link.child] for link in links))
         origin = f"{topics + ': ' if topics else ''}{base} -> {frame}"
         return Mount(planar.pose, planar.upside_down, planar.tilt, origin, base)
 
+    def _way(self, base: str, frame: str) -> tuple[Array, list[Link]]:
+        """Return `T_base_frame` and its links; `MessageError` if they lead off the robot, or nowhere."""
+        with np.errstate(all="ignore"):  # a damaged log may have links of 1e300 m
+            T, links = self._tree.way(base, frame)
+        if any("odom" in _last(link.parent) or _last(link.parent) in WORLDS for link in links):
+            raise MessageError(f"{base} and {frame} are not on one robot")
+        return T, links
+
     def _base(self, frame: str, base: str = "") -> str:
         """Return base: the one given if it is related to a laser, or else the one above it by name."""
         for wanted in (base, *self._named(BASES)):
             with suppress(MessageError):
-                if wanted and (wanted == frame or self._tree.way(wanted, frame)):
+                if wanted and (wanted == frame or self._way(wanted, frame)):
                     return wanted
         return ""
 

@@ -202,14 +202,14 @@ class RosBag(Source):
         assert self._frames is not None
         used, watch = self._used(), self._frames.watch(self._mounts, self._held)
         events = [c for c in bag.connections if self._preset and c.msgtype == EVENT_TYPE]
-        watched = self._frames.publishers(watch.frames)
+        watched = self._frames.publishers(bag, watch.frames)
         others = [c for c in (*events, *watched) if c not in used]
         topics, odometry = {c.topic for c in used}, self._frames.odometry
         self._position = 0
         records: list[Record] = []
         size = 0
         for connection, log_time, data in self._raw(bag, [*used, *others]):
-            if connection in watched:
+            if connection in watched and watch.may_be_in(data):
                 watch.update(links(bag.decoder(connection), data))
             if connection.topic not in topics:
                 self._enter_event(connection, data)

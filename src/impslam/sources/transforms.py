@@ -55,10 +55,10 @@ def rigid(translation: Array, quaternion: Array) -> Array:
     """
     if not (np.isfinite(translation).all() and np.isfinite(quaternion).all()):
         raise MessageError("it holds a number that is not finite")
-    square = float(quaternion @ quaternion)
-    if abs(square - 1.0) > UNIT:
-        raise MessageError(f"its quaternion has the length {math.sqrt(square):.3g} instead of 1")
-    x, y, z, w = quaternion / math.sqrt(square)
+    length = math.hypot(*quaternion)
+    if abs(length * length - 1.0) > UNIT:
+        raise MessageError(f"its quaternion has the length {length:.3g} instead of 1")
+    x, y, z, w = quaternion / length
     T = np.eye(4)
     T[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

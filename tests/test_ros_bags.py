@@ -1,74 +1,20 @@
 """Bags as users of slam_toolbox have them, each mapped by `imp run BAG` alone."""
 
-import math
 import shutil
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import CompressionMode, StoragePlugin
-from tests.sources.ros_robots import URDF, Laser, Recipe, drive, write
+from rosbags.rosbag2 import StoragePlugin
+from tests.sources.ros_recipes import BAGS
+from tests.sources.ros_robots import Recipe, drive, write
 
 import impslam
+from impslam.errors import SourceError
 from impslam.fitting import choices
 from impslam.geometry.se2 import between
 from impslam.open_log import open_log
-from impslam.simulation.robot import Lidar
+from impslam.run import map_log
 from impslam.simulation.world import load_world
-
-BACKWARD = (
-    URDF[0],
-    ("base_link", "mast", [0, 0, 0.2], [0, 0, math.pi]),
-    ("mast", "laser", [-0.1, 0, 0.1], [0, 0, 0]),
-)
-DOWN = (URDF[0], ("base_link", "laser", [0.1, 0.05, 0.2], [math.pi, 0, 0.3]))
-TWO = (
-    URDF[0],
-    ("base_link", "front", [0.15, 0, 0.1], [0, 0, 0]),
-    ("base_link", "rear", [-0.15, 0, 0.1], [0, 0, math.pi]),
-)
-URG = Lidar(mount=(0.1, 0.05, 0.0))
-CLOCKWISE = {"angle_min": -URG.angle_min, "angle_step": -URG.angle_step}
-
-
-def mounted(x, y, yaw, **other):
-    return URG.model_copy(update={"mount": (x, y, yaw), **other})
-
-
-BAGS = {
-    "transforms alone": (Recipe(), "odometry /tf"),
-    "transforms and odometry": (Recipe(odometry={"/odom": "base_footprint"}), "odometry /odom"),
-    "several odometries": (
-        Recipe(tf_odometry=None, odometry={"/a/odometry": "base_link", "/z/odom": "base_link"}),
-        "odometry /z/odom",
-    ),
-    "ROS 1, static ones in /tf": (Recipe(republished=True, ros1=True), "/tf: base_footprint"),
-    "backward": (
-        Recipe(static=BACKWARD, lasers=[Laser(mounted(0.1, 0, math.pi))]),
-        "mount [0.100 m, 0.000 m, 180.0 deg], /tf_static: base_footprint -> laser",
-    ),
-    "upside down": (
-        Recipe(static=DOWN, lasers=[Laser(mounted(0.1, 0.05, 0.3, **CLOCKWISE), upside_down=True)]),
-        "mount [0.100 m, 0.050 m, 17.2 deg], upside down",
-    ),
-    "no largest range": (Recipe(lasers=[Laser(range_max=math.inf)]), "scan /scan"),
-    "simulated time": (Recipe(start=0.0, clock=True), "odometry /tf"),
-    "two lidars": (
-        Recipe(
-            static=TWO,
-            lasers=[
-                Laser(mounted(0.15, 0, 0), "/front/scan", "front"),
-                Laser(mounted(-0.15, 0, math.pi), "/rear/scan", "rear"),
-            ],
-        ),
-        "scan /front/scan (mount [0.150 m",
-    ),
-    "lidar alone": (Recipe(tf_odometry=None), "no odometry: mapped by the lidar alone"),
-    "several echoes": (Recipe(lasers=[Laser(echoes=True)]), "scan /scan"),
-    "compressed": (
-        Recipe(compression=CompressionMode.FILE, plugin=StoragePlugin.SQLITE3),
-        "scan /scan",
-    ),
-}
 
 
 @pytest.fixture(scope="module")
@@ -129,3 +75,23 @@ def test_a_folder_of_several_pieces_is_one_log(room, tmp_path):
     text = (log / "metadata.yaml").read_text()
     (log / "metadata.yaml").write_text(text.replace("- bag.mcap", "- bag.mcap\n  - rest.mcap"))
     assert worst(impslam.run(log).path(), truth) < 0.01
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_a_folder_that_its_recorder_did_not_close_is_one_log(room, tmp_path, plugin):
+    """Pieces 9 and 10, of which the name of the later one comes first by alphabet."""
+    recipe = Recipe(plugin=plugin)
+    entries, truth = drive(room, recipe)
+    middle = len(entries) // 2
+    (log := tmp_path / "bag").mkdir()
+    for k, part in ((9, entries[:middle]), (10, entries[middle:])):
+        (file,) = write(tmp_path / str(k), recipe, part).glob(f"{k}.*")
+        file.rename(log / f"bag_{file.name}")
+    config, source = open_log(log)
+    assert worst(map_log(config, source).path(), truth) < 0.01
+    assert source.problems.counts == {"cut file": 1}
+    assert "ros2 bag reindex" in source.problems.examples["cut file"]
+    (piece,) = log.glob("bag_9.*")
+    piece.rename(piece.with_stem("other_9"))
+    with pytest.raises(SourceError, match="no known log format"):  # two logs, not two pieces of one
+        open_log(log)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import struct
 import tempfile
 from collections.abc import Collection, Generator, Iterator
+from contextlib import ExitStack
 from io import BufferedReader, BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag2.errors import ReaderError
+from rosbags.rosbag2.metadata import ReaderMetadata
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import (
     DECOMPRESSORS,
@@ -180,6 +183,7 @@ _COMPUTED = """
 class BagFolder(DirectoryReader):
     """A ROS 2 bag: a folder of files of one kind, as its metadata.yaml tells."""
 
+    is_cut = False
     STORAGE_PLUGINS = {"mcap": CutMcapReader, "sqlite3": PlainSqlite3Reader}  # noqa: RUF012
 
     def open(self) -> None:
@@ -190,13 +194,9 @@ class BagFolder(DirectoryReader):
             if path.suffix == ".zstd":
                 check_unpacked(path, shutil.disk_usage(tempfile.gettempdir()).free // 2)
         super().open()
+        self.is_cut = any(isinstance(f, CutMcapReader) and f.is_cut for f in self.storages)
         self._packs_messages = self.metadata.compression_mode == "message"
         self.metadata = self.metadata._replace(compression_mode=None)  # see `messages`
-
-    @property
-    def is_cut(self) -> bool:
-        """Whether a file lacks its end."""
-        return any(isinstance(file, CutMcapReader) and file.is_cut for file in self.storages)
 
     def messages(
         self,
@@ -207,3 +207,50 @@ class BagFolder(DirectoryReader):
         """Yield (connection, log time in ns, data)."""
         for connection, stamp, data in super().messages(connections, start, stop):
             yield connection, stamp, unpack_zstd(data) if self._packs_messages else data
+
+
+class UnlistedFolder(BagFolder):
+    """A ROS 2 bag whose recorder was stopped by force before it wrote metadata.yaml."""
+
+    is_cut = True
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.stack = path, None
+        self.connections, self.files, self.storages = [], [], []
+        self.metadata = ReaderMetadata(0, 2**63 - 1, 0, 0, None, None, None, None)
+        self._packs_messages = False
+
+    @staticmethod
+    def pieces(path: Path) -> list[Path]:
+        """Return the files of a bag by their numbers, NAME_0, NAME_1, ...; none if it holds others."""
+        found = [file for suffix in _PIECES for file in path.glob(f"*{suffix}") if file.is_file()]
+        names = {file: re.fullmatch(r"(.+)_(\d+)", file.stem) for file in found}
+        numbers = {file: (name[1], int(name[2])) for file, name in names.items() if name}
+        if len(found) > 1 and (
+            len(numbers) < len(found) or len({n for n, _ in numbers.values()}) > 1
+        ):
+            return []
+        return sorted(found, key=lambda file: numbers.get(file, ("", 0)))
+
+    def open(self) -> None:
+        """Open the files."""
+        self.stack = ExitStack()
+        try:
+            for path in self.pieces(Path(str(self.path))):
+                storage = _PIECES[path.suffix](path)
+                storage.open()
+                self.stack.callback(storage.close)
+                self.storages.append(storage)
+        except BaseException:
+            self.close()
+            raise
+        known: dict[tuple[str, str], Connection] = {}
+        for connection in (c for storage in self.storages for c in storage.connections):
+            name = connection.topic, connection.msgtype
+            before = known[name].msgcount if name in known else 0
+            count = connection.msgcount + before
+            known[name] = known.get(name, connection)._replace(msgcount=count)
+        self.connections = list(known.values())
+
+
+_PIECES: dict[str, Any] = {".mcap": CutMcapReader, ".db3": PlainSqlite3Reader}

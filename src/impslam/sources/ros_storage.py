@@ -13,7 +13,12 @@ from rosbags.typesys.store import Typestore
 
 from impslam.errors import SourceError
 from impslam.sources.ros1_files import BoundedReader1
-from impslam.sources.ros_files import BagFolder, CutMcapReader, PlainSqlite3Reader
+from impslam.sources.ros_files import (
+    BagFolder,
+    CutMcapReader,
+    PlainSqlite3Reader,
+    UnlistedFolder,
+)
 from impslam.sources.unpack import LimitError
 
 Storage: TypeAlias = BoundedReader1 | BagFolder | CutMcapReader | PlainSqlite3Reader
@@ -37,9 +42,11 @@ _REPAIR = "repair it with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`
 
 
 def storage_class(path: Path) -> Callable[[Path], Storage] | None:
-    """Return what reads a file, by its first bytes, or a folder, by its metadata.yaml."""
+    """Return what reads a file, by its first bytes, or a folder, by its metadata.yaml or its files."""
     if path.is_dir():
-        return BagFolder if (path / "metadata.yaml").is_file() else None
+        if (path / "metadata.yaml").is_file():
+            return BagFolder
+        return UnlistedFolder if UnlistedFolder.pieces(path) else None
     try:
         with path.open("rb") as file:
             start = file.read(16)
@@ -91,7 +98,9 @@ class Bag:
     @property
     def repair(self) -> str:
         """The command that gives a cut file its end."""
-        return "rosbag reindex" if self.is_ros1 else "mcap recover"
+        if self.is_ros1:
+            return "rosbag reindex"
+        return "ros2 bag reindex" if isinstance(self._storage, BagFolder) else "mcap recover"
 
     @property
     def types(self) -> Typestore:

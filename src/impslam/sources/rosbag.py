@@ -65,7 +65,7 @@ class RosBag(Source):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Tell by the magic bytes of a file, or the metadata.yaml of a folder."""
+        """Tell by the magic bytes of a file, or by what a folder holds."""
         return storage_class(path) is not None
 
     def __enter__(self) -> Self:

@@ -10,6 +10,7 @@ both, by the map of the whole drive, in whose frame they are not told to lie.
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 import time
 from collections import Counter
@@ -107,8 +108,8 @@ def refusals(maps: dict[str, Map], tries: int, seed: int = 1) -> None:
     rng, names = np.random.default_rng(seed), list(maps)
     counts: Counter[tuple[bool, str]] = Counter()
     seconds: list[float] = []
-    while sum(counts.values()) < tries:
-        alike = sum(counts.values()) % 2 == 0
+    while counts.total() < tries:
+        alike = counts.total() % 2 == 0
         first, second = rng.choice(names, 2, replace=False)
         if alike:
             second = first
@@ -119,9 +120,10 @@ def refusals(maps: dict[str, Map], tries: int, seed: int = 1) -> None:
         found = align_maps(one.keyframes, other.keyframes)
         seconds.append(time.process_time() - begin)
         counts[alike, found.outcome.value] += 1
+        print(f"\r{counts.total()} of {tries} tries", end="", file=sys.stderr)
         if found.outcome is not Outcome.APART:
             print(f"  {one.name}, {other.name}: {found.outcome.value}, {found.words}", flush=True)
-    print("| parts without a common place | tries | found | ambiguous | apart | CPU s, median |")
+    print("\n| parts without a common place | tries | found | ambiguous | apart | CPU s, median |")
     print("|---|---|---|---|---|---|")
     for alike, words in ((True, "of one building"), (False, "of two buildings")):
         told = [counts[alike, outcome.value] for outcome in Outcome]
@@ -137,8 +139,8 @@ def main() -> None:
     asked = parser.parse_args()
     maps = {name: run(asked.data / log) for name, log in BUILDINGS.items()}
     mergers(asked.data, maps)
-    print()
-    refusals(maps, asked.tries)
+    if asked.tries > 0:
+        refusals(maps, asked.tries)
 
 
 if __name__ == "__main__":

@@ -100,7 +100,7 @@ def _walls(found: MapFacts) -> str:
     direction = found.direction
     if not direction.is_clear:
         return "no main direction"
-    degrees = math.degrees(direction.angle)
+    degrees = round(math.degrees(direction.angle), 1) + 0.0  # no -0.0
     return f"{100 * direction.share:.0f} % within 5° of {degrees:+.1f}° and its right angle"
 
 

@@ -454,3 +454,13 @@ def test_memory_is_not_taken_by_a_lie(file):
     )
     rewritten(file, {"stamps": stream.getvalue() + bytes(72)})
     refuses(file, "stamps is not as long as it says")
+
+
+def test_some_keyframes_take_their_points_along():
+    known = built(4).map(()).keyframes
+    some = known.take(np.array([3, 1]))
+    assert some.stamps.tolist() == [3.0, 1.0]
+    for k, row in enumerate((3, 1)):
+        own = some.points[some.starts[k] : some.starts[k + 1]]
+        np.testing.assert_array_equal(own, known.points[known.starts[row] : known.starts[row + 1]])
+    assert len(known.take(np.empty(0, np.int64))) == 0

@@ -1,6 +1,7 @@
 """How two maps lie to each other: found where they overlap, and told where it cannot be."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from tests.recognition.plans import CORRIDOR, OFFICE, walls, way
 from impslam.errors import ImpError
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose
+from impslam.maps.joining import joined
 from impslam.maps.relation import Link, Outcome, align_maps, aligned_to, fit, judge
 
 ALONG = way(-7.0, -0.3, 8.0, -0.2, 30)
@@ -84,3 +86,16 @@ def test_the_fit_is_exact_for_exact_links_and_close_for_noisy_ones(rng):
     np.testing.assert_allclose(fit(ROOMS, exact), T, atol=1e-9)
     noisy = exact + rng.standard_normal(exact.shape) * [0.1, 0.1, 0.02]
     np.testing.assert_allclose(fit(ROOMS, noisy), T, atol=0.06)
+
+
+def test_keyframes_that_are_not_placed_are_neither_sought_nor_searched():
+    one, other = mapped(OFFICE, ALONG), mapped(OFFICE, ROOMS, T=T, seed=1)
+    k = len(other.keyframes)
+    lost = mapped(OTHER, OTHER_WAY, seed=2).keyframes
+    both = joined(mapped(OTHER, OTHER_WAY, seed=2), other, []).keyframes
+    placed = both.sessions == 1
+    found = align_maps(one.keyframes, replace(both, placed=placed))
+    assert found.outcome is Outcome.FOUND
+    assert all(len(lost) <= link.row < len(lost) + k for link in found.links)
+    alone = align_maps(one.keyframes, other.keyframes)
+    np.testing.assert_allclose(found.T, alone.T, atol=1e-9)

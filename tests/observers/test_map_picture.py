@@ -1,13 +1,17 @@
 """The picture of a map shows things where they are."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
+from tests.maps.drawn import mapped
+from tests.recognition.plans import OFFICE, way
 
 from impslam.evaluation.colours import INK, PATH, POINT, SEEN, TRUTH, UNSEEN, WALL
 from impslam.maps.files import FREE, OCCUPIED, UNKNOWN, MapImage
 from impslam.observers.canvas import Canvas, colour
-from impslam.observers.map_picture import Scene, map_png
+from impslam.observers.map_picture import Scene, drawn_path, map_png, pieces
 from impslam.types import Landmark
 
 NOTHING = np.zeros((0, 2))
@@ -79,3 +83,20 @@ def test_odd_paths_can_be_drawn() -> None:
 def test_the_picture_of_a_run_is_the_same_each_time() -> None:
     path = np.column_stack([np.linspace(0.0, 4.0, 9000), np.zeros(9000)])
     assert map_png(scene(path)) == map_png(scene(path))
+
+
+def test_paths_of_two_drives_are_drawn_apart():
+    path = np.array([[0.0, 0.0], [1.0, 0.0], [np.nan, np.nan], [1.0, 1.0], [0.0, 1.0]])
+    assert [piece.tolist() for piece in pieces(path)] == [path[:2].tolist(), path[3:].tolist()]
+    assert list(pieces(path[2:3])) == []
+
+
+def test_where_a_robot_was_lost_no_path_is_drawn():
+    known = mapped(OFFICE, way(-6.0, 0.0, 6.0, 0.0, 6))
+    rows = known.keyframes
+    sessions = np.repeat([0, 1], 3)
+    known = replace(known, keyframes=replace(rows, sessions=sessions, placed=sessions == 0))
+    path = drawn_path(known)
+    assert len(path) == 13
+    assert np.isfinite(path[:6]).all()
+    assert np.isnan(path[6:]).all()

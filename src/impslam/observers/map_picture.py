@@ -75,15 +75,15 @@ def draw_grid(canvas: Canvas, image: MapImage) -> None:
 
 def _draw_paths(canvas: Canvas, scene: Scene, thickness: float) -> None:
     walls = [mark.end_points for mark in scene.landmarks if mark.end_points is not None]
-    for piece in _pieces(scene.odometry):
+    for piece in pieces(scene.odometry):
         canvas.line(piece, ODOMETRY, 2.7 * thickness)
     before = canvas.pixels.copy()
     for ends in walls:
         canvas.line(ends, WALL, 8.0 * thickness)
     canvas.fade(before, 0.75)
-    for piece in _pieces(scene.path):
+    for piece in pieces(scene.path):
         canvas.line(piece, PATH, 4.0 * thickness)
-    for piece in _pieces(scene.truth):
+    for piece in pieces(scene.truth):
         canvas.dashes(piece, TRUTH, 2.7, DASH, GAP)
 
 
@@ -98,7 +98,7 @@ def drawn_path(known: Map) -> Array:
     return np.insert(path, begins, np.nan, axis=0)
 
 
-def _pieces(path: Array) -> Iterator[Array]:
+def pieces(path: Array) -> Iterator[Array]:
     """Yield the finite pieces of a path, of each every k-th point and its last."""
     step = -(-len(path) // MAX_POINTS)
     known = np.isfinite(path).all(axis=1)

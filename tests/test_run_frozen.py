@@ -61,7 +61,7 @@ def mapped(messages, folder):
     world, end = load_world("arena"), EndOfRun()
     config = load("imp", [f"start={list(map(float, world.robot.start))}"])
     run = folder / "run"
-    execute(config, Played.of(messages, folder), run, True, [end])
+    execute(config, Played.of(messages, folder), run, True, more=[end])
     true = next(m for m in reversed(messages) if isinstance(m, TruePose))
     error = math.dist(end.pose[:2], true.pose[:2])
     return error, end.outcome, json.loads((run / "summary.json").read_text()), run

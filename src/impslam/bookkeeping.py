@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -53,11 +53,15 @@ def dropped(many: Iterable[Problems]) -> dict[str, Dropped]:
     }
 
 
-def about(outcome: Outcome) -> dict[str, Any]:
-    """Return the origin of a map as plain values, which are equal for equal runs."""
+def about(outcome: Outcome, logs: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any]:
+    """Return the origin of a map as plain values, which are equal for equal runs.
+
+    `logs` are all that it was made from, in their order.
+    """
     return {
         "log": outcome.log.name,
         "log_sha256": outcome.log_sha256,
+        "logs": list(logs),
         "partial": outcome.partial,
         "config": dict(outcome.config),
         "counts": dict(sorted(outcome.counts.items())),

@@ -35,6 +35,7 @@ from impslam.parameters import Parameters
 from impslam.paths import is_file
 from impslam.robot import Robot
 from impslam.tracking.base import KeyframeGate, Tracker
+from impslam.types import Array
 
 Table = dict[str, Any]
 
@@ -93,12 +94,14 @@ class Config(Parameters):
         except ValidationError as error:
             raise ConfigError(explain(error, "keyframes", KeyframeGate.model_fields)) from None
 
-    def make_estimator(self, known: Map | None = None, *, frozen: bool = False) -> Estimator:
+    def make_estimator(
+        self, known: Map | None = None, *, frozen: bool = False, hint: Array | None = None
+    ) -> Estimator:
         """Return the estimator, ready for its first keyframe, or for the next one of a known map."""
         estimator: Estimator = build("estimator", self.estimator)
         parts = {role: build(role, getattr(self, role)) for role in estimator.parts}
         start, models = np.array(self.start), self.make_models()
-        estimator.start(start, known, frozen, models=models, **parts)
+        estimator.start(start, known, frozen, hint, models=models, **parts)
         return estimator
 
     def make_models(self) -> dict[str, LandmarkModel]:

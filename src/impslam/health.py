@@ -31,8 +31,9 @@ on has failed. LOST: it may be anywhere; the map takes in nothing.
     GROWN,
     UNEXPLAINED,
     ELSEWHERE,
+    UNPLACED,
     NOT_FINITE,
-) = range(10)
+) = range(11)
 """The reasons. `OPEN` and `GROWN` come with a way in m, `UNEXPLAINED` and `ELSEWHERE` with a share."""
 _WORDS = (
     "",
@@ -44,6 +45,7 @@ _WORDS = (
     "nothing known was seen for {0:.1f} m; the position is uncertain",
     "only {1:.0f} % of the scan fits the map; the map takes in nothing",
     "only {1:.0f} % of the scan fits the map: the robot is elsewhere",
+    "it is not known yet where in the map the robot is",
     "the estimate is not finite; start a new map",
 )
 _SHARES = (UNEXPLAINED, ELSEWHERE)

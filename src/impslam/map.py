@@ -279,27 +279,35 @@ class Map:
 
     def rows(self) -> PathRows:
         """Return the current estimate of the path with covariances."""
-        keyframes = self.keyframes
+        keyframes, at = self.keyframes, self.placed()
         poses, covariances = hang(
             keyframes.poses,
             keyframes.covariances,
-            self.anchors,
-            self.T_anchor_base,
-            self.track_covariances,
+            self.anchors[at],
+            self.T_anchor_base[at],
+            self.track_covariances[at],
         )
-        return PathRows(self.stamps, poses, covariances, self.odometry_poses)
+        return PathRows(self.stamps[at], poses, covariances, self.odometry_poses[at])
+
+    def placed(self) -> Mask:
+        """Tell of which sweeps (n,) it is known where in the map they are."""
+        return np.asarray(self.keyframes.placed[self.anchors])
 
     def path(self) -> Array:
-        """Return (n, 4) stamp, x, y, theta of base_link in map, a row for each sweep."""
-        return np.column_stack((self.stamps, self.rows().poses))
+        """Return (n, 4) stamp, x, y, theta of base_link in map, a row for each sweep.
+
+        Sweeps of sessions that are not placed in the map are left out, here and in the paths below.
+        """
+        rows = self.rows()
+        return np.column_stack((rows.stamps, rows.poses))
 
     def live_path(self) -> Array:
         """Return (n, 4) stamp, x, y, theta as each was estimated at the time of its sweep."""
-        return np.column_stack((self.stamps, self.live_poses))
+        return np.column_stack((self.stamps, self.live_poses))[self.placed()]
 
     def odometry(self) -> Array:
         """Return (n, 4) stamp, x, y, theta by dead reckoning from the same start."""
-        return np.column_stack((self.stamps, self.odometry_poses))
+        return np.column_stack((self.stamps, self.odometry_poses))[self.placed()]
 
     def grid(self, resolution: float = 0.05) -> OccupancyGrid:
         """Draw the occupancy grid from the keyframes' scans; `resolution` is a cell's side in m.

@@ -22,6 +22,7 @@ import numpy as np
 from impslam.bookkeeping import Stopwatch, about, dropped
 from impslam.columns import Batch, Motions, Sweeps, batches
 from impslam.config import Config
+from impslam.continuing import Continuation, Known, begin_with, logs_of
 from impslam.errors import SourceError, in_a_line
 from impslam.estimators.base import Draft
 from impslam.geometry.se2 import compose, compose_uncertain
@@ -40,21 +41,27 @@ Progress = Callable[[int, int | None], None]
 """Called with the position in the log and the length of the log, or None if the length is unknown."""
 
 
-def run(
+def run(  # noqa: PLR0913  # each is a choice that a user may make
     log: str | Path,
     config: str | Path | Config | None = None,
     settings: Sequence[str] = (),
     *,
+    known: Map | str | Path | None = None,
+    frozen: bool = False,
+    hint: Sequence[float] | None = None,
     observers: Iterable[Observer] = (),
     progress: Progress | None = None,
 ) -> Map:
-    """Map a log.
+    """Map a log, or go on with a map.
 
     Parameters
     ----------
     log : a file or folder; its format is recognised from its content
     config : a preset's name, a file, or a config; by default the preset that fits the log
     settings : overrides of the config, each as "key=value"
+    known : a map to go on with, or its file; where in it the log begins is found
+    frozen : localise in that map, and change nothing of it
+    hint : (2,) or (3,) m, m, rad, about where in the map the log begins
     observers : additional observers of the run
     progress : called with the position in the log and its length, in the source's own unit
 
@@ -86,7 +93,8 @@ def run(
     >>> sum(landmark.kind == "cylinder" for landmark in known.landmarks)
     2
     """
-    return map_log(*open_log(log, config, settings), observers, progress)
+    begin = begin_with(known, frozen=frozen, hint=hint)
+    return map_log(*open_log(log, config, settings), observers, progress, begin)
 
 
 def map_log(
@@ -94,9 +102,10 @@ def map_log(
     source: Source,
     observers: Iterable[Observer] = (),
     progress: Progress | None = None,
+    begin: Known | None = None,
 ) -> Map:
     """Map the log that a source reads; see `run`."""
-    course = Run(config, observers)
+    course = Run(config, observers, begin)
     with source, course.keeping(source):
         course.robot.choose(source.defaults())
         for batch in source.batches():
@@ -111,14 +120,23 @@ class Run:
     """A run in progress: takes batches, returns the current map at any time.
 
     Logs, replays and live robots share this class and differ only in the source of the batches. Only one
-    thread at a time may use it.
+    thread at a time may use it. `begin` is a map that it goes on with.
     """
 
-    def __init__(self, config: Config, observers: Iterable[Observer] = ()) -> None:
+    def __init__(
+        self, config: Config, observers: Iterable[Observer] = (), begin: Known | None = None
+    ) -> None:
         self.config, self._health = config, HealthMonitor()
         self._observers = [self._health, *observers]
         self.robot, self.tracker = config.make_robot(), config.make_tracker()
-        self.estimator, self._builder = config.make_estimator(), MapBuilder()
+        if begin is None:
+            self.estimator, self._builder = config.make_estimator(), MapBuilder()
+        else:
+            known, frozen, hint = begin
+            self.estimator = config.make_estimator(known, frozen=frozen, hint=hint)
+            self._builder = MapBuilder(known, frozen=frozen)
+        self._begin, self._continuation = begin, Continuation(begin)
+        self._repeated = len(self._builder)
         self._path: PathRows | None = None
         self._rng = np.random.default_rng(config.seed)
         self.clock, self.problems = Stopwatch(), Problems()
@@ -147,7 +165,10 @@ class Run:
     def _track(self, sensed: Iterable[tuple[Motions, Sweeps]]) -> None:
         with self._threads:
             for motions, sweeps in sensed:
-                for track in self.clock.each("track", self.tracker.follow(motions, sweeps)):
+                for tracked in self.clock.each("track", self.tracker.follow(motions, sweeps)):
+                    track = self._continuation.rest(tracked)
+                    if track is None:
+                        continue
                     self._follow(track)
                     if track.keyframe is not None:
                         self._revise(self._look(track.keyframe))
@@ -185,8 +206,8 @@ class Run:
 
     @property
     def scans(self) -> int:
-        """Number of sweeps used so far."""
-        return len(self._builder)
+        """Number of sweeps used so far, without those of a map that the run began with."""
+        return len(self._builder) - self._repeated
 
     @property
     def odometry(self) -> Array:
@@ -234,7 +255,7 @@ class Run:
         estimate, outcome = self.estimator.draft(), self.outcome(log, "", 0)
         known = self._builder.map((), None, self.estimator.edges())
         known = replace(known, observations=self.estimator.observations())
-        return functools.partial(_finished, known, estimate, outcome)
+        return functools.partial(_finished, known, estimate, outcome, self._logs(outcome))
 
     def reading(self) -> Callable[[], tuple[Landmark, ...]]:
         """Return what gives the landmarks as of now; it may be called in another thread."""
@@ -261,7 +282,19 @@ class Run:
             If the log contains no usable scan, or no odometry.
         """
         self._refuse_empty(source)
-        return self._tell_end(source, self.settled())
+        known = self.settled()
+        self._tell_pending(source, known)
+        return self._tell_end(source, known)
+
+    def _tell_pending(self, source: Source, known: Map) -> None:
+        """Record the sessions that were not found in the map; refuse a run that has no other."""
+        if not known.placed().any():
+            raise SourceError(
+                f"{source.path}: it was not found where in the map it lies; give about where it begins "
+                "with --start x,y, or a log that drives some 10 m where the map was made"
+            )
+        if pending := self.estimator.counts().get("sessions not found", 0):
+            self.problems.add("session", _PENDING, pending)
 
     @contextmanager
     def keeping(self, source: Source) -> Iterator[None]:
@@ -298,13 +331,15 @@ class Run:
             source.path, fingerprint(source.path), len(known.landmarks), source.problems
         )
         outcome = replace(outcome, partial=partial)
-        known = replace(known, about=about(outcome))
+        known = replace(known, about=about(outcome, self._logs(outcome)))
         for observer in self._observers:
             observer.finish(known, outcome)
         return known
 
     def _refuse_empty(self, source: Source) -> None:
         wanted = self.robot.odometry.consumes.__name__
+        if self.scans == 0 and self._continuation.seen:
+            raise SourceError(f"{source.path}: {self._continuation.seen}")
         if self.scans == 0:
             raise SourceError(
                 f"{source.path}: contains no usable scan; `imp inspect` lists its contents"
@@ -315,6 +350,19 @@ class Run:
                 "it; `imp inspect` lists its contents; choose another with --set odometry.kind=..., or "
                 "lidar_only to map without odometry"
             )
+
+    def _logs(self, outcome: Outcome) -> list[dict[str, Any]]:
+        """Return the logs that the map is made of, each with the number of its scans in the map."""
+        new = {"log": outcome.log.name, "log_sha256": outcome.log_sha256, "scans": self.scans}
+        if self._begin is None:
+            return [new]
+        known, frozen, _ = self._begin
+        before = logs_of(known)
+        if frozen:
+            return [*before, {**new, "scans": 0}]
+        if repeated := self._continuation.repeated:
+            return [*before[:-1], {**new, "scans": repeated + self.scans}]
+        return [*before, new]
 
     def outcome(self, log: Path, sha256: str, landmarks: int, *problems: Problems) -> Outcome:
         """Return the facts of the run so far; `problems` are those of other parts, e.g. the source."""
@@ -335,13 +383,21 @@ class Run:
         )
 
 
+_PENDING = (
+    "it was not found where in the map the robot was; what it saw is kept apart in map.imp, and is no "
+    "part of the map: go on with a log that drives from known places into it"
+)
+
+
 def _reach(known: Map) -> str:
     """Return how far a map reaches into its log."""
     seconds = known.stamps[-1] - known.stamps[0]
     return f"it holds the first {len(known.stamps)} scans, {seconds:.0f} s of the log"
 
 
-def _finished(known: Map, estimate: Draft, outcome: Outcome) -> tuple[Map, Outcome]:
+def _finished(
+    known: Map, estimate: Draft, outcome: Outcome, logs: list[dict[str, Any]]
+) -> tuple[Map, Outcome]:
     """Return a map with an estimate's refined poses and landmarks, and the facts that go with it."""
     begin = time.perf_counter()
     revision = estimate.settle()
@@ -354,7 +410,7 @@ def _finished(known: Map, estimate: Draft, outcome: Outcome) -> tuple[Map, Outco
     known = replace(known, landmarks=estimate.landmarks())
     counts = {**outcome.counts, "landmarks": len(known.landmarks)}
     outcome = replace(outcome, counts=counts, stages=stages, dropped=unused)
-    return replace(known, about=about(outcome)), outcome
+    return replace(known, about=about(outcome, logs)), outcome
 
 
 def _seal(*shown: object) -> None:

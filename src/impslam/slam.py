@@ -12,6 +12,7 @@ import numpy.typing as npt
 from impslam.columns import Columns
 from impslam.component import shorten
 from impslam.config import Config
+from impslam.continuing import begin_with
 from impslam.errors import ImpError, ShapeError
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer
@@ -41,6 +42,9 @@ class Slam:
     settings : laid over it, each as "key=value"
     observers : what else is to see the run
     progress : called with the number of scans used so far, after each call that used some
+    known : a map to go on with, or its file; where in it the robot begins is found
+    frozen : localise in that map, and change nothing of it
+    hint : (2,) or (3,) m, m, rad, about where in the map the robot begins
 
     Examples
     --------
@@ -69,10 +73,15 @@ class Slam:
         settings: Sequence[str] = (),
         observers: Iterable[Observer] = (),
         progress: Callable[[int], None] | None = None,
+        *,
+        known: Map | str | Path | None = None,
+        frozen: bool = False,
+        hint: Sequence[float] | None = None,
     ) -> None:
         chosen = finished(config, settings)
         self._newest = _Newest()
-        self._run = Run(chosen, [self._newest, *observers])
+        begin = begin_with(known, frozen=frozen, hint=hint)
+        self._run = Run(chosen, [self._newest, *observers], begin)
         self._progress, self._order = progress, 0
         self._given: dict[str, float] = {}  # newest stamp by stream
         self._scanned: dict[str, float] = {}  # the same of those that are scans
@@ -185,6 +194,11 @@ class Slam:
         return np.array(self._run.config.start) if path is None else path.poses[-1].copy()
 
     @property
+    def placed(self) -> bool:
+        """Whether it is known where in the map that pose is; if not, it is in a frame of its own."""
+        return self._newest.placed
+
+    @property
     def covariance(self) -> Array:
         """(3, 3) of that pose."""
         path = self._newest.path
@@ -225,14 +239,15 @@ class _Newest(Observer):
     """Remembers the newest pose."""
 
     path: PathRows | None = None
+    placed = True
 
     def follow(self, track: Track, path: PathRows) -> None:
         del track
         self.path = path
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
-        del keyframe, revision
-        self.path = path
+        del keyframe
+        self.path, self.placed = path, bool(np.all(revision.placed))
 
 
 _Field: TypeAlias = tuple[str, npt.ArrayLike, tuple[int, ...]]

@@ -76,7 +76,7 @@ def test_a_robot_that_is_lost_stays_so_until_a_place_is_recognised(cuts):
     sweep = SimpleNamespace(scan=None, reason=NONE, amount=0.0, located=True)
     path = PathRows(np.array([14.0]), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3)))
     for ids, state in (([4], 2), ([3, 4], 0)):
-        monitor.revise(sweep, SimpleNamespace(ids=ids, matches=()), path)
+        monitor.revise(sweep, SimpleNamespace(ids=ids, placed=True, matches=()), path)
         assert monitor.health.states[-1] == state
 
 

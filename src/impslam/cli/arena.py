@@ -53,7 +53,7 @@ def map_arena(
             console.say(f"recorded {scans} scans and the wheel encoders in {OWN}; mapping ...")
         with clock("map and report"):
             chosen, source = open_log(log, config, [f"start={start}", f"seed={seed}", *settings])
-            known = execute(chosen, source, folder, quiet, [end], world.landmarks())
+            known = execute(chosen, source, folder, quiet, more=[end], known=world.landmarks())
     folder = output or folder
     if not quiet:
         _show_landmarks(world.landmarks(), known)

@@ -10,6 +10,7 @@ from impslam.cli.bar import Bar
 from impslam.cli.interruption import Interruption
 from impslam.cli.progress import display
 from impslam.config import Config
+from impslam.continuing import Known
 from impslam.errors import ConfigError
 from impslam.evaluation.landmark_files import landmarks_path, read_true_landmarks
 from impslam.map import Map
@@ -40,20 +41,23 @@ def column_settings(columns: Sequence[str]) -> list[str]:
     return [f"source.columns.{role.strip()}={json.dumps(name.strip())}" for role, _, name in pairs]
 
 
-def execute(
+def execute(  # noqa: PLR0913  # all that a run consists of
     config: Config,
     source: Source,
     folder: Path,
     quiet: bool,
+    *,
     more: Iterable[Observer] = (),
     known: Sequence[TrueLandmark] = (),
     player: Callable[[Config, Source, list[Observer]], Map] | None = None,
+    begin: Known | None = None,
 ) -> Map:
     """Run a log, write its files into a folder, and show how far it has come.
 
     A run that an error or a signal ends early writes what it knows, marked as partial. `known` are the
     true landmarks, for scoring alone, where neither the source nor a file beside it tells them.
-    `player` takes the log through the estimator in another way than at once.
+    `begin` is a map to go on with. `player` takes the log through the estimator in another way than at
+    once.
     """
     if folder.resolve().is_relative_to(source.path.resolve()):
         raise ConfigError(f"{folder}: is inside the log and would change it; give another -o")
@@ -64,7 +68,7 @@ def execute(
         if player is not None:
             return player(config, source, observers)
         with Interruption(bar.interrupted) as interruption:
-            return map_log(config, source, [*observers, interruption], interruption.check)
+            return map_log(config, source, [*observers, interruption], interruption.check, begin)
 
 
 def _surveyed(log: Path) -> list[TrueLandmark]:

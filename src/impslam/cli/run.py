@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 from functools import partial
@@ -12,8 +13,10 @@ from cyclopts import Parameter
 
 from impslam.cli import console
 from impslam.cli.console import Base, Columns, Common, Flag, Force, Output, Seed, Settings, Topics
+from impslam.errors import ConfigError
 
 if TYPE_CHECKING:
+    from impslam.continuing import Known
     from impslam.map import Map
     from impslam.observers.base import Outcome
 
@@ -35,6 +38,47 @@ class Page:
     port: int = 8080
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class Begin:
+    """Options of a run that goes on with a map.
+
+    Parameters
+    ----------
+    map
+        Go on with this map (map.imp). Where in it the log begins is found; a log that was stopped in
+        the middle goes on where the map ends.
+    frozen
+        Localise in the map, and change nothing of it.
+    start
+        About where in the map the log begins: x,y or x,y,theta in m and rad. Default: it is found.
+    """
+
+    map: Path | None = None
+    frozen: Flag = False
+    start: str | None = None
+
+    def known(self) -> Known | None:
+        """Return what the run begins with."""
+        from impslam.continuing import begin_with
+
+        hint = None if self.start is None else place(self.start)
+        if self.map is None and (self.frozen or hint is not None):
+            raise ConfigError("--frozen and --start are about a map; give one with --map FILE")
+        return begin_with(self.map, frozen=self.frozen, hint=hint)
+
+
+def place(text: str) -> list[float]:
+    """Return the numbers of "x,y" or "x,y,theta"."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in {2, 3} or not all(map(math.isfinite, numbers)):
+        raise ConfigError(f"--start {text}: is no place; give x,y in m, or x,y,theta with rad")
+    return numbers
+
+
 def run(  # noqa: PLR0913  # each is an option that a user may give
     log: Path,
     /,
@@ -46,6 +90,7 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     columns: Columns = (),
     seed: Seed = None,
     force: Force = False,
+    begin: Begin | None = None,
     page: Page | None = None,
     common: Common | None = None,
 ) -> None:
@@ -71,6 +116,9 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
         *column_settings(columns),
         *(() if seed is None else (f"seed={seed}",)),
     ]
+    known_map = None if begin is None else begin.known()
+    if known_map is not None and page is not None and page.live:
+        raise ConfigError("--live shows a log from its start; leave out --live or --map")
     chosen, source = open_log(log, config, changes)
     quiet = common is not None and common.quiet
     if not quiet and (chosen_streams := choices(chosen, source)):
@@ -80,7 +128,9 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     player = partial(replay, port=page.port, quiet=quiet) if page.live else None
     name = log.resolve().name.split(".")[0] or "log"
     with run_folder(output, name, force=force) as folder:
-        known = execute(chosen, source, folder, quiet or page.live, [end], player=player)
+        known = execute(
+            chosen, source, folder, quiet or page.live, more=[end], player=player, begin=known_map
+        )
     if not quiet and end.outcome is not None:
         show(known, end.outcome, output or folder, at_once=not page.live)
 

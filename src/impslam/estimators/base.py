@@ -42,12 +42,17 @@ class Estimator(Component):
 
     @abstractmethod
     def start(
-        self, pose: Array, known: Map | None = None, frozen: bool = False, **parts: Any
+        self,
+        pose: Array,
+        known: Map | None = None,
+        frozen: bool = False,
+        hint: Array | None = None,
+        **parts: Any,
     ) -> None:
         """Begin at a pose (3,) with an empty map, or go on with a map that is known.
 
         Keyframes are numbered on from those of the map. With `frozen` its keyframes and landmarks stay
-        as they are.
+        as they are. `hint` (3,) or (2,) is about where in the map the next session begins.
 
         `parts` are the components named in the class's `parts`, by role, and `models`, the landmark
         models by kind.

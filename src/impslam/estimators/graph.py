@@ -16,13 +16,14 @@ from impslam.building.landmarks import landmarks_of
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
 from impslam.estimators.base import Draft, Estimator, check_keyframe, is_known
+from impslam.estimators.finding import Finder
 from impslam.estimators.keyframe_log import KeyframeLog, Part, blended, refined, revised, spreads
 from impslam.estimators.loop_closing import LoopCloser, LoopSearch
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.restoring import restored
 from impslam.estimators.thinning import Thinner
 from impslam.geometry.chain import advance
-from impslam.geometry.se2 import compose, compose_uncertain
+from impslam.geometry.se2 import between, compose, compose_uncertain
 from impslam.landmarks.base import LandmarkModel
 from impslam.map import Keyframe, Map, Revision
 from impslam.noise import UNKNOWN
@@ -51,6 +52,7 @@ class Graph(Estimator):
     _graph: PoseGraph = PrivateAttr(default_factory=PoseGraph)
     _closer: LoopCloser = PrivateAttr()
     _thinner: Thinner = PrivateAttr(default_factory=Thinner)
+    _finder: Finder = PrivateAttr()
     _keys: KeyframeLog = PrivateAttr(default_factory=KeyframeLog)
     _since: tuple[Array, Array] = PrivateAttr()
     _start: Array = PrivateAttr()
@@ -59,7 +61,12 @@ class Graph(Estimator):
     _settled: Revision | None = PrivateAttr(None)
 
     def start(
-        self, pose: Array, known: Map | None = None, frozen: bool = False, **parts: Any
+        self,
+        pose: Array,
+        known: Map | None = None,
+        frozen: bool = False,
+        hint: Array | None = None,
+        **parts: Any,
     ) -> None:
         """Begin at a pose (3,), or go on with a map; see `Estimator.start`."""
         self._start, self._models = pose, parts["models"]
@@ -67,6 +74,8 @@ class Graph(Estimator):
         if known is not None and len(known.keyframes):
             self._known = known if frozen else None
             self._keys, self._graph, self._since = restored(known, self.spacing, frozen=frozen)
+            self._thinner.go_on(self._keys, frozen=frozen)
+        self._finder = Finder(hint)
         self._closer = LoopCloser(self.loops if self._known is None else _close_by(self.loops))
 
     def add(self, keyframe: Keyframe) -> Revision:
@@ -135,7 +144,9 @@ class Graph(Estimator):
         Those that leave the graph without a solution are taken back, or no later one would have any.
         """
         before = self._graph.closures
-        if node < 1 or not self._closer.seek(node, self._keys, self._graph):
+        if node < 1 or not (
+            self._closer.seek(node, self._keys, self._graph) or self._find_session(node)
+        ):
             return False
         try:
             self._graph.solve()
@@ -143,6 +154,16 @@ class Graph(Estimator):
             self._graph.take_back(self._graph.closures - before)
             raise
         return True
+
+    def _find_session(self, node: int) -> bool:
+        """Seek where the pending session of the newest node lies; tell whether it is found."""
+        keys, graph = self._keys, self._graph
+        if not self._is_pending():
+            return False
+        pose = self._finder.find(keys, graph)
+        if pose is not None:
+            pose = compose(pose, between(keys.chain[-1], keys.chain[keys.nodes[node]]))
+        return self._closer.tie(node, pose, keys, graph)
 
     def _all(self, graph: PoseGraph) -> Revision:
         """Return all keyframes by a graph."""
@@ -200,7 +221,12 @@ class Graph(Estimator):
     def counts(self) -> Mapping[str, int]:
         """Return how many loop closures were sought, and how many the graph has."""
         tried = self._closer.recogniser.counts["attempts"]
-        return {"loops tried": tried, "loops closed": self._graph.closures}
+        counts = {"loops tried": tried, "loops closed": self._graph.closures}
+        first = np.unique(self._keys.sessions, return_index=True)[1]
+        if len(first) > 1:
+            pending = np.count_nonzero(self._graph.roots[self._keys.node_before[first]])
+            counts |= {"sessions": len(first), "sessions not found": int(pending)}
+        return counts
 
     @property
     def state_size(self) -> int:

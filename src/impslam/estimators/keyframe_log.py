@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from copy import copy
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from impslam.building.sightings import SightingsLog
 from impslam.estimators.pose_graph import PoseGraph
@@ -19,11 +20,15 @@ from impslam.graph.bundle import Fit, refine
 from impslam.graph.overlaps import Nearness, overlaps
 from impslam.graph.pose_graph import Edges
 from impslam.growing import GrowingArray
-from impslam.map import Keyframe
+from impslam.map import Keyframe, Keyframes
+from impslam.map_builder import valid_points
 from impslam.maps.grid import PlacedScans
+from impslam.maps.layout import undriven
 from impslam.recognition.submap import View, view
 from impslam.types import NO_EDGES, Array, Ints, Mask
 
+Points: TypeAlias = npt.NDArray[np.float32]
+NO_POINTS: Points = np.empty((0, 2), np.float32)
 TURN = 0.3
 """m of way that a radian counts for: it changes the view by about as much."""
 APART = 1000.0
@@ -36,11 +41,13 @@ class KeyframeLog:
     Attributes
     ----------
     views : what each saw; None of a sensor that is no lidar, and of those that were dropped
+    points : (n, 2) float32 m, the end points of each one's valid beams, in base_link
     seen : the observations of landmarks
     """
 
     def __init__(self) -> None:
         self.views: list[View | None] = []
+        self.points: list[Points] = []
         self.seen = SightingsLog()
         self._chain, self._way, self._steps = GrowingArray(3), GrowingArray(), GrowingArray(3, 3)
         self._nodes, self._sessions = (GrowingArray(dtype=np.int64) for _ in range(2))
@@ -53,14 +60,17 @@ class KeyframeLog:
 
     def add(self, keyframe: Keyframe, start: Array | None = None) -> None:
         """Add a keyframe; the first one of a session, which is a node, with the pose (3,) it starts at."""
-        seen = None if keyframe.scan is None else view(keyframe.scan)
+        scan, seen, points = keyframe.scan, None, NO_POINTS
+        if scan is not None:
+            seen, points = view(scan), valid_points(scan)
         self.append(keyframe.motion.d_pose, keyframe.motion.covariance, seen, start)
+        self.points.append(points)
         self.seen.add(keyframe.observations, keyframe.stamp)
 
     def append(
         self, d_pose: Array, covariance: Array, seen: View | None, start: Array | None = None
     ) -> None:
-        """Add a keyframe by its motion and what was seen, for `add`; `seen` is left to the caller."""
+        """Add a keyframe by its motion and view; the caller adds to `seen` and `points`."""
         way, session = (self._way.array[-1], self._sessions.array[-1]) if len(self) else (0.0, -1)
         if start is None:
             way = way + np.hypot(d_pose[0], d_pose[1]) + TURN * abs(d_pose[2])
@@ -92,6 +102,7 @@ class KeyframeLog:
         ):
             setattr(other, name, copy(getattr(self, name)))
         other.views, other.seen = self.views.copy(), self.seen.copy()
+        other.points = self.points.copy()
         return other
 
     def mark_node(self) -> None:
@@ -104,7 +115,7 @@ class KeyframeLog:
         self._T_host.replace(rows, T_host_row)
         self._seeing.replace(rows, np.zeros(len(rows), np.bool_))
         for row in rows.tolist():
-            self.views[row] = None
+            self.views[row], self.points[row] = None, NO_POINTS
 
     @property
     def hosts(self) -> Ints:
@@ -169,6 +180,23 @@ class KeyframeLog:
         lasers = [np.zeros(2) if view is None else view.laser for view in views]
         starts = np.concatenate([[0], np.cumsum([len(r) for r in features])])
         return Scans(np.concatenate([none, *features]), starts, np.array(lasers))
+
+    def keyframes(self, poses: Array, rows: Ints) -> Keyframes:
+        """Return some rows (r,) of the keyframes, which lie at poses (k, 3), as a part of a map."""
+        points = [self.points[row] for row in rows.tolist()]
+        lasers = [
+            np.zeros(2) if (v := self.views[row]) is None else v.laser for row in rows.tolist()
+        ]
+        return Keyframes(
+            np.array(self.seen.stamps)[rows],
+            poses[rows],
+            self.steps[rows],
+            np.zeros((len(rows), 3)),
+            np.array(lasers),
+            np.concatenate([[0], np.cumsum([len(p) for p in points])]),
+            np.concatenate([NO_POINTS, *points]),
+            **undriven(poses[rows]),
+        )
 
     def placed_scans(self, poses: Array, rows: Ints | None = None) -> PlacedScans:
         """Return the scans of keyframes at poses (k, 3); thinned as their features are."""

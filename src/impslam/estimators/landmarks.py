@@ -34,7 +34,12 @@ class Landmarks(Estimator):
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
 
     def start(
-        self, pose: Array, known: Map | None = None, frozen: bool = False, **parts: Any
+        self,
+        pose: Array,
+        known: Map | None = None,
+        frozen: bool = False,
+        hint: Array | None = None,
+        **parts: Any,
     ) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
         if known is not None:

@@ -33,6 +33,7 @@ FEWEST_REFERENCES = 4
 AFRESH = 6.0  # m of way: keyframes closer than this along the drive are of the same pass
 CERTAIN = 0.8  # m: a window so small holds one place only
 SUPPORT = 3  # closures that agree: one strong and another one, or three weak ones
+IN_A_ROW = 3  # closures that place a session: over some 7 m, corners and furniture differ
 RECENT = 12.0  # m of way within which a second closure has to agree
 
 
@@ -74,12 +75,22 @@ class _Pending(NamedTuple):
     way: float
 
 
+class _Attempt(NamedTuple):
+    """A node that may lie at `guess` (3,) from node u, to which `way` m lead back."""
+
+    u: int
+    node: int
+    guess: Array
+    way: float
+
+
 class LoopCloser:
     """Seeks closures for one node after the other, among those that the graph connects to it."""
 
     def __init__(self, search: LoopSearch) -> None:
         self._search, self.recogniser = search, Recogniser(search.overlap)
         self._pending: list[_Pending] = []
+        self._ties: list[_Pending] = []
 
     def seek(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> bool:
         """Seek closures of a node, which is not the newest; tell whether the graph says anything new."""
@@ -98,13 +109,46 @@ class LoopCloser:
             u = int(np.argmin(rank))
             if rank[u] == np.inf or query is None:
                 return False
-            closure = self._try(u, node, query, keys, graph, float(ways[u]))
+            guess = between(graph.poses[u], graph.poses[node])
+            closure = self._try(_Attempt(u, node, guess, float(ways[u])), query, keys, graph)
             if closure is not None:
                 return self._take(
                     _Pending(u, node, closure, float(driven[node])), graph, windows[u]
                 )
             rank[: len(driven)][np.abs(driven - driven[u]) < AFRESH] = np.inf
         return False
+
+    def tie(self, node: int, pose: Array | None, keys: KeyframeLog, graph: PoseGraph) -> bool:
+        """Seek the closure of a node of a session that may lie at a pose (3,) in the map.
+
+        Tell whether the session is joined. That takes `IN_A_ROW` of them that agree, at one node after
+        the other: where the robot is may not be in the map, and other rooms and corridors look like it.
+        None is for a node of which nothing is known, and breaks the row.
+        """
+        new = None if pose is None else self._tie(node, pose, keys, graph)
+        if new is None or not all(_agree(tie, new, graph) for tie in self._ties):
+            self._ties = []
+        if new is not None:
+            self._ties.append(new)
+        if len(self._ties) < IN_A_ROW:
+            return False
+        for tie in self._ties:
+            _add(tie, graph)
+        self._ties = []
+        return True
+
+    def _tie(self, node: int, pose: Array, keys: KeyframeLog, graph: PoseGraph) -> _Pending | None:
+        """Return the closure of a node with the nearest one in the map, if there is one."""
+        apart = np.hypot(*(graph.poses[:, :2] - pose[:2]).T)
+        apart[graph.roots != 0] = np.inf
+        u, query = int(np.argmin(apart)), self._query(node, keys)
+        if query is None or apart[u] > REFERENCE_RADIUS:
+            return None
+        attempt = _Attempt(u, node, between(graph.poses[u], pose), 0.0)
+        closure = self._try(attempt, query, keys, graph)
+        if closure is None or closure.verdict != Verdict.STRONG:
+            return None
+        return _Pending(u, node, closure, float(keys.way[keys.nodes[node]]))
 
     def _query(self, node: int, keys: KeyframeLog) -> Submap | None:
         """Return what was seen around a node."""
@@ -113,10 +157,10 @@ class LoopCloser:
         return _gathered(near, keys.chain[near], keys.chain[at], keys, (QUERY_CELL, QUERY_REACH))
 
     def _try(
-        self, u: int, node: int, query: Submap, keys: KeyframeLog, graph: PoseGraph, way: float
+        self, attempt: _Attempt, query: Submap, keys: KeyframeLog, graph: PoseGraph
     ) -> Closure | None:
-        """Return the closure between node u and this one, if there is one."""
-        s = self._search
+        """Return the closure between two nodes, if there is one."""
+        s, (u, node, guess, way) = self._search, attempt
         near = graph.ways(u) < REFERENCE_WAY
         near &= np.hypot(*(graph.poses[:, :2] - graph.poses[u, :2]).T) < REFERENCE_RADIUS
         chosen = near[keys.node_before]
@@ -133,7 +177,6 @@ class LoopCloser:
             return None
         radius = min(s.least + s.drift * way, s.most)
         turn = min(s.least_turn + s.turn_drift * way, s.most_turn)
-        guess = between(graph.poses[u], graph.poses[node])
         return self.recogniser.close(reference, query, guess, Window(radius, radius, turn))
 
     def _take(self, new: _Pending, graph: PoseGraph, window: float) -> bool:

@@ -69,11 +69,16 @@ class PoseGraph:
         return len(self.poses)
 
     @classmethod
-    def of(cls, poses: Array, covariances: Array, edges: Edges, lengths: Array) -> PoseGraph:
-        """Return a graph of nodes (n, 3) and edges, each of which counts for `lengths` (e,) m of way."""
+    def of(
+        cls, poses: Array, covariances: Array, hosts: Ints, edges: Edges, lengths: Array
+    ) -> PoseGraph:
+        """Return a graph of nodes (n, 3), their hosts (n,), and edges between those not folded.
+
+        Each edge counts for `lengths` (e,) m of way.
+        """
         graph = cls()
         graph.poses, graph.covariances = poses, covariances
-        graph.hosts, graph._T_host_node = np.arange(len(poses)), np.zeros_like(poses)
+        graph.hosts, graph._T_host_node = hosts, between(poses[hosts], poses)
         graph._spreads = np.zeros_like(covariances)
         for column, rows in zip(graph._edges, (*edges, lengths), strict=True):
             column.append(rows, len(rows))

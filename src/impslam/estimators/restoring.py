@@ -14,10 +14,14 @@ from impslam.estimators.keyframe_log import TURN, KeyframeLog
 from impslam.estimators.pose_graph import CLOSURE_LENGTH, PoseGraph
 from impslam.geometry.chain import advance
 from impslam.geometry.se2 import compose, inverse
+from impslam.graph.pose_graph import roots
 from impslam.map import Keyframes, Map
 from impslam.maps.layout import undriven
 from impslam.recognition.stored import points_view
 from impslam.types import Array, Edges, Ints, Mask
+
+FOLDED = 4.0
+"""m: a node is folded into the one before a keyframe beside it, so that they are this far apart at most."""
 
 
 class Restored(NamedTuple):
@@ -29,7 +33,7 @@ class Restored(NamedTuple):
 
 
 def restored(known: Map, spacing: float, *, frozen: bool = False) -> Restored:
-    """Return the keyframes and the graph of a map; where it has no graph, with nodes every `spacing` m.
+    """Return the keyframes and the graph of a map, with nodes every `spacing` m as when it was made.
 
     Poses are those of the graph's solution, as they were before all keyframes were refined: motions go
     on from there. With `frozen` they are those of the map, which are to stay.
@@ -42,9 +46,12 @@ def restored(known: Map, spacing: float, *, frozen: bool = False) -> Restored:
     observations = known.observations or ((),) * len(rows)
     for seen, stamp in zip(observations, rows.stamps.tolist(), strict=True):
         keys.seen.add(seen, stamp)
-    edges = _edges(rows, known.edges, nodes)
-    lengths = _lengths(edges, keys.way[nodes])
-    graph = PoseGraph.of(rows.poses[nodes], rows.covariances[nodes], edges, lengths)
+    i, j = np.searchsorted(nodes, known.edges.i), np.searchsorted(nodes, known.edges.j)
+    edges = known.edges._replace(i=i, j=j)
+    hosts = _hosts(rows, nodes, edges)
+    edges = _connected(rows, nodes, hosts, edges)
+    poses, covariances = rows.poses[nodes], rows.covariances[nodes]
+    graph = PoseGraph.of(poses, covariances, hosts, edges, _lengths(edges, keys.way[nodes]))
     if frozen:
         graph.frozen = len(nodes)
     elif len(edges.i):
@@ -64,8 +71,9 @@ def _keys(rows: Keyframes, nodes: Ints) -> KeyframeLog:
             motion = np.where(np.isfinite(motion), motion, 0.0)
             start = compose(rows.poses[k], inverse(motion))
         points = rows.points[starts[k] : starts[k + 1]]
-        seen = points_view(points.astype(float), rows.origins[k]) if len(points) else None
+        seen = points_view(points, rows.origins[k]) if len(points) else None
         keys.append(motion, rows.motion_covariances[k], seen, start)
+        keys.points.append(points)
         if k in at and not first[k]:
             keys.mark_node()
     return keys
@@ -76,34 +84,48 @@ def _begins(sessions: Ints) -> Mask:
 
 
 def _nodes(rows: Keyframes, edges: Edges, spacing: float) -> Ints:
-    """Return the keyframes that are nodes: those with edges, and the first one of each session."""
-    first = np.flatnonzero(_begins(rows.sessions))
-    if len(edges.i):
-        return np.unique(np.concatenate([edges.i, edges.j, first]))
+    """Return the keyframes that are nodes: those with edges, and others as far apart as nodes are."""
     steps = np.hypot(rows.motions[:, 0], rows.motions[:, 1]) + TURN * np.abs(rows.motions[:, 2])
-    chosen, since, begins = [], math.inf, _begins(rows.sessions)
+    chosen, since = _begins(rows.sessions), 0.0
+    chosen[edges.i] = chosen[edges.j] = True
     for k, step in enumerate(steps.tolist()):
         since += step
-        if begins[k] or since >= spacing:
-            chosen.append(k)
-            since = 0.0
-    return np.array(chosen)
+        if chosen[k] or since >= spacing:
+            chosen[k], since = True, 0.0
+    return np.flatnonzero(chosen)
 
 
-def _edges(rows: Keyframes, edges: Edges, nodes: Ints) -> Edges:
-    """Return the edges between nodes, with motions between consecutive ones that none connects."""
-    i, j = np.searchsorted(nodes, edges.i), np.searchsorted(nodes, edges.j)
-    connected = np.zeros(len(nodes), np.bool_)
-    connected[j[np.isinf(edges.kernel) & (j == i + 1)]] = True
-    begins = _begins(rows.sessions)[nodes]
+def _hosts(rows: Keyframes, nodes: Ints, edges: Edges) -> Ints:
+    """Return the node (n,) that each is folded into; itself if it is not.
+
+    Nodes without an edge were folded, into earlier ones close by.
+    """
+    hosts, poses = np.arange(len(nodes)), rows.poses[nodes]
+    tied = _begins(rows.sessions)[nodes]
+    tied[edges.i] = tied[edges.j] = True
+    others, placed = np.flatnonzero(tied), rows.placed[nodes]
+    for n in np.flatnonzero(~tied & placed).tolist():
+        apart = np.hypot(*(poses[others, :2] - poses[n, :2]).T)
+        apart[~placed[others] | (others > n)] = np.inf
+        if len(edges.i) and apart.min() < FOLDED:
+            hosts[n] = others[np.argmin(apart)]
+    return hosts
+
+
+def _connected(rows: Keyframes, nodes: Ints, hosts: Ints, edges: Edges) -> Edges:
+    """Return the edges between nodes, with motions along each session where none connects its nodes."""
+    alone = np.flatnonzero(hosts == np.arange(len(nodes)))
+    root = roots(len(nodes), edges.i, edges.j)
     motions = []
-    for n in np.flatnonzero(~connected & ~begins).tolist():
-        T, covariance = _motion(rows, int(nodes[n - 1]), int(nodes[n]))
-        motions.append((n - 1, n, T, np.linalg.inv(covariance), math.inf))
+    for before, n in zip(alone[:-1].tolist(), alone[1:].tolist(), strict=True):
+        if rows.sessions[nodes[before]] == rows.sessions[nodes[n]] and root[before] != root[n]:
+            T, covariance = _motion(rows, int(nodes[before]), int(nodes[n]))
+            motions.append((before, n, T, np.linalg.inv(covariance), math.inf))
+            root[root == root[n]] = root[before]
     if not motions:
-        return edges._replace(i=i, j=j)
+        return edges
     more = Edges(*(np.array(column) for column in zip(*motions, strict=True)))
-    return more.joined(edges._replace(i=i, j=j))
+    return more.joined(edges)
 
 
 def _lengths(edges: Edges, way: Array) -> Array:

@@ -50,6 +50,11 @@ class Thinner:
     def __init__(self) -> None:
         self._judged = 0
 
+    def go_on(self, keys: KeyframeLog, *, frozen: bool) -> None:
+        """Go on with the keyframes of a map: the last ones are still to be judged, with `frozen` none."""
+        recent = int(np.searchsorted(keys.way, keys.way[-1] - RECENT))
+        self._judged = len(keys) if frozen else recent
+
     def thin(self, keys: KeyframeLog, graph: PoseGraph) -> tuple[int, ...]:
         """Judge what was driven long enough ago; return the keyframes that were dropped."""
         begin, end = self._judged, int(np.searchsorted(keys.way, keys.way[-1] - RECENT))

@@ -8,7 +8,17 @@ import numpy as np
 
 from impslam.geometry.kernels import kernel
 from impslam.growing import GrowingArray
-from impslam.health import BLIND, ELSEWHERE, GROWN, NONE, NOT_FINITE, Health, Reasons, words
+from impslam.health import (
+    BLIND,
+    ELSEWHERE,
+    GROWN,
+    NONE,
+    NOT_FINITE,
+    UNPLACED,
+    Health,
+    Reasons,
+    words,
+)
 from impslam.map import Keyframe, PathRows, Revision, Track
 from impslam.observers.base import Observer
 from impslam.types import Array, Mask
@@ -25,13 +35,14 @@ class HealthMonitor(Observer):
     `UNCERTAIN` since the last match (of a landmark, of a scan with a map, or of a place), or that a scan
     has no valid beam. The growth counts, not the uncertainty itself, which is large far from the start;
     a robot that stands still may see no landmark for long. A robot that is lost stays so until a place
-    is recognised.
+    is recognised, and one that began anywhere in a map until it is found there.
     """
 
     def __init__(self) -> None:
         # x, y of the last pose, way since a match, variance there, share that fitted when it was lost
         self._walked = np.array([0.0, 0.0, 0.0, 0.0, np.nan])
         self._fresh = True  # no pose yet, or landmarks were recognised
+        self._placed = True  # whether the newest keyframe is
         self._stamps, self._amounts = GrowingArray(), GrowingArray()
         self._reasons = GrowingArray(dtype=np.int8)
 
@@ -55,7 +66,10 @@ class HealthMonitor(Observer):
         if scans is not None:
             valid = scans.valid[track.rows]
         seen = np.asarray(valid.any(axis=1))
-        self._record(path, seen, track.reasons.copy(), track.amounts.copy(), track.located.copy())
+        reasons = track.reasons.copy()
+        if not self._placed:
+            reasons[:] = UNPLACED
+        self._record(path, seen, reasons, track.amounts.copy(), track.located.copy())
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
         """Record the scan of a keyframe."""
@@ -63,11 +77,12 @@ class HealthMonitor(Observer):
             self._walked[4] = np.nan
         if revision.matches or len(revision.ids) > 1:
             self._fresh = True
+        self._placed = bool(np.all(revision.placed))
         seen = keyframe.scan is None or bool(keyframe.scan.valid.any())
         self._record(
             path,
             np.array([seen]),
-            np.array([keyframe.reason], np.int8),
+            np.array([keyframe.reason if self._placed else UNPLACED], np.int8),
             np.array([keyframe.amount]),
             np.array([keyframe.located]),
         )

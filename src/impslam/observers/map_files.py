@@ -48,6 +48,8 @@ def write_map_files(
     with keep("trajectory.tum"):
         write_tum(folder / "trajectory.tum", np.column_stack((rows.stamps, rows.poses)))
     with keep("trajectory.csv"):
+        if states is not None:
+            states = states[known.placed()[len(known.stamps) - len(states) :]]
         _write_table(folder / "trajectory.csv", rows, states)
     with keep("landmarks.csv"):
         write_landmarks(folder / "landmarks.csv", known.landmarks)

@@ -1,0 +1,63 @@
+"""`imp run LOG --map FILE`: what it goes on with, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from impslam.cli import main
+from impslam.map import Map
+
+GRAPH = ("--set", "estimator.kind=graph", "--set", "tracker.kind=scan_to_map")
+
+
+@pytest.fixture(scope="module")
+def done(room, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run of the room."""
+    folder = tmp_path_factory.mktemp("runs") / "first"
+    assert main(["run", str(room), "-o", str(folder), "--quiet", *GRAPH]) == 0
+    return folder
+
+
+def test_a_log_that_is_in_the_map_is_refused(imp, room, done, tmp_path) -> None:
+    said = imp("run", room, *GRAPH, "--map", done / "map.imp", "-o", tmp_path / "again")
+    assert said.code == 2
+    assert "all of its 100 scans are in the map already" in said.err
+    assert not (tmp_path / "again").exists()
+
+
+def test_a_log_that_is_not_found_in_a_frozen_map_is_an_error(imp, room, done, tmp_path) -> None:
+    """The room is too small to drive the way that it takes to be found."""
+    said = imp("run", room, *GRAPH, "--map", done / "map.imp", "--frozen", "-o", tmp_path / "there")
+    assert said.code == 2
+    assert "it was not found where in the map it lies" in said.err
+    assert not (tmp_path / "there").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--frozen"], "--frozen and --start are about a map; give one with --map FILE"),
+        (["--start", "1,2"], "give one with --map FILE"),
+        (["--map", "gone.imp"], "gone.imp: no such file"),
+        (["--map", "MAP", "--start", "1"], "--start 1: is no place; give x,y in m"),
+        (["--map", "MAP", "--start", "1,nan"], "--start 1,nan: is no place"),
+        (["--map", "MAP", "--live"], "leave out --live or --map"),
+        (["--map", "MAP", "--set", "estimator.kind=landmarks"], "cannot go on with a map"),
+    ],
+)
+def test_what_cannot_be_begun_with_is_told(imp, room, done, tmp_path, words, said) -> None:
+    given = [str(done / "map.imp") if word == "MAP" else word for word in words]
+    ended = imp("run", room, *given, "-o", tmp_path / "none")
+    assert ended.code == 2
+    assert said in ended.err
+    assert ended.err.count("\n") == 1
+    assert not (tmp_path / "none").exists()
+
+
+def test_the_map_tells_its_logs(done) -> None:
+    (log,) = Map.load(done / "map.imp").about["logs"]
+    sha256 = json.loads((done / "summary.json").read_text())["log"]["sha256"]
+    assert log == {"log": "room.mcap", "log_sha256": sha256, "scans": 100}

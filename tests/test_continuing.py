@@ -1,0 +1,134 @@
+"""Going on with a map: where a log was stopped, with another log, and frozen."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from tests.estimators.drives import ANGLES, RING, scanned
+from tests.numeric import wrapped
+
+import impslam
+from impslam.continuing import Known, begin_with
+from impslam.errors import ConfigError, ImpError
+from impslam.map import Map
+
+CORNERS = np.array(
+    [[3, 1.25], [18.75, 1.25], [18.75, 12.75], [1.25, 12.75], [1.25, 1.25], [9, 1.25]]
+)
+STEP = 0.1  # m between scans
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """Poses (n, 3) along the ring and 6 m of a second lap, and the ranges seen there (n, b)."""
+    rows = [np.array([*CORNERS[0], 0.0])]
+    for a, b in pairwise(CORNERS):
+        heading = float(np.arctan2(*(b - a)[::-1]))
+        turn = np.remainder(heading - rows[-1][2] + np.pi, 2.0 * np.pi) - np.pi
+        rows += [rows[-1] + [0.0, 0.0, turn * s / 8] for s in range(1, 9)]
+        n = round(np.hypot(*(b - a)) / STEP)
+        rows += [np.array([*(a + (b - a) * s / n), heading]) for s in range(1, n + 1)]
+    poses, rng = np.array(rows), np.random.default_rng(3)
+    ranges = [scanned(RING, pose, noise=0.01, rng=rng).ranges for pose in poses]
+    return poses, np.array(ranges)
+
+
+def given(slam, drive, rows, late=0.0):
+    poses, ranges = drive
+    stamps = late + 0.1 * np.arange(len(poses))[rows]
+    slam.add_odometry(stamps, poses[rows])
+    slam.add_scans(stamps, ranges[rows], ANGLES, range_max=20.0)
+    return slam
+
+
+def mapped(drive, rows, late=0.0, **how):
+    return given(impslam.Slam("default", **how), drive, rows, late).finish()
+
+
+@pytest.fixture(scope="module")
+def whole(drive):
+    return mapped(drive, slice(None))
+
+
+@pytest.mark.parametrize("stop", [1, 157, 400])
+def test_a_log_that_was_stopped_gives_the_map_of_the_whole_log(drive, whole, stop, tmp_path):
+    part = Map.load(mapped(drive, slice(stop)).save(tmp_path / "part.imp"))
+    again = mapped(drive, slice(None), known=part)
+    np.testing.assert_array_equal(again.stamps, whole.stamps)
+    np.testing.assert_array_equal(again.tracked, whole.tracked)
+    np.testing.assert_array_equal(again.keyframes.points, whole.keyframes.points)
+    assert np.abs(wrapped(again.path()[:, 1:] - whole.path()[:, 1:], 2)).max() < 0.01
+    assert again.keyframes.placed.all()
+    assert again.keyframes.sessions.max() == 0
+
+
+def test_another_log_begins_a_session_that_is_found(drive, whole, tmp_path):
+    file = whole.save(tmp_path / "ring.imp")
+    rows = slice(170, 340)
+    known = mapped(drive, rows, late=1000.0, known=file)
+    n = len(whole.stamps)
+    np.testing.assert_array_equal(known.stamps[:n], whole.stamps)
+    assert known.keyframes.sessions.max() == 1
+    assert known.keyframes.placed.all()
+    off = wrapped(known.path()[n:, 1:] - known.path()[rows, 1:], 2)
+    assert np.abs(off).max() < 0.05
+
+
+def test_a_frozen_map_is_not_changed(drive, whole):
+    rows = slice(170, 340)
+    known = mapped(drive, rows, late=1000.0, known=whole, frozen=True)
+    n = len(whole.keyframes)
+    assert known.stamps[0] == pytest.approx(1017.0)
+    for name in ("poses", "covariances", "motions"):
+        before, after = (getattr(m.keyframes, name)[:n] for m in (whole, known))
+        np.testing.assert_array_equal(before, after)
+    np.testing.assert_array_equal(known.keyframes.points, whole.keyframes.points)
+    np.testing.assert_array_equal(known.grid().logodds, whole.grid().logodds)
+    assert known.landmarks == whole.landmarks
+    off = wrapped(known.path()[:, 1:] - whole.path()[rows, 1:], 2)
+    assert np.abs(off).max() < 0.05
+
+
+def test_a_hint_tells_about_where_it_begins(drive, whole):
+    slam = impslam.Slam("default", known=whole, frozen=True, hint=drive[0][170])
+    assert slam.placed
+    given(slam, drive, slice(170, 340), late=1000.0)
+    assert slam.placed
+    assert np.abs(slam.pose[:2] - whole.path()[339, 1:3]).max() < 0.1
+
+
+def test_a_session_that_is_too_short_to_be_found_is_kept_apart(drive, whole):
+    known = mapped(drive, slice(170, 190), late=1000.0, known=whole)
+    n, k = len(whole.stamps), len(whole.keyframes)
+    assert len(known.stamps) == n + 20
+    assert len(known.path()) == len(known.odometry()) == len(known.live_path()) == n
+    assert not known.keyframes.placed[k:].any()
+    np.testing.assert_array_equal(known.grid().logodds, whole.grid().logodds)
+
+
+def test_nothing_new_is_no_news(drive, whole):
+    again = mapped(drive, slice(None), known=whole)
+    assert len(again.stamps) == len(whole.stamps)
+    assert len(again.keyframes) == len(whole.keyframes)
+
+
+def test_a_log_that_differs_in_the_middle_begins_a_session(drive, whole):
+    """Its first scans are those of the map, the later ones are not."""
+    slam = given(impslam.Slam("default", known=whole), drive, slice(100))
+    given(slam, drive, slice(170, 340), late=1000.0)
+    known = slam.finish()
+    assert len(known.stamps) > len(whole.stamps)
+    assert known.keyframes.sessions.max() == 1
+
+
+def test_a_map_is_what_frozen_and_hints_are_about(whole, tmp_path):
+    assert begin_with(None) is None
+    assert isinstance(begin_with(whole), Known)
+    for how in ({"frozen": True}, {"hint": [1.0, 2.0]}):
+        with pytest.raises(ConfigError, match="give one to localise in"):
+            begin_with(None, **how)
+    for hint in ([1.0], [1.0, np.nan], [1.0, 2.0, 3.0, 4.0]):
+        with pytest.raises(ConfigError, match="is no place in a map"):
+            begin_with(whole, hint=hint)
+    with pytest.raises(ImpError, match="no such file"):
+        begin_with(tmp_path / "gone.imp")

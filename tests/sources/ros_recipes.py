@@ -33,7 +33,10 @@ BAGS = {
         Recipe(tf_odometry=None, odometry={"/a/odometry": "base_link", "/z/odom": "base_link"}),
         "odometry /z/odom",
     ),
-    "ROS 1, static ones in /tf": (Recipe(republished=True, ros1=True), "/tf: base_footprint"),
+    "ROS 1, static ones in /tf": (
+        Recipe(republished=True, ros1=True, tf_type="tf/msg/tfMessage"),
+        "/tf: base_footprint",
+    ),
     "backward": (
         Recipe(static=BACKWARD, lasers=[Laser(mounted(0.1, 0, math.pi))]),
         "mount [0.100 m, 0.000 m, 180.0 deg], /tf_static: base_footprint -> laser",

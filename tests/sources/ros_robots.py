@@ -59,6 +59,7 @@ class Recipe:
     lasers: Sequence[Laser] = (Laser(),)
     static: Way = URDF
     republished: bool = False  # static transforms in /tf, ten times a second, as in ROS 1
+    tf_type: str = "tf2_msgs/msg/TFMessage"
     tf_odometry: tuple[str, str] | None = ("odom", "base_footprint")
     odometry: dict[str, str] = field(default_factory=dict)  # child frame by topic
     ros1: bool = False
@@ -71,8 +72,8 @@ class Recipe:
 class Types:
     """Makes messages of one version of ROS."""
 
-    def __init__(self, ros1: bool) -> None:
-        self.store, self.ros1 = _standard_types(ros1), ros1
+    def __init__(self, ros1: bool, tf_type: str = Recipe.tf_type) -> None:
+        self.store, self.ros1, self.tf_type = _standard_types(ros1), ros1, tf_type
 
     def new(self, kind: str, *values: Any) -> Any:
         return self.store.types[kind](*values)
@@ -101,7 +102,7 @@ class Types:
         return self.new("geometry_msgs/msg/TransformStamped", header, child, both)
 
     def tf(self, *transforms: Any) -> Any:
-        return self.new("tf2_msgs/msg/TFMessage", list(transforms))
+        return self.new(self.tf_type, list(transforms))
 
     def links(self, stamp: float, way: Way) -> Any:
         return self.tf(*(self.transform(stamp, *link) for link in way))
@@ -145,7 +146,7 @@ class Types:
 
 def drive(world: World, recipe: Recipe, seed: int = 0) -> tuple[list[Entry], np.ndarray]:
     """Return (time, topic, message) in order, and the truth: stamp, x, y, theta at each first scan."""
-    types, streams, truth = Types(recipe.ros1), [], {}
+    types, streams, truth = Types(recipe.ros1, recipe.tf_type), [], {}
     for k, laser in enumerate(recipe.lasers):
         robot = SimulatedRobot(lidar=laser.sim, imu=None, start_time=0.0)
         messages = list(simulate(world, robot, seed))
@@ -207,7 +208,7 @@ def _frames(types: Types, recipe: Recipe, end: float) -> Iterator[Entry]:
 
 def write(path: Path, recipe: Recipe, entries: Sequence[Entry]) -> Path:
     """Write a bag; what is logged comes 1 ms after it happened, on the wall clock."""
-    types = Types(recipe.ros1)
+    types = Types(recipe.ros1, recipe.tf_type)
     if recipe.ros1:
         writer: Any = Writer1(path)
         if recipe.compression is not CompressionMode.NONE:

@@ -263,3 +263,20 @@ def test_a_message_that_is_cut_short_leaves_the_others_alone(tmp_path: Path) -> 
     assert len(found) == 28
     assert source.problems.counts["malformed scan message"] == 1
     assert f"{path}:8: /scan: " in source.problems.examples["malformed scan message"]
+
+
+def test_joints_without_wheels_are_not_read(tmp_path: Path) -> None:
+    arm = joints(ROS2, ["shoulder", "elbow"], [1.0, 2.0])
+    path = bag(tmp_path / "b", ("/arm", arm), ("/arm", arm), ("/scan", scan(ROS2)))
+    found, source = read(path)
+    assert [type(m) for m in found] == [LaserScan]
+    assert not source.problems.counts
+    with RosBag(path=path) as log:
+        (shown,) = [stream for stream in log.streams() if stream.name == "/arm"]
+    assert not shown.used
+    assert "no wheels among the joints" in shown.note
+    assert read(path, topics={"wheels": "/arm"})[1].problems.counts == {
+        "malformed wheels message": 2
+    }
+    found, _ = read(path, left_joint="shoulder", right_joint="elbow")
+    assert [type(m) for m in found] == [WheelAngles, WheelAngles, LaserScan]

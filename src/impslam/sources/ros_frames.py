@@ -80,7 +80,7 @@ class Frames:
         begin = self._read_scans(bag)
         for connection in bag.connections:
             if connection.msgtype in TYPES["truth"] and not is_truth(connection.topic):
-                for message, _ in _first(bag, connection):
+                for message, _ in first_message(bag, connection):
                     self._children[connection.topic] = _plain(message.child_frame_id)
         static = [c for c in publishers if _is_static(c)]
         moving = [c for c in publishers if not _is_static(c)]
@@ -97,7 +97,7 @@ class Frames:
         times = []
         for connection in bag.connections:
             if connection.msgtype in TYPES["scan"]:
-                for message, time in _first(bag, connection):
+                for message, time in first_message(bag, connection):
                     self.lasers.setdefault(connection.topic, _plain(message.header.frame_id))
                     times.append(time)
         return min(times, default=0)
@@ -233,7 +233,7 @@ def _is_static(connection: Connection) -> bool:
     return connection.topic.endswith(STATIC)
 
 
-def _first(bag: Bag, connection: Connection) -> Iterator[tuple[RosMessage, int]]:
+def first_message(bag: Bag, connection: Connection) -> Iterator[tuple[RosMessage, int]]:
     """Yield the first message of a connection and its time of logging; none if it cannot be read."""
     for _, time, message in _decoded(bag, [connection]):
         yield message, time

@@ -17,9 +17,10 @@ from rosbags.interfaces import Connection
 from impslam.columns import ROWS
 from impslam.component import parameter, register
 from impslam.errors import SourceError
+from impslam.sources import ros_messages as ros
 from impslam.sources.base import Mount, Source, Stream
 from impslam.sources.parts import Piece
-from impslam.sources.ros_frames import Frames, links
+from impslam.sources.ros_frames import Frames, first_message, links
 from impslam.sources.ros_rows import Record, RowReader
 from impslam.sources.ros_storage import Bag, one_line, storage_class
 from impslam.sources.ros_topics import (
@@ -39,6 +40,7 @@ from impslam.types import Message
 
 PART = 1 << 23  # bytes of messages held at once, and the one that exceeds them
 PRESET_TOPIC, PRESET_TYPE = "/impslam/preset", "std_msgs/msg/String"
+NO_WHEELS = "no wheels among the joints: name them by source.left_joint and source.right_joint"
 WARNING, ERROR = 30, 40  # levels of rcl_interfaces/Log
 
 
@@ -59,6 +61,7 @@ class RosBag(Source):
     _defaults: dict[str, Use] = PrivateAttr(default_factory=dict)
     _frames: Frames | None = PrivateAttr(default=None)
     _mounts: dict[str, Mount] = PrivateAttr(default_factory=dict)
+    _idle: set[str] = PrivateAttr(default_factory=set)  # transforms and joints that tell no motion
     _held: tuple[str, ...] = PrivateAttr(default=())
     _preset: str | None = PrivateAttr(default=None)  # None: not looked for yet
     _position: int = PrivateAttr(default=0)
@@ -140,12 +143,11 @@ class RosBag(Source):
 
     def _note(self, topic: str, kind: str) -> str:
         edge = self._frames.odometry if self._frames else None
-        if edge and topic in self._uses and topic == edge.topic:
-            return f"{self._uses[topic]}: {edge.parent} -> {edge.child}"
         if topic in self._uses:
-            return self._uses[topic]
-        if kind in TF_TYPES:
-            return "frames"
+            ways = f": {edge.parent} -> {edge.child}" if edge and topic == edge.topic else ""
+            return self._uses[topic] + ways
+        if topic in self._idle:
+            return "frames" if kind in TF_TYPES else NO_WHEELS
         if topic == PRESET_TOPIC:
             return "preset"
         if self._preset and kind in KEPT:  # the log is one of ours
@@ -153,10 +155,26 @@ class RosBag(Source):
         return rivals(topic, kind, self._defaults)
 
     def _usable(self, bag: Bag, frames: Frames) -> Counts:
-        """Return the numbers of messages without transforms that do not hold odometry."""
+        """Return the numbers of messages, without transforms or joints that tell no motion."""
         odometry = frames.odometry.topic if frames.odometry else None
+        self._idle = {
+            c.topic
+            for c in bag.connections
+            if (c.msgtype in TF_TYPES and c.topic != odometry)
+            or (c.msgtype in TYPES["wheels"] and self._lacks_wheels(bag, c))
+        }
         counts = count_messages(bag.connections)
-        return {(t, k): n for (t, k), n in counts.items() if k not in TF_TYPES or t == odometry}
+        return {(topic, kind): n for (topic, kind), n in counts.items() if topic not in self._idle}
+
+    def _lacks_wheels(self, bag: Bag, connection: Connection) -> bool:
+        """Tell whether the first message has no wheels among its joints, and nobody asks for them."""
+        if connection.topic in self.topics.values():
+            return False
+        joints = self.left_joint, self.right_joint
+        return any(
+            ros.find_joints(message.name, *joints) is None
+            for message, _ in first_message(bag, connection)
+        )
 
     def _open(self) -> Bag:
         if self._bag is None:

@@ -19,8 +19,10 @@ from impslam.types import Array
 
 SIGMA = 0.08  # m, of a beam's end from the wall: range noise, cells of 5 cm, the map's own error
 NEAR, ON = 0.3, 0.12  # m, so close to a wall an end may belong to it; so close, it does
-SHORT, THROUGH = -0.5, -1.0
-"""Scores of an end in free space, and of a beam that would have passed a wall."""
+SHORT, THROUGH = -1.0, -2.0
+"""Scores of an end in free space, and of a beam that would have passed a wall. In recorded buildings, at
+true poses 4 and 2 % of the beams are so, at the best false ones 16 and 14 %: they tell more than beams that
+match, of which there are 92 and 68 %, and a wall tells more than what may have come to stand in the way."""
 BEFORE = 0.35  # m before its end, where a beam is no longer held against walls
 STEP = 0.04  # m, the shortest step along a beam
 BLIND = 0.1  # m, nearer than this is the robot itself

@@ -19,21 +19,20 @@ import numpy as np
 from impslam.geometry.angles import wrap
 from impslam.geometry.kernels import kernel
 from impslam.recognition.correlative import spread
-from impslam.recognition.ground import CHANCE, Ground
+from impslam.recognition.ground import CHANCE, DIRECTIONS, SECTOR, Ground
 from impslam.recognition.pyramid import CELL, FULL, Bytes, Ints32
 from impslam.surfaces.features import Features
 from impslam.types import Array, Ints
 
-HEADINGS = (
-    160  # half a step moves a point 8 m away by 16 cm, as far as the likelihood's Gaussian reaches
-)
+HEADINGS = 160  # half a step moves a point 8 m away by 16 cm, which the Gaussian bridges
 POINTS, COARSE_POINTS = 100, 40  # a mean likelihood to within 0.04 and 0.06, one sigma at most
 COARSE = 2  # the first level that is judged by few points
 LEAST = 0.3  # score: chance reaches it anywhere
-SHARE = 0.75  # of the best score: places with less are not told
+SHARE = 0.8  # of the best score: places with less are not told
 MOST = 30  # places
 APART, TURNED = 0.5, 0.2  # m, rad
-BUDGET = 400_000  # blocks judged
+BUDGET, LEAST_BUDGET, MOST_BUDGET = 1000, 400_000, 4_000_000
+"""Blocks judged at most, for each m^2 of the map, and in all; 0.2 us each."""
 _COLUMN, _ROW, _LEVEL = 20, 20, 4  # bits of a block's key
 
 
@@ -53,12 +52,11 @@ class Places(NamedTuple):
 
 
 class _Task(NamedTuple):
-    """Where is searched, and for what: columns and rows (HEADINGS, n) of the points, turned."""
+    """Where is searched, and for what: directions, columns and rows of the points, turned."""
 
     levels: Bytes
     room: Bytes
-    columns: Ints32
-    rows: Ints32
+    turned: Ints32  # (HEADINGS, n, 3)
 
 
 class _Queue(NamedTuple):
@@ -74,34 +72,46 @@ class _Queue(NamedTuple):
 
 
 def search_everywhere(ground: Ground, points: Features, room: Bytes | None = None) -> Places:
-    """Return the places where points (n, 2 or more columns; n >= 1) from a lidar at (0, 0) fit best.
+    """Return the places where features (n, 5), n >= 1, seen by a lidar at (0, 0) fit best.
 
     `room` narrows where the lidar may be; see `Ground.room`.
     """
-    count = min(POINTS, len(points))
-    even = points[np.arange(count) * len(points) // count, :2].astype(np.float64)
-    ordered = np.ascontiguousarray(even[spread(count)])
+    ordered = _chosen(points)
+    count = len(ordered)
     found = np.zeros((MOST, 4), np.int64)
-    likelihood = ground.likelihood
-    number, complete = _search(
-        likelihood.levels, ground.room if room is None else room, ordered, found
-    )
+    room = ground.room if room is None else room
+    budget = int(np.clip(BUDGET * ground.area, LEAST_BUDGET, MOST_BUDGET))
+    number, complete = _search(ground.likelihood, room, ordered, budget, found)
     found = found[:number]
     poses = np.empty((number, 3))
-    poses[:, :2] = likelihood.corner + (found[:, 1:3] + 0.5) * CELL
+    poses[:, :2] = ground.corner + (found[:, 1:3] + 0.5) * CELL
     poses[:, 2] = wrap(found[:, 0].astype(np.float64) * (2.0 * math.pi / HEADINGS))
     return Places(poses, found[:, 3] / (FULL * count), bool(complete))
 
 
+def _chosen(points: Features) -> Array:
+    """Return the points to search with, in an order whose every beginning is spread over all.
+
+    Those on surfaces tell more, for few walls face their way; others are used where these are few.
+    """
+    surfaces = points[points[:, 4] > 0.0]
+    some = surfaces if len(surfaces) >= COARSE_POINTS else points
+    count = min(POINTS, len(some))
+    even = some[np.arange(count) * len(some) // count].astype(np.float64)
+    return np.ascontiguousarray(even[spread(count)])
+
+
 @kernel
-def _search(levels: Bytes, room: Bytes, points: Array, found: Ints) -> tuple[int, bool]:
+def _search(
+    levels: Bytes, room: Bytes, points: Array, budget: int, found: Ints
+) -> tuple[int, bool]:
     """Fill `found` (m, 4) with heading, column, row and sum of the places; return how many there are."""
-    task = _Task(levels, room, *_turned(points))
+    task = _Task(levels, room, _turned(points))
     full = FULL * len(points)
     queue = _Queue(
         np.full(full + 1, -1, np.int32),
-        np.empty(BUDGET + 4, np.int32),
-        np.empty(BUDGET + 4, np.int64),
+        np.empty(budget, np.int32),
+        np.empty(budget, np.int64),
         np.zeros(3, np.int64),
     )
     least, number = int(LEAST * full), 0
@@ -121,7 +131,7 @@ def _search(levels: Bytes, room: Bytes, points: Array, found: Ints) -> tuple[int
             number += 1
             least = max(least, int(SHARE * found[0, 3]))
             continue
-        if queue.state[2] > BUDGET - 4:
+        if queue.state[2] > budget - 4:
             return number, False
         half = 1 << (level - 1)
         for quarter in range(4):
@@ -131,29 +141,32 @@ def _search(levels: Bytes, room: Bytes, points: Array, found: Ints) -> tuple[int
 
 
 @kernel
-def _turned(points: Array) -> tuple[Ints32, Ints32]:
-    """Return columns and rows (HEADINGS, n) of points, relative to the lidar's cell."""
-    columns = np.empty((HEADINGS, len(points)), np.int32)
-    rows = np.empty_like(columns)
+def _turned(points: Array) -> Ints32:
+    """Return direction, column and row (HEADINGS, n, 3) of points, relative to the lidar's cell."""
+    out = np.empty((HEADINGS, len(points), 3), np.int32)
     for a in range(HEADINGS):
         angle = 2.0 * math.pi * a / HEADINGS
-        c, s = math.cos(angle) / CELL, math.sin(angle) / CELL
+        c, s = math.cos(angle), math.sin(angle)
         for i in range(len(points)):
-            columns[a, i] = math.floor(c * points[i, 0] - s * points[i, 1] + 0.5)
-            rows[a, i] = math.floor(s * points[i, 0] + c * points[i, 1] + 0.5)
-    return columns, rows
+            x, y, nx, ny, weight = points[i]
+            facing = math.atan2(s * nx + c * ny, c * nx - s * ny)
+            sector = math.floor(facing / SECTOR + 0.5) % DIRECTIONS
+            out[a, i, 0] = sector if weight > 0.0 else DIRECTIONS
+            out[a, i, 1] = math.floor((c * x - s * y) / CELL + 0.5)
+            out[a, i, 2] = math.floor((s * x + c * y) / CELL + 0.5)
+    return out
 
 
 @kernel
 def _enter_all(task: _Task, queue: _Queue, least: int) -> None:
     """Enter the blocks of the highest level."""
-    top, height, width = task.levels.shape
+    top, height, width = task.room.shape
     top -= 1
     for row in range(0, height, 1 << top):
         for column in range(0, width, 1 << top):
             for heading in range(HEADINGS if task.room[top, row, column] else 0):
                 block = heading, top, column, row
-                _enter(task, queue, block, FULL * task.columns.shape[1], least)
+                _enter(task, queue, block, FULL * task.turned.shape[1], least)
 
 
 @kernel
@@ -162,13 +175,14 @@ def _enter(
 ) -> None:
     """Enter a block (heading, level, column, row) into the queue, if its bound exceeds `least`."""
     heading, level, column, row = block
-    _, height, width = task.levels.shape
+    _, height, width = task.room.shape
     if row >= height or column >= width or not task.room[level, row, column]:
         return
-    columns, rows = task.columns[heading], task.rows[heading]
-    n = len(columns)
+    points = task.turned[heading]
+    n = len(points)
     some = n if level < COARSE else min(n, COARSE_POINTS)
-    total = _sum(task.levels[level], columns, rows, (column, row), some, 1 << level) * n // some
+    enough = least * some // n
+    total = _sum(task.levels[level], points[:some], (column, row), 1 << level, enough) * n // some
     total = min(total, bound)
     queue.state[2] += 1
     k = queue.state[0]
@@ -182,22 +196,22 @@ def _enter(
 
 
 @kernel
-def _sum(
-    level: Bytes, columns: Ints32, rows: Ints32, first: tuple[int, int], count: int, block: int
-) -> int:
-    """Return the sum of the first `count` points' likelihoods for the lidar in a block."""
-    height, width = level.shape
+def _sum(level: Bytes, points: Ints32, first: tuple[int, int], block: int, least: int) -> int:
+    """Return the sum of the points' likelihoods for the lidar in a block; 0 unless beyond `least`."""
+    _, height, width = level.shape
     total, outside = 0, int(FULL * CHANCE)
-    for i in range(count):
-        column, row = columns[i] + first[0], rows[i] + first[1]
+    for i in range(len(points)):
+        column, row = points[i, 1] + first[0], points[i, 2] + first[1]
         if -block < column < 0:  # the block reaches into the grid
             column = 0
         if -block < row < 0:
             row = 0
         if 0 <= column < width and 0 <= row < height:
-            total += level[row, column]
+            total += level[points[i, 0], row, column]
         else:
             total += outside
+        if i & 7 == 7 and total + FULL * (len(points) - 1 - i) <= least:
+            return 0
     return total
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from impslam.geometry.kernels import kernel
 from impslam.surfaces.features import Features
-from impslam.types import Array
+from impslam.types import Array, Mask
 
 Bytes: TypeAlias = np.ndarray[Any, np.dtype[np.uint8]]
 Ints32: TypeAlias = np.ndarray[Any, np.dtype[np.int32]]
@@ -66,23 +66,31 @@ def build(points: Features, level: int, memory: Memory | None = None) -> Pyramid
 @kernel
 def _fill(levels: Bytes, corner: Array, points: Features) -> None:
     """Draw the points' Gaussians into level 0, and fill the levels above."""
+    levels[0] = 0
+    everywhere = np.ones(len(points), np.bool_)
+    draw(levels[0], corner, points[:, :2], everywhere)
+    pool(levels)
+
+
+@kernel
+def draw(ground: Bytes, corner: Array, points: Array | Features, chosen: Mask) -> None:
+    """Draw the Gaussians of points (n, 2) that are chosen (n,) into a grid; those off it are left out."""
     stamp = np.empty((5, 5), np.uint8)
     for r in range(5):
         for c in range(5):
             distance2 = ((r - 2) ** 2 + (c - 2) ** 2) * CELL**2
             stamp[r, c] = int(FULL * math.exp(-distance2 / (2.0 * BLUR**2)) + 0.5)
-    ground = levels[0]
-    ground[:] = 0
+    height, width = ground.shape
     for i in range(len(points)):
-        column = int((points[i, 0] - corner[0]) / CELL)
-        row = int((points[i, 1] - corner[1]) / CELL)
-        if ground[row, column] == FULL:
+        column = math.floor((points[i, 0] - corner[0]) / CELL)
+        row = math.floor((points[i, 1] - corner[1]) / CELL)
+        inside = 2 <= column < width - 2 and 2 <= row < height - 2
+        if not (chosen[i] and inside) or ground[row, column] == FULL:
             continue
         for r in range(5):
             for c in range(5):
                 cell = ground[row + r - 2, column + c - 2]
                 ground[row + r - 2, column + c - 2] = max(cell, stamp[r, c])
-    pool(levels)
 
 
 @kernel

@@ -35,12 +35,13 @@ QUERY_CELL = 0.1  # m: one point in each
 ALIGNED = 200  # points that alignment uses, about
 BEAMS = 180  # of a scan: a mean score to within 0.04
 SAME, SAME_TURN = 0.4, math.radians(8.0)  # m, rad: closer hypotheses are one
-EVIDENCE = 55.0
-"""Independent beams that a scan is worth, in the sense that odds are exp(EVIDENCE * score): neighbouring
-beams share their fate, so 180 of them are fewer. A score .08 ahead then stands for 80 to 1."""
-NOWHERE_SCORE = 0.5
-"""Score that some place of the map reaches by chance for a scan of somewhere else."""
-FOUND_ODDS = 0.98
+EVIDENCE = 30.0
+"""Odds of two places are exp(EVIDENCE * difference of their scores). A scan's beams are not independent:
+they share walls, people in the way and errors of the map, so that 180 of them are worth fewer."""
+CHANCE_SCORE, LUCK = 0.4, 0.13
+"""Score that the best place of a map may have for scans of somewhere else, and what is added for one scan,
+a share of it for more of them: chance has to repeat itself with each."""
+FOUND_ODDS = 0.98  # then the second place is at least 0.13 behind
 
 
 class Verdict(Enum):
@@ -94,11 +95,13 @@ class Query(NamedTuple):
     features : (n, 5) for alignment
     laser : (2,) m, where the lidar is
     beams : to be explained
+    scans : number of the views
     """
 
     features: Features
     laser: Array
     beams: Beams
+    scans: int
 
 
 class Relocaliser:
@@ -161,7 +164,7 @@ class Relocaliser:
         centred[:, :2] -= sought.laser.astype(np.float32)
         places = search_everywhere(self.ground, centred, room)
         starts = [*_based(places.poses, sought.laser), *followed]
-        return answer(self._settled(sought, starts), complete=places.complete)
+        return answer(self._settled(sought, starts), sought.scans, complete=places.complete)
 
     def _settled(self, sought: Query, starts: Sequence[Array]) -> list[tuple[Explained, Array]]:
         """Return places (3,) aligned and explained, best first; each of them once."""
@@ -184,14 +187,15 @@ def query(views: Sequence[View], poses: Array) -> Query:
     parts = [_spread_rows(view.features, BEAMS)[:, :2] - view.laser for view in views]
     starts = np.repeat(merged.vantages[:, :2], [len(part) for part in parts], axis=0)
     ends = [transform(T, part) for T, part in zip(merged.vantages, parts, strict=True)]
-    return Query(merged.features, views[-1].laser, Beams(starts, np.concatenate(ends)))
+    return Query(merged.features, views[-1].laser, Beams(starts, np.concatenate(ends)), len(views))
 
 
-def answer(explained: Sequence[tuple[Explained, Array]], complete: bool) -> Answer:
-    """Return hypotheses with odds and the verdict, from places that are distinct, best first."""
+def answer(explained: Sequence[tuple[Explained, Array]], scans: int, *, complete: bool) -> Answer:
+    """Return hypotheses with odds and the verdict, from places of scans: distinct ones, best first."""
     if not explained:
         return Answer(Verdict.NOWHERE if complete else Verdict.AMBIGUOUS, ())
-    scores = np.array([NOWHERE_SCORE, *(e.score for e, _ in explained)])
+    nowhere = CHANCE_SCORE + LUCK / scans
+    scores = np.array([nowhere, *(e.score for e, _ in explained)])
     weights = np.exp(EVIDENCE * (scores - scores.max()))
     odds = weights / weights.sum()
     hypotheses = tuple(

@@ -12,16 +12,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.geometry.kernels import plain
 from impslam.geometry.se2 import compose, compose_uncertain, inverse
-from impslam.recognition.pyramid import CELL
 from impslam.recognition.relocalisation import Answer, Near, Relocaliser, query
 from impslam.recognition.submap import View
 from impslam.types import Array
 
 SPACING, TURN = 0.4, 0.35  # m, rad: scans closer together see the same
 MOST = 8  # scans, of 3 m of way
-BENT, BENT_TURN = CELL, CELL / 8.0
-"""m and rad, one sigma: a way that its motions tell less well does not fit on the map as one piece."""
+BENT, BENT_TURN = 0.3, 0.05
+"""m and rad, one sigma: a way that its motions tell less well does not lie on the map as one piece, for
+alignment pairs points up to 0.3 m apart; the turn moves what is 6 m away by as much."""
 KEPT = 1e-4  # odds of a hypothesis that is followed, at least
 
 
@@ -42,25 +43,31 @@ class WayRelocaliser:
         self._hypotheses: list[Array] = []
 
     def add(self, view: View, motion: Array, covariance: Array, near: Near | None = None) -> Answer:
-        """Return where the robot is now.
+        """Remember a scan, and return where the robot is now; see `remember` and `find`."""
+        self.remember(view, motion, covariance)
+        return self.find(near)
+
+    def remember(self, view: View, motion: Array, covariance: Array) -> None:
+        """Go on with a scan, which is much faster than a search.
 
         Parameters
         ----------
         view : what the robot sees now
-        motion, covariance : (3,) of base_link since the last view, and (3, 3) of an additive error on
+        motion, covariance : (3,) of base_link since the scan before, and (3, 3) of an additive error on
             it; of no meaning for the first one
-        near : a hint of where the robot is now
         """
-        self._remember(_Seen(view, motion, covariance))
+        self._hypotheses = [compose(pose, motion) for pose in self._hypotheses]
+        self._append(_Seen(view, plain(motion), plain(covariance)))
         self._forget()
-        poses = self._poses()
-        followed = [compose(pose, motion) for pose in self._hypotheses]
-        sought = query([seen.view for seen in self._way], poses)
-        answer = self._relocaliser.find_query(sought, near, followed)
+
+    def find(self, near: Near | None = None) -> Answer:
+        """Return where the robot is now; `near` is a hint."""
+        sought = query([seen.view for seen in self._way], self._poses())
+        answer = self._relocaliser.find_query(sought, near, self._hypotheses)
         self._hypotheses = [h.pose for h in answer.hypotheses if h.odds >= KEPT]
         return answer
 
-    def _remember(self, seen: _Seen) -> None:
+    def _append(self, seen: _Seen) -> None:
         """Append a view; the last one is left out if the robot has hardly moved since the one before."""
         if len(self._way) > 1:
             last = self._way[-1]

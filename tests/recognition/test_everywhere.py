@@ -1,0 +1,89 @@
+"""The search of a whole map finds what trying every place finds, and tells of beams what they show."""
+
+import math
+
+import numpy as np
+import pytest
+from tests.extractors.scans import room
+from tests.recognition.halls import LASER, mapped, seen
+from tests.recognition.plans import walls, way
+
+from impslam.recognition.beams import Beams, explain
+from impslam.recognition.everywhere import COARSE_POINTS, HEADINGS, search_everywhere
+from impslam.recognition.ground import CHANCE, DIRECTIONS, SECTOR, survey
+from impslam.recognition.pyramid import CELL, FULL
+from impslam.recognition.stored import stored_views
+from impslam.recognition.submap import view
+
+PLAN = np.concatenate([room(-3.0, 2.0, -1.5, 2.2), walls([-1, -1.5, -1, 0.3], [0.5, 1, 1.2, 2.2])])
+
+
+@pytest.fixture(scope="module")
+def ground():
+    keyframes = mapped(PLAN, way(-2.0, 0.9, 1.5, 0.2, 6))
+    return survey(keyframes, stored_views(keyframes))
+
+
+def every_sum(ground, points):
+    """Return the sums (HEADINGS, rows, columns) of likelihoods wherever a lidar may stand."""
+    level, free = ground.likelihood[0], ground.room[0] > 0
+    _, height, width = level.shape
+    rows, columns = np.indices(free.shape)
+    sums = np.zeros((HEADINGS, height, width), np.int64)
+    for a in range(HEADINGS):
+        angle = 2.0 * math.pi * a / HEADINGS
+        c, s = math.cos(angle), math.sin(angle)
+        for x, y, nx, ny, weight in points.astype(float):
+            sector = math.floor(math.atan2(s * nx + c * ny, c * nx - s * ny) / SECTOR + 0.5)
+            k = sector % DIRECTIONS if weight > 0.0 else DIRECTIONS
+            u = columns + math.floor((c * x - s * y) / CELL + 0.5)
+            v = rows + math.floor((s * x + c * y) / CELL + 0.5)
+            inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+            found = level[k, np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
+            sums[a] += np.where(inside, found, int(FULL * CHANCE))
+    return np.where(free, sums, 0)
+
+
+@pytest.mark.parametrize("truth", [[-2.0, 1.0, 0.3], [1.3, -0.4, 2.8]])
+def test_the_best_place_is_that_of_trying_every_one(ground, truth):
+    features = view(seen(PLAN, truth)).features
+    points = features[features[:, 4] > 0.0]
+    points = points[
+        np.arange(COARSE_POINTS) * len(points) // COARSE_POINTS
+    ]  # bounds are then exact
+    places = search_everywhere(ground, points)
+    assert places.complete
+    best = every_sum(ground, points).max() / (FULL * COARSE_POINTS)
+    assert places.scores[0] == pytest.approx(best)
+    assert (np.diff(places.scores) <= 0.0).all()
+
+
+def beams_of(pose):
+    scan = view(seen(PLAN, pose))
+    ends = scan.features[:, :2].astype(float)
+    return Beams(np.broadcast_to(LASER[:2], ends.shape).copy(), ends)
+
+
+def test_beams_are_explained_where_they_were_taken(ground):
+    truth = np.array([-2.0, 1.0, 0.3])
+    told = explain(ground, beams_of(truth), truth)
+    assert told.matched > 0.9
+    assert told.score > 0.9
+    assert told.through + told.short + told.unknown == pytest.approx(1.0 - told.matched)
+
+
+def test_beams_through_walls_and_in_free_space_speak_against_a_pose(ground):
+    beams = beams_of([-2.0, 1.0, 0.3])
+    through = explain(ground, beams, np.array([1.2, 0.2, 0.3]))
+    assert through.through > 0.2
+    ends = beams.starts + 0.4 * (beams.ends - beams.starts)
+    short = explain(ground, Beams(beams.starts, ends), np.array([-2.0, 1.0, 0.3]))
+    assert short.short > 0.6
+    assert max(through.score, short.score) < 0.1
+
+
+def test_beams_that_end_where_nobody_has_looked_tell_nothing(ground):
+    beams = beams_of([-2.0, 1.0, 0.3])
+    told = explain(ground, beams, np.array([500.0, 0.0, 0.0]))
+    assert told.unknown == 1.0
+    assert told.score == 0.0

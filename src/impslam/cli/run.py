@@ -121,13 +121,13 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
         raise ConfigError("--live shows a log from its start; leave out --live or --map")
     chosen, source = open_log(log, config, changes)
     quiet = common is not None and common.quiet
-    if not quiet and (chosen_streams := choices(chosen, source)):
-        console.say(f"reads: {chosen_streams}")
     end = EndOfRun()
     page = page or Page()
     player = partial(replay, port=page.port, quiet=quiet) if page.live else None
     name = log.resolve().name.split(".")[0] or "log"
     with run_folder(output, name, force=force) as folder:
+        if not quiet and (chosen_streams := choices(chosen, source)):
+            console.say(f"reads: {chosen_streams}")
         known = execute(
             chosen, source, folder, quiet or page.live, more=[end], player=player, begin=known_map
         )

@@ -10,12 +10,18 @@ from pathlib import Path
 from impslam.errors import ConfigError, SourceError
 from impslam.paths import exchange, make_folder
 
+BEGUN = frozenset({"summary.json"})
+"""Written before the first scan."""
 LIVE = frozenset({"trajectory.live.tum", "truth.tum"})
 """Written while the robot drives."""
-FILES = LIVE | frozenset(
-    {"trajectory.tum", "odometry.tum", "trajectory.csv", "landmarks.csv", "map.pgm", "map.yaml"}
-    | {"map.imp", "graph.g2o", "report.html", "report.png", "summary.json", "config.toml"}
-    | {"truth.landmarks.csv"}
+FILES = (
+    BEGUN
+    | LIVE
+    | frozenset(
+        {"trajectory.tum", "odometry.tum", "trajectory.csv", "landmarks.csv", "map.pgm", "map.yaml"}
+        | {"map.imp", "graph.g2o", "report.html", "report.png", "config.toml"}
+        | {"truth.landmarks.csv"}
+    )
 )
 """What a run writes; only such files are ever replaced or removed."""
 MARK = "trajectory.tum"
@@ -96,13 +102,13 @@ def _kept(folder: Path, results: Set[str], error: BaseException) -> str:
 
     Of a log that cannot be used the live path is nothing.
     """
-    worth = results - LIVE if isinstance(error, SourceError) else results
-    files = [path for path in map(folder.joinpath, sorted(worth)) if path.is_file()]
-    if not any(path.stat().st_size for path in files):
+    files = {path.name: path for path in map(folder.joinpath, results) if path.is_file()}
+    worth = files.keys() - BEGUN - (LIVE if isinstance(error, SourceError) else set())
+    if not any(files[name].stat().st_size for name in worth):
         return ""
-    if folder / "summary.json" in files:
+    if "map.imp" in files:
         return f"{folder} holds what was mapped by then, marked as partial"
-    return f"{folder} holds {', '.join(path.name for path in files)}"
+    return f"{folder} holds {', '.join(sorted(worth))}"
 
 
 def _replace(old: Path, new: Path, own: Set[str]) -> None:

@@ -35,8 +35,9 @@ class FileByFile:
         """Which files could not be written and why, "" if all were."""
         if not self.failed:
             return ""
-        first = next(iter(self.failed.values()))
-        reason = (isinstance(first, OSError) and first.strerror) or in_a_line(first)
+        errors = list(self.failed.values())
+        said = (error.strerror for error in errors if isinstance(error, OSError))
+        reason = next(filter(None, said), "") or in_a_line(errors[0])
         return f"{', '.join(self.failed)} could not be written ({reason})"
 
     def check(self) -> None:

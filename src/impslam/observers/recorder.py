@@ -11,7 +11,7 @@ import numpy as np
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer, Outcome
 from impslam.observers.file_by_file import FileByFile
-from impslam.observers.run_folder import make_run_folder, write_end
+from impslam.observers.run_folder import begin_summary, make_run_folder, write_end
 from impslam.observers.trajectory import TrajectoryWriter
 from impslam.types import Array, TrueLandmark, TruePose
 
@@ -44,6 +44,7 @@ class Recorder(Truth):
     def __init__(self, folder: Path, known: Sequence[TrueLandmark] = ()) -> None:
         super().__init__()
         make_run_folder(folder)
+        begin_summary(folder)
         self._folder, self._known = folder, known
         self._live = TrajectoryWriter(folder)
 

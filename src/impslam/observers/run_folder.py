@@ -42,6 +42,23 @@ def make_run_folder(folder: Path) -> None:
         ) from None
 
 
+def begin_summary(folder: Path) -> None:
+    """Write a summary that calls the run partial, for one that is killed; the end replaces it.
+
+    On a disk that is full by then it holds the place of the last one.
+
+    Raises
+    ------
+    ImpError
+        If it cannot be written.
+    """
+    path = folder / "summary.json"
+    try:
+        path.write_text(json.dumps({"partial": "the run has not ended"}) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ImpError(f"{path}: cannot be written ({error.strerror}); choose another -o") from None
+
+
 def write_run(
     folder: Path,
     known: Map,

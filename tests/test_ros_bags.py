@@ -55,7 +55,8 @@ def test_a_second_lidar_is_added_by_what_the_line_says(room, tmp_path):
     entries, truth = drive(room, recipe)
     log = write(tmp_path / "bag", recipe, entries)
     said = "--set sensors.NAME.kind=lidar2d --set sensors.NAME.stream=/rear/scan"
-    assert f"/rear/scan is another lidar, added by {said}" in choices(*open_log(log))
+    where = "([-0.150 m, 0.000 m, 180.0 deg], /tf_static: base_footprint -> rear)"
+    assert f"/rear/scan {where} is another lidar, added by {said}" in choices(*open_log(log))
     settings = ["sensors.rear.kind=lidar2d", "sensors.rear.stream=/rear/scan"]
     assert "/rear/scan (mount [-0.150 m, 0.000 m, 180.0 deg]" in choices(
         *open_log(log, None, settings)

@@ -63,11 +63,12 @@ def choices(config: Config, source: Source) -> str:
     parts = [
         f"scan {stream} ({_mount_words(name, mount, config)})" for name, stream, mount in lasers
     ]
-    others = source.mounts().keys() - {stream for _, stream, _ in lasers}
+    read = {stream for _, stream, _ in lasers}
     parts += [
-        f"{other} is another lidar, added by --set sensors.NAME.kind=lidar2d --set "
-        f"sensors.NAME.stream={other}"
-        for other in sorted(others)
+        f"{other} ({_words(mount)}, {mount.origin}) is another lidar, added by --set "
+        f"sensors.NAME.kind=lidar2d --set sensors.NAME.stream={other}"
+        for other, mount in sorted(source.mounts().items())
+        if other not in read and mount.pose is not None
     ]
     stream = robot.odometry.stream or source.defaults().get(robot.odometry.consumes, "")
     if not robot.odometry.tells_motion:

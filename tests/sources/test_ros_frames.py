@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from tests.sources.ros_robots import URDF, Recipe, Types, drive, write
+from tests.sources.ros_robots import URDF, Laser, Recipe, Types, drive, write
 
 from impslam import columns
 from impslam.cli import main
@@ -202,3 +202,40 @@ def test_odometry_of_another_body_is_not_base(tmp_path):
     entries = [(0.0, "/tf", T.links(STAMP, [camera])), *(e for e in found if e[0] < 1.0)]
     line = read(write(tmp_path / "bag", recipe, entries))[2]
     assert "(mount [0.100 m, 0.050 m, 0.0 deg], /tf_static: base_footprint -> laser)" in line
+
+
+@pytest.mark.parametrize("in_tf", [True, False])
+def test_of_two_robots_scans_and_odometry_are_of_the_same(tmp_path, in_tf):
+    """The second robot's scans are more, the first one's odometry."""
+    world, found = load_world("room"), []
+    for name in ("one", "two"):
+        recipe = Recipe(
+            lasers=[Laser(topic=f"/{name}/scan", frame=f"{name}/laser")],
+            static=[(f"{name}/{a}", f"{name}/{b}", *where) for a, b, *where in URDF],
+            tf_odometry=(f"{name}/odom", f"{name}/base_footprint") if in_tf else None,
+            odometry={} if in_tf else {f"/{name}/odom": f"{name}/base_footprint"},
+        )
+        end = {"one": {"/one/scan": 0.5}, "two": {"/two/odom": 0.5}}[name]
+        found += [e for e in drive(world, recipe)[0] if e[0] < end.get(e[1], 1.0)]
+    log = write(tmp_path / "bag", Recipe(), sorted(found, key=lambda entry: entry[0]))
+    config, source = open_log(log)
+    line = choices(config, source)
+    assert "scan /two/scan (mount [0.100 m, 0.050 m" in line
+    assert "/tf_static: two/base_footprint -> two/laser" in line
+    with source:
+        notes = [s.note for s in source.streams() if s.note.startswith("odometry")]
+        used = source.defaults()[OdometryPose]
+    assert notes == ["odometry: two/odom -> two/base_footprint" if in_tf else "odometry"]
+    assert used == ("/tf" if in_tf else "/two/odom")
+
+
+def test_scans_without_a_frame_are_said(entries, tmp_path):
+    for entry in entries:
+        if entry[1] == "/scan":
+            entry[2].header.frame_id = ""
+    try:
+        assert "its scans name no frame" in read(bag(tmp_path, entries, links(*URDF)))[2]
+    finally:
+        for entry in entries:
+            if entry[1] == "/scan":
+                entry[2].header.frame_id = "laser"

@@ -59,12 +59,10 @@ class Frames:
     Attributes
     ----------
     lasers : frame of each topic of scans
-    odometry : the transform that is odometry, if there is one
     """
 
     def __init__(self, path: Path, bag: Bag, problems: Problems) -> None:
         self.lasers: dict[str, str] = {}
-        self.odometry: Edge | None = None
         self._path, self._problems = path, problems
         self._tree, self._sources = FrameTree(), dict[str, str]()
         self._bad: dict[str, str] = {}
@@ -90,7 +88,6 @@ class Frames:
             if time > begin and (time > begin + LOOK_AHEAD or self._is_complete()):
                 break
             self._learn(connection.topic, message, time <= begin)
-        self.odometry = self._find_odometry()
 
     def _read_scans(self, bag: Bag) -> int:
         """Learn the frames of the scans; return the time in ns at which the first one was logged."""
@@ -128,19 +125,18 @@ class Frames:
     def _is_complete(self) -> bool:
         """Tell whether the mounts of all scans are known, and odometry if it must come from here."""
         known = all(self._base(frame) for frame in self.lasers.values())
-        return known and bool(self._children or self._find_odometry())
+        return known and bool(self._children or all(map(self.odometry, self.lasers)))
 
-    def _find_odometry(self) -> Edge | None:
-        """Return the transform from odom to what is above a laser, or else to base."""
+    def odometry(self, scan: str) -> Edge | None:
+        """Return the transform from odom to what is above the laser of a topic, or else to base."""
         found = [
             edge
             for edge in self._edges
             if "odom" in _last(edge.parent) and not edge.topic.endswith(STATIC)
         ]
-        above: set[str] = set()
-        for frame in self.lasers.values():
-            with suppress(MessageError):
-                above |= {frame, *(link.parent for link in self._tree.up(frame))}
+        above = {frame := self.lasers.get(scan, "")}
+        with suppress(MessageError):
+            above |= {link.parent for link in self._tree.up(frame)}
         ranked = [
             (_plain(e.child) not in above, _last(e.child) not in BASES, k)
             for k, e in enumerate(found)
@@ -150,14 +146,14 @@ class Frames:
 
     # ------------------------------------------------------------------ mounts
 
-    def mounts(self, odometry: str) -> dict[str, Mount]:
+    def mounts(self, odometry: str, edge: Edge | None) -> dict[str, Mount]:
         """Return the mount of the laser of each topic of scans.
 
-        `odometry` is the topic of odometry: its child frame is base.
+        The child frame of odometry is base; `odometry` is its topic, `edge` the transform that may be it.
         """
         base = self._children.get(odometry, "")
-        if self.odometry is not None and odometry == self.odometry.topic:
-            base = _plain(self.odometry.child)
+        if edge is not None and odometry == edge.topic:
+            base = _plain(edge.child)
         return {topic: self._mount(frame, base) for topic, frame in self.lasers.items()}
 
     def watch(self, mounts: Mapping[str, Mount], topics: Collection[str]) -> MountWatch:
@@ -215,6 +211,8 @@ class Frames:
         if top in self._bad:
             return self._bad[top]
         bases = self._named(BASES)
+        if not frame:
+            return "its scans name no frame"
         if not links:
             return f"no transform tells where {frame} is"
         return f"{frame} leads up to {top}, not to {bases[0] if bases else 'base_link'}"

@@ -55,8 +55,8 @@ Counts: TypeAlias = dict[tuple[str, str], int]
 def choose(log: Path, asked: Mapping[Use, str], counts: Counts) -> dict[str, Use]:
     """Return what each topic is used for: what is asked for first, then the best of each use.
 
-    The best is of the first type in `TYPES`, odometry is called odom (REP 105), and has the most
-    messages.
+    The best is of the first type in `TYPES`, and has the most messages; odometry is rather of the same
+    robot as the scans (by its namespace), and called odom (REP 105).
     """
     uses: dict[str, Use] = {}
     for use, topic in asked.items():
@@ -66,15 +66,25 @@ def choose(log: Path, asked: Mapping[Use, str], counts: Counts) -> dict[str, Use
     for use, kinds in TYPES.items():
         if use in asked:
             continue
+        scan = next((topic for topic, name in uses.items() if name == "scan"), "")
         free = [(kinds.index(k), t, n) for (t, k), n in counts.items() if k in kinds and n]
         fit = [
-            (kind, use == "odometry" and topic.rsplit("/", 1)[-1] != "odom", -n, topic)
+            (kind, use == "odometry" and _unlikely(topic, scan), -n, topic)
             for kind, topic, n in free
             if topic not in uses and is_truth(topic) == (use == "truth")
         ]
         if fit:
             uses[min(fit)[-1]] = use
     return uses
+
+
+def _unlikely(topic: str, scan: str) -> tuple[bool, bool]:
+    """Return whether a topic of odometry is in another namespace than scans, and not called odom."""
+    return _namespace(topic) != _namespace(scan), topic.rsplit("/", 1)[-1] != "odom"
+
+
+def _namespace(topic: str) -> str:
+    return "/".join(topic.split("/")[:2]) if topic.count("/") > 1 else ""
 
 
 def choose_wanted(wanted: Collection[str], counts: Counts) -> dict[str, Use]:

@@ -20,7 +20,7 @@ from impslam.errors import SourceError
 from impslam.sources import ros_messages as ros
 from impslam.sources.base import Mount, Source, Stream
 from impslam.sources.parts import Piece
-from impslam.sources.ros_frames import Frames, first_message, links
+from impslam.sources.ros_frames import Edge, Frames, first_message, links
 from impslam.sources.ros_rows import Record, RowReader
 from impslam.sources.ros_storage import Bag, one_line, storage_class
 from impslam.sources.ros_topics import (
@@ -60,6 +60,7 @@ class RosBag(Source):
     _uses: dict[str, Use] = PrivateAttr(default_factory=dict)
     _defaults: dict[str, Use] = PrivateAttr(default_factory=dict)
     _frames: Frames | None = PrivateAttr(default=None)
+    _edge: Edge | None = PrivateAttr(default=None)  # the transform that may be odometry
     _mounts: dict[str, Mount] = PrivateAttr(default_factory=dict)
     _idle: set[str] = PrivateAttr(default_factory=set)  # transforms and joints that tell no motion
     _held: tuple[str, ...] = PrivateAttr(default=())
@@ -78,8 +79,7 @@ class RosBag(Source):
             counts = self._usable(self._bag, frames)
             self._defaults = choose(self.path, self.topics, counts)
             self._uses = choose_wanted(self.wanted, counts) | self._defaults
-            odometry = next((t for t, use in self._defaults.items() if use == "odometry"), "")
-            self._mounts = frames.mounts(odometry)
+            self._mounts = frames.mounts(self._default("odometry"), self._edge)
             if self._preset is None:
                 self._preset = self._recorded_preset(self._bag)
         except BaseException:
@@ -142,7 +142,7 @@ class RosBag(Source):
         return topic in self._uses or (topic == PRESET_TOPIC and bool(self._preset))
 
     def _note(self, topic: str, kind: str) -> str:
-        edge = self._frames.odometry if self._frames else None
+        edge = self._edge
         if topic in self._uses:
             ways = f": {edge.parent} -> {edge.child}" if edge and topic == edge.topic else ""
             return self._uses[topic] + ways
@@ -156,14 +156,19 @@ class RosBag(Source):
 
     def _usable(self, bag: Bag, frames: Frames) -> Counts:
         """Return the numbers of messages, without transforms or joints that tell no motion."""
-        odometry = frames.odometry.topic if frames.odometry else None
+        counts = count_messages(bag.connections)
+        still = {(t, k): n for (t, k), n in counts.items() if k not in TF_TYPES}
+        self._defaults = choose(
+            self.path, {u: t for u, t in self.topics.items() if u == "scan"}, still
+        )
+        self._edge = frames.odometry(self._default("scan"))
+        odometry = self._edge.topic if self._edge else None
         self._idle = {
             c.topic
             for c in bag.connections
             if (c.msgtype in TF_TYPES and c.topic != odometry)
             or (c.msgtype in TYPES["wheels"] and self._lacks_wheels(bag, c))
         }
-        counts = count_messages(bag.connections)
         return {(topic, kind): n for (topic, kind), n in counts.items() if topic not in self._idle}
 
     def _lacks_wheels(self, bag: Bag, connection: Connection) -> bool:
@@ -175,6 +180,10 @@ class RosBag(Source):
             ros.find_joints(message.name, *joints) is None
             for message, _ in first_message(bag, connection)
         )
+
+    def _default(self, use: Use) -> str:
+        """Return the topic to use, or nothing."""
+        return next((topic for topic, name in self._defaults.items() if name == use), "")
 
     def _open(self) -> Bag:
         if self._bag is None:
@@ -209,9 +218,7 @@ class RosBag(Source):
                 f"are used; other programs need `{bag.repair}` first",
             )
         joints = (self.left_joint, self.right_joint)
-        assert self._frames is not None
-        odometry = self._frames.odometry
-        reader = RowReader(self.path, bag, self._uses, joints, odometry, self._problems)
+        reader = RowReader(self.path, bag, self._uses, joints, self._edge, self._problems)
         for records in self._records(bag, rows):
             yield reader.part(records)
 
@@ -222,7 +229,7 @@ class RosBag(Source):
         events = [c for c in bag.connections if self._preset and c.msgtype == EVENT_TYPE]
         watched = self._frames.publishers(bag, watch.frames)
         others = [c for c in (*events, *watched) if c not in used]
-        topics, odometry = {c.topic for c in used}, self._frames.odometry
+        topics, odometry = {c.topic for c in used}, self._edge
         self._position = 0
         records: list[Record] = []
         size = 0

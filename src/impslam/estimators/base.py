@@ -35,6 +35,8 @@ class Estimator(Component):
     role: ClassVar[str] = "estimator"
     parts: ClassVar[tuple[str, ...]] = ()
     """Roles of the components that it is made of; `start` is given one of each."""
+    goes_on: ClassVar[bool] = False
+    """Whether it can begin with a map that is known."""
     tells_landmarks: ClassVar[bool] = True
     """Whether revisions tell of each landmark when it is matched, comes and goes."""
     keyframes: ClassVar[KeyframeGate] = KeyframeGate()

@@ -38,6 +38,7 @@ SURE = 1e-4
 class Graph(Estimator):
     """A pose graph over the drive, with loop closures; landmarks are estimated on its poses."""
 
+    goes_on: ClassVar[bool] = True
     tells_landmarks: ClassVar[bool] = False
     keyframes: ClassVar[KeyframeGate] = KeyframeGate(distance=0.4, angle=0.4, seconds=math.inf)
 

@@ -34,6 +34,7 @@ BESIDE = 0.1
 landmarks are estimated again, and its whole grid is drawn again."""
 GRID = 1.0
 """s between two pictures of the grid, which changes slowly and is the largest item to send."""
+NOTHING = np.empty((0, 2), np.float32)
 EXPECTED = 64
 """Scans whose arrival time is stored: 6 s of a lidar at 10 Hz, more than ever wait."""
 
@@ -62,6 +63,8 @@ class Snapshot:
     arrived : host time (`devices.base.now`) at which the newest scan arrived, NaN if unknown
     truth : (3,) the newest true pose from a log or a simulator, else None
     finished : whether the run is over
+    placed : whether it is known where in the map the robot is; if not, the pose is in a frame of its
+        own, and path and points are empty
     """
 
     version: int
@@ -80,6 +83,7 @@ class Snapshot:
     arrived: float
     truth: Array | None
     finished: bool
+    placed: bool = True
 
 
 def _empty(version: int, run: int) -> Snapshot:
@@ -122,12 +126,19 @@ class LiveView(Observer):
         self._path, self._health = ThinPath(), HealthMonitor()
         self._expected: deque[tuple[float, float]] = deque(maxlen=EXPECTED)
         self._truth: Array | None = None
+        self._placed = True
         self._stale, self._marks_due, self._grid_due = False, 0.0, 0.0
 
-    def begin(self, run: Growing, resolution: float = 0.05) -> None:
-        """Start to show the map of a run; `resolution` is the side of the grid's cells in m."""
+    def begin(self, run: Growing, resolution: float = 0.05, *, placed: bool = True) -> None:
+        """Start to show the map of a run.
+
+        `resolution` is the side of the grid's cells in m. The robot is not `placed` where it begins in
+        a map that is known, at a place that is not.
+        """
         self._forget(run, resolution)
-        self._shown = _empty(self._shown.version + 1, self._shown.run + 1)
+        self._placed = placed
+        empty = _empty(self._shown.version + 1, self._shown.run + 1)
+        self._shown = replace(empty, placed=placed)
 
     def expect(self, stamp: float, arrived: float) -> None:
         """Set the host time at which the scan with this stamp arrived, before it is estimated."""
@@ -148,6 +159,8 @@ class LiveView(Observer):
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
         """Show a keyframe and its revision."""
         self._stale = True
+        placed = np.broadcast_to(revision.placed, revision.ids.shape)
+        self._placed = bool(placed[revision.ids == keyframe.id].all())
         points = _points(keyframe.scan, keyframe.T_keyframe_stamp)
         self._health.revise(keyframe, revision, path)
         if len(revision.ids) > 1 and self._run is not None:
@@ -173,14 +186,15 @@ class LiveView(Observer):
             path.poses[-1],
             path.covariances[-1],
             path.odometry[-1],
-            self._path.points,
+            self._path.points if self._placed else NOTHING,
             self._read(),
-            _moved(path.poses[-1], points),
+            _moved(path.poses[-1], points) if self._placed else NOTHING,
             self._painted(),
             *self._state(),
             self._arrival(stamp),
             self._truth,
             finished=False,
+            placed=self._placed,
         )
 
     def _state(self) -> tuple[str, str]:
@@ -190,7 +204,6 @@ class LiveView(Observer):
 
     def carry(self, path: PathRows, silent: float) -> None:
         """Show where dead reckoning says that the robot is after so many s without a scan."""
-        nothing = np.empty((0, 2), np.float32)
         self._shown = replace(
             self._shown,
             version=self._shown.version + 1,
@@ -198,7 +211,7 @@ class LiveView(Observer):
             pose=path.poses[-1],
             covariance=path.covariances[-1],
             odometry=path.odometry[-1],
-            points=nothing,
+            points=NOTHING,
             state=STATES[DEGRADED],
             why=f"lidar silent for {max(silent, 1.0):.0f} s; the pose is dead-reckoned",
             arrived=float("nan"),

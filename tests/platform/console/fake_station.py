@@ -32,7 +32,7 @@ from impslam.platform.console.session import Session
 from impslam.platform.devices.base import Health, now
 from impslam.platform.station.helm import Helm
 from impslam.platform.station.map_store import StoredMap
-from impslam.platform.station.mapper import MapperStatus
+from impslam.platform.station.mapper_status import MapperStatus
 from impslam.platform.station.player import PlayerStatus
 from impslam.platform.station.recorder import RecordingStatus
 from impslam.platform.station.shelf import Binned
@@ -75,7 +75,7 @@ class FakeView:
         self.generator = np.random.default_rng(1)
         self.seen = np.zeros((ROWS, COLUMNS), np.uint8)
         self.path: list[Array] = []
-        self.count = 0
+        self.count, self.placed = 0, True
         self.now: Snapshot = Snapshot(
             0, 1, math.nan, 0, np.zeros(3), np.zeros((3, 3)), np.zeros(3), np.zeros((0, 2), np.float32),
             (), np.zeros((0, 2), np.float32), None, "TRACKING", "", math.nan, None, False,
@@ -102,7 +102,7 @@ class FakeView:
             np.array([*self.path, pose[:2]], np.float32), self._landmarks(arrived),
             ends[valid].astype(np.float32),
             self._grid() if self.count % 10 == 1 else self.now.grid, "TRACKING", "",
-            arrived, None, False,
+            arrived, None, False, self.placed,
         )  # fmt: skip
 
     def _paint(self, pose: Array, ends: Array, valid: Any) -> None:
@@ -260,10 +260,11 @@ class FakeRecorder:
 class FakeMapper:
     def __init__(self) -> None:
         self.state, self.steps, self.starts = "off", 0, 0
+        self.name, self.frozen, self.placed = "", False, True
 
     def status(self) -> MapperStatus:
-        state = cast("Any", self.state)
-        return MapperStatus(state, self.steps, 0, 0, 0.08, 0.012, "")
+        known = self.name, self.frozen, self.placed
+        return MapperStatus(cast("Any", self.state), self.steps, 0, 0, 0.08, 0.012, "", 0, *known)
 
 
 class FakeStation:
@@ -281,6 +282,7 @@ class FakeStation:
         self.lost: str = ""
         self.pose, self.odometry = np.zeros(3), np.zeros(3)
         self.faults: list[dict[str, Any]] = []
+        self.hints: list[tuple[float, float]] = []
 
     def fault(self, fault: str, **what: Any) -> None:
         if fault == "malfunction":
@@ -310,6 +312,15 @@ class FakeStation:
     def start_mapping(self) -> None:
         self.mapper.state = "running"
         self.mapper.starts += 1
+
+    def go_on(self, name: str, *, frozen: bool = False) -> None:
+        self.start_mapping()
+        self.mapper.name, self.mapper.frozen, self.mapper.placed = name, frozen, False
+        self.view.placed = False
+
+    def hint(self, x: float, y: float) -> None:
+        self.hints.append((x, y))
+        self.mapper.placed = self.view.placed = True
 
     def save_map(self) -> Path:
         return self.folder / "maps" / "map-20261121-101500"
@@ -423,6 +434,7 @@ def serve(port: int, *, tour: bool, replay: bool) -> None:
             "driver": helm.name, "stopped": helm.stopped, "speed": helm.speed,
             "turn_rate": helm.turn_rate, "latencies": page.latencies().tolist(),
             "player": [player.state, player.speed, player.steps], "starts": station.mapper.starts,
+            "hints": station.hints,
             "recording": station.recorder.status().active, "logs": [log.name for log in station.store.kept],
             "pose": station.pose.tolist(), "cpu": time.process_time(), "time": time.time(),
         }  # fmt: skip
@@ -453,6 +465,9 @@ def serve(port: int, *, tour: bool, replay: bool) -> None:
         station.helm.leave("reset")
         station.drive.told.clear()
         station.drive.stops = station.drive.releases = station.mapper.starts = 0
+        station.hints.clear()
+        station.mapper.name, station.mapper.frozen = "", False
+        station.mapper.placed = station.view.placed = True
 
     @api.get("/fake/demote")
     def demote() -> None:

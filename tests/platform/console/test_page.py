@@ -194,6 +194,37 @@ def test_maps_are_listed_deleted_and_restored(browser, robot):
 
 
 @pytest.mark.browser
+def test_a_map_is_gone_on_with_and_a_click_tells_where_the_robot_is(browser, robot):
+    with visit(browser, robot) as watched, visit(browser, robot, "watcher") as watcher:
+        page = watched.page
+        page.get_by_test_id("tab-maps").click()
+        making, hall, broken = page.get_by_test_id("stored-map").all()
+        expect(making.get_by_test_id("go-on")).to_have_count(0)
+        expect(broken.get_by_test_id("localise")).to_have_count(0)
+        hall.get_by_test_id("localise").click()
+        expect(page.get_by_text("It stays as it is.")).to_be_visible()
+        page.get_by_test_id("confirm").click()
+        expect(page.get_by_test_id("sought")).to_contain_text("or click where it is")
+        expect(watcher.page.get_by_test_id("sought")).not_to_contain_text("click")
+        expect(page.get_by_test_id("pose-x")).to_have_count(0)
+        page.get_by_test_id("tab-record").click()
+        said = page.get_by_test_id("mapping")
+        expect(said).to_contain_text("Localising in map-20261120-141503, not found in it yet")
+        expect(page.get_by_test_id("map-save")).to_be_hidden()
+        canvas = page.get_by_test_id("map").locator("canvas")
+        for looked in (watcher.page.get_by_test_id("map").locator("canvas"), canvas):
+            assert robot.state()["hints"] == []
+            box = looked.bounding_box()
+            looked.click(position={"x": box["width"] / 2, "y": box["height"] / 2})
+        expect(page.get_by_test_id("pose-x")).to_be_visible()
+        ((x, y),) = robot.state()["hints"]
+        assert -2.0 < x < 8.0  # the middle of the map, or near it
+        assert -2.0 < y < 6.0
+        expect(said).to_contain_text("Localising in map-20261120-141503 ·")
+        assert not watched.complaints
+
+
+@pytest.mark.browser
 def test_mapping_is_begun_anew_and_saved(browser, robot):
     with visit(browser, robot) as watched:
         page = watched.page

@@ -12,7 +12,7 @@ from impslam.errors import ImpError
 from impslam.map import Map
 from impslam.platform.station import map_keeper as module
 from impslam.platform.station.map_keeper import MapKeeper
-from impslam.platform.station.mapper import MapperStatus
+from impslam.platform.station.mapper_status import MapperStatus
 from impslam.simulation.world import load_world
 
 
@@ -22,7 +22,7 @@ class Toy:
     def __init__(self):
         self.steps, self.saved, self.full, self.error, self.pause = 0, [], [], "", 0.0
 
-    def start(self):
+    def start(self, going_on=None):
         self.steps = 0
 
     def status(self):

@@ -14,7 +14,7 @@ from impslam.platform.station.shelf import StoreError
 
 def make(folder, name, scans=50):
     (folder / name).mkdir(parents=True)
-    known = replace(runs.play([]), about={"counts": {"steps": scans}})
+    known = replace(runs.play([]), about={"logs": [{"scans": 1}, {"scans": scans - 1}]})
     known.save(folder / name / "map.imp")
     return folder / name
 
@@ -93,7 +93,7 @@ def test_nothing_else_is_reached(folder, name):
 
 
 def test_the_table_of_a_map_is_read_alone(folder):
-    assert archive.about(folder / "map-1" / "map.imp") == {"counts": {"steps": 50}}
+    assert archive.about(folder / "map-1" / "map.imp") == {"logs": [{"scans": 1}, {"scans": 49}]}
     with pytest.raises(ImpError, match="not a map"):
         archive.about(folder / "broken" / "map.imp")
     with pytest.raises(ImpError, match="no such file"):

@@ -65,8 +65,8 @@ def slow(seconds=0.0, fails_at=-1):
 class Ready(LiveMapper):
     """Has nothing to compile: what comes after its start is mapped."""
 
-    def start(self):
-        super().start()
+    def start(self, going_on=None):
+        super().start(going_on)
         wait_until(lambda: self.status().state != "compiling")
 
 

@@ -1,14 +1,20 @@
 """The station as a whole: what it does when a part of it fails."""
 
+import math
 import threading
+import time
+from dataclasses import replace
 
 import pytest
+from tests.platform.station.test_mapper import drain
+from tests.rings import GRAPH, ring
 
 from impslam.errors import ImpError
+from impslam.map import Map
 from impslam.platform.devices.base import Device, Reading, now
 from impslam.platform.station.recorder import RecordingError
 from impslam.platform.station.station import Station
-from impslam.types import Climate
+from impslam.types import Climate, TruePose
 
 NO_DISK = 10**18  # bytes that no disk has free
 
@@ -90,3 +96,76 @@ def test_readings_of_many_threads_leave_the_events_bounded_and_readable(folder):
     for thread in threads:
         thread.join(5.0)
     assert len(robot.events) == 200
+
+
+@pytest.fixture
+def corridors(folder, monkeypatch):
+    """A station whose robot has mapped a ring of corridors; what it sends next is of a later drive."""
+    robot = station(folder)
+    monkeypatch.setattr(robot.mapper, "_config", GRAPH)
+    monkeypatch.setattr(robot.mapper, "_prepare", lambda config: None)
+    messages = [m for m in ring() if not isinstance(m, TruePose)]
+    robot.start_mapping()
+    send(robot, messages)
+    robot.save_map()
+    yield robot, [replace(m, stamp=m.stamp + 5000.0) for m in messages]
+    robot.stop()
+
+
+def send(robot, messages):
+    while robot.mapper.status().state == "compiling":
+        time.sleep(0.01)
+    for message in messages:
+        while robot.mapper.status().waiting > 1:
+            time.sleep(0.001)
+        robot.mapper.put(message)
+    drain(robot.mapper)
+
+
+def test_a_robot_is_localised_in_a_map_that_stays(corridors):
+    robot, messages = corridors
+    name = robot.keeper.name
+    before = (robot.maps.path(name) / "map.imp").read_bytes()
+    robot.go_on(name, frozen=True)
+    send(robot, messages[:100])
+    status = robot.mapper.status()
+    assert (status.name, status.frozen, status.placed) == (name, True, False)
+    assert robot.view.snapshot().grid is not None
+    assert len(robot.view.snapshot().path) == 0
+    robot.hint(0.0, 0.0)  # begun anew about that place
+    send(robot, messages)
+    assert robot.mapper.status().placed
+    with pytest.raises(ImpError, match="known where it is"):
+        robot.hint(0.0, 0.0)
+    x, y, _ = robot.view.snapshot().pose
+    assert math.hypot(x - 9.0, y) < 0.3
+    with pytest.raises(ImpError, match="stays as it is"):
+        robot.save_map()
+    robot.keeper.stop()
+    assert [one.name for one in robot.maps.maps()] == [name]
+    assert (robot.maps.path(name) / "map.imp").read_bytes() == before
+
+
+def test_a_map_that_is_gone_on_with_grows_into_a_new_one(corridors):
+    robot, messages = corridors
+    name = robot.keeper.name
+    robot.go_on(name)
+    send(robot, messages)
+    assert robot.mapper.status().placed
+    robot.keeper.stop()
+    grown, first = robot.maps.maps()
+    assert (first.name, grown.name) == (name, robot.keeper.name)
+    assert grown.scans == 2 * first.scans
+    known = Map.load(robot.maps.path(grown.name) / "map.imp")
+    assert known.keyframes.placed.all()
+    robot.maps.delete(name)
+
+
+def test_a_map_that_cannot_be_read_leaves_the_present_one(folder):
+    robot = station(folder)
+    (folder / "maps" / "broken").mkdir(parents=True)
+    (folder / "maps" / "broken" / "map.imp").write_text("no map")
+    for name in ("broken", "nothing"):
+        with pytest.raises(ImpError, match=name):
+            robot.go_on(name)
+    assert robot.mapper.status().state == "off"

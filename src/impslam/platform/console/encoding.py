@@ -53,6 +53,7 @@ def common(snapshot: Snapshot) -> Frame:
         "state": snapshot.state,
         "why": snapshot.why,
         "finished": snapshot.finished,
+        "placed": snapshot.placed,
     }
 
 

@@ -13,7 +13,7 @@ from nicegui import ui
 from impslam.platform.console.feed import Feed
 from impslam.platform.console.widgets import card, milliseconds, size, tagged
 from impslam.platform.devices.base import Health
-from impslam.platform.station.mapper import MapperStatus
+from impslam.platform.station.mapper_status import MapperStatus
 from impslam.platform.station.recorder import RecordingStatus
 from impslam.platform.station.station import StationHealth
 from impslam.types import Event

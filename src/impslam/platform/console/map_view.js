@@ -9,7 +9,7 @@ const LAYERS = [
 export default {
   template: `
     <div class="map" role="region" aria-label="Map" data-testid="map" v-bind="data">
-      <canvas ref="canvas" aria-label="Map of landmarks, walls, scan, path and robot" role="img"
+      <canvas ref="canvas" :class="{ asks: asks && sought }" aria-label="Map of landmarks, walls, scan, path and robot" role="img"
         @pointerdown="down" @pointermove="move" @pointerup="up" @pointercancel="up" @pointerleave="tip = null"
         @wheel.prevent="wheel" @dblclick="fit"></canvas>
       <div class="hud" data-testid="pose">
@@ -19,8 +19,10 @@ export default {
           <span><i>heading</i> <b data-testid="pose-heading">{{ told(pose[2] * 180 / Math.PI, 1) }}</b>°</span>
           <span class="soft" data-testid="pose-sigma" title="One standard deviation">σ {{ sigma }}</span>
         </template>
+        <span v-else-if="sought" class="sought" data-testid="sought" role="status">Where the robot is in the map is not
+          known yet. Drive on{{ asks ? ", or click where it is" : "" }}.</span>
         <span v-else class="soft">No map yet</span>
-        <div v-if="pose" :class="'pose-state ' + state" data-testid="pose-state" role="status">
+        <div v-if="pose || (sought && state !== 'TRACKING')" :class="'pose-state ' + state" data-testid="pose-state" role="status">
           <b>{{ state }}</b><span v-if="why">{{ why }}</span></div>
       </div>
       <div class="layers" :class="{ open }">
@@ -47,9 +49,9 @@ export default {
       </div>
       <div v-if="tip" class="tip" :style="{ left: tip.x + 'px', top: tip.y + 'px' }">{{ tip.text }}</div>
     </div>`,
-  props: { footprint: Array },
+  props: { footprint: Array, asks: Boolean },
   data: () => ({
-    pose: null, sigma: "", state: "", why: "", mode: "fit", open: window.innerWidth > 700, tip: null, data: {}, hasTruth: false,
+    pose: null, sought: false, sigma: "", state: "", why: "", mode: "fit", open: window.innerWidth > 700, tip: null, data: {}, hasTruth: false,
     shown: Object.fromEntries(LAYERS.map(([name, , on]) => [name, on])),
   }),
   computed: {
@@ -90,7 +92,7 @@ export default {
         map.marks.clear();
       }
       Object.assign(map, {
-        pose: frame.scans ? frame.pose : null, sigma: frame.sigma, turn: frame.turn, odometry: frame.odometry,
+        pose: frame.scans && frame.placed ? frame.pose : null, sigma: frame.sigma, turn: frame.turn, odometry: frame.odometry,
         points: { step: frame.points.step, xy: decode16(frame.points.xy), x: frame.pose[0], y: frame.pose[1] },
       });
       this.append(frame);
@@ -118,7 +120,8 @@ export default {
       this.hasTruth ||= frame.truth !== null;
     },
     tell(frame) {
-      const moved = frame.scans > 0;
+      const moved = frame.scans > 0 && frame.placed;
+      this.sought = !frame.placed;
       this.pose = moved ? frame.pose : null;
       this.sigma = moved && frame.sigma[0] !== null
         ? `${(100 * frame.sigma[0]).toFixed(1)} cm, ${((frame.turn * 180) / Math.PI).toFixed(1)}°` : "";
@@ -219,10 +222,16 @@ export default {
     },
     down(event) {
       this.$refs.canvas.setPointerCapture(event.pointerId);
-      this.pointers.set(event.pointerId, this.at(event));
+      this.pressed = this.at(event);
+      this.pointers.set(event.pointerId, this.pressed);
       this.tip = null;
     },
     up(event) {
+      const [x, y] = this.at(event);
+      const { view, width, height, pressed } = this;
+      const click = event.type === "pointerup" && this.pointers.size === 1 && Math.hypot(x - pressed[0], y - pressed[1]) < 6;
+      if (click && this.asks && this.sought)
+        this.$emit("hint", view.x + (x - width / 2) / view.scale, view.y - (y - height / 2) / view.scale);
       this.pointers.delete(event.pointerId);
     },
     move(event) {

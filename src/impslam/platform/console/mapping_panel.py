@@ -9,7 +9,7 @@ from nicegui import html
 
 from impslam.platform.console.viewer import Viewer
 from impslam.platform.console.widgets import button, card, line, show, tagged, text
-from impslam.platform.station.mapper import MapperStatus
+from impslam.platform.station.mapper_status import MapperStatus
 from impslam.platform.station.station import Station
 
 SAID = {
@@ -44,9 +44,9 @@ class MappingPanel:
         on = status.state in {"running", "compiling"}
         show(self._start, self._may and not on)
         show(self._anew, self._may and on)
-        show(self._save, self._may and status.steps > 0)
+        show(self._save, self._may and status.steps > 0 and not status.frozen)
         scans = f" · {status.steps} scans" if status.steps else ""
-        self._said.text = SAID[status.state] + (f": {status.detail}" if status.detail else scans)
+        self._said.text = _said(status) + (f": {status.detail}" if status.detail else scans)
 
     async def _on_start(self) -> None:
         await self._viewer.run(self._station.start_mapping)
@@ -67,3 +67,11 @@ class MappingPanel:
             self._link.props["href"] = f"/maps/{quote(saved.name)}.zip"
             self._link.props["download"] = f"{saved.name}.zip"
             show(self._saved_line, True)
+
+
+def _said(status: MapperStatus) -> str:
+    """Return what the mapper does."""
+    if status.state != "running" or not status.name:
+        return SAID[status.state]
+    sought = "" if status.placed else ", not found in it yet"
+    return f"{'Localising in' if status.frozen else 'Going on with'} {status.name}{sought}"

@@ -11,11 +11,12 @@ from impslam.platform.console import link, map_view
 from impslam.platform.console.feed import Feed
 from impslam.platform.console.header import Header
 from impslam.platform.console.link import Link
-from impslam.platform.console.map_view import MapView
+from impslam.platform.console.map_view import Hint, MapView
 from impslam.platform.console.model import Model
 from impslam.platform.console.replay_panel import ReplayPanel
 from impslam.platform.console.robot_panels import RobotPanels
 from impslam.platform.console.viewer import Viewer
+from impslam.platform.station.station import Station
 from impslam.types import Array
 
 STYLE = Path(__file__).with_name("console.css")
@@ -66,12 +67,22 @@ class Page:
         self._header = Header(model, self._viewer)
         self._link = Link(robot=model.station is not None)
         with html.main():
-            self._map = MapView(self._feed)
+            self._map = MapView(self._feed, self._hint_for(model.station))
             if model.station is not None:
                 self._panels = RobotPanels(self._feed, model.station, self._viewer, self._header)
             elif model.player is not None:
                 with html.aside().classes("side replay"):
                     self._panels = ReplayPanel(model.player, self._viewer)
+
+    def _hint_for(self, station: Station | None) -> Hint | None:
+        """Return what takes a click on the map while the robot is sought there, None for who watches."""
+        if station is None or not self._viewer.session.may_drive:
+            return None
+
+        async def hint(x: float, y: float) -> None:
+            await self._viewer.run(lambda: station.hint(x, y))
+
+        return hint
 
     def _beat(self) -> None:
         """Show that the robot lives, and what must not wait."""
@@ -91,6 +102,7 @@ class Page:
     def _slow(self) -> None:
         if isinstance(self._panels, RobotPanels):
             self._link.warn(self._panels.slow())
+            self._map.ask(bool(self._feed.health().mapping.name))
 
     def _end(self) -> None:
         """Leave: the session is over, and the guard will ask for a password."""

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from impslam.errors import ImpError
 from impslam.paths import make_folder
+from impslam.platform.station.going_on import GoingOn
 from impslam.platform.station.map_store import FILE
 from impslam.platform.station.mapper import LiveMapper
 
@@ -62,18 +63,40 @@ class MapKeeper:
             self._thread.join()
         self._try()
 
-    def begin(self) -> None:
-        """Save the present map and begin a new one.
+    def begin(self, going_on: GoingOn | None = None) -> None:
+        """Save the present map, and begin a new one or go on with another one.
+
+        A map that is gone on with is saved as a new one: the map that it was stays as it is.
 
         Raises
         ------
         ImpError
-            If the present map cannot be saved; it is then gone on with.
+            If the present map cannot be saved, or the other one cannot be gone on with; the present
+            map then goes on.
         """
         with self._saving:
             self._keep()
-            self._mapper.start()
+            self._mapper.start(going_on)
             self._target, self._kept = None, 0
+
+    def hint(self, x: float, y: float) -> None:
+        """Seek anew where the robot is in the map that is gone on with, about a place, m.
+
+        What was mapped without being found in it is given up.
+
+        Raises
+        ------
+        ImpError
+            If no map is gone on with, or the robot is found in it already.
+        """
+        with self._saving:
+            going_on, status = self._mapper.going_on, self._mapper.status()
+            if status.placed:
+                raise ImpError("the robot need not be sought; it is known where it is in the map")
+            if going_on is None:
+                raise ImpError("a hint is for a map that is gone on with; drive on, to be found")
+            self._mapper.start(going_on.hinted(x, y))
+            self._kept = 0
 
     def save(self) -> Path:
         """Write the map as it is now, with all files of a run, into its folder; mapping goes on.
@@ -84,6 +107,8 @@ class MapKeeper:
             If nothing is mapped yet, or a file cannot be written.
         """
         with self._saving:
+            if self._mapper.status().frozen:
+                raise ImpError("the robot is localised in a map that stays as it is; none is new")
             steps = self._mapper.status().steps
             folder = self._within(self._mapper.save)
             self._kept = steps
@@ -91,10 +116,10 @@ class MapKeeper:
 
     def _keep(self) -> None:
         """Save the map if there is more of it than on the disk."""
-        steps = self._mapper.status().steps
-        if steps > self._kept:
+        status = self._mapper.status()
+        if status.steps > self._kept and not status.frozen:
             self._within(self._mapper.save_map)
-            self._kept = steps
+            self._kept = status.steps
 
     def _within(self, save: Callable[[Path], Path]) -> Path:
         """Save into the folder of this map, which is made if need be; an empty one does not stay."""

@@ -110,8 +110,9 @@ class MapStore:
 def _scans(path: Path) -> tuple[int, str]:
     """Return of how many scans a map is made, or why its file cannot be read."""
     try:
-        return int(archive.about(path)["counts"]["steps"]), ""
+        logs = archive.about(path).get("logs", [])
+        return sum(int(log["scans"]) for log in logs), ""
     except ImpError as error:
         return 0, str(error)
-    except (KeyError, TypeError, ValueError):  # made from Python, without a run
+    except (KeyError, TypeError, ValueError):  # of an earlier version
         return 0, ""

@@ -6,9 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeAlias
 
 from impslam.columns import single_row
 from impslam.config import Config
@@ -19,15 +17,15 @@ from impslam.observers.live_view import LiveView
 from impslam.observers.recorder import Truth
 from impslam.observers.run_folder import write_run
 from impslam.platform.devices.base import now
+from impslam.platform.station.going_on import GoingOn
 from impslam.platform.station.inbox import LIMIT, Inbox
 from impslam.platform.station.map_store import FILE
+from impslam.platform.station.mapper_status import OFF, MapperStatus, State
 from impslam.platform.station.warm_up import warm_up
 from impslam.run import Run
 from impslam.types import Array, Message
 
 log = logging.getLogger(__name__)
-
-State: TypeAlias = Literal["off", "compiling", "running", "failed"]
 
 PATIENCE = 0.25
 """s that a scan waits for odometry to reach its end; it comes every 10 ms, and is lost by then."""
@@ -39,36 +37,6 @@ CARRY = 0.1  # s between two such poses
 BLIND = 10  # scans without odometry until it is told: a second of a lidar at 10 Hz
 LIVE = Path("live")
 """What stands in a run folder for the log's name."""
-
-
-@dataclass(frozen=True, slots=True)
-class MapperStatus:
-    """How mapping is doing.
-
-    Attributes
-    ----------
-    state : "off" (never started, or stopped), "compiling" (before the first scan; a minute at worst,
-        on a fresh machine only), "running", or "failed"
-    steps : scans mapped
-    dropped_scans : scans that came too fast to be mapped
-    waiting : scans that wait to be mapped
-    behind : s since the newest mapped scan arrived, NaN before the first; one sweep when all is well
-    latency : s from the newest mapped scan's arrival to its being mapped, NaN before the first
-    detail : one line: why it failed, what was dropped; "" where all is well
-    refused : scans that could not be used: without beams
-    """
-
-    state: State
-    steps: int
-    dropped_scans: int
-    waiting: int
-    behind: float
-    latency: float
-    detail: str
-    refused: int = 0
-
-
-OFF = MapperStatus("off", 0, 0, 0, float("nan"), float("nan"), "")
 
 
 class LiveMapper:
@@ -98,15 +66,27 @@ class LiveMapper:
         except Exception as error:  # it is told when mapping starts, and fails again
             log.warning("the estimator cannot be compiled: %s", error)
 
-    def start(self) -> None:
-        """Begin a new map, the robot standing at its origin; an older one is given up."""
+    def start(self, going_on: GoingOn | None = None) -> None:
+        """Begin a new map, the robot standing at its origin, or go on with one; give up the present one.
+
+        Raises
+        ------
+        ImpError
+            If the map cannot be gone on with; the present one goes on.
+        """
         with self._lock:
             before = self._mapping
+            thread = None if before is None else before.thread
+            begun = _Mapping(self._config, self._view, self._prepare, thread, going_on)
             if before is not None:
                 before.end()
-            thread = None if before is None else before.thread
-            self._mapping = _Mapping(self._config, self._view, self._prepare, thread)
-            self._mapping.thread.start()
+            self._mapping = begun
+            begun.thread.start()
+
+    @property
+    def going_on(self) -> GoingOn | None:
+        """The map that is gone on with or localised in, None where the map is a new one."""
+        return None if self._mapping is None else self._mapping.going_on
 
     def put(self, message: Message, arrived: float | None = None) -> None:
         """Take a message from any thread; never blocks.
@@ -170,10 +150,13 @@ class _Mapping:
         view: LiveView,
         prepare: Callable[[Config], None],
         before: threading.Thread | None,
+        going_on: GoingOn | None,
     ) -> None:
-        self._config, self._view, self._prepare, self._before = config, view, prepare, before
-        self._truth = Truth()
-        self.run = Run(config, [self._truth, view])
+        self._config = config if going_on is None else going_on.config
+        self._view, self._prepare, self._before = view, prepare, before
+        self._truth, self.going_on = Truth(), going_on
+        known = None if going_on is None else going_on.known
+        self.run = Run(self._config, [self._truth, view], known)
         robot = self.run.robot
         self._scans = tuple(sensor.consumes for sensor in robot.sensors.values())
         self._wanted = (robot.odometry.consumes, *self._scans)
@@ -237,6 +220,8 @@ class _Mapping:
             self._latency,
             self._failure or self._of_late() or self._without_motion(),
             run.robot.problems.counts.get("scan", 0),
+            *(("", False) if self.going_on is None else self.going_on.told),
+            placed=self._view.snapshot().placed,
         )
 
     def _of_late(self) -> str:
@@ -261,7 +246,10 @@ class _Mapping:
         try:
             if self._before is not None:
                 self._before.join()  # it shows its map in the same view
-            self._view.begin(self.run, self._config.grid.resolution)
+            new = self.going_on is None
+            self._view.begin(self.run, self._config.grid.resolution, placed=new)
+            if not new:
+                self._view.refresh()  # to be seen, and pointed at, before the robot is found in it
             self._prepare(self._config)
             self._compiled = True
             while self.open:

@@ -13,10 +13,12 @@ from impslam.config import Config, load, presets
 from impslam.errors import ImpError
 from impslam.observers.live_view import LiveView
 from impslam.platform.devices.base import Device, DriveDevice, Health, Reading, event, now
+from impslam.platform.station.going_on import going_on
 from impslam.platform.station.helm import Helm
 from impslam.platform.station.map_keeper import MapKeeper
 from impslam.platform.station.map_store import MapStore
-from impslam.platform.station.mapper import LiveMapper, MapperStatus
+from impslam.platform.station.mapper import LiveMapper
+from impslam.platform.station.mapper_status import MapperStatus
 from impslam.platform.station.recorder import LogRecorder, RecordingStatus
 from impslam.platform.station.store import LogStore
 from impslam.types import Event, Image, Velocity
@@ -55,7 +57,7 @@ class Station:
     ) -> None:
         self.devices, self.folder, self.limits = devices, folder, limits
         self.store = LogStore(folder)
-        config = load(preset)
+        self._preset, config = preset, load(preset)
         self.recorder = LogRecorder(folder, _portable(preset, config), floor, self._announce)
         self.view = LiveView()
         self.mapper = LiveMapper(config, self.view)
@@ -104,6 +106,17 @@ class Station:
     def start_mapping(self) -> None:
         """Begin a new map, the robot standing at its origin; the present one is saved."""
         self.keeper.begin()
+
+    def go_on(self, name: str, *, frozen: bool = False) -> None:
+        """Go on with a map of the store, or (`frozen`) localise in it; the present one is saved.
+
+        Where in the map the robot is is found while it drives.
+        """
+        self.keeper.begin(going_on(self.maps.path(name), self._preset, frozen=frozen))
+
+    def hint(self, x: float, y: float) -> None:
+        """Seek the robot about a place (m) in the map that is gone on with."""
+        self.keeper.hint(x, y)
 
     def save_map(self) -> Path:
         """Write the map as it is now, with all files of a run, into its folder; mapping goes on."""

@@ -110,17 +110,18 @@ class MapBuilder:
         kept["starts"].append(len(kept["points"]))
 
     def _drop(self, ids: tuple[int, ...]) -> None:
-        """Drop the points of keyframes."""
-        starts, points = (self._keyframes[name].array for name in ("starts", "points"))
-        lengths = np.diff(starts)
-        own = np.zeros(len(lengths), np.bool_)
-        own[list(ids)] = True
-        kept = points[np.repeat(~own, lengths)]
-        starts = np.append(0, np.cumsum(np.where(own, 0, lengths)))
-        self._keyframes["starts"] = GrowingArray(dtype=np.int64)
-        self._keyframes["starts"].append(starts, len(starts))
-        self._keyframes["points"] = GrowingArray(2, dtype=np.float32)
-        self._keyframes["points"].append(kept, len(kept))
+        """Drop the points of keyframes, which are some of the newest."""
+        first, starts = min(ids), self._keyframes["starts"].array
+        begin, lengths = int(starts[first]), np.diff(starts[first:])
+        dropped = np.zeros(len(lengths), np.bool_)
+        dropped[np.array(ids) - first] = True
+        points = self._keyframes["points"].array[begin:]
+        kept = points[np.repeat(~dropped, lengths)]
+        lengths[dropped] = 0
+        ends = begin + np.cumsum(lengths)
+        for name, old, new in (("points", len(points), kept), ("starts", len(ends), ends)):
+            self._keyframes[name].shorten(old)
+            self._keyframes[name].append(new, len(new))
 
     def _hang(
         self, anchor: int, stamps: Array, T_anchor_base: Array, covariance: Array, odometry: Array

@@ -261,7 +261,7 @@ def _usable(keyframe: Keyframe) -> tuple[Keyframe, str]:
         keyframe = replace(keyframe, motion=motion)
     try:
         check_keyframe(keyframe)
-        if not all(o.R[0, 0] > 0.0 and np.linalg.det(o.R) > 0.0 for o in keyframe.observations):
+        if not all(_is_definite(o.R) for o in keyframe.observations):
             wrong = "an extractor's R is no covariance"
     except NumericalError as error:
         wrong = str(error)
@@ -272,3 +272,11 @@ def _usable(keyframe: Keyframe) -> tuple[Keyframe, str]:
         return replace(keyframe, motion=motion), ""
     why = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {wrong}"
     return replace(keyframe, motion=motion, scan=None, observations=()), why
+
+
+def _is_definite(R: Array) -> bool:
+    """Tell whether R (d, d) may be a covariance; by its first pivot and its determinant."""
+    if len(R) == 2:  # of nearly all observations; numpy's takes twenty times as long
+        (a, b), (c, d) = R.tolist()
+        return bool(a > 0.0 and a * d > b * c)
+    return bool(R[0, 0] > 0.0 and np.linalg.det(R) > 0.0)

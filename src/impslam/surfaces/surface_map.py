@@ -108,7 +108,11 @@ def empty_surface_map(width: float, height: float, surfels: int) -> SurfaceMap:
 def clear(known: SurfaceMap, corner: Array) -> None:
     """Remove all surfels, and move the grid's corner (2,) m."""
     height, width = known.nearest.shape
-    for k in range(known.size[0]):
+    one_by_one = known.size[0] * (2 * REACH + 1) ** 2 < height * width
+    if not one_by_one:
+        known.nearest[:] = 0
+        known.closeness[:] = 0
+    for k in range(known.size[0] if one_by_one else 0):
         column = int((known.surfels[k, _X0] - known.corner[0]) / CELL)
         row = int((known.surfels[k, _Y0] - known.corner[1]) / CELL)
         for r in range(max(0, row - REACH), min(height, row + REACH + 1)):

@@ -41,7 +41,6 @@ FAR = 5.0  # m, the greatest distance that is told
 VICINITY = 10.0  # m from a keyframe, at most: farther away a scan sees too little of what they saw
 EDGE = 2  # cells that nobody has looked at, around a grid
 MOST = 20.0  # points that a surfel averages over
-SURFELS = 40  # for each m^2 of wall cells and their surroundings, at most
 
 
 class Ground(NamedTuple):
@@ -173,4 +172,4 @@ def _surfaces(
     known.corner[:] = corner
     for view, pose in zip(views, poses, strict=True):
         add(known, view.features, np.ascontiguousarray(pose), MOST)
-    return known._replace(surfels=known.surfels[: max(1, math.ceil(known.size[0]))].copy())
+    return known._replace(surfels=known.surfels[: known.size[0]].copy())

@@ -113,26 +113,24 @@ class Relocaliser:
 
     Examples
     --------
-    An L-shaped room is mapped from one place, and a scan from another one is found:
+    A room of five walls is mapped from one place, and a scan from another one is found:
 
     >>> import numpy as np
     >>> import impslam
     >>> angles = np.radians(np.arange(-180.0, 180.0))
+    >>> facing = np.radians([0.0, 70.0, 180.0, 250.0, 300.0])
     >>> def scan(x, y, turn):
-    ...     c, s = np.cos(angles + turn), np.sin(angles + turn)
-    ...     right = np.where((c > 0) & (y + (4 - x) * s / np.maximum(c, 1e-9) < 2), 4 - x, 2 - x)
-    ...     up = np.where((s > 0) & (x + (2 - y) * c / np.maximum(s, 1e-9) < 2), 5 - y, 2 - y)
-    ...     across = np.where(c > 0, right, -x) / np.where(c == 0, 1e-9, c)
-    ...     along = np.where(s > 0, up, -y) / np.where(s == 0, 1e-9, s)
-    ...     return np.minimum(across, along)
+    ...     left = [3.0, 2.0, 1.5, 2.5, 3.0] - x * np.cos(facing) - y * np.sin(facing)
+    ...     c = np.cos(angles[:, None] + turn - facing)
+    ...     return np.where(c > 1e-9, left / np.maximum(c, 1e-9), np.inf).min(axis=1)
     >>> slam = impslam.Slam("default")
-    >>> slam.add_odometry([0.0, 1.0], [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    >>> slam.add_scans([0.0, 1.0], [scan(1.0, 1.0, 0.0)] * 2, angles)
+    >>> slam.add_odometry([0.0, 1.0], [[0.0, 0.0, 0.0]] * 2)
+    >>> slam.add_scans([0.0, 1.0], [scan(0.0, 0.0, 0.0)] * 2, angles)
     >>> finder = impslam.Relocaliser(slam.finish().keyframes)
-    >>> ranges = scan(1.5, 1.2, 0.5)
+    >>> ranges = scan(0.5, 0.2, 2.5)
     >>> answer = finder.locate(np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles))))
     >>> answer.verdict.value, answer.hypotheses[0].pose.round(1).tolist()
-    ('found', [0.5, 0.2, 0.5])
+    ('found', [0.5, 0.2, 2.5])
     """
 
     def __init__(self, keyframes: Keyframes) -> None:
@@ -156,14 +154,17 @@ class Relocaliser:
     def find_query(
         self, sought: Query, near: Near | None = None, followed: Sequence[Array] = ()
     ) -> Answer:
-        """Return where the newest of several scans was taken; poses (3,) followed are tried too."""
+        """Return where the newest of several scans was taken.
+
+        Poses (3,) that are `followed` are tried as well, unless a hint is given.
+        """
         if len(sought.features) < FEWEST:
             return Answer(Verdict.AMBIGUOUS, ())
         room = None if near is None else _narrowed(self.ground, near)
         centred = sought.features.copy()
         centred[:, :2] -= sought.laser.astype(np.float32)
         places = search_everywhere(self.ground, centred, room)
-        starts = [*_based(places.poses, sought.laser), *followed]
+        starts = [*_based(places.poses, sought.laser), *(followed if near is None else ())]
         return answer(self._settled(sought, starts), sought.scans, complete=places.complete)
 
     def _settled(self, sought: Query, starts: Sequence[Array]) -> list[tuple[Explained, Array]]:

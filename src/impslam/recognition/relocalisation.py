@@ -38,9 +38,10 @@ SAME, SAME_TURN = 0.4, math.radians(8.0)  # m, rad: closer hypotheses are one
 EVIDENCE = 30.0
 """Odds of two places are exp(EVIDENCE * difference of their scores). A scan's beams are not independent:
 they share walls, people in the way and errors of the map, so that 180 of them are worth fewer."""
-CHANCE_SCORE, LUCK = 0.4, 0.13
+CHANCE_SCORE, LUCK = 0.45, 0.08
 """Score that the best place of a map may have for scans of somewhere else, and what is added for one scan,
-a share of it for more of them: chance has to repeat itself with each."""
+a share of it for more of them, for chance has to repeat itself with each. Of 108 ways outside of a map of
+an office, in which rooms look alike, one scored 0.57 and the next 0.44; 2 of 100 scans scored over 0.64."""
 FOUND_ODDS = 0.98  # then the second place is at least 0.13 behind
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,14 @@ def test_info_prints_the_facts_and_draws_the_map(imp, office, tmp_path) -> None:
     assert facts["closures"] == 0
     assert facts["age"] is None  # its stamps are no Unix time
     assert 40.0 < facts["free"] < 190.0
+
+
+def test_info_tells_what_is_not_placed(imp, office, tmp_path) -> None:
+    known = Map.load(office)
+    sessions = np.repeat([0, 1], 10)
+    rows = replace(known.keyframes, sessions=sessions, placed=sessions == 0)
+    file = replace(known, keyframes=rows).save(tmp_path / "lost.imp")
+    assert "20 keyframes, 10 of them not placed in the map" in imp("map", "info", file).out
 
 
 def test_info_draws_where_it_is_told(imp, office, tmp_path) -> None:

@@ -55,7 +55,9 @@ def test_a_merged_map_is_a_map_like_any_other(tmp_path):
     third = mapped(OFFICE, RIGHT, T=(-3.0, 7.0, -1.0), seed=2)
     known = merged(again, third)
     assert known.keyframes.sessions.max() == 2
-    assert [part["log"] for part in known.about["merged"]] == ["drawn"] * 3
+    logs = known.about["logs"]
+    assert [log["log"] for log in logs] == ["drawn"] * 3
+    assert [log["scans"] for log in logs] == [2 * len(w) for w in (LEFT, MIDDLE, RIGHT)]
 
 
 def test_the_second_map_says_as_much_of_its_errors_as_the_first():

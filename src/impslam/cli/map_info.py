@@ -73,11 +73,12 @@ def _rows(found: MapFacts) -> dict[str, str]:
     """Return the facts as people read them."""
     left, right, bottom, top = found.extent
     marks = ", ".join(f"{n} {kind}" for kind, n in found.landmarks.items()) or "none"
+    lost = f", {found.unplaced} of them not placed in the map" if found.unplaced else ""
     graph = f"{found.motions} motions, {found.closures} closures" if found.motions else "none"
     return {
-        "made from": ", ".join(found.logs) or "not told",
+        "made from": ", ".join(filter(None, found.logs)) or "not told",
         "age": _age(found),
-        "path": f"{found.path:.1f} m, {found.scans} scans, {found.keyframes} keyframes",
+        "path": f"{found.path:.1f} m, {found.scans} scans, {found.keyframes} keyframes{lost}",
         "graph": graph,
         "landmarks": marks,
         "area": f"{found.free:.0f} m² free",

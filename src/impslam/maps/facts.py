@@ -6,10 +6,10 @@ import math
 from collections import Counter
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
 
 import numpy as np
 
+from impslam.continuing import logs_of
 from impslam.map import Map
 from impslam.maps.direction import Direction
 from impslam.maps.files import FREE, MapImage
@@ -26,6 +26,7 @@ class MapFacts:
     ----------
     logs : names of the logs that it was made from
     scans, keyframes : their number
+    unplaced : keyframes of which it is not known where they are in the map
     path : m, way of the robot
     motions, closures : edges of the pose graph
     landmarks : number by kind
@@ -39,6 +40,7 @@ class MapFacts:
     logs: tuple[str, ...]
     scans: int
     keyframes: int
+    unplaced: int
     path: float
     motions: int
     closures: int
@@ -54,7 +56,7 @@ class MapFacts:
 def facts(known: Map, image: MapImage, now: float) -> MapFacts:
     """Return the figures of a map; `image` is its grid, `now` the Unix time, s."""
     steps = np.diff(known.path()[:, 1:3], axis=0)
-    steps = steps[np.diff(known.keyframes.sessions[known.anchors]) == 0]
+    steps = steps[np.diff(known.keyframes.sessions[known.anchors[known.placed()]]) == 0]
     closures = int(np.isfinite(known.edges.kernel).sum())
     first, last = (
         (float(known.stamps.min()), float(known.stamps.max()))
@@ -62,9 +64,10 @@ def facts(known: Map, image: MapImage, now: float) -> MapFacts:
         else (math.nan, math.nan)
     )
     return MapFacts(
-        logs=_logs(known.about),
+        logs=tuple(str(log.get("log", "")) for log in logs_of(known)),
         scans=len(known.stamps),
         keyframes=len(known.keyframes),
+        unplaced=int((~known.keyframes.placed).sum()),
         path=float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
         motions=len(known.edges.i) - closures,
         closures=closures,
@@ -76,9 +79,3 @@ def facts(known: Map, image: MapImage, now: float) -> MapFacts:
         age=now - last if last > CLOCK else math.nan,
         direction=known.direction(),
     )
-
-
-def _logs(about: dict[str, Any]) -> tuple[str, ...]:
-    """Return the logs that a map, or the maps that it was merged from, are made from."""
-    parts = about.get("merged", [about])
-    return tuple(str(part["log"]) for part in parts if isinstance(part, dict) and "log" in part)

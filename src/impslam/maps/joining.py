@@ -19,7 +19,7 @@ def joined(first: Map, second: Map, links: Sequence[Link]) -> Map:
     """Return both maps in one, connected by links; poses are as they are in each.
 
     The second one lies in the frame of the first, both have a graph, and the links' poses are in that
-    frame. Landmarks are left out: two of them may be one.
+    frame. Landmarks are left out: two of them may be one. So is where the maps are from.
     """
     n, m = len(first.keyframes), len(first.keyframes.points)
     rows = _columns(first.keyframes, second.keyframes, starts=m)
@@ -32,7 +32,6 @@ def joined(first: Map, second: Map, links: Sequence[Link]) -> Map:
         **sweeps,
         edges=first.edges.joined(edges).joined(_edges(first, second, links)),
         observations=_observations(first) + _observations(second),
-        about={"merged": [*_parts(first), *_parts(second)]},
     )
 
 
@@ -50,12 +49,6 @@ def _columns(first: object, second: object, **offsets: int) -> dict[str, Any]:
 
 def _observations(known: Map) -> tuple[tuple[Observation, ...], ...]:
     return known.observations or ((),) * len(known.keyframes)
-
-
-def _parts(known: Map) -> list[dict[str, Any]]:
-    """Return the origins of the maps that a map was merged from; its own if from none."""
-    parts = known.about.get("merged")
-    return list(parts) if isinstance(parts, list) else [known.about]
 
 
 def _edges(first: Map, second: Map, links: Sequence[Link]) -> Edges:

@@ -10,8 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from impslam.config import Config, load
+from impslam.continuing import logs_of
 from impslam.errors import ImpError
 from impslam.estimators.graph import Graph
 from impslam.map import Map
@@ -75,8 +77,16 @@ def merged(first: Map, *others: Map, progress: Progress = lambda what, share: No
         which, found = _next(known, waiting, progress)
         other = _with_graph(waiting.pop(which), config).moved(found.T)
         progress("joining", 1.0 - len(waiting) / len(others))
-        known = _settled(joined(known, other, found.links), len(known.keyframes), config)
+        both = replace(joined(known, other, found.links), about=_about(known, other))
+        known = _settled(both, len(known.keyframes), config)
     return known
+
+
+def _about(first: Map, second: Map) -> dict[str, Any]:
+    """Return the origin of a map that two are merged into: all logs, and the config of the first."""
+    names = ("log", "log_sha256", "config")
+    named = {name: first.about[name] for name in names if name in first.about}
+    return {**named, "logs": [*logs_of(first), *logs_of(second)], "versions": versions()}
 
 
 def _next(known: Map, waiting: dict[int, Map], progress: Progress) -> tuple[int, Alignment]:
@@ -109,5 +119,4 @@ def _settled(known: Map, begin: int, config: Config) -> Map:
     revision = graph.settle()
     assert revision is not None, "there are keyframes"
     settled = blended(replace(known, edges=graph.edges()).revised(revision))
-    about = {**known.about, "versions": versions()}
-    return replace(settled, landmarks=graph.landmarks(), about=about)
+    return replace(settled, landmarks=graph.landmarks())

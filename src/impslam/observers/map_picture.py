@@ -88,13 +88,9 @@ def _draw_paths(canvas: Canvas, scene: Scene, thickness: float) -> None:
 
 
 def drawn_path(known: Map) -> Array:
-    """Return a map's path (n, 2) m, parted where one drive ends and another one begins.
-
-    Where it is not known where the robot was in the map, it is NaN.
-    """
-    path, anchors = known.rows().poses[:, :2].copy(), known.anchors
-    path[~known.keyframes.placed[anchors]] = np.nan
-    begins = np.flatnonzero(np.diff(known.keyframes.sessions[anchors])) + 1
+    """Return a map's path (n, 2) m, with NaN where one drive ends and another one begins."""
+    path, sessions = known.rows().poses[:, :2], known.keyframes.sessions[known.anchors]
+    begins = np.flatnonzero(np.diff(sessions[known.placed()])) + 1
     return np.insert(path, begins, np.nan, axis=0)
 
 

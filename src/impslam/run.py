@@ -308,8 +308,9 @@ class Run:
         except BaseException as error:
             if self.scans:
                 try:
-                    known = self._salvaged()
-                    self._tell_end(source, known, f"{in_a_line(error)}; {_reach(known)}")
+                    scans = self._continuation.repeated + self.scans
+                    partial = f"{in_a_line(error)}; it holds the first {scans} scans of the log"
+                    self._tell_end(source, self._salvaged(), partial)
                 except Exception as another:  # the first error is the one to tell
                     error.add_note(in_a_line(another))
             raise
@@ -387,12 +388,6 @@ _PENDING = (
     "it was not found where in the map the robot was; what it saw is kept apart in map.imp, and is no "
     "part of the map: go on with a log that drives from known places into it"
 )
-
-
-def _reach(known: Map) -> str:
-    """Return how far a map reaches into its log."""
-    seconds = known.stamps[-1] - known.stamps[0]
-    return f"it holds the first {len(known.stamps)} scans, {seconds:.0f} s of the log"
 
 
 def _finished(

@@ -88,16 +88,21 @@ def test_a_signal_leaves_a_whole_folder_of_a_part(room, tmp_path, number, reason
     check_partial(folder, room, reason)
 
 
-def test_a_part_is_the_begin_of_the_whole(imp, room, tmp_path) -> None:
-    folder = tmp_path / "run"
-    with started("run", room, "-o", folder) as process:
+def test_a_part_is_the_begin_of_the_whole_and_enough_to_go_on(imp, room, tmp_path) -> None:
+    folder, graph = tmp_path / "run", ("--set", "estimator.kind=graph")
+    with started("run", room, "-o", folder, *graph) as process:
         wait_for_scans(folder)
         process.send_signal(signal.SIGINT)
         process.communicate()
-    assert imp("run", room, "-o", tmp_path / "whole").code == 0
+    assert imp("run", room, "-o", tmp_path / "whole", *graph).code == 0
     part = read_tum(folder / "trajectory.live.tum")
     whole = read_tum(tmp_path / "whole" / "trajectory.live.tum")
     np.testing.assert_array_equal(part, whole[: len(part)])
+    more = ("--map", folder / "map.imp")
+    assert imp("run", room, "-o", tmp_path / "rest", *graph, *more).code == 0
+    ends = [read_tum(tmp_path / name / "trajectory.tum") for name in ("whole", "rest")]
+    np.testing.assert_array_equal(ends[0][:, 0], ends[1][:, 0])
+    np.testing.assert_allclose(ends[0], ends[1], atol=0.01)
 
 
 def test_a_second_signal_ends_it_at_once(room, tmp_path) -> None:

@@ -193,7 +193,7 @@ def test_anyone_stops_and_only_the_driver_releases(browser, robot, how):
 def test_the_stop_is_in_reach_over_a_dialog(browser, robot):
     with visit(browser, robot) as watched:
         page = watched.page
-        page.get_by_test_id("delete").first.click()
+        page.get_by_test_id("panel-logs").get_by_test_id("delete").first.click()
         expect(page.get_by_test_id("confirm")).to_be_visible()
         page.get_by_test_id("stop").click()
         until(lambda: robot.state()["stopped"] == "emergency stop by driver 1")

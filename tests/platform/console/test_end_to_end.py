@@ -66,7 +66,7 @@ def test_a_newcomer_drives_records_and_maps_the_arena(browser, tmp_path):
         page.get_by_test_id("leave").click()
         page.get_by_test_id("record-stop").click()
         with page.expect_download() as coming:
-            page.get_by_test_id("download").first.click()
+            page.get_by_test_id("panel-logs").get_by_test_id("download").first.click()
         log = tmp_path / "round.mcap"
         coming.value.save_as(log)
         page.get_by_test_id("map-save").click()

@@ -341,7 +341,8 @@ class Map:
 
     def direction(self) -> Direction:
         """Return the main direction of the walls, and how clear it is."""
-        return main_direction(self.keyframes.poses, self.keyframes.starts, self.keyframes.points)
+        rows = self.keyframes.take(np.flatnonzero(self.keyframes.placed))
+        return main_direction(rows.poses, rows.starts, rows.points)
 
     def straightened(self) -> Map:
         """Return the map turned about its origin, by 45 degrees at most, with walls along the axes.

@@ -1,5 +1,7 @@
 """Two maps of a room in which things were moved."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.extractors.scans import room
@@ -73,3 +75,10 @@ def test_a_wall_that_is_only_seen_along_itself_is_not_gone():
     far = np.concatenate([way(0.5, 5.8, 1.0, 5.8, 3), way(7.5, 5.75, 7.0, 5.75, 3)])
     one, other = mapped(ROOM, DRIVE), mapped(ROOM, far, seed=1)
     assert changes(one, other).gone == ()
+
+
+def test_scans_that_are_not_placed_see_through_nothing():
+    before, after = mapped(np.concatenate([ROOM, WALL]), DRIVE), mapped(ROOM, DRIVE, seed=1)
+    rows = after.keyframes
+    lost = replace(after, keyframes=replace(rows, placed=np.zeros(len(rows), bool)))
+    assert changes(before, lost) == ((), ())

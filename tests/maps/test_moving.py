@@ -1,5 +1,7 @@
 """A map that is moved: what it says of itself stays true, and what is relative stays."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.extractors.scans import room
@@ -138,3 +140,11 @@ def test_a_map_of_nothing_has_no_direction():
     known = mapped(room(50, 51, 50, 51), way(0, 0, 1, 0, 3))
     assert known.direction().share == 0.0
     assert np.isinf(known.direction().sigma)
+
+
+def test_what_is_not_placed_has_no_say_in_the_direction():
+    known = mapped(room(0, 7, 0, 5), way(1.0, 1.5, 6.0, 3.0, 12))
+    poses, sessions = known.keyframes.poses.copy(), np.repeat([0, 1], [4, 8])
+    poses[4:, 2] += 0.5
+    rows = replace(known.keyframes, poses=poses, sessions=sessions, placed=sessions == 0)
+    assert abs(replace(known, keyframes=rows).direction().angle) < np.radians(0.1)

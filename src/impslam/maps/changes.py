@@ -98,7 +98,7 @@ def _seen_through(places: Array, normals: Array, later: Map) -> Mask:
     """Return (p,) whether later scans saw through each place."""
     if not len(places):
         return np.zeros(0, np.bool_)
-    keyframes = later.keyframes
+    keyframes = later.keyframes.take(np.flatnonzero(later.keyframes.placed))
     scans = PlacedScans(keyframes.poses, keyframes.origins, keyframes.starts, keyframes.points)
     each = np.arange(len(places) + 1)
     counts = seen_through(profile(scans), places, normals, each, TOLERANCE, WIDTH)

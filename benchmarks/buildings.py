@@ -88,7 +88,10 @@ def map_by_rows(log: Path, *settings: str) -> Mapped:
 
 
 def count(run: Run, known: Map) -> dict[str, int]:
-    """Return what came of the attempts; those that wait for another in vain are unconfirmed."""
+    """Return what came of the attempts; those that wait for another in vain are unconfirmed.
+
+    A closure whose node was folded is checked as the edge that it has become.
+    """
     graph, keys = run.estimator._graph, run.estimator._keys  # type: ignore[attr-defined]
     edges = graph.edges
     closing = np.isfinite(edges.kernel)
@@ -96,7 +99,7 @@ def count(run: Run, known: Map) -> dict[str, int]:
     off = between(between(poses[edges.i], poses[edges.j]), edges.T_i_j)[closing]
     false = (np.hypot(off[:, 0], off[:, 1]) > FALSE[0]) | (np.abs(off[:, 2]) > FALSE[1])
     counts = dict(run.estimator._closer.recogniser.counts)  # type: ignore[attr-defined]
-    found, accepted = counts.pop("found"), int(closing.sum())
+    found, accepted = counts.pop("found"), graph.closures
     return {
         "tried": counts.pop("attempts"),
         "accepted": accepted,

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from impslam.health import ELSEWHERE, NONE, OPEN, STALLED, UNEXPLAINED, Health, words
+from impslam.health import ELSEWHERE, NONE, OPEN, STALLED, UNEXPLAINED, UNPLACED, Health, words
 from impslam.map import PathRows
 from impslam.observers.health import HealthMonitor
 
@@ -75,9 +75,19 @@ def test_a_robot_that_is_lost_stays_so_until_a_place_is_recognised(cuts):
     assert why(health) == "only 80 % of the scan fits the map: the robot is elsewhere"
     sweep = SimpleNamespace(scan=None, reason=NONE, amount=0.0, located=True)
     path = PathRows(np.array([14.0]), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3)))
-    for ids, state in (([4], 2), ([3, 4], 0)):
-        monitor.revise(sweep, SimpleNamespace(ids=ids, placed=True, matches=()), path)
+    for ids, placed, state in (([4], False, 2), ([3, 4], False, 2), ([3, 4], True, 0)):
+        revision = SimpleNamespace(ids=ids, matches=(), placed=placed)
+        monitor.revise(sweep, revision, path)
         assert monitor.health.states[-1] == state
+
+
+def test_a_robot_whose_place_in_the_map_is_not_known_is_lost():
+    monitor = HealthMonitor()
+    sweep = SimpleNamespace(scan=None, reason=NONE, amount=0.0, located=True)
+    path = PathRows(np.array([14.0]), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3)))
+    for ids, placed in (([4], False), ([5], False), ([3, 4, 5], np.array([True, True, True]))):
+        monitor.revise(sweep, SimpleNamespace(ids=ids, matches=(), placed=placed), path)
+    assert monitor.health.reasons.tolist() == [UNPLACED, UNPLACED, NONE]
 
 
 def test_spans_tell_the_worst_way_and_the_least_share():

@@ -35,14 +35,13 @@ class HealthMonitor(Observer):
     `UNCERTAIN` since the last match (of a landmark, of a scan with a map, or of a place), or that a scan
     has no valid beam. The growth counts, not the uncertainty itself, which is large far from the start;
     a robot that stands still may see no landmark for long. A robot that is lost stays so until a place
-    is recognised, and one that began anywhere in a map until it is found there.
+    is recognised, and so does one of which it is not known yet where in the map it is.
     """
 
     def __init__(self) -> None:
-        # x, y of the last pose, way since a match, variance there, share that fitted when it was lost
-        self._walked = np.array([0.0, 0.0, 0.0, 0.0, np.nan])
+        # x, y of the last pose, way since a match, variance there; reason and amount of one that is lost
+        self._carried = np.zeros(6)
         self._fresh = True  # no pose yet, or landmarks were recognised
-        self._placed = True  # whether the newest keyframe is
         self._stamps, self._amounts = GrowingArray(), GrowingArray()
         self._reasons = GrowingArray(dtype=np.int8)
 
@@ -66,23 +65,21 @@ class HealthMonitor(Observer):
         if scans is not None:
             valid = scans.valid[track.rows]
         seen = np.asarray(valid.any(axis=1))
-        reasons = track.reasons.copy()
-        if not self._placed:
-            reasons[:] = UNPLACED
-        self._record(path, seen, reasons, track.amounts.copy(), track.located.copy())
+        self._record(path, seen, track.reasons.copy(), track.amounts.copy(), track.located.copy())
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
         """Record the scan of a keyframe."""
-        if len(revision.ids) > 1:  # a place was recognised
-            self._walked[4] = np.nan
-        if revision.matches or len(revision.ids) > 1:
+        lost, placed = self._carried[4:], bool(np.ravel(revision.placed)[-1])
+        if revision.matches or len(revision.ids) > 1:  # a landmark, or a place, is known
             self._fresh = True
-        self._placed = bool(np.all(revision.placed))
+            lost[0] = NONE if placed else lost[0]
+        if not placed and lost[0] == NONE:
+            lost[:] = UNPLACED, 0.0
         seen = keyframe.scan is None or bool(keyframe.scan.valid.any())
         self._record(
             path,
             np.array([seen]),
-            np.array([keyframe.reason if self._placed else UNPLACED], np.int8),
+            np.array([keyframe.reason], np.int8),
             np.array([keyframe.amount]),
             np.array([keyframe.located]),
         )
@@ -92,7 +89,7 @@ class HealthMonitor(Observer):
     ) -> None:
         fresh[:1] |= self._fresh
         self._fresh = False
-        _judge(self._walked, fresh, path.poses, path.covariances, seen, reasons, amounts)
+        _judge(self._carried, fresh, path.poses, path.covariances, seen, reasons, amounts)
         m = len(reasons)
         self._stamps.append(path.stamps, m)
         self._reasons.append(reasons, m)
@@ -101,7 +98,7 @@ class HealthMonitor(Observer):
 
 @kernel
 def _judge(
-    walked: Array,
+    carried: Array,
     fresh: Mask,
     poses: Array,
     covariances: Array,
@@ -111,10 +108,11 @@ def _judge(
 ) -> None:
     """Put in place of the tracker's m reasons (m,) and amounts (m,) what is worse.
 
-    walked (5,) is x, y of the last pose, the way since the last match, the variance there, and the share
-    that fitted when the robot was lost, NaN if it is not; it is carried on. fresh (m,): which poses are
-    those of a match; seen (m,): which scans have a valid beam.
+    carried (6,) is x, y of the last pose, the way since the last match, the variance there, and the reason
+    and the amount of a robot that is lost until it is found. fresh (m,): which poses are those of a
+    match; seen (m,): which scans have a valid beam.
     """
+    walked, lost = carried[:4], carried[4:]
     for k in range(len(poses)):
         variance = covariances[k, 0, 0] + covariances[k, 1, 1]
         if fresh[k]:
@@ -124,11 +122,11 @@ def _judge(
         walked[0], walked[1] = poses[k, 0], poses[k, 1]
         grown = variance - walked[3] > UNCERTAIN**2
         if reasons[k] == ELSEWHERE:
-            walked[4] = amounts[k]
+            lost[0], lost[1] = float(ELSEWHERE), amounts[k]
         if not math.isfinite(variance):
             reasons[k], amounts[k] = NOT_FINITE, 0.0
-        elif not math.isnan(walked[4]):
-            reasons[k], amounts[k] = ELSEWHERE, walked[4]
+        elif lost[0] != NONE:
+            reasons[k], amounts[k] = int(lost[0]), lost[1]
         elif grown and reasons[k] < GROWN:
             reasons[k], amounts[k] = GROWN, walked[2]
         elif not seen[k] and reasons[k] < BLIND:

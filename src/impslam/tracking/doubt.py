@@ -22,10 +22,15 @@ FITS = 0.55
 KNOWN = 0.7
 """Mean inlier share of many scans above which one that does not fit says so: among bushes, people and
 ramps many do not. Indoors the mean is 0.75 to 0.95, outdoors 0.4 to 0.65."""
+FEWEST = 50
+"""Points of a scan that can say so at least: half of fewer may fall on one chair."""
 SIGMAS = 3.0
 """Standard deviations below the mean inlier share, at least: bushes and people fit by chance."""
-AGAIN = 0.7
-"""Share of the mean inlier share above which a scan shows the map again."""
+AGAIN = 0.7, 0.9
+"""Shares of the mean inlier share above which a scan shows the map again: where odometry has it, and
+elsewhere, since places are alike."""
+NEAR = 0.15, 0.1
+"""m, rad: a match is where odometry has it within the scatter of a few matches."""
 PERSISTS = 3, 0.4
 """Scans and s after which it is another place: what people hide one after another fits in between."""
 MEMORY = 0.02, 0.05
@@ -61,6 +66,21 @@ class Doubt(NamedTuple):
     bare: Array
 
 
+class Fit(NamedTuple):
+    """How a scan fits the map.
+
+    Attributes
+    ----------
+    points : number of points that are compared
+    share : inlier share of them
+    off : (3,) pose where it fits best, from where odometry has it
+    """
+
+    points: float
+    share: float
+    off: Array
+
+
 def no_doubt() -> Doubt:
     """Return what is assumed before the first scan."""
     return Doubt(
@@ -69,14 +89,18 @@ def no_doubt() -> Doubt:
 
 
 @kernel
-def judge(doubt: Doubt, share: float, usual: float, duration: float) -> int:
-    """Tell whether a scan, of which `share` fits the map, shows it: `NONE`, `UNEXPLAINED`, `ELSEWHERE`.
+def judge(doubt: Doubt, fit: Fit, usual: float, duration: float) -> int:
+    """Tell whether a scan shows the map: `NONE` if it does, else `UNEXPLAINED` or `ELSEWHERE`.
 
     `usual` is the mean share before, `duration` s since the last scan.
     """
-    off, shares = usual - share, doubt.shares
-    least = AGAIN * usual if doubt.poor[0] > 0.0 else FITS * usual
-    if shares[0] < KNOWN or share >= least or off < SIGMAS * math.sqrt(shares[1]):
+    share, off, shares = fit.share, usual - fit.share, doubt.shares
+    if doubt.poor[0] > 0.0:
+        moved = math.hypot(fit.off[0], fit.off[1]) > NEAR[0] or abs(fit.off[2]) > NEAR[1]
+        fits = share >= usual * (AGAIN[1] if moved else AGAIN[0])
+    else:
+        fits = share >= usual * FITS or off < SIGMAS * math.sqrt(shares[1])
+    if fits or fit.points < FEWEST or shares[0] < KNOWN:
         shares[0] += MEMORY[0] * (share - shares[0])
         shares[1] += MEMORY[1] * (off * off - shares[1])
         doubt.poor[:] = 0.0

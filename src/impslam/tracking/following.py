@@ -23,7 +23,7 @@ from impslam.noise import UNKNOWN
 from impslam.surfaces.features import Features, find_features
 from impslam.surfaces.surface_map import Alignment, Evidence, align
 from impslam.tracking.base import Gate, Steps, go, passed
-from impslam.tracking.doubt import FITS, Doubt, compare, judge
+from impslam.tracking.doubt import FITS, Doubt, Fit, compare, judge
 from impslam.tracking.hypotheses import Prediction, chi2_of, is_steady, reconsider, search
 from impslam.tracking.learned_odometry import LearnedOdometry, correct, learn, variances
 from impslam.tracking.submaps import Submaps, extend, is_empty, oldest
@@ -239,7 +239,10 @@ def _match(
     guess, means = state.pose.copy(), state.means.copy()
     usual, H, W = means[0], np.empty((3, 3)), np.empty(3)
     share = _find(features, state, how, H, W)
-    out.reasons[k] = judge(state.doubt, share, usual, state.lengths[2])
+    off = np.empty(3)
+    between(guess, state.pose, off)
+    fit = Fit(state.evidence.sums[0], share, off)
+    out.reasons[k] = judge(state.doubt, fit, usual, state.lengths[2])
     if out.reasons[k] != NONE:
         out.amounts[k] = share
         state.pose[:], state.means[:] = guess, means
@@ -250,8 +253,6 @@ def _match(
     sure = weakest > enough and weakest > DEGENERATE * strongest
     out.located[k] = share >= FITS * usual and sure
     if not alone:
-        off = np.empty(3)
-        between(guess, state.pose, off)
         plausible = share > 0.6 and abs(off[2]) < 4.0 * math.sqrt(state.prior[1])
         plausible = plausible and abs(off[0]) < 4.0 * math.sqrt(state.prior[0])
         quality = min(1.0, state.means[0] / USUAL) ** 4

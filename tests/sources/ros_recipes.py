@@ -47,6 +47,7 @@ BAGS = {
     ),
     "no largest range": (Recipe(lasers=[Laser(range_max=math.inf)]), "scan /scan"),
     "simulated time": (Recipe(start=0.0, clock=True), "odometry /tf"),
+    "simulated time without clock": (Recipe(start=0.0, ros1=True), "odometry /tf"),
     "two lidars": (
         Recipe(
             static=TWO,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -65,8 +66,22 @@ class RowReader:
     ) -> None:
         self._path, self._bag, self._uses, self._joints = path, bag, uses, joints
         self._odometry, self._problems = odometry, problems
-        topics = {connection.topic for connection in bag.connections if connection.msgcount}
-        self._is_simulated = "/clock" in topics  # then stamps may begin at 0
+        self._begins_at_zero = any(map(self._is_of_simulator, bag.connections))
+
+    def _is_of_simulator(self, connection: Connection) -> bool:
+        """Tell whether stamps begin at 0: there is a clock, or only the first message is stamped 0."""
+        if connection.topic == "/clock":
+            return connection.msgcount > 0
+        if self._uses.get(connection.topic) not in ("scan", "odometry"):
+            return False
+        found = []
+        with suppress(Exception):  # rosbags raises anything on damaged data
+            for _, _, data in islice(self._bag.messages([connection]), 2):
+                message = self._bag.decoder(connection)(data)
+                if connection.msgtype in TF_TYPES:
+                    message = message.transforms[0]
+                found.append(ros.header_stamp(message))
+        return len(found) == 2 and found[0] == 0 < found[1]
 
     def part(self, records: Sequence[Record]) -> list[Piece]:
         """Return the rows of some messages."""
@@ -148,7 +163,7 @@ class RowReader:
     def _stamp(self, topic: str, message: RosMessage, log_time: int) -> int:
         """Return the stamp of a message in ns, or when it was logged if it has none."""
         nanoseconds = ros.header_stamp(message)
-        if nanoseconds or self._is_simulated or log_time <= ros.NANOSECONDS:
+        if nanoseconds or self._begins_at_zero or log_time <= ros.NANOSECONDS:
             return nanoseconds
         self._problems.add(
             "no stamp",

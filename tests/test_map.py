@@ -400,6 +400,8 @@ WRONG = [
     ("keyframes/sessions", np.array([0, 2, 2]), "sessions do not count up"),
     ("keyframes/sessions", np.array([1, 1, 1]), "sessions do not count up"),
     ("keyframes/poses", np.full((3, 3), np.nan), "keyframes/poses is not finite"),
+    ("keyframes/motion_covariances", -np.ones((3, 3, 3)), "are no covariances"),
+    ("keyframes/motion_covariances", np.full((3, 3, 3), np.triu(EYE + 1.0)), "are no covariances"),
     ("observations/counts", np.array([2, 9, 0]), "counts does not fit"),
     ("observations/counts", np.array([3]), "counts does not fit"),
     ("observations/counts", np.array([-1, 4, 0]), "counts does not fit"),

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from impslam.errors import ConfigError
+from impslam.imported_map import GRIDS, load_map
 from impslam.map import Map, Track
 from impslam.types import Array
 
@@ -151,7 +152,11 @@ def begin_with(
     place = None if hint is None else np.array(hint, float)
     if place is not None and (place.shape not in {(2,), (3,)} or not np.isfinite(place).all()):
         raise ConfigError(f"{hint} is no place in a map; give x,y in m, or x,y,theta with rad")
-    return Known(known if isinstance(known, Map) else Map.load(known), frozen, place)
+    if isinstance(known, Map):
+        return Known(known, frozen, place)
+    if Path(known).suffix.lower() in GRIDS and not frozen:
+        raise ConfigError(f"{known}: a grid can be localised in, not gone on with; add --frozen")
+    return Known(load_map(Path(known)), frozen, place)
 
 
 def _cut(track: Track, begin: int) -> Track:

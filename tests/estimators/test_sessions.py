@@ -102,6 +102,18 @@ def test_a_map_goes_on_as_if_it_had_never_stopped(stop, tmp_path):
     np.testing.assert_array_equal(resumed.keyframes.motions, whole.keyframes.motions)
 
 
+def test_a_map_with_motions_that_are_not_known_goes_on(tmp_path):
+    frames = keyframes(RING, TRUTH[:40])
+    unknown = replace(frames[20].motion, d_pose=NOWHERE, covariance=np.full((3, 3), np.nan))
+    frames[20] = replace(frames[20], motion=unknown)
+    made = begun(TRUTH[0])
+    file = mapped(made, frames).save(tmp_path / "map.imp")
+    again = Graph()
+    again.start(np.zeros(3), Map.load(file), models=MODELS)
+    np.testing.assert_allclose(again._keys.steps, made._keys.steps)
+    np.testing.assert_allclose(again._keys.chain, made._keys.chain, atol=1e-9)
+
+
 AGAIN = way(*LAP, (16.0, 1.25))
 """A lap, and 13 m of the next one."""
 

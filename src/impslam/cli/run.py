@@ -46,8 +46,8 @@ class Begin:
     Parameters
     ----------
     map
-        Go on with this map (map.imp). Where in it the log begins is found; a log that was stopped in
-        the middle goes on where the map ends.
+        Go on with this map (map.imp; with --frozen also a grid, map.yaml). Where in it the log begins
+        is found; a log that was stopped in the middle goes on where the map ends.
     frozen
         Localise in the map, and change nothing of it.
     start

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 WAY = 3.0  # m: several rooms or doors are seen on it, and motion along it is known to centimetres
 RADIUS = 3.0  # m: a place pointed at on a map is the one meant, so far around
+LIKELY = 0.98  # odds among the places found; the search may have left out others, which others tell
 DRIFT = 0.1  # m of way: what the way since that place may have strayed by
 
 
@@ -31,11 +32,13 @@ class Finder:
         self._session = -1
         self._map: Relocaliser | None = None
 
-    def find(self, keys: KeyframeLog, graph: PoseGraph) -> Array | None:
-        """Return where the newest keyframe may be in the map, (3,), or None if that cannot be told."""
+    def find(self, keys: KeyframeLog, graph: PoseGraph) -> tuple[Array, bool] | None:
+        """Return where the newest keyframe may be in the map: (3,), and whether it is likely there.
+
+        None if nothing can be told.
+        """
         from impslam.recognition.relocalisation import (  # noqa: PLC0415  few runs need it
             Relocaliser,
-            Verdict,
             query,
         )
 
@@ -52,7 +55,10 @@ class Finder:
             self._map = Relocaliser(keys.keyframes(revised(keys, graph), placed))
         poses = keys.chain[[row for row, view in zip(rows, views, strict=True) if view is not None]]
         answer = self._map.find_query(query(seen, poses), self._near(keys))
-        return answer.hypotheses[0].pose if answer.verdict is Verdict.FOUND else None
+        if not answer.hypotheses:
+            return None
+        best = answer.hypotheses[0]
+        return best.pose, best.odds >= LIKELY
 
     def _near(self, keys: KeyframeLog) -> Near | None:
         """Return about where the newest keyframe is, as far as the hint tells."""

@@ -18,9 +18,9 @@ from impslam.errors import NumericalError
 from impslam.estimators.base import Draft, Estimator, check_keyframe, is_known
 from impslam.estimators.finding import Finder
 from impslam.estimators.keyframe_log import KeyframeLog, Part, blended, refined, revised, spreads
-from impslam.estimators.loop_closing import LoopCloser, LoopSearch
+from impslam.estimators.loop_closing import LoopCloser, LoopSearch, Place
 from impslam.estimators.pose_graph import PoseGraph
-from impslam.estimators.restoring import restored
+from impslam.estimators.restoring import SURE, restored
 from impslam.estimators.thinning import Thinner
 from impslam.geometry.chain import advance
 from impslam.geometry.se2 import between, compose, compose_uncertain
@@ -29,9 +29,6 @@ from impslam.map import Keyframe, Map, Revision
 from impslam.noise import UNKNOWN
 from impslam.tracking.base import KeyframeGate
 from impslam.types import Array, Edges, Landmark, Observation
-
-SURE = 1e-4
-"""m and rad: no motion is surer, and neither is the start; this only keeps covariances definite."""
 
 
 @register("graph")
@@ -161,10 +158,12 @@ class Graph(Estimator):
         keys, graph = self._keys, self._graph
         if not self._is_pending():
             return False
-        pose = self._finder.find(keys, graph)
-        if pose is not None:
-            pose = compose(pose, between(keys.chain[-1], keys.chain[keys.nodes[node]]))
-        return self._closer.tie(node, pose, keys, graph)
+        found = self._finder.find(keys, graph)
+        if found is None:
+            return False
+        pose, likely = found
+        pose = compose(pose, between(keys.chain[-1], keys.chain[keys.nodes[node]]))
+        return self._closer.tie(Place(node, pose, likely), keys, graph)
 
     def _all(self, graph: PoseGraph) -> Revision:
         """Return all keyframes by a graph."""

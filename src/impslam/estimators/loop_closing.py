@@ -15,7 +15,7 @@ import numpy as np
 
 from impslam.estimators.keyframe_log import KeyframeLog, revised
 from impslam.estimators.pose_graph import PoseGraph
-from impslam.geometry.se2 import between
+from impslam.geometry.se2 import between, compose
 from impslam.parameters import Parameters, parameter
 from impslam.recognition.consistency import Relation, consistent
 from impslam.recognition.correlative import Window
@@ -33,6 +33,7 @@ FEWEST_REFERENCES = 4
 AFRESH = 6.0  # m of way: keyframes closer than this along the drive are of the same pass
 CERTAIN = 0.8  # m: a window so small holds one place only
 SUPPORT = 3  # closures that agree: one strong and another one, or three weak ones
+SAME = 1.0, 0.3  # m, rad: places closer than this are one, found twice
 IN_A_ROW = 3  # closures that place a session: over some 7 m, corners and furniture differ
 RECENT = 12.0  # m of way within which a second closure has to agree
 
@@ -73,6 +74,14 @@ class _Pending(NamedTuple):
     j: int
     closure: Closure
     way: float
+
+
+class Place(NamedTuple):
+    """Where in the map a node may lie: the pose (3,) that is best, and whether it is likely."""
+
+    node: int
+    pose: Array
+    likely: bool
 
 
 class _Attempt(NamedTuple):
@@ -118,14 +127,18 @@ class LoopCloser:
             rank[: len(driven)][np.abs(driven - driven[u]) < AFRESH] = np.inf
         return False
 
-    def tie(self, node: int, pose: Array | None, keys: KeyframeLog, graph: PoseGraph) -> bool:
-        """Seek the closure of a node of a session that may lie at a pose (3,) in the map.
+    def tie(self, place: Place, keys: KeyframeLog, graph: PoseGraph) -> bool:
+        """Seek the closure of a node of a session at the place in the map where it may lie.
 
-        Tell whether the session is joined. That takes `IN_A_ROW` of them that agree, at one node after
-        the other: where the robot is may not be in the map, and other rooms and corridors look like it.
-        None is for a node of which nothing is known, and breaks the row.
+        Tell whether the session is joined. That takes `IN_A_ROW` of them that agree: where the robot is
+        may not be in the map, and other rooms and corridors look like it. A place elsewhere breaks the
+        row, and so does one that cannot be verified.
         """
-        new = None if pose is None else self._tie(node, pose, keys, graph)
+        if not all(_fits(tie, place, graph) for tie in self._ties):
+            self._ties = []
+        if not place.likely:
+            return False
+        new = self._tie(place.node, place.pose, keys, graph)
         if new is None or not all(_agree(tie, new, graph) for tie in self._ties):
             self._ties = []
         if new is not None:
@@ -212,6 +225,14 @@ def _agree(one: _Pending, other: _Pending, graph: PoseGraph) -> bool:
     references = Relation(between(graph.poses[one.i], graph.poses[other.i]), drift)
     queries = Relation(between(graph.poses[one.j], graph.poses[other.j]), drift)
     return consistent(_relation(one), _relation(other), references, queries)
+
+
+def _fits(tie: _Pending, place: Place, graph: PoseGraph) -> bool:
+    """Tell whether a place is where a closure of the same session has it, about."""
+    at = compose(graph.poses[tie.i], tie.closure.pose)
+    expected = compose(at, between(graph.poses[tie.j], graph.poses[place.node]))
+    d = between(expected, place.pose)
+    return bool(math.hypot(d[0], d[1]) < SAME[0] and abs(d[2]) < SAME[1])
 
 
 def _relation(found: _Pending) -> Relation:

@@ -13,13 +13,18 @@ from impslam.errors import NumericalError
 from impslam.estimators.keyframe_log import TURN, KeyframeLog
 from impslam.estimators.pose_graph import CLOSURE_LENGTH, PoseGraph
 from impslam.geometry.chain import advance
-from impslam.geometry.se2 import compose, inverse
+from impslam.geometry.se2 import between, compose, inverse
 from impslam.graph.pose_graph import roots
 from impslam.map import Keyframes, Map
 from impslam.maps.layout import undriven
+from impslam.noise import UNKNOWN
 from impslam.recognition.stored import points_view
 from impslam.types import Array, Edges, Ints, Mask
 
+SURE = 1e-4
+"""m and rad: no motion is surer, and neither is the start; this only keeps covariances definite."""
+BESIDE = 0.6
+"""m: a keyframe was dropped for one that is so near; refined, both have moved by centimetres."""
 FOLDED = 4.0
 """m: a node is folded into the one before a keyframe beside it, so that they are this far apart at most."""
 
@@ -38,11 +43,12 @@ def restored(known: Map, spacing: float, *, frozen: bool = False) -> Restored:
     Poses are those of the graph's solution, as they were before all keyframes were refined: motions go
     on from there. With `frozen` they are those of the map, which are to stay.
     """
-    rows = known.keyframes
+    rows = _usable(known.keyframes)
     if frozen:
         rows = replace(rows, motions=undriven(rows.poses)["motions"])
     nodes = _nodes(rows, known.edges, spacing)
     keys = _keys(rows, nodes)
+    _drop(keys, rows)
     observations = known.observations or ((),) * len(rows)
     for seen, stamp in zip(observations, rows.stamps.tolist(), strict=True):
         keys.seen.add(seen, stamp)
@@ -60,6 +66,17 @@ def restored(known: Map, spacing: float, *, frozen: bool = False) -> Restored:
     return Restored(keys, graph, _motion(rows, int(nodes[-1]), len(rows) - 1))
 
 
+def _usable(rows: Keyframes) -> Keyframes:
+    """Return keyframes with motions that can be used, as the estimator takes them; see `SURE`."""
+    T, P = rows.motions, rows.motion_covariances + SURE**2 * np.eye(3)
+    is_known = np.asarray(np.isfinite(np.column_stack([T, P.reshape(-1, 9)])).all(axis=1))
+    return replace(
+        rows,
+        motions=np.where(is_known[:, None], T, 0.0),
+        motion_covariances=np.where(is_known[:, None, None], P, UNKNOWN * np.eye(3)),
+    )
+
+
 def _keys(rows: Keyframes, nodes: Ints) -> KeyframeLog:
     """Return the keyframes as tracked; each session begins at the pose of its first one."""
     keys, first = KeyframeLog(), _begins(rows.sessions)
@@ -68,7 +85,6 @@ def _keys(rows: Keyframes, nodes: Ints) -> KeyframeLog:
     for k in range(len(rows)):
         motion, start = rows.motions[k], None
         if first[k]:
-            motion = np.where(np.isfinite(motion), motion, 0.0)
             start = compose(rows.poses[k], inverse(motion))
         points = rows.points[starts[k] : starts[k + 1]]
         seen = points_view(points, rows.origins[k]) if len(points) else None
@@ -81,6 +97,22 @@ def _keys(rows: Keyframes, nodes: Ints) -> KeyframeLog:
 
 def _begins(sessions: Ints) -> Mask:
     return np.append(True, sessions[1:] != sessions[:-1])
+
+
+def _drop(keys: KeyframeLog, rows: Keyframes) -> None:
+    """Let keyframes without points go with earlier ones beside them, as those do that were dropped."""
+    seeing = np.diff(rows.starts) > 0
+    others = np.flatnonzero(seeing & rows.placed)
+    dropped = []
+    for k in np.flatnonzero(~seeing & rows.placed).tolist():
+        earlier = others[: int(np.searchsorted(others, k))]
+        if len(earlier):
+            apart = np.hypot(*(rows.poses[earlier, :2] - rows.poses[k, :2]).T)
+            if apart.min() < BESIDE:
+                dropped.append((k, int(earlier[np.argmin(apart)])))
+    if dropped:
+        at, hosts = np.array(dropped).T
+        keys.drop(at, hosts, between(rows.poses[hosts], rows.poses[at]))
 
 
 def _nodes(rows: Keyframes, edges: Edges, spacing: float) -> Ints:

@@ -111,6 +111,7 @@ def from_arrays(arrays: Arrays) -> dict[str, Any]:
     parts["edges"] = _edges(arrays, len(keyframes["stamps"]))
     if "tracked" in arrays:
         _check_sessions(keyframes["sessions"])
+        _check_covariances("keyframes/motion_covariances", keyframes["motion_covariances"])
         seen = unpacked(_part(arrays, "observations/"))
         if len(seen) not in (0, len(keyframes["stamps"])):
             raise ValueError("observations/counts does not fit the keyframes")
@@ -148,6 +149,17 @@ def _check_finite(keyframes: Arrays, *names: str) -> None:
     for name in names:
         if not np.isfinite(keyframes[name]).all():
             raise ValueError(f"keyframes/{name} is not finite")
+
+
+def _check_covariances(name: str, covariances: Array) -> None:
+    """Raise an error for matrices (k, 3, 3) that are finite, and no covariances."""
+    told = covariances[np.isfinite(covariances).all(axis=(1, 2))]
+    rounding = 1e-9 * np.abs(told).max(initial=0.0)
+    if len(told) and (
+        np.abs(told - told.swapaxes(1, 2)).max() > rounding
+        or np.linalg.eigvalsh(told).min() < -rounding
+    ):
+        raise ValueError(f"{name} are no covariances")
 
 
 def _check_sessions(sessions: Ints) -> None:

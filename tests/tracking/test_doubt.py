@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from impslam.health import ELSEWHERE, NONE, OPEN, PUSHED, SLIPPED, STALLED, UNEXPLAINED
-from impslam.tracking.doubt import BARE, FITS, Fit, compare, judge, no_doubt
+from impslam.tracking.doubt import BARE, FITS, Fit, compare, judge, lasting, no_doubt
 
 USUAL = 0.85
 AHEAD, STILL = np.array([0.1, 0.0, 0.0]), np.zeros(3)
@@ -68,6 +68,15 @@ def test_wheels_and_scans_are_compared_over_a_second(told, shown, said):
         assert reason in {NONE, said}
         assert k > 0 or reason == NONE  # one match tells nothing
     assert reason == said
+
+
+def test_what_a_match_said_lasts_for_a_second():
+    doubt = no_doubt()
+    assert lasting(doubt, 0.1) == (NONE, 0.0)
+    for _ in range(5):
+        compare(doubt, AHEAD, STILL, True, False, 0.2)
+    assert lasting(doubt, 0.9) == (STALLED, 0.0)
+    assert lasting(doubt, 1.1) == (NONE, 0.0)
 
 
 def test_turns_are_compared_as_well():

@@ -57,6 +57,7 @@ class Doubt(NamedTuple):
     shares : (2,) mean of the inlier share of many scans, and its variance
     told, shown : (2,) m and rad that odometry told and that the scans showed within `SECONDS`
     bare : (1,) m of way since a scan told where the robot is
+    newest : (2,) reason and way of the newest match that was compared
     """
 
     poor: Array
@@ -64,6 +65,7 @@ class Doubt(NamedTuple):
     told: Array
     shown: Array
     bare: Array
+    newest: Array
 
 
 class Fit(NamedTuple):
@@ -84,7 +86,12 @@ class Fit(NamedTuple):
 def no_doubt() -> Doubt:
     """Return what is assumed before the first scan."""
     return Doubt(
-        np.zeros(2), np.array([INDOORS[0], INDOORS[1] ** 2]), np.zeros(2), np.zeros(2), np.zeros(1)
+        np.zeros(2),
+        np.array([INDOORS[0], INDOORS[1] ** 2]),
+        np.zeros(2),
+        np.zeros(2),
+        np.zeros(1),
+        np.zeros(2),
     )
 
 
@@ -127,14 +134,29 @@ def compare(
         sums[0] = keep * sums[0] + math.hypot(motion[0], motion[1])
         sums[1] = keep * sums[1] + abs(motion[2])
     doubt.bare[0] = 0.0 if located else doubt.bare[0] + math.hypot(shown[0], shown[1])
+    doubt.newest[0], doubt.newest[1] = _difference(doubt, located, far)
+    return lasting(doubt, 0.0)
+
+
+@kernel
+def lasting(doubt: Doubt, duration: float) -> tuple[int, float]:
+    """Return reason and way of the newest match for a scan that was not matched, so many s after it."""
+    if duration > SECONDS:
+        return NONE, 0.0
+    return int(doubt.newest[0]), doubt.newest[1]
+
+
+@kernel
+def _difference(doubt: Doubt, located: bool, far: bool) -> tuple[float, float]:
+    """Return why the newest match is no better than odometry, or odometry than the match, and a way."""
     if located:
         for a in range(2):
             if doubt.told[a] > LEAST[a] and doubt.shown[a] < LACKS * doubt.told[a]:
-                return STALLED, 0.0
+                return float(STALLED), 0.0
             if doubt.shown[a] > LEAST[a] and doubt.told[a] < LACKS * doubt.shown[a]:
-                return PUSHED, 0.0
+                return float(PUSHED), 0.0
     if far:
-        return SLIPPED, 0.0
+        return float(SLIPPED), 0.0
     if doubt.bare[0] > BARE:
-        return OPEN, doubt.bare[0]
-    return NONE, 0.0
+        return float(OPEN), doubt.bare[0]
+    return float(NONE), 0.0

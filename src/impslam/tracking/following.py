@@ -23,7 +23,7 @@ from impslam.noise import UNKNOWN
 from impslam.surfaces.features import Features, find_features
 from impslam.surfaces.surface_map import Alignment, Evidence, align
 from impslam.tracking.base import Gate, Steps, go, passed
-from impslam.tracking.doubt import FITS, Doubt, Fit, compare, judge
+from impslam.tracking.doubt import FITS, Doubt, Fit, compare, judge, lasting
 from impslam.tracking.hypotheses import Prediction, chi2_of, is_steady, reconsider, search
 from impslam.tracking.learned_odometry import LearnedOdometry, correct, learn, variances
 from impslam.tracking.submaps import Submaps, extend, is_empty, oldest
@@ -164,6 +164,8 @@ def follow(
             out.reference[k] = True
             state.matched[:] = state.pose
             state.since[:], state.covariance[:], state.lengths[:] = 0.0, 0.0, 0.0
+        else:
+            out.reasons[k], out.amounts[k] = lasting(state.doubt, state.lengths[2])
         between(before, state.pose, out.moved[k])
         ends = passed(gate, out.moved[k], motions.duration[k])
         go(gate, out.moved[k], motions.duration[k])

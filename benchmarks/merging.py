@@ -25,6 +25,7 @@ from impslam.map import Keyframes, Map
 from impslam.maps.merge import merged
 from impslam.maps.relation import Outcome, align_maps
 from impslam.run import run
+from impslam.types import Ints
 
 BUILDINGS = {
     "intel": "intel/intel.log",
@@ -38,11 +39,11 @@ PARTS = 20.0, 120.0  # m of way
 
 
 class Part(NamedTuple):
-    """A part of a drive: its building, its keyframes, and the cells that are free by them."""
+    """A part of a drive: its building, its keyframes, and the keys (n,) of cells that are free by them."""
 
     name: str
     keyframes: Keyframes
-    free: frozenset[tuple[int, int]]
+    free: Ints
 
 
 def cut(log: Path, folder: Path, parts: int, overlap: float) -> list[Path]:
@@ -93,14 +94,15 @@ def part(name: str, known: Map, rng: np.random.Generator) -> Part:
     rows = np.arange(*np.searchsorted(way, [begin, begin + length]))
     keyframes = known.keyframes.take(rows)
     grid = replace(known, keyframes=keyframes).grid(CELL)
-    cells = np.argwhere(grid.logodds < 0.0)[:, ::-1] + grid.corner
-    return Part(name, keyframes, frozenset(map(tuple, cells.tolist())))
+    found, columns = np.nonzero(grid.logodds < 0.0)
+    cells = (found + grid.corner[1] << 32) + columns + grid.corner[0]
+    return Part(name, keyframes, cells)
 
 
 def apart(one: Part, other: Part) -> bool:
     if one.name != other.name:
         return True
-    return len(one.free & other.free) * CELL**2 < COMMON
+    return len(np.intersect1d(one.free, other.free, assume_unique=True)) * CELL**2 < COMMON
 
 
 def refusals(maps: dict[str, Map], tries: int, seed: int = 1) -> None:

@@ -1,6 +1,6 @@
 """Going on with a map: where a log was stopped, with another log, and frozen."""
 
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from tests.numeric import wrapped
 import impslam
 from impslam.continuing import Known, begin_with
 from impslam.errors import ConfigError, ImpError
+from impslam.geometry.se2 import between, compose
 from impslam.map import Map
 
 CORNERS = np.array(
@@ -72,6 +73,24 @@ def test_another_log_begins_a_session_that_is_found(drive, whole, tmp_path):
     assert known.keyframes.placed.all()
     off = wrapped(known.path()[n:, 1:] - known.path()[rows, 1:], 2)
     assert np.abs(off).max() < 0.05
+
+
+def test_a_robot_that_is_carried_elsewhere_is_found_again(drive, whole):
+    """Odometry does not tell that it was."""
+    poses, ranges = drive
+    rows = np.concatenate([np.arange(len(poses)), np.arange(170, 400)])
+    steps = between(poses[rows[:-1]], poses[rows[1:]])
+    steps[len(poses) - 1] = 0.0
+    odometry = np.array(list(accumulate(steps, compose, initial=poses[0])))
+    slam = impslam.Slam("default")
+    stamps = 0.1 * np.arange(len(rows))
+    slam.add_odometry(stamps, odometry)
+    slam.add_scans(stamps, ranges[rows], ANGLES, range_max=20.0)
+    known = slam.finish()
+    assert known.keyframes.sessions.max() == 1
+    assert known.keyframes.placed.all()
+    off = np.hypot(*(known.path()[len(poses) + 5 :] - whole.path()[175:400])[:, 1:3].T)
+    assert off.max() < 0.1
 
 
 def test_a_frozen_map_is_not_changed(drive, whole):

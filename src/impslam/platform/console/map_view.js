@@ -19,8 +19,9 @@ export default {
           <span><i>heading</i> <b data-testid="pose-heading">{{ told(pose[2] * 180 / Math.PI, 1) }}</b>°</span>
           <span class="soft" data-testid="pose-sigma" title="One standard deviation">σ {{ sigma }}</span>
         </template>
-        <span v-else-if="sought" class="sought" data-testid="sought" role="status">Where the robot is in the map is not
-          known yet. Drive on{{ asks ? ", or click where it is" : "" }}.</span>
+        <span v-else-if="sought" class="sought" data-testid="sought" role="status">
+          {{ state === "LOST" ? "" : "Where the robot is in the map is not known yet. " }}Drive on{{
+          asks ? ", or click where it is" : "" }}.</span>
         <span v-else class="soft">No map yet</span>
         <div v-if="pose || (sought && state !== 'TRACKING')" :class="'pose-state ' + state" data-testid="pose-state" role="status">
           <b>{{ state }}</b><span v-if="why">{{ why }}</span></div>

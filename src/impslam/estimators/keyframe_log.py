@@ -300,6 +300,10 @@ def refined(poses: Array, keys: KeyframeLog, rounds: int = 2, part: Part | None 
     return out
 
 
+STILL = 1e-4
+"""m and rad, 1 sigma, added where a robot that stands has none: far below what a scan can tell."""
+
+
 def motions(keys: KeyframeLog, rows: Ints) -> Edges:
     """Return the motions between keyframes that follow each other, by their places in `rows` (r,).
 
@@ -313,5 +317,8 @@ def motions(keys: KeyframeLog, rows: Ints) -> Edges:
     k = np.flatnonzero(told & (keys.is_kept[:-1] | keys.is_kept[1:]))
     T = compose(keys.T_host[k], between(keys.chain[k], keys.chain[k + 1]))
     T = compose(T, inverse(keys.T_host[k + 1]))
-    information = np.asarray(np.linalg.inv(keys.steps[k + 1]))
+    steps = keys.steps[k + 1]
+    still = np.diagonal(steps, axis1=1, axis2=2).min(axis=1) < STILL**2
+    steps = steps + STILL**2 * still[:, None, None] * np.eye(3)
+    information = np.asarray(np.linalg.inv(steps))
     return Edges(i[k], j[k], T, information, np.full(len(k), np.inf))

@@ -22,6 +22,8 @@ class Toy:
     def __init__(self):
         self.steps, self.saved, self.full, self.error, self.pause = 0, [], [], "", 0.0
 
+    kind = ImpError
+
     def start(self, going_on=None):
         self.steps = 0
 
@@ -32,7 +34,7 @@ class Toy:
         time.sleep(self.pause)
         if self.error:
             (folder / "trajectory.tum").write_text("0 0 0")
-            raise ImpError(self.error)
+            raise self.kind(self.error)
         (folder / "map.imp").write_text("a map")
         self.saved.append((folder.name, self.steps))
         return folder / "map.imp"
@@ -160,3 +162,12 @@ def test_a_live_map_comes_back_from_its_file(tmp_path, told):
     assert len(known.stamps) == mapper.status().steps > 10
     assert known.about["counts"]["steps"] == len(known.stamps)
     assert told == []
+
+
+def test_a_fault_of_the_estimator_does_not_end_the_saving(keeper, toy, told):
+    toy.kind, toy.error, toy.steps = ZeroDivisionError, "oops", 3
+    keeper.start()
+    wait_until(lambda: told)
+    assert told == [("error", "the map is not saved: ZeroDivisionError: oops")]
+    toy.error = ""
+    wait_until(lambda: toy.saved)

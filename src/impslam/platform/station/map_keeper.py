@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import shutil
 import threading
 import time
@@ -9,11 +10,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from impslam.errors import ImpError
+from impslam.errors import ImpError, in_a_line
 from impslam.paths import make_folder
 from impslam.platform.station.going_on import GoingOn
 from impslam.platform.station.map_store import FILE
 from impslam.platform.station.mapper import LiveMapper
+
+log = logging.getLogger(__name__)
 
 PERIOD = 60.0  # s of map that a power failure may cost
 SHARE = 20
@@ -145,8 +148,9 @@ class MapKeeper:
         try:
             with self._saving:
                 self._keep()
-        except ImpError as error:
-            failure = str(error)
+        except Exception as error:  # of the estimator, perhaps; the next minute is another try
+            log.debug("the map is not saved", exc_info=True)
+            failure = in_a_line(error)
         if failure and failure != self._failure:
             self._announce("error", f"the map is not saved: {failure}")
         self._failure = failure

@@ -12,6 +12,7 @@ from impslam.continuing import Known, begin_with
 from impslam.errors import ConfigError, ImpError
 from impslam.geometry.se2 import between, compose
 from impslam.map import Map
+from impslam.map_builder import MapBuilder
 
 CORNERS = np.array(
     [[3, 1.25], [18.75, 1.25], [18.75, 12.75], [1.25, 12.75], [1.25, 1.25], [9, 1.25]]
@@ -151,3 +152,5 @@ def test_a_map_is_what_frozen_and_hints_are_about(whole, tmp_path):
             begin_with(whole, hint=hint)
     with pytest.raises(ImpError, match="no such file"):
         begin_with(tmp_path / "gone.imp")
+    with pytest.raises(ConfigError, match="has no keyframes"):
+        begin_with(MapBuilder().map(()), frozen=True)

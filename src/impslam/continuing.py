@@ -152,11 +152,15 @@ def begin_with(
     place = None if hint is None else np.array(hint, float)
     if place is not None and (place.shape not in {(2,), (3,)} or not np.isfinite(place).all()):
         raise ConfigError(f"{hint} is no place in a map; give x,y in m, or x,y,theta with rad")
-    if isinstance(known, Map):
-        return Known(known, frozen, place)
-    if Path(known).suffix.lower() in GRIDS and not frozen:
-        raise ConfigError(f"{known}: a grid can be localised in, not gone on with; add --frozen")
-    return Known(load_map(Path(known)), frozen, place)
+    if not isinstance(known, Map):
+        if Path(known).suffix.lower() in GRIDS and not frozen:
+            raise ConfigError(
+                f"{known}: a grid can be localised in, not gone on with; add --frozen"
+            )
+        known = load_map(Path(known))
+    if frozen and len(known.keyframes) == 0:
+        raise ConfigError("the map has no keyframes; nothing can be localised in it")
+    return Known(known, frozen, place)
 
 
 def _cut(track: Track, begin: int) -> Track:

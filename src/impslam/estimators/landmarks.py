@@ -43,7 +43,10 @@ class Landmarks(Estimator):
     ) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
         if known is not None:
-            raise ConfigError("estimator 'landmarks' cannot go on with a map; choose 'graph'")
+            raise ConfigError(
+                "estimator 'landmarks' cannot go on with a map; choose another one "
+                "with --set estimator.kind=graph"
+            )
         self._filter, self._association = parts["filter"], parts["association"]
         self._lifecycle, self._models = parts["lifecycle"], parts["models"]
         self._filter.start(pose, START_SIGMA**2 * np.eye(3), self._models)

@@ -171,6 +171,18 @@ def test_keyframes_without_scans_keep_to_their_motions(seen):
     assert apart(refined(start, keys), WAY) < 0.02
 
 
+def test_a_keyframe_of_a_robot_that_stood_is_refined_with_the_one_before(seen):
+    """Its motion is zero without a doubt: a covariance that has no inverse."""
+    way = np.insert(WAY, 11, WAY[10], axis=0)
+    scans = [*seen[:11], seen[10], *seen[11:]]
+    keys, _ = logged(motions(way), scans)
+    keys._steps.replace(np.array([11]), np.zeros((1, 3, 3)))
+    start = perturbed(way, [0.02, 0.02, 0.005])
+    out = refined(start, keys)
+    assert apart(out, way) < 0.01
+    assert apart(out[10], out[11]) < 1e-3
+
+
 def test_blind_scans_are_as_none(seen):
     """A scan of which no beam comes back has no features, and is no keyframe without one."""
     blind = scanned(RING, WAY[0], range_max=0.1)

@@ -1,0 +1,40 @@
+"""A robot that is carried elsewhere without a word from odometry: it says so, and is found again."""
+
+import numpy as np
+from tests.estimators.drives import ANGLES
+from tests.test_continuing import drive
+
+import impslam
+from impslam.geometry.se2 import compose, inverse
+from impslam.health import LOST, NONE, TRACKING
+
+__all__ = ["drive"]  # a fixture
+LEFT, FOUND = (
+    360,
+    155,
+)  # scans: in the middle of a corridor, and where it is put down, near a corner
+
+
+def test_a_robot_that_is_carried_elsewhere_is_lost_and_found(drive):
+    poses, ranges = drive
+    rows = np.r_[0:LEFT, FOUND : FOUND + 120]
+    carried = compose(compose(poses[LEFT - 1], inverse(poses[FOUND])), poses[FOUND : FOUND + 120])
+    told = np.vstack((poses[:LEFT], carried))  # by odometry, which does not know of it
+    slam = impslam.Slam("default")
+    stamps = 0.1 * np.arange(len(rows))
+    slam.add_odometry(stamps, told)
+    slam.add_scans(stamps, ranges[rows], ANGLES, range_max=20.0)
+    known = slam.finish()
+    health = slam._run._health.health
+    assert (health.states[:LEFT] == TRACKING).all()
+    assert health.reasons[LEFT] != NONE  # the first scan after it
+    first = int(np.argmax(health.states == LOST))
+    assert LEFT < first <= LEFT + 10  # within a second
+    assert health.states[-1] == TRACKING
+    assert known.keyframes.placed.all()
+    sizes = np.diff(known.keyframes.starts)
+    meanwhile = (known.keyframes.stamps >= stamps[LEFT]) & (known.keyframes.stamps < stamps[first])
+    assert not sizes[meanwhile].any()  # the map takes in nothing
+    truth = compose(inverse(poses[0]), poses[rows])
+    off = np.hypot(*(known.path()[:, 1:] - truth)[first:, :2].T)
+    assert np.median(off) < 0.1

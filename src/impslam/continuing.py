@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from impslam.errors import ConfigError
-from impslam.imported_map import GRIDS, load_map
 from impslam.map import Map, Track
 from impslam.types import Array
 
@@ -153,6 +152,8 @@ def begin_with(
     if place is not None and (place.shape not in {(2,), (3,)} or not np.isfinite(place).all()):
         raise ConfigError(f"{hint} is no place in a map; give x,y in m, or x,y,theta with rad")
     if not isinstance(known, Map):
+        from impslam.imported_map import GRIDS, load_map  # noqa: PLC0415  few runs need it
+
         if Path(known).suffix.lower() in GRIDS and not frozen:
             raise ConfigError(
                 f"{known}: a grid can be localised in, not gone on with; add --frozen"

@@ -53,8 +53,9 @@ def test_where_scans_seldom_fit_one_that_does_not_says_nothing():
     doubt = no_doubt()
     for share in np.tile([0.7, 0.5], 100):
         judge(doubt, fit(share), 0.6, 0.2)
-    assert judge(doubt, fit(0.1), 0.6, 0.2) == NONE
-    assert judge(no_doubt(), fit(0.1), 0.6, 0.2) == UNEXPLAINED
+    assert judge(doubt, fit(0.1), 0.8, 0.2) == NONE
+    assert judge(no_doubt(), fit(0.1), 0.6, 0.2) == NONE
+    assert judge(no_doubt(), fit(0.1), 0.8, 0.2) == UNEXPLAINED
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,8 @@ from impslam.types import Array
 FITS = 0.55
 """Share of the mean inlier share below which a scan shows another place."""
 KNOWN = 0.7
-"""Mean inlier share of many scans above which one that does not fit says so: among bushes, people and
-ramps many do not. Indoors the mean is 0.75 to 0.95, outdoors 0.4 to 0.65."""
+"""Mean inlier share, of many scans and of the last few, above which one that does not fit says so: among
+bushes, people and ramps many do not. Indoors the mean is 0.75 to 0.95, outdoors 0.4 to 0.65."""
 FEWEST = 50
 """Points of a scan that can say so at least: half of fewer may fall on one chair."""
 SIGMAS = 3.0
@@ -107,7 +107,7 @@ def judge(doubt: Doubt, fit: Fit, usual: float, duration: float) -> int:
         fits = share >= usual * (AGAIN[1] if moved else AGAIN[0])
     else:
         fits = share >= usual * FITS or off < SIGMAS * math.sqrt(shares[1])
-    if fits or fit.points < FEWEST or shares[0] < KNOWN:
+    if fits or fit.points < FEWEST or min(shares[0], usual) < KNOWN:
         shares[0] += MEMORY[0] * (share - shares[0])
         shares[1] += MEMORY[1] * (off * off - shares[1])
         doubt.poor[:] = 0.0

@@ -17,7 +17,7 @@ from impslam.observers.page import Line, chart
 from impslam.observers.quality_section import quality_section
 from impslam.observers.recorder import Recorder
 from impslam.observers.run_folder import write_run
-from impslam.observers.sections import duration
+from impslam.observers.sections import duration, matching
 from impslam.types import TrueLandmark, TruePose
 
 VOID = {"meta", "img", "path", "br"}
@@ -137,6 +137,13 @@ def test_history_is_the_map_beside_the_truth():
 def test_charts_of_odd_values(values):
     text = chart("t", np.array([0.0, 1.0]), [Line("", np.array(values))], np.array([1.0, 2.0]))
     assert text.count("tick y") >= 2
+
+
+def test_an_estimator_without_matches_has_no_charts_of_them():
+    known = runs.play([], 5)
+    assert "Matches" in matching(History(known, np.empty((0, 4))))
+    bare = replace(known.keyframes, innovations=np.zeros((len(known.keyframes), 3)))
+    assert matching(History(replace(known, keyframes=bare), np.empty((0, 4)))) == ""
 
 
 def test_durations_are_said_as_people_say_them():

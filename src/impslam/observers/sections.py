@@ -74,16 +74,16 @@ def uncertainty(history: History) -> str:
         chart("Heading, 1σ in degrees", t, [Line("", np.degrees(sigma[:, 2]), "c")]),
     )
     note = (
-        "What the filter says of its own pose. It grows on new ground and falls where known "
-        "landmarks are seen again."
+        "The estimator's own standard deviations. They grow on new ground and fall where known "
+        "places are seen again."
     )
     return section("Uncertainty", f'<div class="charts">{"".join(charts)}</div>', note=note)
 
 
 def matching(history: History) -> str:
-    """Return the charts of matches and of normalised innovations."""
+    """Return the charts of matches and of normalised innovations; "" of an estimator without matches."""
     keyframes = history.known.keyframes
-    if len(keyframes) < 2:
+    if len(keyframes) < 2 or not keyframes.innovations[:, 0].any():
         return ""
     t, (count, nis, dof) = keyframes.stamps, keyframes.innovations.T
     width = max(1, len(t) // 100)

@@ -38,3 +38,20 @@ def test_a_robot_that_is_carried_elsewhere_is_lost_and_found(drive):
     truth = compose(inverse(poses[0]), poses[rows])
     off = np.hypot(*(known.path()[:, 1:] - truth)[first:, :2].T)
     assert np.median(off) < 0.1
+
+
+def test_a_robot_whose_view_alone_changes_goes_on_by_odometry(drive):
+    """Scans of elsewhere for a second, as a crowd or a ramp would give, and then new ground."""
+    poses, ranges = drive
+    stamps = 0.1 * np.arange(len(poses))
+    shown = ranges.copy()
+    shown[LEFT : LEFT + 10] = ranges[FOUND : FOUND + 10]
+    slam = impslam.Slam("default")
+    slam.add_odometry(stamps, poses)
+    slam.add_scans(stamps, shown, ANGLES, range_max=20.0)
+    known = slam.finish()
+    assert (slam._run._health.health.states == LOST).any()
+    assert known.keyframes.placed.all()
+    truth = compose(inverse(poses[0]), poses)
+    off = np.hypot(*(known.path()[:, 1:] - truth)[:, :2].T)
+    assert off[LEFT + 20 :].max() < 0.3

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from copy import copy
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from pydantic import PrivateAttr
@@ -24,11 +24,24 @@ from impslam.estimators.restoring import SURE, restored
 from impslam.estimators.thinning import Thinner
 from impslam.geometry.chain import advance
 from impslam.geometry.se2 import between, compose, compose_uncertain
+from impslam.health import ELSEWHERE
 from impslam.landmarks.base import LandmarkModel
 from impslam.map import Keyframe, Map, Revision
 from impslam.noise import UNKNOWN
 from impslam.tracking.base import KeyframeGate
-from impslam.types import Array, Edges, Landmark, Observation
+from impslam.types import Array, Edges, Increment, Landmark, Observation
+
+SOUGHT = 20.0
+"""m of way after which a session that was not found may go on by odometry: six times a query's."""
+MOST_CHECKED = 12  # nodes, of 30 m of way, that the map must not contradict
+
+
+class _Break(NamedTuple):
+    """Where scans stopped fitting: the first node after it, and the motion (3,) to it by odometry."""
+
+    node: int
+    motion: Array
+    covariance: Array
 
 
 @register("graph")
@@ -53,6 +66,7 @@ class Graph(Estimator):
     _finder: Finder = PrivateAttr()
     _keys: KeyframeLog = PrivateAttr(default_factory=KeyframeLog)
     _since: tuple[Array, Array] = PrivateAttr()
+    _breaks: list[_Break] = PrivateAttr(default_factory=list)
     _start: Array = PrivateAttr()
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
     _known: Map | None = PrivateAttr(None)
@@ -80,7 +94,7 @@ class Graph(Estimator):
         """Take in a keyframe; see `Estimator.add`."""
         self._settled = None
         used, refused = _usable(keyframe)
-        self._drive(used)
+        self._drive(used, keyframe.motion)
         moved = False
         dropped: tuple[int, ...] = ()
         if self._is_new_node():
@@ -108,8 +122,11 @@ class Graph(Estimator):
         """Tell whether the newest keyframe is in a session that is not placed in the map."""
         return bool(self._graph.roots[-1] != 0)
 
-    def _drive(self, keyframe: Keyframe) -> None:
-        """Let the chain go on by a keyframe's motion, or begin a session; keep what it saw."""
+    def _drive(self, keyframe: Keyframe, told: Increment) -> None:
+        """Let the chain go on by a keyframe's motion, or begin a session; keep what it saw.
+
+        `told` is the motion as the tracker has it, by odometry alone where the scan does not fit.
+        """
         d_pose, covariance = keyframe.motion.d_pose, keyframe.motion.covariance
         if len(self._graph) and not keyframe.lost:
             self._keys.add(keyframe)
@@ -117,6 +134,9 @@ class Graph(Estimator):
             return
         start = compose(self._graph.poses[-1], self._since[0]) if len(self._graph) else self._start
         self._keys.add(keyframe, start)
+        if keyframe.reason == ELSEWHERE and is_known(told):
+            motion = compose_uncertain(*self._since, told.d_pose, told.covariance)
+            self._breaks.append(_Break(len(self._graph), *motion))
         self._graph.begin(self._keys.chain[-1], covariance)
         self._since = np.zeros(3), np.zeros((3, 3))
 
@@ -159,11 +179,40 @@ class Graph(Estimator):
         if not self._is_pending():
             return False
         found = self._finder.find(keys, graph)
-        if found is None:
+        if found is not None:
+            pose, likely = found
+            pose = compose(pose, between(keys.chain[-1], keys.chain[keys.nodes[node]]))
+            if self._closer.tie(Place(node, pose, likely), keys, graph):
+                self._tie_breaks()
+                return True
+        if not self._is_beyond(node):
             return False
-        pose, likely = found
-        pose = compose(pose, between(keys.chain[-1], keys.chain[keys.nodes[node]]))
-        return self._closer.tie(Place(node, pose, likely), keys, graph)
+        self._tie_breaks()
+        return not self._is_pending()
+
+    def _is_beyond(self, node: int) -> bool:
+        """Tell whether a session that was not found may go on from the map by odometry.
+
+        So it may once it has been sought for long, unless the map shows something else where its nodes
+        are then: it was the view that changed, not the place.
+        """
+        keys, graph = self._keys, self._graph
+        driven = keys.way[keys.nodes]
+        if not self._breaks or driven[node] - driven[self._breaks[-1].node] < SOUGHT:
+            return False
+        nodes = range(max(self._breaks[-1].node, node - MOST_CHECKED), node)
+        begin = driven[self._breaks[-1].node]
+        against = sum(
+            self._closer.contradicts(n, float(driven[n] - begin), keys, graph) for n in nodes
+        )
+        return 2 * against < len(nodes)
+
+    def _tie_breaks(self) -> None:
+        """Join sessions by the motion to each by odometry, which counts little if it is wrong."""
+        for at in self._breaks:
+            information = np.asarray(np.linalg.inv(at.covariance))
+            self._graph.close(at.node - 1, at.node, at.motion, information)
+        self._breaks = []
 
     def _all(self, graph: PoseGraph) -> Revision:
         """Return all keyframes by a graph."""

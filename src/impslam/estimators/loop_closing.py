@@ -150,6 +150,19 @@ class LoopCloser:
         self._ties = []
         return True
 
+    def contradicts(self, node: int, way: float, keys: KeyframeLog, graph: PoseGraph) -> bool:
+        """Tell whether the map shows something else where a node of a session is by odometry.
+
+        `way` m lead there from the map. Where the map shows nothing, it contradicts nothing.
+        """
+        apart = np.hypot(*(graph.poses[:, :2] - graph.poses[node, :2]).T)
+        apart[graph.roots != 0] = np.inf
+        u, query = int(np.argmin(apart)), self._query(node, keys)
+        if query is None or apart[u] > 0.5 * REFERENCE_RADIUS:
+            return False
+        guess = between(graph.poses[u], graph.poses[node])
+        return self._try(_Attempt(u, node, guess, way), query, keys, graph) is None
+
     def _tie(self, node: int, pose: Array, keys: KeyframeLog, graph: PoseGraph) -> _Pending | None:
         """Return the closure of a node with the nearest one in the map, if there is one."""
         apart = np.hypot(*(graph.poses[:, :2] - pose[:2]).T)

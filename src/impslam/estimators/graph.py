@@ -185,12 +185,12 @@ class Graph(Estimator):
             if self._closer.tie(Place(node, pose, likely), keys, graph):
                 self._tie_breaks()
                 return True
-        if not self._is_beyond(node):
+        if not self._may_go_on(node):
             return False
         self._tie_breaks()
         return not self._is_pending()
 
-    def _is_beyond(self, node: int) -> bool:
+    def _may_go_on(self, node: int) -> bool:
         """Tell whether a session that was not found may go on from the map by odometry.
 
         So it may once it has been sought for long, unless the map shows something else where its nodes

@@ -50,9 +50,12 @@ class Outcome:
     def __init__(self, messages):
         run = Run(load("imp", SETTINGS))
         run.play(m for m in messages if not isinstance(m, TruePose))
-        rows = run.settled().rows()
+        known = run.settled()
+        rows = known.rows()
         health = run.outcome(Path("log"), "", 0).health
         true = {m.stamp: m.pose for m in messages if isinstance(m, TruePose)}
+        driven = np.array([true[stamp] for stamp in known.stamps])
+        self.live = between(between(driven[0], driven), known.live_poses)
         truth = np.array([true[stamp] for stamp in rows.stamps])
         truth = between(truth[0], truth)
         self.errors = between(truth, rows.poses)
@@ -109,7 +112,8 @@ def test_scans_without_an_echo_leave_dead_reckoning(plain, since):
 
 
 @pytest.mark.parametrize("since", [0, 150])
-def test_scans_of_noise_alone_leave_dead_reckoning(plain, since):
+def test_a_robot_that_sees_noise_alone_is_lost_and_leaves_the_map_as_it_was(plain, since):
+    """The path in the map ends there; at the time, the pose goes on by dead reckoning."""
     rng = np.random.default_rng(0)
     begin = [m.stamp for m in plain if isinstance(m, LaserScan)][since]
 
@@ -117,8 +121,12 @@ def test_scans_of_noise_alone_leave_dead_reckoning(plain, since):
         return m.ranges if m.stamp < begin else rng.uniform(0.3, 5.0, len(m.ranges))
 
     outcome = Outcome(spoilt([m for m in plain if m.stamp < begin + 20.0], noise))
-    dead_reckoned(outcome, since)
     assert set(outcome.states[since + 20 :]) == {"LOST"}
+    assert since < len(outcome.metres) < since + 20
+    assert outcome.metres.max() < 0.3
+    odometry = np.hypot(*outcome.odometry[:, :2].T).max()
+    off = np.hypot(*outcome.live[:, :2].T)
+    assert np.abs(off[since:] - off[since]).max() < 2.0 * max(0.3, odometry)
 
 
 def test_a_crowd_neither_moves_the_pose_nor_ends_the_run():

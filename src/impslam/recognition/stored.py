@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from impslam.geometry.angles import wrap
 from impslam.map import Keyframes
 from impslam.recognition.submap import BEARINGS, FARTHEST, Floats, View
 from impslam.surfaces.features import find_features
@@ -31,7 +32,7 @@ def points_view(points: Array | Floats, laser: Array) -> View:
     ends = np.asarray(points, np.float64).reshape(-1, 2)
     n, offsets = len(ends), ends - laser
     ranges, bearings = np.hypot(*offsets.T), np.arctan2(offsets[:, 1], offsets[:, 0])
-    steps = np.abs((np.diff(bearings) + math.pi) % (2.0 * math.pi) - math.pi)
+    steps = np.abs(wrap(np.asarray(np.diff(bearings))))
     spacing = float(np.median(steps)) if n > 1 else 0.0
     rows = np.empty((n, 5), np.float32)
     origins, valid = np.broadcast_to(laser, (n, 2)).copy(), ranges > 0.0

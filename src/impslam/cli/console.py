@@ -36,6 +36,7 @@ Base: TypeAlias = Annotated[
         help="A preset (`imp list presets`) or a TOML file. Default: the preset that fits the log.",
     ),
 ]
+Target: TypeAlias = Annotated[Path, Parameter(name=["--output", "-o"])]
 Output: TypeAlias = Annotated[Path | None, Parameter(name=["--output", "-o"])]
 Force: TypeAlias = Annotated[
     bool,

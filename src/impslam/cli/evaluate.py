@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 from cyclopts import Parameter
 
-from impslam.cli.console import Common
+from impslam.cli.console import Common, Output
 from impslam.errors import ConfigError
 from impslam.evaluation.options import GATE, Alignment
 
@@ -49,7 +48,7 @@ DEFAULT = Against()
 def evaluate(
     *runs: Path,
     against: Against = DEFAULT,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    output: Output = None,
     json: Path | None = None,
     common: Common | None = None,
 ) -> None:

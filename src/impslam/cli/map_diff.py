@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any
 
 from impslam.cli import console
-from impslam.cli.console import Common, Flag
+from impslam.cli.console import Common, Flag, Output
 
 if TYPE_CHECKING:
     from impslam.maps.changes import Change, Changes
@@ -20,7 +18,7 @@ def diff(
     /,
     *,
     aligned: Flag = False,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    output: Output = None,
     json: Path | None = None,
     common: Common | None = None,
 ) -> None:

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common
+from impslam.cli.console import Common, Target
 
 
 def export(
     file: Path,
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    output: Target,
     resolution: float = 0.05,
     common: Common | None = None,
 ) -> None:

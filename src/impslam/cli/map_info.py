@@ -7,12 +7,10 @@ import time
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING
 
 from impslam.cli import console
-from impslam.cli.console import Common
+from impslam.cli.console import Common, Output
 
 if TYPE_CHECKING:
     from impslam.evaluation.quality import Quality
@@ -23,7 +21,7 @@ def info(
     file: Path,
     /,
     *,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    output: Output = None,
     json: Path | None = None,
     common: Common | None = None,
 ) -> None:

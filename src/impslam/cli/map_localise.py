@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter, validators
 
 from impslam.cli import console
-from impslam.cli.console import Base, Common, Settings, Topics
+from impslam.cli.console import Base, Common, Output, Settings, Topics
 
 if TYPE_CHECKING:
     from impslam.localisation import Located
@@ -26,7 +26,7 @@ def localise(  # noqa: PLR0913  # each is an option that a user may give
     *,
     every: Annotated[int, Parameter(validator=validators.Number(gte=1))] = 1,
     config: Base = None,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    output: Output = None,
     settings: Settings = (),
     topics: Topics = (),
     common: Common | None = None,

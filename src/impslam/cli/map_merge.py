@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common
+from impslam.cli.console import Common, Target
 from impslam.errors import ConfigError, ImpError
 
 
 def merge(
     *files: Path,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    output: Target,
     common: Common | None = None,
 ) -> None:
     """Merge maps of one building, in the frame of the first.

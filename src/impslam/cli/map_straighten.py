@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common
+from impslam.cli.console import Common, Target
 
 
 def straighten(
     file: Path,
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    output: Target,
     common: Common | None = None,
 ) -> None:
     """Turn a map, by 45° at most, so that its walls are along the axes.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common
+from impslam.cli.console import Common, Target
 from impslam.cli.progress import display, ticker
 from impslam.errors import ConfigError
 
@@ -23,7 +23,7 @@ def simulate(
     world: str,
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    output: Target,
     seed: int = 0,
     robot: Path | None = None,
     settings: Annotated[

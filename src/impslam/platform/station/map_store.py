@@ -8,7 +8,7 @@ from pathlib import Path
 
 from impslam.errors import ImpError
 from impslam.maps import archive
-from impslam.platform.station.shelf import MAPS, Binned, Shelf, StoreError
+from impslam.platform.station.shelf import MAPS, Shelf, StoreError
 
 FILE = "map.imp"
 REPORT = "report.html"
@@ -38,7 +38,7 @@ class StoredMap:
     damage: str = ""
 
 
-class MapStore:
+class MapStore(Shelf):
     """The maps in a folder; every method may be called from any thread.
 
     Parameters
@@ -48,23 +48,14 @@ class MapStore:
     """
 
     def __init__(self, folder: Path, making: Callable[[], str] = lambda: "") -> None:
-        self._shelf, self._making = Shelf(folder, MAPS), making
+        super().__init__(folder, MAPS)
+        self._making = making
         self._known: dict[str, tuple[tuple[int, int], int, str]] = {}
 
     def maps(self) -> list[StoredMap]:
         """Return the maps, newest first."""
-        found = [self._look(name) for name, _ in self._shelf.entries()]
+        found = [self._look(name) for name, _ in self.entries()]
         return sorted(filter(None, found), key=lambda one: (-one.modified, one.name))
-
-    def path(self, name: str) -> Path:
-        """Return the folder of a map by its name in `maps()`; nothing else is ever returned.
-
-        Raises
-        ------
-        StoreError
-            If there is no such map.
-        """
-        return self._shelf.path(name)
 
     def delete(self, name: str) -> None:
         """Move a map to the recycle bin.
@@ -76,23 +67,11 @@ class MapStore:
         """
         if self.path(name).name == self._making():
             raise StoreError(f"{name}: is being made; begin a new map before deleting it")
-        self._shelf.discard(name)
-
-    def bin(self) -> list[Binned]:
-        """Return what is in the recycle bin, last deleted first."""
-        return self._shelf.bin()
-
-    def restore(self, name: str) -> Path:
-        """Take a map out of the recycle bin; see `Shelf.restore`."""
-        return self._shelf.restore(name)
-
-    def purge(self, name: str | None = None) -> None:
-        """Remove one map of the recycle bin, or all, for good; see `Shelf.purge`."""
-        self._shelf.purge(name)
+        self.discard(name)
 
     def _look(self, name: str) -> StoredMap | None:
         """Return what there is to tell of a map; a look inside is taken once for each version."""
-        folder = self._shelf.folder / name
+        folder = self.folder / name
         try:
             status = (folder / FILE).lstat()
             report = (folder / REPORT).exists()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rosbags.rosbag2.storage_mcap import McapReader
 
-from impslam.platform.station.shelf import LOGS, Binned, Shelf, StoreError
+from impslam.platform.station.shelf import LOGS, Shelf, StoreError
 from impslam.sources.live_recording import is_being_written
 
 _MAGIC = b"\x89MCAP0\r\n"
@@ -37,7 +37,7 @@ class StoredLog:
     duration: float
 
 
-class LogStore:
+class LogStore(Shelf):
     """The logs in a folder; every method may be called from any thread.
 
     Only `.mcap` files that lie in the folder itself exist here: no links, no other folders.
@@ -48,23 +48,13 @@ class LogStore:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._shelf = Shelf(Path(folder), LOGS)
+        super().__init__(Path(folder), LOGS)
         self._known: dict[str, tuple[tuple[int, int], bool, float]] = {}
 
     def logs(self) -> list[StoredLog]:
         """Return the logs, newest first."""
-        found = [self._look(name, status) for name, status in self._shelf.entries()]
+        found = [self._look(name, status) for name, status in self.entries()]
         return sorted(found, key=lambda log: (-log.modified, log.name))
-
-    def path(self, name: str) -> Path:
-        """Return the path of a log by its name in `logs()`; nothing else is ever returned.
-
-        Raises
-        ------
-        StoreError
-            If there is no such log in the folder.
-        """
-        return self._shelf.path(name)
 
     def delete(self, name: str) -> None:
         """Move a log to the recycle bin.
@@ -76,23 +66,11 @@ class LogStore:
         """
         if is_being_written(self.path(name)):
             raise StoreError(f"{name}: is being recorded; stop the recording before deleting it")
-        self._shelf.discard(name)
-
-    def bin(self) -> list[Binned]:
-        """Return what is in the recycle bin, last deleted first."""
-        return self._shelf.bin()
-
-    def restore(self, name: str) -> Path:
-        """Take a log out of the recycle bin; see `Shelf.restore`."""
-        return self._shelf.restore(name)
-
-    def purge(self, name: str | None = None) -> None:
-        """Remove one log of the recycle bin, or all, for good; see `Shelf.purge`."""
-        self._shelf.purge(name)
+        self.discard(name)
 
     def _look(self, name: str, status: os.stat_result) -> StoredLog:
         """Return what there is to tell of a log; a look inside is taken once for each version."""
-        path, version = self._shelf.folder / name, (status.st_size, status.st_mtime_ns)
+        path, version = self.folder / name, (status.st_size, status.st_mtime_ns)
         recording = is_being_written(path)
         cut, duration = False, math.nan
         if not recording:

@@ -10,8 +10,9 @@ import math
 from collections.abc import Iterable, Sequence
 
 from impslam.studies.arena_experiment import NAMED, landmark_metrics
-from impslam.studies.job import Job
-from impslam.studies.sweep import Row, Variant, sweep
+from impslam.studies.sweep import Variant, sweep
+from impslam.sweeps.job import Job
+from impslam.sweeps.rows import Row
 
 LIMITS = {"cylinder": 0.03, "wall": 0.02, "end": 0.03}
 """m, what the default preset is to keep; a wall's error is across it, at its middle."""

@@ -19,7 +19,7 @@ import numpy as np
 from impslam.evaluation.consistency import share_within
 from impslam.studies.circle_simulation import HUANG
 from impslam.studies.filter_consistency import FilterResult, consistency_study
-from impslam.studies.job import Job
+from impslam.sweeps.job import Job
 from impslam.types import Array
 
 FIRST = 1

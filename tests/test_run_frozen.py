@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from tests.recorded import Played
 
-from impslam.cli.ending import EndOfRun
 from impslam.cli.job import execute
 from impslam.config import load
+from impslam.observers.ending import EndOfRun
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.types import LaserScan, TruePose, WheelAngles

@@ -10,8 +10,8 @@ import pytest
 
 from impslam.cli import main
 from impslam.cli import reproduce as command
-from impslam.studies.job import Job
 from impslam.studies.report import Picture, ResultTable, Section
+from impslam.sweeps.job import Job
 
 PNG = b"\x89PNG\r\n\x1a\n and so on"
 

@@ -31,9 +31,9 @@ from impslam.studies.arena_tables import (
     turned,
     wall_table,
 )
-from impslam.studies.job import Job
 from impslam.studies.map_plot import ARENA, draw_maps
 from impslam.studies.sweep import Run, Variant, path_metrics, sweep
+from impslam.sweeps.job import Job
 from impslam.types import Landmark
 
 POINTS, LINES, BOTH = (Experiment.load(name) for name in ("points", "lines", "both"))

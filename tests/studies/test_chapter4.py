@@ -43,8 +43,8 @@ from impslam.studies.chapter4_scans import (
     walls_among,
     world_of,
 )
-from impslam.studies.job import Job
 from impslam.studies.report import Section
+from impslam.sweeps.job import Job
 from impslam.types import Array, Observation
 
 POSE = np.array([-0.4, 2.0, 1.3])

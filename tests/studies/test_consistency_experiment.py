@@ -24,8 +24,8 @@ from impslam.studies.consistency_arena import (
     reported_error,
 )
 from impslam.studies.filter_consistency import BATCH, consistency_study
-from impslam.studies.job import Job
 from impslam.studies.sweep import sweep
+from impslam.sweeps.job import Job
 from impslam.types import Landmark, Match, Observation
 
 

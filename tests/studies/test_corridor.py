@@ -30,9 +30,9 @@ from impslam.studies.corridor_metrics import (
     total_counts,
 )
 from impslam.studies.corridor_truth import CorridorTruth, Verdict, false_landmarks, judge
-from impslam.studies.job import Job
 from impslam.studies.map_plot import CORRIDOR, draw_maps
 from impslam.studies.sweep import ROBOT, Run, map_run, path_metrics, sweep
+from impslam.sweeps.job import Job
 from impslam.types import Landmark, Observation
 
 ROOM = """

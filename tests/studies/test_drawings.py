@@ -5,8 +5,8 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from impslam.studies.drawings import DRAWINGS, drawings
-from impslam.studies.job import Job
 from impslam.studies.report import load_text
+from impslam.sweeps.job import Job
 
 SAID = {
     "fig04-system": {"autopilot", "browser: map, joystick"},

@@ -14,8 +14,8 @@ from impslam.extractors.base import Extractor
 from impslam.simulation.world import load_world
 from impslam.studies import extractors as experiment
 from impslam.studies.extractor_stats import ExtractorScore
-from impslam.studies.job import Job
 from impslam.studies.labelled_scans import STANDING, labelled_scans
+from impslam.sweeps.job import Job
 from impslam.types import Observation
 
 

@@ -6,18 +6,10 @@ import pytest
 
 from impslam.errors import ConfigError, ImpError
 from impslam.simulation.world import load_world
-from impslam.studies.job import Job
-from impslam.studies.statistics import Quantiles, mean, rms
-from impslam.studies.sweep import (
-    ROBOT,
-    Variant,
-    by_variant,
-    failures,
-    grid,
-    median_row,
-    simulate_and_map,
-    sweep,
-)
+from impslam.studies.sweep import ROBOT, Variant, grid, simulate_and_map, sweep
+from impslam.sweeps.job import Job
+from impslam.sweeps.rows import by_variant, failures, median_row
+from impslam.sweeps.statistics import Quantiles, mean, rms
 
 
 @pytest.fixture(scope="module")

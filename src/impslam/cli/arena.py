@@ -12,7 +12,6 @@ import numpy as np
 from numba.core import event
 
 from impslam.cli import console
-from impslam.cli.ending import EndOfRun
 from impslam.cli.job import execute
 from impslam.cli.progress import display
 from impslam.cli.run_folder import run_folder
@@ -22,6 +21,7 @@ from impslam.evaluation.landmarks import corners, score_landmarks
 from impslam.geometry.angles import wrap
 from impslam.map import Map
 from impslam.observers.base import Outcome
+from impslam.observers.ending import EndOfRun
 from impslam.open_log import open_log
 from impslam.simulation.world import load_world
 from impslam.types import Array, Landmark, TrueLandmark

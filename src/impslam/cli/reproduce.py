@@ -68,8 +68,8 @@ def reproduce(
         The folder to write to, a new one. Default: runs/reproduce-DATE-TIME.
     """
     # A run of anything else neither imports nor needs the studies.
-    from impslam.studies.job import Job
     from impslam.studies.report import PAGE, write
+    from impslam.sweeps.job import Job
 
     names = _chosen(experiments)
     if full and seeds is not None:
@@ -115,7 +115,7 @@ class Progress:
         self._tasks: dict[str, Any] = {}
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Move the bar of a stage; see `impslam.studies.job.ProgressCallback`."""
+        """Move the bar of a stage; see `impslam.sweeps.job.ProgressCallback`."""
         if self._bars is None:
             return
         if stage not in self._tasks:

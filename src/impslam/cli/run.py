@@ -103,11 +103,11 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     output
         The folder to write to, a new one. Default: runs/LOG-DATE-TIME.
     """
-    from impslam.cli.ending import EndOfRun
     from impslam.cli.job import column_settings, execute, topic_settings
     from impslam.cli.replay import replay
     from impslam.cli.run_folder import run_folder
     from impslam.fitting import choices
+    from impslam.observers.ending import EndOfRun
     from impslam.open_log import open_log
 
     changes = [

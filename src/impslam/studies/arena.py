@@ -16,9 +16,10 @@ from impslam.studies.arena_experiment import (
     summary,
 )
 from impslam.studies.arena_tables import tables
-from impslam.studies.job import Job
 from impslam.studies.report import Picture, Section
-from impslam.studies.sweep import Run, by_variant, failures, median_row, simulate_and_map, sweep
+from impslam.studies.sweep import Run, simulate_and_map, sweep
+from impslam.sweeps.job import Job
+from impslam.sweeps.rows import by_variant, failures, median_row
 
 SEEDS = 20
 """Enough for a first look; the claims are for 100."""

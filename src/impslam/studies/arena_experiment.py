@@ -16,10 +16,11 @@ from impslam.geometry.se2 import compose
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
-from impslam.studies.job import Job
 from impslam.studies.report import load_text
-from impslam.studies.statistics import Quantiles
-from impslam.studies.sweep import Row, Run, Variant, grid
+from impslam.studies.sweep import Run, Variant, grid
+from impslam.sweeps.job import Job
+from impslam.sweeps.rows import Row
+from impslam.sweeps.statistics import Quantiles
 from impslam.types import TrueLandmark, TruePose
 
 MIN_DRIFT = 0.3

@@ -15,7 +15,8 @@ from impslam.evaluation.landmarks import score_landmarks
 from impslam.geometry.angles import wrap
 from impslam.studies.arena_experiment import END, TEXT, Experiment, true_landmarks
 from impslam.studies.report import ResultTable, make_table
-from impslam.studies.statistics import (
+from impslam.studies.sweep import Run
+from impslam.sweeps.statistics import (
     MEDIAN_95,
     Quantiles,
     Rows,
@@ -23,7 +24,6 @@ from impslam.studies.statistics import (
     quantiles_of,
     runs_with,
 )
-from impslam.studies.sweep import Run
 from impslam.types import Array, TrueLandmark
 
 END_POSITION = np.array([-0.4459, 2.3715])

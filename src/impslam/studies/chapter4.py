@@ -30,8 +30,8 @@ from impslam.studies.chapter4_scans import (
     snapshots,
     world_of,
 )
-from impslam.studies.job import Job
 from impslam.studies.report import Picture, Section, load_text
+from impslam.sweeps.job import Job
 
 SEED = 0
 WORLDS = (ARENA, CORRIDOR, PEOPLE)

@@ -14,7 +14,6 @@ from impslam.evaluation.consistency import chi2_bounds
 from impslam.studies.circle_simulation import HUANG, LONG_LOOP
 from impslam.studies.consistency_arena import KINDS, ArenaConsistency, arena_consistency
 from impslam.studies.filter_consistency import FilterResult, FilterStudy, consistency_study
-from impslam.studies.job import Job
 from impslam.studies.report import (
     Picture,
     ResultTable,
@@ -22,7 +21,8 @@ from impslam.studies.report import (
     load_text,
     make_table,
 )
-from impslam.studies.sweep import failures
+from impslam.sweeps.job import Job
+from impslam.sweeps.rows import failures
 
 FILTERS = ("ekf", "fej", "oc", "riekf")
 RUNS = 100

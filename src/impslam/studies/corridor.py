@@ -22,18 +22,11 @@ from impslam.studies.corridor_metrics import (
     total_counts,
 )
 from impslam.studies.corridor_truth import false_landmarks
-from impslam.studies.job import Job
 from impslam.studies.report import Picture, ResultTable, Section, make_table
-from impslam.studies.statistics import MEDIAN_95, Quantiles, Rows, mean_of, number, quantiles_of
-from impslam.studies.sweep import (
-    Row,
-    Run,
-    by_variant,
-    failures,
-    median_row,
-    simulate_and_map,
-    sweep,
-)
+from impslam.studies.sweep import Run, simulate_and_map, sweep
+from impslam.sweeps.job import Job
+from impslam.sweeps.rows import Row, by_variant, failures, median_row
+from impslam.sweeps.statistics import MEDIAN_95, Quantiles, Rows, mean_of, number, quantiles_of
 
 SEEDS = 6
 """Enough for a first look, in a few minutes; the claims are for 100."""

@@ -17,9 +17,9 @@ from impslam.evaluation.plots import TIGHT, as_svg, new_figure, style
 from impslam.simulation.drive import drive
 from impslam.simulation.scene import Scene
 from impslam.simulation.world import World, load_world
-from impslam.studies.job import Job
 from impslam.studies.map_plot import WALKERS, draw_scene
 from impslam.studies.report import Picture, Section, load_text
+from impslam.sweeps.job import Job
 from impslam.types import Array
 
 HEIGHT = 0.6  # m, of the arena's walls

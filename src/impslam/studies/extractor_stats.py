@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from impslam.evaluation.consistency import nees
 from impslam.studies.extractor_scores import Counts, Detection
-from impslam.studies.statistics import NONE, Estimate, mean, rms
+from impslam.sweeps.statistics import NONE, Estimate, mean, rms
 from impslam.types import Array, Ints
 
 _MEDIAN = float(chi2.ppf(0.5, 2))

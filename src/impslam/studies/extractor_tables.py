@@ -8,7 +8,7 @@ from typing import Any
 
 from impslam.studies.extractor_stats import ExtractorScore, typical_ratio
 from impslam.studies.report import ResultTable, load_text, make_table
-from impslam.studies.statistics import NONE, Estimate
+from impslam.sweeps.statistics import NONE, Estimate
 
 TEXT = load_text("extractors")
 OTHER: Mapping[str, str] = TEXT["other"]

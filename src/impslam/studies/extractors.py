@@ -23,7 +23,6 @@ from impslam.simulation.world import load_world
 from impslam.studies.extractor_scores import known_association, score_scan
 from impslam.studies.extractor_stats import ExtractorScore
 from impslam.studies.extractor_tables import TEXT, accuracy_table, detection_table, numbers
-from impslam.studies.job import Job
 from impslam.studies.labelled_scans import (
     DRIVING,
     PEOPLE,
@@ -32,6 +31,7 @@ from impslam.studies.labelled_scans import (
     labelled_scans,
 )
 from impslam.studies.report import Picture, Section
+from impslam.sweeps.job import Job
 from impslam.types import Scan
 
 SEEDS = 3

@@ -28,7 +28,7 @@ from impslam.evaluation.consistency import nees, pose_errors, resampled_means, s
 from impslam.filters.base import Filter
 from impslam.studies.batch_optimum import optima
 from impslam.studies.circle_simulation import HUANG, START_SIGMA, Setting, Trial, simulate
-from impslam.studies.job import Job
+from impslam.sweeps.job import Job
 from impslam.types import Array, Increment, Match, Observation
 
 Run: TypeAlias = tuple[Array, float]

@@ -19,8 +19,8 @@ from typing import Any, TypeAlias, TypeVar
 from impslam import __version__
 from impslam.evaluation.json_values import json_values
 from impslam.observers.page import escape, page, section, table
-from impslam.studies.job import Job
-from impslam.studies.sweep import Row
+from impslam.sweeps.job import Job
+from impslam.sweeps.rows import Row
 
 PAGE, MARKDOWN, NUMBERS = "report.html", "report.md", "figures.json"
 

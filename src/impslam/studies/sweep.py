@@ -14,12 +14,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from impslam.config import Config, load
-from impslam.errors import ImpError
 from impslam.evaluation.consistency import chi2_bounds, nees, pose_errors
 from impslam.map import Keyframe, PathRows, Revision
 from impslam.observers.base import Observer
@@ -27,11 +26,9 @@ from impslam.run import Run as Course
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import World, load_world
-from impslam.studies.job import Job
+from impslam.sweeps.job import Job
+from impslam.sweeps.rows import Row, attempt
 from impslam.types import Array, Landmark, Match, Message, Observation, TruePose
-
-Row: TypeAlias = dict[str, Any]
-"""A run in the table: world, variant, seed, error (why it failed, or ""), then its metrics."""
 
 ROBOT = SimulatedRobot(imu=None, truth_rate=1.0)
 """The default robot without what no preset listens to, which saves a second a run."""
@@ -228,38 +225,11 @@ def _run_task(task: _Task) -> list[Row]:
 
 
 def _row(task: _Task, messages: Sequence[Message], variant: Variant) -> Row:
-    row = {"world": task.world.name, "variant": variant.name, "seed": task.seed, "error": ""}
-    try:
+    def metrics() -> Row:
         run = map_run(messages, task.world, variant, task.seed)
-        return row | path_metrics(run) | task.measure(run)
-    except Exception as error:  # hours of other runs are not lost for one
-        return row | {"error": f"{type(error).__name__}: {error}"}
+        return path_metrics(run) | task.measure(run)
 
-
-def by_variant(rows: Iterable[Row]) -> dict[str, list[Row]]:
-    """Return the rows of the runs that did not fail, by the name of the variant.
-
-    Raises
-    ------
-    ImpError
-        If a variant has none.
-    """
-    groups: dict[str, list[Row]] = {}
-    for row in rows:
-        groups.setdefault(row["variant"], []).append(row)
-    for name, runs in groups.items():
-        if all(row["error"] for row in runs):
-            raise ImpError(f"{name}: all {len(runs)} runs failed; the first: {runs[0]['error']}")
-    return {name: [row for row in runs if not row["error"]] for name, runs in groups.items()}
-
-
-def failures(rows: Iterable[Row]) -> str:
-    """Return a sentence on the runs that failed; empty if none did."""
-    lost = [row for row in rows if row["error"]]
-    reasons = "; ".join(
-        f"{r['world']}, {r['variant']}, seed {r['seed']}: {r['error']}" for r in lost
-    )
-    return f"Runs that failed and are left out: {reasons}." if lost else ""
+    return attempt({"world": task.world.name, "variant": variant.name, "seed": task.seed}, metrics)
 
 
 def grid(presets: Sequence[str], settings: Mapping[str, Sequence[str]]) -> list[Variant]:
@@ -272,8 +242,3 @@ def grid(presets: Sequence[str], settings: Mapping[str, Sequence[str]]) -> list[
         for preset in presets
         for name, values in settings.items()
     ]
-
-
-def median_row(rows: Sequence[Row], metric: str = "end") -> Row:
-    """Return the row whose metric is the (lower) median one."""
-    return sorted(rows, key=lambda row: float(row[metric]))[(len(rows) - 1) // 2]

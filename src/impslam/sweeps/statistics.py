@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.studies.sweep import Row
+from impslam.sweeps.rows import Row
 from impslam.types import Array, Ints
 
 MEDIAN_95 = "median [95 %]"

@@ -1,12 +1,13 @@
-"""How much a study is to do, and the processes that share its work."""
+"""How much is to be done, the processes that share it, and how far it has come."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from typing import TypeAlias, TypeVar
+
+from impslam.errors import ImpError
+from impslam.sweeps.pool import Lost, Processes
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -38,17 +39,18 @@ class Job:
         """Return the results of independent work, in the order of the items.
 
         `work` and items must be picklable.
+
+        Raises
+        ------
+        ImpError
+            If a process is killed.
         """
         todo = list(items)
-        if self.processes == 1 or len(todo) < 2:
-            return self._collect(map(work, todo), len(todo), stage)
-        with ProcessPoolExecutor(self.processes, get_context("spawn")) as pool:
-            return self._collect(pool.map(work, todo), len(todo), stage)
-
-    def _collect(self, results: Iterable[R], total: int, stage: str) -> list[R]:
-        self.progress(stage, 0, total)
-        collected = []
-        for result in results:
-            collected.append(result)
-            self.progress(stage, len(collected), total)
-        return collected
+        results: dict[int, R] = {}
+        self.progress(stage, 0, len(todo))
+        for index, result in Processes(self.processes).each(work, todo):
+            if isinstance(result, Lost):
+                raise ImpError(f"{stage}: {result.why}")
+            results[index] = result
+            self.progress(stage, len(results), len(todo))
+        return [results[index] for index in range(len(todo))]

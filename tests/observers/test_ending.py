@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from tests.observers import runs
 
-from impslam.cli.ending import EndOfRun
+from impslam.observers.ending import EndOfRun
 from impslam.types import TruePose
 
 

@@ -1,4 +1,4 @@
-"""What the demo needs to know of the truth: where the path ends."""
+"""The end of a run: its map, its outcome, and the true pose where the path ends."""
 
 from __future__ import annotations
 

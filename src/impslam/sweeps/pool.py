@@ -1,0 +1,109 @@
+"""Independent work, shared by processes of this machine or by the workers of a Dask cluster."""
+
+from __future__ import annotations
+
+import os
+import signal
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing import active_children, get_context, parent_process
+from threading import Thread
+from typing import TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """Stands for the result of work whose process has ended: killed, or out of memory."""
+
+    why: str
+
+
+class Pool(ABC):
+    """Does independent work. Work and items must be picklable."""
+
+    @abstractmethod
+    def each(self, work: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[int, R | Lost]]:
+        """Yield the index of each item and its result, in the order in which they are done.
+
+        What `work` raises ends the iteration.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Processes(Pool):
+    """Processes of this machine; with one of them, this process does the work."""
+
+    count: int = 1
+
+    def each(self, work: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[int, R | Lost]]:
+        """Yield results; see `Pool.each`. An item whose process ends is tried once more, alone."""
+        todo = deque(enumerate(items))
+        if self.count == 1 or len(todo) < 2:
+            yield from ((index, work(item)) for index, item in todo)
+            return
+        while todo:
+            for index, item in (yield from self._until_broken(work, todo)):
+                yield index, _alone(work, item)
+
+    def _until_broken(
+        self, work: Callable[[T], R], todo: deque[tuple[int, T]]
+    ) -> Generator[tuple[int, R | Lost], None, list[tuple[int, T]]]:
+        """Yield results until a process ends; return the items that were at work then.
+
+        No more items are handed out than there are processes: one of those at work is to blame.
+        """
+        running: dict[Future[R], tuple[int, T]] = {}
+        with _executor(self.count) as pool, suppress(BrokenProcessPool):
+            while todo or running:
+                while todo and len(running) < self.count:
+                    future = pool.submit(work, todo[0][1])
+                    running[future] = todo.popleft()
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in done:
+                    result = future.result()
+                    yield running.pop(future)[0], result
+        return list(running.values())
+
+
+def _alone(work: Callable[[T], R], item: T) -> R | Lost:
+    with _executor(1) as pool:
+        try:
+            return pool.submit(work, item).result()
+        except BrokenProcessPool:
+            return Lost("its process was killed twice: out of memory, or by the system; see dmesg")
+
+
+@contextmanager
+def _executor(count: int) -> Iterator[ProcessPoolExecutor]:
+    """Give processes; where the block fails or is interrupted, they are ended at once."""
+    others = set(active_children())
+    pool = ProcessPoolExecutor(count, get_context("spawn"), _begin_process)
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in set(active_children()) - others:
+            process.terminate()
+        raise
+    pool.shutdown()
+
+
+def _begin_process() -> None:
+    """Leave Ctrl-C, which every process of a terminal gets, to the parent; end when the parent does."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

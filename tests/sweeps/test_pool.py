@@ -1,0 +1,46 @@
+"""Processes that share work: in any order, all of it; a process that dies costs its own item alone."""
+
+import os
+import signal
+
+import pytest
+
+from impslam.errors import ImpError
+from impslam.sweeps.job import Job
+from impslam.sweeps.pool import Lost, Processes
+
+
+def square(x):
+    return x * x
+
+
+def die_at_three(x):
+    if x == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return x
+
+
+def refuse(x):
+    raise ArithmeticError(f"no {x}")
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_every_item_is_done_once(count):
+    assert sorted(Processes(count).each(square, range(5))) == [(k, k * k) for k in range(5)]
+
+
+def test_a_process_that_is_killed_costs_one_item():
+    results = dict(Processes(2).each(die_at_three, range(6)))
+    assert isinstance(results.pop(3), Lost)
+    assert results == {k: k for k in range(6) if k != 3}
+
+
+def test_a_job_needs_all_its_results():
+    with pytest.raises(ImpError, match="counting: its process was killed"):
+        Job(processes=2).map(die_at_three, range(4), "counting")
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_what_the_work_raises_is_raised(count):
+    with pytest.raises(ArithmeticError, match="no 1"):
+        Job(processes=count).map(refuse, [1, 1], "refusing")

@@ -1,0 +1,95 @@
+"""The path of a lidar, by its scans alone: neither odometry nor the lidar's mount tells anything of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.columns import Columns, Scans
+from impslam.geometry.se2 import between, log
+from impslam.health import NONE
+from impslam.odometry.lidar_only import LidarOnly
+from impslam.robot import Robot
+from impslam.sensors.lidar2d import Lidar2D
+from impslam.tracking.base import Gate, Tracker
+from impslam.tracking.scan_to_map import ScanToMap
+from impslam.types import Array, Ints, Mask
+
+NEVER = 1e9
+"""m, rad, s: no motion is so long, and no sweep but the first becomes a keyframe."""
+
+
+class LidarPath(NamedTuple):
+    """The poses of a lidar at the middles of n sweeps, in the frame of the first one.
+
+    Attributes
+    ----------
+    middles : (n,) s, by the scans' own clock
+    poses : (n, 3) `T_first_laser`, as the tracker follows it
+    trusted : (n,) whether the scan fits what was seen before, and the pose may be used
+    twists : (n, 3) m/s, m/s, rad/s, body velocity of the lidar over each sweep
+    """
+
+    middles: Array
+    poses: Array
+    trusted: Mask
+    twists: Array
+
+
+def bare(lidar: Lidar2D) -> Lidar2D:
+    """Return a lidar whose base_link is its own place, on its own clock, without extractors."""
+    table = lidar.model_dump(exclude={"extractors"})
+    return Lidar2D(**{**table, "mount": (0.0, 0.0, 0.0), "latency": 0.0})
+
+
+def lidar_path(lidar: Lidar2D, scans: Sequence[Columns]) -> LidarPath:
+    """Return the path of a lidar by its scans (pieces of one layout each), matched scan to map.
+
+    Stamps should be on one time line. Between sweeps it is predicted at constant velocity.
+    """
+    own = bare(lidar)
+    robot = Robot("lidar", LidarOnly(), {"lidar": own})
+    tracker: Tracker = ScanToMap()
+    gate = Gate(np.full(3, NEVER), np.zeros(3))
+    moved, trusted, at = [np.empty((0, 3))], [np.empty(0, np.bool_)], [np.empty(0)]
+    clock = bare(lidar)
+    for piece in scans:
+        sensed = [*robot.sense({piece.stream: piece})]
+        for motions, sweeps in (*sensed, *robot.flush()):
+            steps = tracker.steps(motions, sweeps, gate)
+            moved.append(steps.moved)
+            trusted.append(steps.reasons == NONE)
+        begins, ends = clock.spans(piece)
+        at.append(0.5 * (begins + ends))
+    middles, poses = np.concatenate(at), chain(np.concatenate(moved))
+    return LidarPath(middles, poses, np.concatenate(trusted), twists(middles, poses))
+
+
+def chain(moved: Array) -> Array:
+    """Return poses (n, 3): motions (n, 3) one after another from the origin; headings not wrapped."""
+    heading = np.cumsum(moved[:, 2])
+    way = (moved[:, 0] + 1j * moved[:, 1]) * np.exp(1j * np.concatenate(([0.0], heading))[:-1])
+    place = np.cumsum(way)
+    return np.column_stack((place.real, place.imag, heading))
+
+
+def twists(stamps: Array, poses: Array) -> Array:
+    """Return body velocities (n, 3), each by the neighbours on both sides; 0 where stamps stand."""
+    n = len(stamps)
+    before, after = np.maximum(np.arange(n) - 1, 0), np.minimum(np.arange(n) + 1, n - 1)
+    seconds = stamps[after] - stamps[before]
+    rate = np.divide(1.0, seconds, out=np.zeros(n), where=seconds > 1e-3)
+    return log(between(poses[before], poses[after])) * rate[:, None]
+
+
+def deskewed(lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath, rows: Ints) -> list[Scans]:
+    """Return the sweeps in these rows (increasing), each in the lidar's frame in its middle."""
+    own, out, start = bare(lidar), list[Scans](), 0
+    for piece in scans:
+        inside = rows[(rows >= start) & (rows < start + len(piece))]
+        if len(inside):
+            out.append(own.sweeps(piece.take(inside - start), path.twists[inside]))
+        start += len(piece)
+    return out

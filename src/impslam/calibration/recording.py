@@ -1,0 +1,139 @@
+"""What a log holds for a calibration: readings of odometry, scans, and yaw rates, on one time line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from impslam.columns import Batch, Columns, join, same_layout
+from impslam.config import Config
+from impslam.errors import ConfigError
+from impslam.odometry.clocks import Clocks
+from impslam.sensors.lidar2d import Lidar2D
+from impslam.sources.base import Source
+from impslam.streams import Reader, Streams
+from impslam.types import Array, Imu, LaserScan, TruePose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """The rows of a log that a calibration reads, in pieces of one layout each.
+
+    Attributes
+    ----------
+    odometry : readings of odometry; none in a log without
+    scans : sweeps of one lidar
+    gyro : (g, 2) s and rad/s, the yaw rates of an inertial unit
+    truth : (t, 4) s, m, m, rad, true poses of base_link; for scoring
+    """
+
+    odometry: tuple[Columns, ...]
+    scans: tuple[Columns, ...]
+    gyro: Array
+    truth: Array
+
+
+def lidar_of(config: Config) -> tuple[str, Lidar2D]:
+    """Return the name of the config's first lidar, and the lidar.
+
+    Raises
+    ------
+    ConfigError
+        If there is none.
+    """
+    for name, sensor in config.make_robot().sensors.items():
+        if isinstance(sensor, Lidar2D):
+            return name, sensor
+    raise ConfigError("sensors: no lidar2d; calibration compares odometry with a lidar's motion")
+
+
+def record(config: Config, source: Source, seen: Callable[[], object] = lambda: None) -> Recording:
+    """Read a log; `seen` is called after each batch. See `record_batches`."""
+    with source:
+        streams = _streams(config)
+        streams.choose(source.defaults())
+        return _record(streams, _told(source.batches(), seen))
+
+
+def record_batches(config: Config, batches: Iterable[Batch]) -> Recording:
+    """Return the rows of the config's odometry and first lidar, and of any inertial unit.
+
+    Clocks that were set are corrected as in a run, so that all stamps are on one time line.
+    """
+    return _record(_streams(config), batches)
+
+
+def _told(batches: Iterable[Batch], seen: Callable[[], object]) -> Iterable[Batch]:
+    for batch in batches:
+        yield batch
+        seen()
+
+
+def _streams(config: Config) -> Streams:
+    odometry, (name, lidar) = config.make_robot().odometry, lidar_of(config)
+    return Streams(
+        Reader("odometry", odometry.consumes, odometry.stream),
+        {name: Reader(f"sensors.{name}", LaserScan, lidar.stream)},
+    )
+
+
+def _record(streams: Streams, batches: Iterable[Batch]) -> Recording:
+    clocks, numbers, kept = Clocks(), dict[str, int](), dict[str, list[Columns]]()
+    for batch in batches:
+        rows = [c for c in batch.values() if c.kind in (Imu, TruePose) and len(c)]
+        rows += [c for c in streams.used(batch) if c not in rows]
+        for columns in _on_one_time_line(rows, clocks, numbers):
+            kept.setdefault(columns.stream, []).append(columns)
+    (lidar,) = streams.sensors.values()
+    every = [columns for pieces in kept.values() for columns in pieces]
+    return Recording(
+        _joined(kept.get(streams.odometry.stream, [])),
+        tuple(c for c in _joined(kept.get(lidar.stream, [])) if len(c["angles"])),
+        _table([c for c in every if c.kind is Imu], lambda c: c["angular_velocity"][:, 2:], 2),
+        _table([c for c in every if c.kind is TruePose], lambda c: c["pose"], 4),
+    )
+
+
+def _on_one_time_line(
+    rows: Sequence[Columns], clocks: Clocks, numbers: dict[str, int]
+) -> list[Columns]:
+    """Return columns of one batch with the stamps of the common time line."""
+    if not rows:
+        return []
+    order = np.concatenate([columns.order for columns in rows])
+    number = [numbers.setdefault(columns.stream, len(numbers)) for columns in rows]
+    streams = np.repeat(np.array(number), [len(columns) for columns in rows])
+    stamps = np.concatenate([columns.stamps for columns in rows])
+    place, shifts = np.argsort(order), np.empty(len(order))
+    shifts[place], _ = clocks.shifts(streams[place], stamps[place])
+    parts = np.split(stamps + shifts, np.cumsum([len(columns) for columns in rows])[:-1])
+    return [
+        replace(columns, values={**columns.values, "stamp": part})
+        for columns, part in zip(rows, parts, strict=True)
+    ]
+
+
+def _joined(pieces: Iterable[Columns]) -> tuple[Columns, ...]:
+    """Return the pieces with neighbours of one layout joined."""
+    runs: list[list[Columns]] = []
+    for piece in pieces:
+        if runs and same_layout(runs[-1][0], piece):
+            runs[-1].append(piece)
+        else:
+            runs.append([piece])
+    return tuple(_join_all(run) for run in runs)
+
+
+def _join_all(run: Sequence[Columns]) -> Columns:
+    """Return pieces of one layout as one; halves, so that a row is copied few times."""
+    if len(run) == 1:
+        return run[0]
+    middle = len(run) // 2
+    return join(_join_all(run[:middle]), _join_all(run[middle:]))
+
+
+def _table(pieces: Sequence[Columns], values: Callable[[Columns], Array], width: int) -> Array:
+    rows = [np.column_stack((columns.stamps, values(columns))) for columns in pieces]
+    return np.concatenate(rows) if rows else np.empty((0, width))

@@ -1,0 +1,107 @@
+"""Motions of a lidar by its scans: exact without noise, consistent with it, no scan used twice."""
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from tests.extractors.scans import cast, room, with_ranges
+from tests.numeric import jacobian
+from tests.recorded import perfect
+
+from impslam.calibration.lidar_path import LidarPath, lidar_path, twists
+from impslam.calibration.recording import lidar_of, record_batches
+from impslam.calibration.scan_pairs import _misfit, align, lidar_motions, pairs, surface
+from impslam.columns import batches
+from impslam.config import load
+from impslam.evaluation.trajectory import interpolate
+from impslam.geometry.se2 import between, compose
+from impslam.simulation.world import load_world
+from impslam.surfaces.features import features
+
+ROOM = room(-2.0, 3.0, -1.5, 2.2)
+CIRCLES = np.array([[1.5, 0.9, 0.2], [-1.0, -0.6, 0.15]])
+MOTION = np.array([0.28, 0.05, 0.2])
+NOISE = (0.005, 0.0)
+
+
+def seen(pose, noise=0.0, rng=None, offset=0.0):
+    """Return the surface that a lidar at a pose sees, its ranges long by an offset."""
+    scan = cast(ROOM, CIRCLES, pose=np.array(pose), noise=noise, rng=rng).scan
+    rows = features(with_ranges(scan, scan.ranges + offset, scan.valid), 0.0)
+    return surface(rows[rows[:, 4] > 0])
+
+
+def test_noiseless_scans_tell_the_motion():
+    found = align(seen(np.zeros(3)), seen(MOTION), MOTION + np.array([0.08, -0.05, 0.06]), NOISE)
+    np.testing.assert_allclose(found.T_a_b, MOTION, atol=3e-4)
+    assert found.share > 0.85
+
+
+def test_scans_of_different_places_do_not_match():
+    assert align(seen(np.zeros(3)), seen([1.0, 0.5, 2.5]), np.zeros(3), NOISE) is None
+
+
+def test_jacobian_by_the_pose():
+    """A point falls up to 2 cm beside its partner, so half of b's normals turning moves it by 1 cm."""
+    a, b, at = seen(np.zeros(3)), seen(MOTION), MOTION + np.array([0.002, -0.003, 0.001])
+    tree = cKDTree(a.smooth)
+    e, J, off = _misfit(a, b, tree, at, 0.05, NOISE)
+    found = jacobian(lambda pose: _misfit(a, b, tree, pose, 0.05, NOISE)[2], at, 1e-7)
+    error = np.abs(J[:, :3] * (off / e)[:, None] - found)
+    assert np.quantile(error, 0.98) < 0.012
+
+
+def test_jacobian_by_an_offset_of_all_ranges():
+    """Where beams meet the surface at other angles, an offset opens a gap."""
+    at, offset = MOTION + np.array([0.002, -0.003, 0.001]), 2e-4  # points are float32
+    a, b = seen(np.zeros(3)), seen(MOTION)
+    long_a, long_b = seen(np.zeros(3), offset=offset), seen(MOTION, offset=offset)
+    e, J, off = _misfit(a, b, cKDTree(a.smooth), at, 0.05, NOISE)
+    moved = _misfit(long_a, long_b, cKDTree(long_a.smooth), at, 0.05, NOISE)[2]
+    assert len(moved) == len(off)
+    error = np.abs(J[:, 3] * (off / e) - (moved - off) / offset)
+    assert np.quantile(np.abs(J[:, 3] * (off / e)), 0.9) > 0.05
+    assert np.quantile(error, 0.9) < 0.01
+
+
+def test_errors_are_what_the_information_says(rng):
+    """NEES of 60 motions: 3 if points were independent; their surfaces' smoothing shares errors."""
+    nees = []
+    for _ in range(60):
+        pose = np.array([*rng.uniform(-0.5, 0.5, 2), rng.uniform(-3, 3)])
+        motion = rng.normal(0.0, [0.2, 0.1, 0.2])
+        a, b = seen(pose, 0.005, rng), seen(compose(pose, motion), 0.005, rng)
+        found = align(a, b, motion + rng.normal(0.0, [0.02, 0.02, 0.02]), NOISE)
+        error = found.T_a_b - motion
+        nees.append(error @ found.information[:3, :3] @ error)
+    assert 0.7 < np.mean(nees) / 3.0 < 1.8
+
+
+def test_no_scan_is_in_two_pairs():
+    stamps = 0.1 * np.arange(200)
+    poses = np.column_stack((0.05 * np.arange(200), np.zeros(200), np.zeros(200)))
+    poses[100:] = poses[100]  # it stands
+    trusted = np.arange(200) != 50
+    begins, ends = pairs(LidarPath(stamps, poses, trusted, twists(stamps, poses)))
+    rows = np.concatenate((begins, ends))
+    assert len(np.unique(rows)) == len(rows)
+    assert np.all(trusted[rows])
+    assert not np.any((begins < 50) & (ends > 50))
+    assert np.all((ends - begins <= 31) & (ends > begins))
+
+
+@pytest.mark.parametrize("beam_time", [0.0, 1e-4])
+def test_the_path_of_a_simulated_lidar(beam_time):
+    """Sweeps of 0.07 s are as good as instant ones: the lidar's own motion de-skews them."""
+    config = load("imp")
+    found = record_batches(
+        config, batches((type(m).__name__, m) for m in perfect(load_world("room"), beam_time))
+    )
+    _, lidar = lidar_of(config)
+    path = lidar_path(lidar, found.scans)
+    assert path.trusted.all()
+    motions = lidar_motions(lidar, found.scans)
+    mount = np.array(lidar.mount)
+    true = [compose(interpolate(found.truth, t), mount) for t in (motions.begins, motions.ends)]
+    error = motions.T_begin_end - between(*true)
+    assert len(error) > 5
+    np.testing.assert_allclose(error.std(axis=0), 0.0, atol=1e-3)

@@ -116,6 +116,12 @@ def test_a_new_landmark_moves_so_that_it_is_still_seen_as_it_was(model, theta, r
         assert np.linalg.matrix_rank(new.m_D_z) + open_ == model.dim
 
 
+def test_the_difference_is_what_retract_undoes(model, rng):
+    m = landmarks(model, rng, np.array([2.0, -3.0, 2.5]), 5)
+    delta = 0.3 * rng.normal(size=m.shape)
+    np.testing.assert_allclose(model.difference(m, model.retract(m, delta)), delta, atol=1e-12)
+
+
 def test_motion_jacobian_is_that_of_the_pose_at_the_origin(model, rng):
     z = measurements(model, rng, 5)
     for one, J in zip(z, model.z_D_motion(z), strict=True):

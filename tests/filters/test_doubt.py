@@ -9,9 +9,10 @@ from tests.filters.worlds import MODELS, R_POINT, drive, observe
 from impslam.association.known import Known
 from impslam.component import components
 from impslam.filters.ekf import Ekf
+from impslam.filters.gaussian import GaussianFilter
 from impslam.types import Observation
 
-FAMILY = sorted(n for n, cls in components("filter").items() if issubclass(cls, Ekf))
+FAMILY = sorted(n for n, cls in components("filter").items() if issubclass(cls, GaussianFilter))
 
 
 def worst(seed, spoil=None, **parameters):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.errors import ConfigError
-from impslam.filters.belief import GaussianBelief
+from impslam.filters.belief import Belief
 from impslam.filters.columns import NONE, Columns, ScanColumns, end_points
 from impslam.landmarks.base import LandmarkModel
 from impslam.types import Array, Ints, Landmark, Match, Observation
@@ -199,7 +199,7 @@ class Atlas:
         ends = [table.model.outline(table.states(mean), table.extents) for table in tables]
         return np.concatenate([table.ids for table in tables]), np.concatenate(ends)
 
-    def landmarks(self, belief: GaussianBelief) -> tuple[Landmark, ...]:
+    def landmarks(self, belief: Belief) -> tuple[Landmark, ...]:
         """Return the map in the form users read, by id."""
         found = []
         for kind, table in self._tables.items():

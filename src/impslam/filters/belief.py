@@ -8,6 +8,7 @@ pose comes first. Everything here touches P in place and in order; nothing forms
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
 import numpy as np
 
@@ -105,6 +106,29 @@ def _drive(mean: Array, P: Array, n: int, d: Array, Q: Array) -> None:
     mean[0] = mean[0] + c * d[0] - s * d[1]
     mean[1] = mean[1] + s * d[0] + c * d[1]
     mean[2] = wrap_in_kernel(mean[2] + d[2])
+
+
+class Belief(Protocol):
+    """What is asked of any Gaussian over [pose, landmark, landmark, ...]."""
+
+    n: int
+    mean: Array
+
+    @property
+    def covariance(self) -> Array:
+        """P, full and symmetric (n, n); a copy."""
+
+    def pose_covariance(self) -> Array:
+        """Return the pose's (3, 3)."""
+
+    def block(self, offset: int, dim: int) -> Array:
+        """Return a landmark's own covariance (dim, dim)."""
+
+    def innovation_blocks(self, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
+        """Return H P H^T (k, dz, dz) of k landmarks, each measured alone."""
+
+    def keep(self, indices: Ints) -> None:
+        """Keep these entries of the state (sorted), forget the others."""
 
 
 class GaussianBelief:

@@ -5,16 +5,6 @@ perturbation of its own model. A scan is taken in as one batch: all matched land
 at the same mean, which the Jacobians are evaluated at too (the thesis prints x(k-1) in Eq. 2.20;
 the predicted state is meant). With more than one iteration a correction that turns the robot far is
 linearised again about its own result, Gauss-Newton on the posterior (Bell & Cathey 1993).
-
-Sensors that now and then err by many sigmas have noise with heavy tails: Student's t, a Gaussian whose
-covariance R / w is itself unsure, w drawn from a gamma distribution of mean 1. Given the innovation,
-E[w] = (nu + k) / (nu + d^2) for k measured scalars and nu degrees of freedom (Agamennoni, Nieto & Nebot
-2012, Eq. 13 with the innovation's d^2), so that an outlier's R grows with its d^2 and its pull vanishes.
-
-Errors that repeat from one observation of a landmark to the next, as views and calibrations do, count
-once in so many observations: with a correlation of exp(-x / L) between those taken x apart, observations
-every x are worth x / (2 L) of independent ones. Corrections then use a multiple of R; association, which
-judges each observation alone, uses R itself.
 """
 
 from __future__ import annotations
@@ -28,18 +18,19 @@ from impslam.association.base import Hypotheses
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
 from impslam.filters.atlas import Atlas, Table
-from impslam.filters.base import Filter, Reach, everything
+from impslam.filters.base import Reach, everything
 from impslam.filters.belief import POSE, GaussianBelief
+from impslam.filters.gaussian import INDEFINITE, GaussianFilter
 from impslam.filters.scene import Scene, Sight, stacked
 from impslam.filters.scoring import score
 from impslam.filters.update import Rows, gain, innovation_covariance, solve
 from impslam.geometry.angles import wrap
 from impslam.landmarks.base import Initial, LandmarkModel, Prediction
-from impslam.types import Array, Increment, Ints, Landmark, Match, Observation
+from impslam.types import Array, Increment, Match, Observation
 
 
 @register("ekf")
-class Ekf(Filter):
+class Ekf(GaussianFilter):
     """The textbook EKF over pose and landmarks, written for speed."""
 
     iterations: int = parameter(
@@ -48,17 +39,7 @@ class Ekf(Filter):
     tolerance: float = parameter(
         1e-3, "rad", "a heading that moves less than this is not linearised again", gt=0
     )
-    tails: float = parameter(
-        0.0,
-        "1",
-        "degrees of freedom of the measurement noise (4: heavy tails, outliers fade); 0: Gaussian",
-        ge=0,
-    )
-    repeats: float = parameter(
-        1.0, "1", "observations of a landmark that share one error, so that each counts less", ge=1
-    )
     _belief: GaussianBelief = PrivateAttr()
-    _atlas: Atlas = PrivateAttr()
     _before: tuple[Array, Array] = PrivateAttr()
     """What the last prediction changed, as it was."""
 
@@ -110,10 +91,7 @@ class Ekf(Filter):
             rows, innovation = self._linearise(scene, pose, states)
             U, y, moved, sound = solve(rows, belief.P, scene.entries, innovation, step)
             if not sound:
-                raise NumericalError(
-                    "the innovations' covariance is not positive definite: check the noise of the "
-                    "sensors and of the odometry (sigma, bias, ...)"
-                )
+                raise NumericalError(INDEFINITE)
             turned, step = abs(moved[2] - step[2]), moved
             if turned < self.tolerance:
                 break
@@ -140,45 +118,6 @@ class Ekf(Filter):
             ids.append(self._atlas.add(self.pose, observation, offset, new.m, stamp))
         return tuple(ids)
 
-    def remove(self, ids: Sequence[int]) -> None:
-        """Marginalise landmarks out: their rows and columns go, the rest stays as it is."""
-        if ids:
-            self._belief.keep(self._atlas.remove(ids, self._belief.n))
-
-    def note(
-        self, observations: Sequence[Observation], matches: Sequence[Match], stamp: float
-    ) -> None:
-        """Keep the books of the matched landmarks."""
-        self._atlas.note(self.pose, self._belief.mean, observations, matches, stamp)
-
-    @property
-    def pose(self) -> Array:
-        """`T_map_base` (3,)."""
-        return self._belief.mean[:POSE].copy()
-
-    @property
-    def covariance(self) -> Array:
-        """(3, 3) of the pose."""
-        return self._belief.pose_covariance()
-
-    @property
-    def belief(self) -> GaussianBelief:
-        """The joint belief, for tests and for the study of consistency; read only."""
-        return self._belief
-
-    def outlines(self) -> tuple[Ints, Array]:
-        """Return the ids (k,) of all landmarks and their visible ends (k, 2, 2) in map."""
-        return self._atlas.outlines(self._belief.mean)
-
-    def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the map in the form users read."""
-        return self._atlas.landmarks(self._belief)
-
-    @property
-    def state_size(self) -> int:
-        """Number of scalars in the belief."""
-        return self._belief.n
-
     def _linearise(self, scene: Scene, pose: Array, states: list[Array]) -> tuple[Rows, Array]:
         """Return H at some estimates of the pose (3,) and of each kind's landmarks, and nu."""
         residuals, h_pose, h_m = [], [], []
@@ -189,21 +128,6 @@ class Ekf(Filter):
             h_m.append(prediction.z_D_m.reshape(len(h_pose[-1]), -1))
         rows = Rows(scene.slots, scene.blocks, scene.noise, stacked(h_pose), stacked(h_m))
         return rows, np.concatenate(residuals)
-
-    def _doubt(self, matches: Sequence[Match]) -> Array | None:
-        """Return how many times R counts (matches,) for repetition and innovations; None: once.
-
-        The latter once, by the belief before the correction: its S tells what is far off from what is
-        merely unknown yet, and given these R the correction is Gaussian, its covariance as good as
-        ever. No R shrinks: that an innovation is small by chance does not make a sensor better.
-        """
-        if not self.tails and self.repeats == 1.0:
-            return None
-        if not self.tails:
-            return np.full(len(matches), self.repeats)
-        distance2, k = np.array([(match.distance2, len(match.innovation)) for match in matches]).T
-        doubt: Array = np.maximum(1.0, (self.tails + distance2) / (self.tails + k))
-        return self.repeats * doubt
 
     def _expect(self, sight: Sight, pose: Array, states: Array) -> Prediction:
         """Return how landmarks are seen from estimates of a correction; Jacobians at the same."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from impslam.association.base import Hypotheses
 from impslam.filters.atlas import Table
-from impslam.filters.belief import POSE, GaussianBelief, innovation_blocks
+from impslam.filters.belief import POSE, Belief, GaussianBelief, innovation_blocks
 from impslam.filters.columns import Columns
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
@@ -127,24 +127,60 @@ def _scored(
     return a[inside], places[k[inside]], scores
 
 
+@kernel
+def _compared(
+    seen: tuple[Array, Array], known: tuple[Array, Array], angles: Mask, gate: float
+) -> tuple[Ints, Ints, tuple[Array, Array, Array, Array]]:
+    """Return what `_scored` does, where H P H^T (k, dz, dz) of all landmarks is known."""
+    (z, R), (predicted, HPH) = seen, known
+    spread = np.empty_like(predicted)
+    for i, row in enumerate(HPH):
+        for p in range(len(row)):
+            spread[i, p] = row[p, p]
+    a, k, places = _near(z, predicted, spread, R, angles, gate)
+    nu, S, distance2, log_det = _distances((a, k), z, predicted[places], HPH[places], R, angles)
+    inside = ~(distance2 > gate)
+    scores = nu[inside], S[inside], distance2[inside], log_det[inside]
+    return a[inside], places[k[inside]], scores
+
+
 def score(belief: GaussianBelief, table: Table, asked: Columns, gate: float) -> Hypotheses:
     """Return the pairings of the observations of a kind with its landmarks in a gate.
 
     All landmarks are predicted, for that is cheap; P is read for those near enough.
     """
     model, pose = table.model, belief.mean[:POSE].copy()
-    states, (indices, z, R, ends) = table.states(belief.mean), asked
-    seen = model.predict(pose, states)
-    known = seen.z, seen.z_D_pose, seen.z_D_m
-    angles = angle_mask(type(model))
-    a, rows, scores = _scored(belief.P, table.offsets, (z, R), known, angles, gate)
-    m = states[rows]
+    seen = model.predict(pose, table.states(belief.mean))
+    known, angles = (seen.z, seen.z_D_pose, seen.z_D_m), angle_mask(type(model))
+    scored = _scored(belief.P, table.offsets, (asked.z, asked.R), known, angles, gate)
+    return _hypotheses(belief, table, asked, seen.z, scored)
+
+
+def score_predicted(
+    belief: Belief, table: Table, asked: Columns, gate: float, known: tuple[Array, Array]
+) -> Hypotheses:
+    """Return the same, given z (k, dz) as predicted and its covariance (k, dz, dz) without R."""
+    angles = angle_mask(type(table.model))
+    scored = _compared((asked.z, asked.R), known, angles, gate)
+    return _hypotheses(belief, table, asked, known[0], scored)
+
+
+def _hypotheses(
+    belief: Belief,
+    table: Table,
+    asked: Columns,
+    predicted: Array,
+    scored: tuple[Ints, Ints, tuple[Array, Array, Array, Array]],
+) -> Hypotheses:
+    """Return scored pairs with all that is told of them."""
+    (indices, z, _, ends), (a, rows, scores) = asked, scored
+    model, pose, m = table.model, belief.mean[:POSE].copy(), table.states(belief.mean, rows)
 
     def apart(from_robot: bool) -> tuple[Array, Array]:
         if not from_robot:
             return model.distance(m, model.invert(pose, z)[a])
         base = np.zeros(POSE)
-        return model.distance(model.invert(base, seen.z[rows]), model.invert(base, z)[a])
+        return model.distance(model.invert(base, predicted[rows]), model.invert(base, z)[a])
 
     possible = np.ones(len(a), np.bool_)
     if model.has_extent and len(a):
@@ -161,7 +197,7 @@ def angle_mask(model: type[LandmarkModel]) -> Mask:
     return mask
 
 
-def _possible(belief: GaussianBelief, table: Table, ends: Array, rows: Ints, m: Array) -> Mask:
+def _possible(belief: Belief, table: Table, ends: Array, rows: Ints, m: Array) -> Mask:
     """Tell (p,) which pairings the extents allow, within two standard deviations along them.
 
     `ends` (p, 2, 2) are the observations' end points, `rows` (p,) and m (p, dim) the landmarks.

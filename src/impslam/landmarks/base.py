@@ -145,6 +145,10 @@ class LandmarkModel(Component):
         """Return landmarks m (..., k, dim) moved by perturbations delta (..., k, dim)."""
         return m + delta
 
+    def difference(self, m: Array, other: Array) -> Array:
+        """Return the perturbations (..., k, dim) by which `retract` takes m to others (..., k, dim)."""
+        return other - m
+
     def m_D_motion(self, m: Array) -> Array:
         """Return how landmarks m (k, dim) change as the whole map moves rigidly by a little.
 

@@ -30,7 +30,7 @@ import numpy as np
 from impslam.component import parameter, register
 from impslam.geometry.angles import wrap, wrap_in_kernel
 from impslam.geometry.kernels import kernel, plain
-from impslam.geometry.se2 import compose, transform
+from impslam.geometry.se2 import between, compose, transform
 from impslam.landmarks.base import Initial, LandmarkModel, Overlap, Prediction, Report
 from impslam.landmarks.batch import batched
 from impslam.types import Array, Observation
@@ -179,6 +179,10 @@ class Wall(LandmarkModel):
     def retract(self, m: Array, delta: Array) -> Array:
         """Move the frames in their own axes."""
         return compose(m, delta)
+
+    def difference(self, m: Array, other: Array) -> Array:
+        """Return the others as seen from the frames; see `LandmarkModel.difference`."""
+        return between(m, other)
 
     def m_D_motion(self, m: Array) -> Array:
         """Return R(phi)^T [I, (-y, x)] over [0, 0, 1]; see `LandmarkModel.m_D_motion`."""

@@ -24,7 +24,7 @@ from impslam.studies.report import (
 from impslam.sweeps.job import Job
 from impslam.sweeps.rows import failures
 
-FILTERS = ("ekf", "fej", "oc", "riekf")
+FILTERS = ("ekf", "ukf", "fej", "oc", "riekf")
 RUNS = 100
 """The circle's, by default; the bootstrap then knows the EKF's mean NEES to about 0.5."""
 RUNS_LOOP, RUNS_ARENA = 20, 20

@@ -1,0 +1,101 @@
+"""What filters with one Gaussian over pose and landmarks share: the books, and how much R counts.
+
+Sensors that now and then err by many sigmas have noise with heavy tails: Student's t, a Gaussian whose
+covariance R / w is itself unsure, w drawn from a gamma distribution of mean 1. Given the innovation,
+E[w] = (nu + k) / (nu + d^2) for k measured scalars and nu degrees of freedom (Agamennoni, Nieto & Nebot
+2012, Eq. 13 with the innovation's d^2), so that an outlier's R grows with its d^2 and its pull vanishes.
+
+Errors that repeat from one observation of a landmark to the next, as views and calibrations do, count
+once in so many observations: with a correlation of exp(-x / L) between those taken x apart, observations
+every x are worth x / (2 L) of independent ones. Corrections then use a multiple of R; association, which
+judges each observation alone, uses R itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from pydantic import PrivateAttr
+
+from impslam.component import parameter
+from impslam.filters.atlas import Atlas
+from impslam.filters.base import Filter
+from impslam.filters.belief import POSE, Belief
+from impslam.types import Array, Ints, Landmark, Match, Observation
+
+INDEFINITE = (
+    "the innovations' covariance is not positive definite: check the noise of the sensors and of the "
+    "odometry (sigma, bias, ...)"
+)
+"""What a correction says that is refused."""
+
+
+class GaussianFilter(Filter):
+    """A filter whose belief is one Gaussian."""
+
+    tails: float = parameter(
+        0.0,
+        "1",
+        "degrees of freedom of the measurement noise (4: heavy tails, outliers fade); 0: Gaussian",
+        ge=0,
+    )
+    repeats: float = parameter(
+        1.0, "1", "observations of a landmark that share one error, so that each counts less", ge=1
+    )
+    _belief: Belief = PrivateAttr()
+    _atlas: Atlas = PrivateAttr()
+
+    def remove(self, ids: Sequence[int]) -> None:
+        """Marginalise landmarks out: their rows and columns go, the rest stays as it is."""
+        if ids:
+            self._belief.keep(self._atlas.remove(ids, self._belief.n))
+
+    def note(
+        self, observations: Sequence[Observation], matches: Sequence[Match], stamp: float
+    ) -> None:
+        """Keep the books of the matched landmarks."""
+        self._atlas.note(self.pose, self._belief.mean, observations, matches, stamp)
+
+    @property
+    def pose(self) -> Array:
+        """`T_map_base` (3,)."""
+        return self._belief.mean[:POSE].copy()
+
+    @property
+    def covariance(self) -> Array:
+        """(3, 3) of the pose."""
+        return self._belief.pose_covariance()
+
+    @property
+    def belief(self) -> Belief:
+        """The joint belief, for tests and for the study of consistency; read only."""
+        return self._belief
+
+    def outlines(self) -> tuple[Ints, Array]:
+        """Return the ids (k,) of all landmarks and their visible ends (k, 2, 2) in map."""
+        return self._atlas.outlines(self._belief.mean)
+
+    def landmarks(self) -> tuple[Landmark, ...]:
+        """Return the map in the form users read."""
+        return self._atlas.landmarks(self._belief)
+
+    @property
+    def state_size(self) -> int:
+        """Number of scalars in the belief."""
+        return self._belief.n
+
+    def _doubt(self, matches: Sequence[Match]) -> Array | None:
+        """Return how many times R counts (matches,) for repetition and innovations; None: once.
+
+        The latter once, by the belief before the correction: its S tells what is far off from what is
+        merely unknown yet, and given these R the correction is Gaussian, its covariance as good as
+        ever. No R shrinks: that an innovation is small by chance does not make a sensor better.
+        """
+        if not self.tails and self.repeats == 1.0:
+            return None
+        if not self.tails:
+            return np.full(len(matches), self.repeats)
+        distance2, k = np.array([(match.distance2, len(match.innovation)) for match in matches]).T
+        doubt: Array = np.maximum(1.0, (self.tails + distance2) / (self.tails + k))
+        return self.repeats * doubt

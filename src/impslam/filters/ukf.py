@@ -1,0 +1,251 @@
+"""The unscented Kalman filter for SLAM, in square-root form (Julier & Uhlmann 1997; van der Merwe 2001).
+
+The state is x [+] S u with u of unit covariance, `[+]` the perturbations of pose and landmarks: the pose
+[x, y, theta] by addition, a wall in its own frame. A function of it is looked at where sigma points lie,
+sqrt(3) along each column of S and back (n + kappa = 3, which matches a Gaussian's fourth moment). With
+a_j and b_j the odd and the even part of the function's change along column j,
+
+    mean = f(x) + 1/3 sum b_j,    slopes a_j / sqrt(3),
+    covariance = 1/3 sum a_j a_j^T + 2/9 sum b_j b_j^T.
+
+The mean is that of Julier and Uhlmann; the covariance is that of Nørgaard, Poulsen & Ravn 2000, which
+cannot become negative, as the former can by its negative weight of the middle for n > 3. Both agree, and
+are exact to the fourth moment, where one column alone bends the function: as the heading does, which has
+the first column of S to itself.
+
+A landmark is seen from the pose alone, so that 3 + dim columns say all of it: those of the pose, which
+the landmark moves along with, and dim of what it is unsure by once the pose is known. The slopes over
+them are a linear regression, whose residual 2/9 sum b_j b_j^T is noise (Lefebvre, Bruyninckx & De
+Schutter 2002). So a scan costs O(n^2), as with the EKF (Huang, Mourikis & Roumeliotis 2013), and no
+sigma point of the whole state is ever made.
+
+That robot and map can be moved together unseen is not in these coordinates, as little as in those of the
+textbook EKF: where headings err far, `riekf` is the consistent one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from pydantic import PrivateAttr
+
+from impslam.association.base import Hypotheses
+from impslam.component import register
+from impslam.errors import NumericalError
+from impslam.filters.atlas import Atlas, Pairs, Table
+from impslam.filters.base import Reach, everything
+from impslam.filters.belief import POSE
+from impslam.filters.gaussian import INDEFINITE, GaussianFilter
+from impslam.filters.scoring import score_predicted
+from impslam.filters.square_root import SquareRootBelief, own_roots, root, spread_out
+from impslam.geometry.angles import wrap
+from impslam.geometry.se2 import compose
+from impslam.landmarks.base import LandmarkModel
+from impslam.types import Array, Increment, Ints, Match, Observation
+
+SPREAD = math.sqrt(3.0)
+
+
+class Unscented(NamedTuple):
+    """What a function's changes at sigma points tell of it.
+
+    Attributes
+    ----------
+    shift : (..., d) of the mean from the value in the middle
+    slopes : (..., d, c) over the columns
+    bends : (..., d, c), a root of the residual's covariance
+    """
+
+    shift: Array
+    slopes: Array
+    bends: Array
+
+    @classmethod
+    def of(cls, changes: Array) -> Unscented:
+        """Return this of changes (2 c, ..., d): at all points ahead, then at all those behind."""
+        plus, minus = np.moveaxis(changes.reshape(2, -1, *changes.shape[1:]), 1, -1)
+        even = 0.5 * (plus + minus)
+        bends = math.sqrt(2.0) / 3.0 * even
+        return cls(even.sum(-1) / 3.0, 0.5 / SPREAD * (plus - minus), bends)
+
+
+class Seen(NamedTuple):
+    """How k landmarks are expected to be seen.
+
+    z (k, dz), its slopes (k, dz, 3 + dim) over the columns of pose and landmark, the landmarks' own
+    `roots` (k, dim, dim), and the residual's covariance `noise` (k, dz, dz).
+    """
+
+    z: Array
+    slopes: Array
+    roots: Array
+    noise: Array
+
+
+def points(columns: Array) -> Array:
+    """Return sigma points' perturbations (2 c, d) from columns (d, c): all ahead, then all behind."""
+    ahead = SPREAD * columns.T
+    return np.concatenate([ahead, -ahead])
+
+
+@register("ukf")
+class UnscentedKalmanFilter(GaussianFilter):
+    """The unscented filter: no Jacobians, and means of what is bent; square-root form."""
+
+    _belief: SquareRootBelief = PrivateAttr()
+    _before: SquareRootBelief = PrivateAttr()
+
+    def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
+        """Begin anew; see `Filter.start`."""
+        self._belief = SquareRootBelief(pose, covariance)
+        self._atlas = Atlas(models)
+
+    def predict(self, increment: Increment) -> None:
+        """Move the robot: sigma points of pose and motion are composed."""
+        belief = self._belief
+        self._before = belief.copy()
+        spread = np.zeros((2 * POSE, 2 * POSE))
+        spread[:POSE, :POSE] = belief.S[:POSE, :POSE]
+        spread[POSE:, POSE:] = root(increment.covariance)
+        at = points(spread)
+        pose = compose(belief.mean[:POSE], increment.d_pose)
+        changes = compose(belief.mean[:POSE] + at[:, :POSE], increment.d_pose + at[:, POSE:]) - pose
+        changes[:, 2] = wrap(changes[:, 2])
+        moved = Unscented.of(changes)
+        noise = np.column_stack([moved.slopes[:, POSE:], moved.bends])
+        belief.drive(_wrapped(pose + moved.shift), moved.slopes[:, :POSE], noise)
+
+    def take_back(self) -> None:
+        """Undo the last prediction; see `Filter.take_back`."""
+        self._belief = self._before
+
+    def hypothesise(
+        self, observations: Sequence[Observation], reach: Reach = everything
+    ) -> list[Hypotheses]:
+        """Score the pairings of observations with landmarks of their kind, within a gate."""
+        scores = []
+        for table, asked in self._atlas.by_kind(observations):
+            seen = self._expect(table, np.arange(len(table.ids)))
+            known = seen.z, seen.slopes @ seen.slopes.swapaxes(1, 2) + seen.noise
+            gate = reach(table.model.dim_z)
+            scores.append(score_predicted(self._belief, table, asked, gate, known))
+        return scores
+
+    def joint(
+        self, observations: Sequence[Observation], pairs: Sequence[Match]
+    ) -> tuple[Array, Array]:
+        """Return the innovations of all pairs and their covariance, correlations included."""
+        H, innovation, R = self._measured(observations, pairs)
+        S = H @ H.T
+        begin = 0
+        for block in R:
+            end = begin + len(block)
+            S[begin:end, begin:end] += block
+            begin = end
+        return innovation, S
+
+    def correct(self, observations: Sequence[Observation], matches: Sequence[Match]) -> None:
+        """Take all matches of a scan in, in one batch."""
+        if not matches:
+            return
+        H, y, R = self._measured(observations, matches, self._doubt(matches))
+        begin = 0
+        try:
+            for block in R:
+                end = begin + len(block)
+                whiten = np.linalg.inv(np.linalg.cholesky(block))
+                H[begin:end], y[begin:end] = whiten @ H[begin:end], whiten @ y[begin:end]
+                begin = end
+        except np.linalg.LinAlgError:
+            raise NumericalError(INDEFINITE) from None
+        step, mean = self._belief.absorb(H, y), self._belief.mean
+        mean[:POSE] = _wrapped(mean[:POSE] + step[:POSE])
+        for table in self._atlas.tables():
+            mean[table.columns] = table.model.retract(table.states(mean), table.states(step))
+
+    def extend(self, observations: Sequence[Observation], stamp: float) -> tuple[int, ...]:
+        """Add landmarks with their full cross-covariance: sigma points of pose and observation."""
+        ids = []
+        for observation in observations:
+            model = self._atlas.table(observation.kind).model
+            new, spread = (
+                model.initialise(self.pose, observation),
+                np.zeros((POSE + model.dim_z,) * 2),
+            )
+            spread[:POSE, :POSE] = self._belief.S[:POSE, :POSE]
+            spread[POSE:, POSE:] = root(observation.R)
+            there = np.array(
+                [
+                    model.initialise(self.pose + at[:POSE], _moved(observation, at[POSE:])).m
+                    for at in points(spread)
+                ]
+            )
+            found = Unscented.of(model.difference(np.broadcast_to(new.m, there.shape), there))
+            of_z = np.column_stack([found.slopes[:, POSE:], found.bends])
+            m = model.retract(new.m[None], found.shift[None])[0]
+            offset = self._belief.extend(m, found.slopes[:, :POSE], of_z @ of_z.T + new.slack)
+            ids.append(self._atlas.add(self.pose, observation, offset, m, stamp))
+        return tuple(ids)
+
+    def _expect(self, table: Table, places: Ints | list[int]) -> Seen:
+        """Return how some landmarks of a kind are expected to be seen."""
+        belief, model, offsets = self._belief, table.model, table.offsets[places]
+        k, dim = len(offsets), model.dim
+        roots = own_roots(belief.S, offsets, dim)
+        by_pose = belief.S[table.columns[places], :POSE]
+        spread = np.concatenate([by_pose, roots], axis=2)  # (k, dim, 3 + dim)
+        ahead = SPREAD * np.moveaxis(spread, 2, 0)
+        pose, states = belief.mean[:POSE], table.states(belief.mean, places)
+        poses = np.zeros((2, POSE + dim, POSE))
+        poses[0, :POSE] = SPREAD * belief.S[:POSE, :POSE].T
+        poses[1] = -poses[0]
+        m = model.retract(
+            np.broadcast_to(states, (2 * (POSE + dim), k, dim)), np.concatenate([ahead, -ahead])
+        )
+        z = model.observe(pose, states)
+        found = Unscented.of(model.residual(model.observe(pose + poses.reshape(-1, POSE), m), z))
+        noise = found.bends @ found.bends.swapaxes(1, 2)
+        return Seen(z + found.shift, found.slopes, roots, noise)
+
+    def _measured(
+        self,
+        observations: Sequence[Observation],
+        matches: Sequence[Match],
+        doubt: Array | None = None,
+    ) -> tuple[Array, Array, list[Array]]:
+        """Return H (rows, n) over u, the innovations (rows,) and R of each, in the matches' order.
+
+        R counts `doubt` (matches,) times.
+        """
+        found: dict[int, tuple[Array, Array, Array]] = {}
+        for pairs in self._atlas.pairs(observations, matches):
+            found.update(self._rows(pairs, doubt))
+        H, innovation, R = zip(*(found[i] for i in range(len(matches))), strict=True)
+        return np.concatenate(H), np.concatenate(innovation), list(R)
+
+    def _rows(self, pairs: Pairs, doubt: Array | None) -> dict[int, tuple[Array, Array, Array]]:
+        """Return H, innovation and R of the matches of one kind, by their index."""
+        table, places, columns, rows, which = pairs
+        seen = self._expect(table, places)
+        z, R = columns.z[rows], columns.R[rows]
+        if doubt is not None:
+            R = doubt[which, None, None] * R
+        innovation, R = table.model.residual(z, seen.z), R + seen.noise
+        H = np.zeros((len(which), z.shape[1], self._belief.n))
+        for k, place in enumerate(places):
+            offset = table.offsets[place]
+            spread_out(self._belief.S, offset, seen.roots[k], seen.slopes[k], H[k])
+        return {i: (H[k], innovation[k], R[k]) for k, i in enumerate(which)}
+
+
+def _wrapped(pose: Array) -> Array:
+    pose[2] = wrap(float(pose[2]))
+    return pose
+
+
+def _moved(observation: Observation, delta: Array) -> Observation:
+    return replace(observation, z=observation.z + delta)

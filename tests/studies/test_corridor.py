@@ -31,7 +31,8 @@ from impslam.studies.corridor_metrics import (
 )
 from impslam.studies.corridor_truth import CorridorTruth, Verdict, false_landmarks, judge
 from impslam.studies.map_plot import CORRIDOR, draw_maps
-from impslam.studies.sweep import ROBOT, Run, map_run, path_metrics, sweep
+from impslam.studies.sweep import Run, map_run, path_metrics, sweep
+from impslam.sweeps.cases import ROBOT
 from impslam.sweeps.job import Job
 from impslam.types import Landmark, Observation
 

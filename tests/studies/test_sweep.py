@@ -6,7 +6,8 @@ import pytest
 
 from impslam.errors import ConfigError, ImpError
 from impslam.simulation.world import load_world
-from impslam.studies.sweep import ROBOT, Variant, grid, simulate_and_map, sweep
+from impslam.studies.sweep import Variant, grid, simulate_and_map, sweep
+from impslam.sweeps.cases import ROBOT
 from impslam.sweeps.job import Job
 from impslam.sweeps.rows import by_variant, failures, median_row
 from impslam.sweeps.statistics import Quantiles, mean, rms

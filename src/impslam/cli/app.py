@@ -21,6 +21,7 @@ COMMANDS = {
     "run": ("run:run", "Map a log: write its path, landmarks, grid and report into a folder."),
     "simulate": ("simulate:simulate", "Write what the robot would have recorded in a world."),
     "evaluate": ("evaluate:evaluate", "Score runs against the truth or measured relations."),
+    "sweep": ("sweep:sweep", "Run logs x configs x settings x seeds, and tabulate the errors."),
     "reproduce": ("reproduce:reproduce", "Run the thesis's experiments: its tables and figures."),
     "robot": ("robot:app", "Drive, record and map from a page that the robot serves."),
     "map": ("map:app", "Look into maps, straighten, compare, join and export them."),

@@ -12,7 +12,7 @@ from impslam.cli.progress import display
 from impslam.config import Config
 from impslam.continuing import Known
 from impslam.errors import ConfigError
-from impslam.evaluation.landmark_files import landmarks_path, read_true_landmarks
+from impslam.evaluation.landmark_files import surveyed
 from impslam.map import Map
 from impslam.observers.base import Observer
 from impslam.observers.recorder import Recorder
@@ -62,16 +62,10 @@ def execute(  # noqa: PLR0913  # all that a run consists of
     if folder.resolve().is_relative_to(source.path.resolve()):
         raise ConfigError(f"{folder}: is inside the log and would change it; give another -o")
     with display(quiet) as shown:
-        known = known or source.true_landmarks() or _surveyed(source.path)
+        known = known or source.true_landmarks() or surveyed(source.path)
         bar = Bar(source, shown)
         observers = [bar, Recorder(folder, known), *more]
         if player is not None:
             return player(config, source, observers)
         with Interruption(bar.interrupted) as interruption:
             return map_log(config, source, [*observers, interruption], interruption.check, begin)
-
-
-def _surveyed(log: Path) -> list[TrueLandmark]:
-    """Return the true landmarks that lie beside a log."""
-    path = landmarks_path(log)
-    return read_true_landmarks(path) if path.is_file() else []

@@ -44,6 +44,23 @@ def ticker(display: Any, what: str, total: float) -> Callable[[float], None]:
     return tick
 
 
+class StageBars:
+    """Shows how far work has come, with a bar for each of its stages; nothing without a display."""
+
+    def __init__(self, bars: Any, name: str) -> None:
+        self._bars, self._name = bars, name
+        self._tasks: dict[str, Any] = {}
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Move the bar of a stage; see `impslam.sweeps.job.ProgressCallback`."""
+        if self._bars is None:
+            return
+        if stage not in self._tasks:
+            self._tasks[stage] = self._bars.add_task("", total=total)
+        said = f"{self._name}: {stage} {done}/{total}"
+        self._bars.update(self._tasks[stage], description=said, completed=done, total=total)
+
+
 @contextmanager
 def display(quiet: bool = False) -> Iterator[Any]:
     """Give a rich display of progress, or None where nobody would see it."""

@@ -8,13 +8,13 @@ from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from impslam.cli import console
 from impslam.cli.console import Common, Force, Output
-from impslam.cli.progress import display
+from impslam.cli.progress import StageBars, display
 from impslam.cli.run_folder import run_folder
 from impslam.component import near_miss
 from impslam.errors import ConfigError
@@ -85,7 +85,7 @@ def reproduce(
         try:
             for name in names:
                 runs = seeds or (EXPERIMENTS[name][1] if full else None)
-                job = Job(runs, jobs or os.cpu_count() or 1, Progress(shown, name))
+                job = Job(runs, jobs or os.cpu_count() or 1, StageBars(shown, name))
                 parts.append(_study(name)(job))
         finally:
             if parts:  # hours of work, where a later one is interrupted
@@ -105,22 +105,6 @@ def _folder(wanted: Path | None, *, force: bool) -> AbstractContextManager[Path]
     more = {path.name for path in there if path.suffix in {".png", ".svg", ".csv"}}
     results = {PAGE, MARKDOWN, NUMBERS}
     return run_folder(wanted, "reproduce", force=force, results=results, also=more, mark=NUMBERS)
-
-
-class Progress:
-    """Shows the progress of a study, with a bar for each of its stages."""
-
-    def __init__(self, bars: Any, name: str) -> None:
-        self._bars, self._name = bars, name
-        self._tasks: dict[str, Any] = {}
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        """Move the bar of a stage; see `impslam.sweeps.job.ProgressCallback`."""
-        if self._bars is None:
-            return
-        if stage not in self._tasks:
-            self._tasks[stage] = self._bars.add_task(f"{self._name}: {stage}", total=total)
-        self._bars.update(self._tasks[stage], completed=done, total=total)
 
 
 def _chosen(words: Iterable[str]) -> list[str]:

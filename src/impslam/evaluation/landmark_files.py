@@ -30,6 +30,12 @@ def landmarks_path(log: Path) -> Path:
     return log.with_name(f"{log.stem}.landmarks.csv")
 
 
+def surveyed(log: Path) -> list[TrueLandmark]:
+    """Return the true landmarks that lie beside a log."""
+    path = landmarks_path(log)
+    return read_true_landmarks(path) if path.is_file() else []
+
+
 def write_true_landmarks(path: Path, landmarks: Iterable[TrueLandmark]) -> None:
     """Write a row for each true landmark; see `COLUMNS`."""
     with path.open("w", encoding="utf-8", newline="") as file:

@@ -17,7 +17,8 @@ from impslam.evaluation.landmarks import score_landmarks
 from impslam.geometry.angles import wrap
 from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.studies.arena_experiment import true_landmarks
-from impslam.studies.sweep import ROBOT, Run, Variant, sweep
+from impslam.studies.sweep import Run, Variant, sweep
+from impslam.sweeps.cases import ROBOT
 from impslam.sweeps.job import Job
 from impslam.sweeps.rows import Row, by_variant
 from impslam.types import Array, Landmark, Match, Observation, TrueLandmark

@@ -18,7 +18,8 @@ from impslam.simulation.world import World, load_world
 from impslam.studies.corridor_truth import CorridorTruth, Verdict, false_landmarks, judge
 from impslam.studies.ground_truth import true_twist
 from impslam.studies.report import load_text
-from impslam.studies.sweep import ROBOT, Run, Variant, grid
+from impslam.studies.sweep import Run, Variant, grid
+from impslam.sweeps.cases import ROBOT
 from impslam.sweeps.rows import Row
 from impslam.types import Landmark, LaserScan, Message
 

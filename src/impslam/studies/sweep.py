@@ -26,12 +26,10 @@ from impslam.run import Run as Course
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import World, load_world
+from impslam.sweeps.cases import ROBOT
 from impslam.sweeps.job import Job
 from impslam.sweeps.rows import Row, attempt
 from impslam.types import Array, Landmark, Match, Message, Observation, TruePose
-
-ROBOT = SimulatedRobot(imu=None, truth_rate=1.0)
-"""The default robot without what no preset listens to, which saves a second a run."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,198 @@
+"""`imp sweep`: many runs, one table."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from impslam.cli import console
+from impslam.cli.console import Common, Output
+from impslam.errors import ConfigError
+from impslam.paths import make_folder
+
+if TYPE_CHECKING:
+    from impslam.sweeps.cases import Case, Log
+    from impslam.sweeps.pool import Pool
+    from impslam.sweeps.rows import Row
+    from impslam.sweeps.table import Journal
+
+PICTURE = "errors.png"
+SHOWN = 5
+"""Failed runs that are printed."""
+
+Configs = Annotated[
+    tuple[str, ...],
+    Parameter(
+        name=["--config", "-c"],
+        negative="",
+        show_default=False,
+        help="Presets or TOML files. Default: the preset that fits each log.",
+    ),
+]
+Alternatives = Annotated[
+    tuple[str, ...],
+    Parameter(
+        name="--set",
+        negative="",
+        show_default=False,
+        help="Values to try of a parameter: --set filter.kind=ekf,riekf. Several: every combination.",
+    ),
+]
+Files = Annotated[tuple[str, ...], Parameter(negative="", show_default=False)]
+Jobs = Annotated[
+    int | None, Parameter(name=["--jobs", "-j"], help="Processes. Default: all cores.")
+]
+Scheduler = Annotated[
+    str | None,
+    Parameter(help="Work on a Dask cluster: the address of its scheduler, tcp://HOST:8786."),
+]
+
+
+def sweep(  # noqa: PLR0913  # each is an option that a user may give
+    *logs: str,
+    configs: Configs = (),
+    settings: Alternatives = (),
+    seeds: int = 1,
+    truth: Files = (),
+    relations: Files = (),
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    output: Output = None,
+    common: Common | None = None,
+) -> None:
+    """Map logs with configs, settings and seeds, and write one table with a row for each run.
+
+    The folder holds runs.csv, runs.parquet, runs.jsonl (the rows as they come) and errors.png. A run
+    that fails is a row. A sweep into the folder of an earlier one runs what is missing there.
+
+    Parameters
+    ----------
+    logs
+        Logs, or worlds (arena, room, ..., or a TOML file) in which a drive is simulated for each seed.
+    seeds
+        Seeds 0, 1, ... of each run.
+    truth
+        The true path of a log, as a TUM file: --truth FILE, or LOG=FILE where there are several logs.
+    relations
+        A relation file of the SLAM benchmarking suite: --relations FILE, or LOG=FILE.
+    output
+        The folder to write to, or of a sweep to go on with. Default: runs/sweep-DATE-TIME.
+    """
+    from impslam.sweeps.cases import alternatives, cases
+    from impslam.sweeps.table import Journal
+
+    quiet = common is not None and common.quiet
+    found = find_logs(logs, truth, relations)
+    if seeds < 1:
+        raise ConfigError(f"--seeds {seeds}: must be at least 1")
+    todo = cases(found, configs or (None,), alternatives(settings), seeds)
+    folder = output or make_folder(Path("runs"), f"sweep-{time.strftime('%Y%m%d-%H%M%S')}")
+    pool, journal = make_pool(jobs, scheduler), Journal(folder)
+    left = [case for case in todo if not journal.has(case.row())]
+    if not quiet and len(left) < len(todo):
+        console.say(f"{len(todo) - len(left)} of {len(todo)} runs are done already")
+    try:
+        _run(left, pool, journal, quiet)
+    finally:
+        files = _write(folder, journal.rows())
+    if not quiet:
+        show_errors(journal.rows())
+        console.say(f"table: {', '.join(map(str, files))}")
+
+
+def find_logs(
+    names: Sequence[str], truth: Sequence[str] = (), relations: Sequence[str] = ()
+) -> list[Log]:
+    """Return the logs of the command line, with the files that they are scored against."""
+    from impslam.sweeps.cases import find_log
+
+    if not names:
+        raise ConfigError("no log given; name logs, or worlds such as arena")
+    known = _of_logs("--truth", truth, names), _of_logs("--relations", relations, names)
+    return [find_log(name, *(files.get(name) for files in known)) for name in dict.fromkeys(names)]
+
+
+def _of_logs(option: str, files: Sequence[str], logs: Sequence[str]) -> dict[str, str]:
+    """Return the file of each log from "FILE" or "LOG=FILE"; LOG is a log as given, or its file's stem."""
+    found = {}
+    for word in files:
+        name, equals, file = word.rpartition("=")
+        if not equals and len(logs) > 1:
+            raise ConfigError(f"{option} {word}: is of which log? write LOG={word}")
+        meant = [log for log in logs if not equals or name in (log, Path(log).name.split(".")[0])]
+        if len(meant) != 1:
+            raise ConfigError(f"{option} {word}: {name} is not one of the logs {', '.join(logs)}")
+        found[meant[0]] = file
+    return found
+
+
+def make_pool(jobs: int | None, scheduler: str | None) -> Pool:
+    """Return the processes of the options --jobs and --scheduler."""
+    from impslam.sweeps.cluster import Cluster
+    from impslam.sweeps.pool import Processes
+
+    if jobs is not None and jobs < 1:
+        raise ConfigError(f"--jobs {jobs}: must be at least 1")
+    if scheduler is not None and jobs is not None:
+        raise ConfigError("--jobs and --scheduler: give one; the workers of a cluster are its own")
+    return Processes(jobs or os.cpu_count() or 1) if scheduler is None else Cluster(scheduler)
+
+
+def _run(left: Sequence[Case], pool: Pool, journal: Journal, quiet: bool) -> None:
+    """Run cases and keep their rows as they come."""
+    from impslam.cli.interruption import Interruption
+    from impslam.cli.progress import StageBars, display
+    from impslam.sweeps.measures import run_case
+    from impslam.sweeps.pool import Lost
+
+    with Interruption(), display(quiet) as shown:
+        bars = StageBars(shown, "sweep")
+        bars("runs", 0, len(left))
+        for done, (index, result) in enumerate(pool.each(run_case, left), start=1):
+            run = left[index].row()
+            journal.add({**run, "error": result.why} if isinstance(result, Lost) else result)
+            bars("runs", done, len(left))
+
+
+def _write(folder: Path, rows: Sequence[Row]) -> list[Path]:
+    """Write the table, and the picture if any run has an error to show; return the files."""
+    from impslam.sweeps.plot import draw_sweep
+    from impslam.sweeps.table import write_table
+    from impslam.sweeps.verdict import by_log, measure_of
+
+    files = write_table(folder, rows)
+    if any(measure_of(variants) for variants in by_log(rows).values()):
+        draw_sweep(rows).savefig(folder / PICTURE, metadata={"Software": None})
+        files.append(folder / PICTURE)
+    return files
+
+
+def show_errors(rows: Sequence[Row]) -> None:
+    """Print the errors of each log by variant, and why runs failed."""
+    from impslam.sweeps.statistics import MEDIAN_95, Quantiles
+    from impslam.sweeps.verdict import MEASURES, by_log, measure_of, values_of, variant_name
+
+    cells = []
+    for log, variants in by_log(rows).items():
+        measure = measure_of(variants)
+        for variant, runs in variants.items():
+            values = values_of(runs, measure) if measure else []
+            spread = str(Quantiles.of(100.0 * value for value in values)) if values else "-"
+            seconds = f"{sum(run['cpu_s'] for run in runs) / len(runs):.2f}"
+            what = MEASURES.get(measure, "nothing known")
+            cells.append((Path(log).name, variant, what, str(len(runs)), spread, seconds))
+    if cells:
+        header = ("log", "config and settings", "error, cm", "runs", MEDIAN_95, "CPU s")
+        console.show_table(header, cells, numbers=3)
+    failed = [row for row in rows if row["error"]]
+    for row in failed[:SHOWN]:
+        console.say(
+            f"failed: {row['log']}, {variant_name(row)}, seed {row['seed']}: {row['error']}"
+        )
+    if len(failed) > SHOWN:
+        console.say(f"failed: {len(failed) - SHOWN} more; see the column message")

@@ -1,0 +1,93 @@
+"""The workers of a Dask cluster, on any number of machines: the extra `distributed`.
+
+The scheduler gives the work of a worker that ends to another one; where three workers have ended over
+the same work, it gives that up (`distributed.scheduler.allowed-failures`).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from impslam.errors import ConfigError, ImpError
+from impslam.sweeps.pool import Lost, Pool
+
+T = TypeVar("T")
+R = TypeVar("R")
+PATIENCE = 10.0
+"""s to wait for a scheduler, and then for a first worker."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cluster(Pool):
+    """The workers of the scheduler at an address, e.g. tcp://192.168.1.2:8786."""
+
+    address: str
+
+    def each(self, work: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[int, R | Lost]]:
+        """Yield results; see `Pool.each`.
+
+        Raises
+        ------
+        ConfigError
+            If there is no scheduler, or it has no worker.
+        ImpError
+            If the scheduler ends on the way.
+        """
+        with self._client() as client:
+            from distributed import as_completed  # noqa: PLC0415  # an extra
+
+            futures = [client.submit(work, item, pure=False) for item in items]
+            index = {future.key: k for k, future in enumerate(futures)}
+            for future in as_completed(futures):
+                yield index[future.key], self._result(future)
+                future.release()
+
+    def _result(self, future: Any) -> Any:
+        from distributed import KilledWorker  # noqa: PLC0415  # an extra
+
+        try:
+            return future.result()
+        except KilledWorker as error:
+            return Lost(f"its workers were killed: out of memory, or by the system ({error})")
+        except Exception as error:
+            if "deserialization" in str(error):
+                raise ImpError(
+                    f"--scheduler {self.address}: a worker cannot load the work; install the same impslam "
+                    "and Python where the workers are"
+                ) from error
+            if future.status == "error":  # raised by the work
+                raise
+            raise ImpError(
+                f"--scheduler {self.address}: the scheduler has ended; start it and run again, what is "
+                "done is kept"
+            ) from error
+
+    def _client(self) -> Any:
+        try:
+            from distributed import Client  # noqa: PLC0415  # an extra
+        except ImportError:
+            raise ConfigError(
+                "--scheduler needs Dask; install it with pip install 'impslam[distributed]'"
+            ) from None
+        logging.getLogger("distributed").setLevel(
+            logging.CRITICAL
+        )  # says in tracebacks what we raise
+        try:
+            client = Client(self.address, timeout=PATIENCE)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise ConfigError(
+                f"--scheduler {self.address}: no scheduler answers ({type(error).__name__}); start one "
+                "with 'dask scheduler', which prints its address"
+            ) from None
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE)
+        except TimeoutError:
+            client.close()
+            raise ConfigError(
+                f"--scheduler {self.address}: has no worker; start some with 'dask worker "
+                f"{self.address} --nthreads 1'"
+            ) from None
+        return client

@@ -1,0 +1,63 @@
+"""The table of a sweep: nothing that was written is lost, and it is the same whatever the order."""
+
+import csv
+import math
+
+import pytest
+
+from impslam.errors import ConfigError
+from impslam.sweeps.table import CSV, JOURNAL, PARQUET, Journal, write_table
+
+
+def row(seed, error="", **more):
+    who = {"log": "a", "config": "", "settings": {"x.y": 0.5}, "seed": seed}
+    return {**who, "log_sha256": "1", "config_sha256": "2", "error": error, **more}
+
+
+def test_a_journal_survives_a_cut_and_knows_what_is_done(tmp_path):
+    journal = Journal(tmp_path)
+    for one in (row(0, ate_m=0.25), row(1, "IMU on fire"), row(2, ate_m=math.nan)):
+        journal.add(one)
+    with (tmp_path / JOURNAL).open("a") as file:
+        file.write('{"log": "a", "config"')
+    again = Journal(tmp_path)
+    assert [again.has(row(seed)) for seed in range(4)] == [True, False, True, False]
+    assert not again.has({**row(0), "log_sha256": "another log of that name"})
+    again.add(row(1, ate_m=0.5))
+    assert [r.get("ate_m") for r in Journal(tmp_path).rows()] == [0.25, 0.5, None]
+
+
+def test_a_folder_of_something_else_is_left_alone(tmp_path):
+    (tmp_path / "thesis.tex").write_text("")
+    with pytest.raises(ConfigError, match="is not the folder of a sweep"):
+        Journal(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_the_table_has_a_row_for_each_run_in_order(tmp_path):
+    rows = [row(1, "IMU on fire"), row(0, scans=7, ate_m=0.25, cpu_s=1.5)]
+    assert write_table(tmp_path, rows)[0] == tmp_path / CSV
+    with (tmp_path / CSV).open() as file:
+        first, second = csv.DictReader(file)
+    assert list(first) == [
+        *("log", "config", "x.y", "seed", "status", "message", "scans", "ate_m"),
+        *("cpu_s", "log_sha256", "config_sha256"),
+    ]
+    assert (first["seed"], first["status"], first["ate_m"]) == ("0", "ok", "0.25")
+    assert (second["status"], second["message"], second["ate_m"]) == ("failed", "IMU on fire", "")
+
+
+def test_parquet_holds_the_same_with_types(tmp_path):
+    io = pytest.importorskip("arro3.io")
+    write_table(tmp_path, [row(0, scans=7, ate_m=0.25), row(1, "lost")])
+    table = io.read_parquet(tmp_path / PARQUET).read_all()
+    assert table["seed"].to_pylist() == [0, 1]
+    assert table["scans"].to_pylist() == [7, None]
+    assert table["ate_m"].to_pylist() == [0.25, None]
+    assert table["message"].to_pylist() == ["", "lost"]
+
+
+def test_without_the_extra_only_csv_is_written(tmp_path, monkeypatch, caplog):
+    monkeypatch.setitem(__import__("sys").modules, "arro3.core", None)
+    assert write_table(tmp_path, [row(0)]) == [tmp_path / CSV]
+    assert "pip install 'impslam[parquet]'" in caplog.text

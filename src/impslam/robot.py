@@ -61,6 +61,11 @@ class Robot:
         """Names of the streams that the config names."""
         return self._streams.wanted
 
+    @property
+    def reads(self) -> frozenset[str]:
+        """Names of the streams that parts of the robot read, as far as the log has shown them."""
+        return self._streams.named
+
     def choose(self, defaults: Mapping[type[Message], str]) -> None:
         """Set the streams to use by type of message where the config names none (else: the first)."""
         self._streams.choose(defaults)

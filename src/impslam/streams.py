@@ -46,6 +46,11 @@ class Streams:
         """Names of the streams that the config names."""
         return tuple(dict.fromkeys(reader.stream for reader in self._all if reader.named))
 
+    @property
+    def named(self) -> frozenset[str]:
+        """Names of the streams that have a reader, as far as they are known."""
+        return frozenset(reader.stream for reader in self._all) - {""}
+
     def choose(self, defaults: Mapping[type[Message], str]) -> None:
         """Set the streams to read by type of message where the config names none."""
         for reader in self._all:

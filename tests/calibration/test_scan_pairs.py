@@ -81,7 +81,7 @@ def test_no_scan_is_in_two_pairs():
     poses = np.column_stack((0.05 * np.arange(200), np.zeros(200), np.zeros(200)))
     poses[100:] = poses[100]  # it stands
     trusted = np.arange(200) != 50
-    begins, ends = pairs(LidarPath(stamps, poses, trusted, twists(stamps, poses)))
+    begins, ends = pairs(LidarPath(stamps, poses, trusted, trusted, twists(stamps, poses)))
     rows = np.concatenate((begins, ends))
     assert len(np.unique(rows)) == len(rows)
     assert np.all(trusted[rows])

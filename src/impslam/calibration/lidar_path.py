@@ -29,12 +29,14 @@ class LidarPath(NamedTuple):
     middles : (n,) s, by the scans' own clock
     poses : (n, 3) `T_first_laser`, as the tracker follows it
     trusted : (n,) whether the scan fits what was seen before, and the pose may be used
+    located : (n,) whether the scan tells the place, too, along both axes: it does not in a bare corridor
     twists : (n, 3) m/s, m/s, rad/s, body velocity of the lidar over each sweep
     """
 
     middles: Array
     poses: Array
     trusted: Mask
+    located: Mask
     twists: Array
 
 
@@ -53,7 +55,8 @@ def lidar_path(lidar: Lidar2D, scans: Sequence[Columns]) -> LidarPath:
     robot = Robot("lidar", LidarOnly(), {"lidar": own})
     tracker: Tracker = ScanToMap()
     gate = Gate(np.full(3, NEVER), np.zeros(3))
-    moved, trusted, at = [np.empty((0, 3))], [np.empty(0, np.bool_)], [np.empty(0)]
+    moved, trusted, located = [np.empty((0, 3))], [np.empty(0, np.bool_)], [np.empty(0, np.bool_)]
+    at = [np.empty(0)]
     clock = bare(lidar)
     for piece in scans:
         sensed = [*robot.sense({piece.stream: piece})]
@@ -61,10 +64,12 @@ def lidar_path(lidar: Lidar2D, scans: Sequence[Columns]) -> LidarPath:
             steps = tracker.steps(motions, sweeps, gate)
             moved.append(steps.moved)
             trusted.append(steps.reasons == NONE)
+            located.append(steps.located)
         begins, ends = clock.spans(piece)
         at.append(0.5 * (begins + ends))
     middles, poses = np.concatenate(at), chain(np.concatenate(moved))
-    return LidarPath(middles, poses, np.concatenate(trusted), twists(middles, poses))
+    told = np.concatenate(trusted), np.concatenate(located)
+    return LidarPath(middles, poses, *told, twists(middles, poses))
 
 
 def chain(moved: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from impslam.odometry.clocks import Clocks
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Source
 from impslam.streams import Reader, Streams
-from impslam.types import Array, Imu, LaserScan, TruePose
+from impslam.types import Array, Imu, LaserScan, Message, TruePose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,12 +57,17 @@ def record(config: Config, source: Source, seen: Callable[[], object] = lambda: 
         return _record(streams, _told(source.batches(), seen))
 
 
-def record_batches(config: Config, batches: Iterable[Batch]) -> Recording:
+def record_batches(
+    config: Config, batches: Iterable[Batch], defaults: Mapping[type[Message], str] | None = None
+) -> Recording:
     """Return the rows of the config's odometry and first lidar, and of any inertial unit.
 
-    Clocks that were set are corrected as in a run, so that all stamps are on one time line.
+    Clocks that were set are corrected as in a run, so that all stamps are on one time line. `defaults` are
+    the streams to read where the config names none; see `Source.defaults`.
     """
-    return _record(_streams(config), batches)
+    streams = _streams(config)
+    streams.choose(defaults or {})
+    return _record(streams, batches)
 
 
 def _told(batches: Iterable[Batch], seen: Callable[[], object]) -> Iterable[Batch]:

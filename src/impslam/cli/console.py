@@ -173,6 +173,11 @@ def show_problem(kind: str, count: int, example: str) -> None:
     say(f"problem: {count} x {kind}: {example}")
 
 
+def show_finding(kind: str, text: str, *, harmful: bool) -> None:
+    """Print what a diagnosis found: a problem, or something that a run copes with."""
+    say(f"{'problem' if harmful else 'note'}: {kind}: {text}")
+
+
 def say(text: str = "") -> None:
     """Print a line of a result, however long."""
     sys.stdout.write(text + "\n")

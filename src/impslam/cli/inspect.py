@@ -13,6 +13,7 @@ from impslam.cli.progress import display, follow
 if TYPE_CHECKING:
     from impslam.cli.survey import Beams, Survey
     from impslam.config import Config
+    from impslam.diagnosis.finding import Finding
     from impslam.sources.base import Problems, Stream
 
 
@@ -41,27 +42,27 @@ def inspect(
     chosen, source = open_log(
         log, config, [*settings, *topic_settings(topics), *column_settings(columns)]
     )
-    survey = Survey(chosen.make_robot())
+    survey = Survey(chosen)
     with source, display(common is not None and common.quiet) as shown:
         streams, preset = source.streams(), source.preset
         for _ in follow(survey.read(source), source, shown, "reading"):
             pass
     named = config or ("stored in the log" if "\n" in preset else preset)
     console.say(f"{log}: {source.name}, preset {named}")
-    _show_streams(streams)
+    _show_streams(streams, survey.reads)
     if chosen_streams := choices(chosen, source):
         console.say(f"reads: {chosen_streams}")
     _show_clocks(survey)
     console.show_facts(_scan_facts(survey.beams) | _motion_facts(survey, chosen))
-    _show_problems(source.problems, survey.unused, survey.problems)
+    _show_problems(source.problems, survey.unused, survey.problems, findings=survey.findings)
 
 
-def _show_streams(streams: list[Stream]) -> None:
+def _show_streams(streams: list[Stream], reads: frozenset[str]) -> None:
     rows = [
         (
             s.name,
             s.type,
-            "yes" if s.used else "no",
+            "yes" if s.name in reads else "no",
             s.note,
             "" if s.count is None else str(s.count),
         )
@@ -113,12 +114,14 @@ def _motion_facts(survey: Survey, config: Config) -> dict[str, str]:
     return {"odometry": f"{config.odometry['kind']}, {way}, {turns}"}
 
 
-def _show_problems(*found: Problems) -> None:
+def _show_problems(*found: Problems, findings: list[Finding]) -> None:
     console.say()
     for problems in found:
         for kind, count in problems.counts.items():
             console.show_problem(kind, count, problems.examples[kind])
-    if not any(problems.counts for problems in found):
+    for finding in findings:
+        console.show_finding(finding.kind, str(finding), harmful=finding.harmful)
+    if not any(problems.counts for problems in found) and not any(f.harmful for f in findings):
         console.say("no problem found")
 
 

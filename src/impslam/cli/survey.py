@@ -9,13 +9,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from impslam.columns import Motions, Sweeps, messages
-from impslam.robot import Robot
+from impslam.config import Config
+from impslam.diagnosis.diagnose import diagnose
+from impslam.diagnosis.finding import Finding
+from impslam.diagnosis.head import Head
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Problems, Source
 from impslam.types import Array, LaserScan, Message
 
 MOSTLY = 0.5
 """Share of invalid beams above which a problem is reported."""
+DIAGNOSED = 4000
+"""Scans at the beginning of the log that are diagnosed: some minutes, and some seconds of work."""
 
 
 @dataclass(slots=True)
@@ -99,10 +104,13 @@ class Survey:
     clocks, beams : of the messages by type, and of the scans
     way, rotation : m and rad of odometry, added up from scan to scan
     problems, unused : what is wrong with the log as a whole, and rows that mapping would not use
+    findings : what the data show to be other than the config says
     """
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot, self.unused = robot, robot.problems
+    def __init__(self, config: Config) -> None:
+        self._config, self._robot = config, config.make_robot()
+        self.unused, self._head = self._robot.problems, Head(DIAGNOSED)
+        self.findings: list[Finding] = []
         self.clocks: dict[str, Clock] = {}
         self.beams = Beams()
         self.way = self.rotation = 0.0
@@ -112,6 +120,7 @@ class Survey:
         """Read an open log; yield the stamps to show progress."""
         self._robot.choose(source.defaults())
         for batch in source.batches():
+            self._head.add(batch)
             self._add_motions(self._robot.sense(batch))
             for message in messages([batch]):
                 self._add(message)
@@ -119,6 +128,12 @@ class Survey:
         self._add_motions(self._robot.flush())
         self._add_steps(self._robot.ahead().d_pose[None])
         self._judge()
+        self.findings = diagnose(self._config, self._head.batches, source.defaults())
+
+    @property
+    def reads(self) -> frozenset[str]:
+        """Names of the streams that mapping reads."""
+        return self._robot.reads
 
     def _add(self, message: Message) -> None:
         self.clocks.setdefault(type(message).__name__, Clock()).add(message.stamp)

@@ -10,7 +10,7 @@ increment to the pose and lives in the filter; the noise Jacobian, Eq. 3.8-3.18,
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from impslam.odometry.base import DIAGONAL, Odometry, durations, known
 from impslam.odometry.kernels import wheel_motions
 from impslam.odometry.standstill import Band
 from impslam.types import Array, Mask, WheelAngles
+
+_SIGNS = {"none": (1.0, 1.0), "left": (-1.0, 1.0), "right": (1.0, -1.0), "both": (-1.0, -1.0)}
 
 
 @register("encoders")
@@ -45,6 +47,12 @@ class Encoders(Odometry):
         "change of the reading per turn of the wheel: 2 pi for angles, the tick count for ticks, "
         "the full scale for an absolute encoder's voltage (5 V for the MA3)",
         gt=0,
+    )
+    exchanged: bool = parameter(
+        False, "", "the readings of the left and the right wheel are exchanged in the log"
+    )
+    reversed: Literal["none", "left", "right", "both"] = parameter(
+        "none", "", "wheels (after exchange) whose reading falls while they roll forward"
     )
     wrap: float = parameter(
         0.0,
@@ -99,7 +107,13 @@ class Encoders(Odometry):
         if self.wrap:
             left -= self.wrap * np.rint(left / self.wrap)
             right -= self.wrap * np.rint(right / self.wrap)
-        return per_reading * left, per_reading * right * self.right_left_ratio
+        if self.exchanged:
+            left, right = right, left
+        left_sign, right_sign = _SIGNS[self.reversed]
+        return (
+            left_sign * per_reading * left,
+            right_sign * per_reading * right * self.right_left_ratio,
+        )
 
     def fault(self, readings: Columns) -> str:
         """Describe the fault; see `Odometry.fault`."""

@@ -1,0 +1,60 @@
+"""A drive through the arena with one thing wrong: it is found, its settings mend it, nothing else is."""
+
+from collections.abc import Iterable
+
+import pytest
+from tests import log_faults as faults
+
+from impslam.columns import Batch, batches
+from impslam.config import load
+from impslam.diagnosis.diagnose import diagnose
+from impslam.simulation.simulate import simulate
+from impslam.simulation.world import load_world
+
+
+@pytest.fixture(scope="module")
+def drive() -> list[Batch]:
+    """Return the arena's drive, with all noise, as columns."""
+    messages = simulate(load_world("arena"), seed=3)
+    return list(batches((type(message).__name__, message) for message in messages))
+
+
+def found(drive: Iterable[Batch], *settings: str):
+    return diagnose(load("imp", settings), drive, {})
+
+
+def harm(drive: Iterable[Batch], *settings: str) -> dict:
+    return {one.kind: one for one in found(drive, *settings) if one.harmful}
+
+
+def test_silent_on_a_sound_log(drive) -> None:
+    assert found(drive) == []
+
+
+CASES = {
+    "exchanged, a gyro tells": (faults.exchanged(), (), "wheels exchanged"),
+    "mirrored, a gyro tells": (faults.mirrored(), (), "scan mirrored"),
+    "left reversed": (faults.reversed_wheels("left"), (), "wheel reversed"),
+    "right reversed": (faults.reversed_wheels("right"), (), "wheel reversed"),
+    "both reversed": (faults.reversed_wheels("left", "right"), (), "wheels reversed"),
+    "turned by 20 degrees": (faults.turned(0.35), (), "laser turned"),
+    "astern": (faults.turned(3.14159), (), "laser turned"),
+    "ranges 10 % short": (faults.scaled_ranges(0.9), (), "ranges scale"),
+    "late": (faults.late(0.2), (), "stamps late"),
+    "standing": (faults.standing(), (), "odometry stands still"),
+    "track": (faults.of((), None), ("odometry.track=0.5",), "track"),
+    "radius": (faults.of((), None), ("odometry.wheel_radius=0.08",), "wheel radius"),
+    "ratio": (faults.of((), None), ("odometry.right_left_ratio=1.1",), "wheels unequal"),
+    "mount": (faults.of((), None), ("sensors.lidar.mount=[-0.1,0,0]",), "laser elsewhere"),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_fault_is_found_and_mended(drive, name: str) -> None:
+    change, settings, kind = CASES[name]
+    wrong = list(faults.faulty(drive, change))
+    problems = harm(wrong, *settings)
+    assert list(problems) == [kind]
+    assert problems[kind].sure > 0.99 or problems[kind].advice
+    mended = harm(wrong, *settings, *problems[kind].fix)
+    assert mended == {}

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from impslam.geometry.kernels import compile_seconds
 from impslam.observers.base import Dropped, Outcome
 from impslam.provenance import versions
 from impslam.sources.base import Problems
@@ -18,7 +19,12 @@ class Stopwatch:
 
     def __init__(self) -> None:
         self.stages: dict[str, array[float]] = {}
-        self._begin = time.perf_counter()
+        self._begin, self._compiled = time.perf_counter(), compile_seconds()
+
+    @property
+    def compiling(self) -> float:
+        """Seconds since creation in which kernels were compiled."""
+        return compile_seconds() - self._compiled
 
     @property
     def elapsed(self) -> float:

@@ -378,6 +378,7 @@ class Run:
             stages={name: np.array(times) for name, times in self.clock.stages.items()},
             log_seconds=self.robot.elapsed,
             wall_seconds=self.clock.elapsed,
+            compile_seconds=self.clock.compiling,
             state_size=self.estimator.state_size,
             health=self._health.health,
             lidar_alone=not self.robot.odometry.tells_motion,

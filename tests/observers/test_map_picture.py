@@ -11,7 +11,7 @@ from tests.recognition.plans import OFFICE, way
 from impslam.evaluation.colours import INK, PATH, POINT, SEEN, TRUTH, UNSEEN, WALL
 from impslam.maps.files import FREE, OCCUPIED, UNKNOWN, MapImage
 from impslam.observers.canvas import Canvas, colour
-from impslam.observers.map_picture import Scene, drawn_path, map_png, pieces
+from impslam.observers.map_picture import Scene, bounds, drawn_path, map_png, pieces
 from impslam.types import Landmark
 
 NOTHING = np.zeros((0, 2))
@@ -71,6 +71,21 @@ def test_the_picture_holds_paths_walls_points_and_ends() -> None:
     pixels = picture(scene(path, truth=NOTHING))
     for code in (PATH, POINT, TRUTH, INK, WALL):
         assert (pixels == colour(code)).all(axis=2).sum() > 20, code
+
+
+def test_the_picture_holds_the_whole_ellipse_and_odometry_unless_they_run_off() -> None:
+    """The map is 6 m by 4 m from (-1, -1)."""
+    path = np.column_stack([np.linspace(0.0, 4.0, 50), np.zeros(50)])
+    drawn = scene(path, odometry=np.array([[0.0, 0.0], [0.0, 7.0]]))
+    wide = replace(
+        drawn.landmarks[0], covariance=np.diag([4.0, 1e-4])
+    )  # 6 m to both sides of x = 1
+    left, right, bottom, top = bounds(replace(drawn, landmarks=(wide,)))
+    assert (left < -4.9, right > 6.9, bottom < -1.0, top > 7.0) == (True,) * 4
+    far = replace(drawn.landmarks[0], covariance=np.diag([400.0, 1e-4]))
+    assert bounds(replace(drawn, landmarks=(far,)))[0] > -2.0
+    away = np.array([[0.0, 0.0], [0.0, 70.0]])
+    assert bounds(scene(path, odometry=away))[3] < 4.0
 
 
 def test_odd_paths_can_be_drawn() -> None:

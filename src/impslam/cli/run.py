@@ -137,7 +137,7 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
 
 def show(known: Map, outcome: Outcome, folder: Path, *, at_once: bool = True) -> None:
     """Print the results of a run; `at_once` if it was not replayed, so that its speed is meaningful."""
-    from impslam.observers.summary import length, loops, real_time_factor
+    from impslam.observers.summary import compiled, length, loops, real_time_factor
 
     counts, seconds = outcome.counts, outcome.log_seconds
     kinds = Counter(landmark.kind for landmark in known.landmarks)
@@ -152,6 +152,7 @@ def show(known: Map, outcome: Outcome, folder: Path, *, at_once: bool = True) ->
             "landmarks": found,
             **({"loops": closed} if closed else {}),
             "time": f"{outcome.wall_seconds:.1f} s"
+            + (f" ({compiled(outcome)}, once)" if compiled(outcome) else "")
             + (f", {real_time_factor(outcome):.0f} times real time" if at_once else ""),
         }
     )

@@ -8,11 +8,21 @@ from typing import Any, TypeVar, cast
 import numpy as np
 import numpy.typing as npt
 from numba import njit
+from numba.core import event
 
 from impslam.geometry.machine_code import MachineCode, warn_once
 
 _FLOAT64 = np.dtype(np.float64)
 F = TypeVar("F", bound=Callable[..., object])
+
+
+_COMPILING = event.TimingListener()
+event.register("numba:compile", _COMPILING)
+
+
+def compile_seconds() -> float:
+    """Return how long this process has compiled by now, s; loading what was compiled before is none."""
+    return float(_COMPILING.duration) if _COMPILING.done else 0.0
 
 
 def kernel(function: F) -> F:

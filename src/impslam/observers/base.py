@@ -34,6 +34,7 @@ class Outcome:
     stages : durations in s by stage ("sense", "track", "look", "estimate", and once "settle")
     log_seconds : from the first to the last message in use, corrected for clocks that were set
     wall_seconds : duration of the run
+    compile_seconds : how much of it went into compiling, which the very first run of a version does
     state_size : number of scalars in the filter state at the end
     health : whether the pose can be trusted, scan by scan
     lidar_alone : whether the run had no odometry
@@ -52,6 +53,7 @@ class Outcome:
     health: Health = ALL_WELL
     lidar_alone: bool = False
     partial: str = ""
+    compile_seconds: float = 0.0
 
 
 class Observer:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from impslam.maps.files import FREE, OCCUPIED, map_image
+from impslam.maps.files import FREE, OCCUPIED, UNKNOWN, MapImage, map_image
 from impslam.maps.grid import OccupancyGrid
+from impslam.observers.canvas import png
 from impslam.types import Array
 
 COLOURS: npt.NDArray[np.uint8] = np.zeros((256, 4), np.uint8)
@@ -42,6 +43,23 @@ def paint(grid: OccupancyGrid, version: int) -> GridPicture:
     """Return a grid's picture, cut to what is known; the same greys as map.pgm."""
     image = map_image(grid)
     rows, columns = image.pixels.shape
-    done, png = cv2.imencode(".png", COLOURS[image.pixels])
-    assert done, "a PNG of any size can be encoded"
-    return GridPicture(png.tobytes(), version, image.origin, image.resolution, (columns, rows))
+    return GridPicture(grid_png(image), version, image.origin, image.resolution, (columns, rows))
+
+
+def grid_png(image: MapImage) -> bytes:
+    """Return a grid as a PNG in `COLOURS`."""
+    return png(COLOURS[image.pixels])
+
+
+def coarsened(image: MapImage, most: int) -> MapImage:
+    """Return a grid of so many cells at most; a coarser one is occupied where any of its cells is."""
+    step = math.ceil(math.sqrt(image.pixels.size / most))
+    if step <= 1:
+        return image
+    rows, columns = (math.ceil(side / step) for side in image.pixels.shape)
+    cells = np.full((rows * step, columns * step), UNKNOWN, np.uint8)
+    cells[: image.pixels.shape[0], : image.pixels.shape[1]] = image.pixels
+    coarse = cells.reshape(rows, step, columns, step).min(axis=(1, 3))  # OCCUPIED < UNKNOWN < FREE
+    left, _, _, top = image.extent
+    resolution = step * image.resolution
+    return MapImage(coarse, resolution, np.array([left, top - rows * resolution]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from impslam.health import STATES, Health, Span
-from impslam.observers.page import escape, round_numbers, section, table
+from impslam.observers.page import escape, round_numbers, section, table, times
 from impslam.types import Array
 
 ROWS = 30
@@ -51,8 +51,9 @@ def _band(stamps: Array, spans: list[Span]) -> str:
         for t in ticks
     )
     return (
-        '<div class="plot health"><svg viewBox="0 0 1000 100" preserveAspectRatio="none" role="img" '
-        'aria-label="Health over time"><rect class="TRACKING" x="0" y="0" width="1000" height="100"/>'
+        f'<div class="plot health"{times(first, first + seconds)}><svg viewBox="0 0 1000 100" '
+        'preserveAspectRatio="none" role="img" aria-label="Health over time">'
+        '<rect class="TRACKING" x="0" y="0" width="1000" height="100"/>'
         f"{''.join(marks)}</svg>{labels}</div>"
     )
 

@@ -25,6 +25,9 @@ MAX_LABELS = 40
 """Landmarks that are labelled; more would hide the map."""
 DASH, GAP = 11.0, 7.0
 """Pixels of the truth's dashes."""
+WIDEST = 2.0
+"""Times the longer side of map, path and truth to which ellipses and odometry may stretch the picture:
+beyond it the map would be too small to see."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,9 +43,9 @@ class Scene:
 
 def map_png(scene: Scene) -> bytes:
     """Return the map with paths and landmarks as a PNG."""
-    left, right, bottom, top = bounds = _bounds(scene)
-    canvas = Canvas(bounds, SIZE, colours.UNSEEN)
-    frame = Frame(canvas, bounds, _keys(scene))
+    left, right, bottom, top = box = bounds(scene)
+    canvas = Canvas(box, SIZE, colours.UNSEEN)
+    frame = Frame(canvas, box, _keys(scene))
     draw_grid(canvas, scene.image)
     frame.rule()
     thickness = float(np.clip(15.0 / max(right - left, top - bottom), 0.5, 1.0))
@@ -53,16 +56,35 @@ def map_png(scene: Scene) -> bytes:
     return png(frame.around().pixels)
 
 
-def _bounds(scene: Scene) -> tuple[float, float, float, float]:
-    """Return left, right, bottom, top of what SLAM and the truth show; odometry may run off."""
+def bounds(scene: Scene) -> tuple[float, float, float, float]:
+    """Return left, right, bottom, top of what is drawn, as far as `WIDEST` lets it."""
     left, right, bottom, top = scene.image.extent
     ends = [mark.end_points for mark in scene.landmarks if mark.end_points is not None]
-    at = [mark.position[None] for mark in scene.landmarks if mark.end_points is None]
-    points = np.vstack([scene.path, scene.truth, *ends, *at, [[left, bottom], [right, top]]])
+    points = [mark for mark in scene.landmarks if mark.end_points is None]
+    at = [mark.position[None] for mark in points]
+    box = _box(scene.path, scene.truth, *ends, *at, np.array([[left, bottom], [right, top]]))
+    widest = WIDEST * np.ptp(box, axis=0).max()
+    for more in ([ellipse(mark) for mark in points], [scene.odometry]):
+        wider = _box(box, *more)
+        if np.ptp(wider, axis=0).max() <= widest:
+            box = wider
+    low, high = box
+    margin = 0.03 * max(*(high - low), 1.0)
+    return low[0] - margin, high[0] + margin, low[1] - margin, high[1] + margin
+
+
+def _box(*parts: Array) -> Array:
+    """Return the lower left and the upper right corner (2, 2) of the finite ones of points (n, 2)."""
+    points = np.vstack(parts)
     points = points[np.isfinite(points).all(axis=1)]
-    (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
-    margin = 0.03 * max(x1 - x0, y1 - y0, 1.0)
-    return x0 - margin, x1 + margin, y0 - margin, y1 + margin
+    return np.stack([points.min(axis=0), points.max(axis=0)])
+
+
+def ellipse(mark: Landmark) -> Array:
+    """Return the outline (n, 2) m that holds a point with `SIGMAS` standard deviations."""
+    values, vectors = np.linalg.eigh(mark.covariance)
+    reach = SIGMAS * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(mark.position + CIRCLE * reach @ vectors.T)
 
 
 def draw_grid(canvas: Canvas, image: MapImage) -> None:
@@ -114,9 +136,7 @@ def _draw_landmarks(canvas: Canvas, landmarks: Sequence[Landmark], thickness: fl
     for mark in points:
         for cross in (np.array([[-arm, 0.0], [arm, 0.0]]), np.array([[0.0, -arm], [0.0, arm]])):
             canvas.line(mark.position + cross, POINT, 2.0 * thickness)
-        values, vectors = np.linalg.eigh(mark.covariance)
-        reach = SIGMAS * np.sqrt(np.maximum(values, 0.0))
-        canvas.line(mark.position + CIRCLE * reach @ vectors.T, POINT, 2.0 * thickness, closed=True)
+        canvas.line(ellipse(mark), POINT, 2.0 * thickness, closed=True)
 
 
 def _draw_ends(canvas: Canvas, path: Array) -> None:

@@ -34,15 +34,23 @@ def escape(text: object) -> str:
     return html.escape(str(text))
 
 
-def page(title: str, sections: Iterable[str]) -> str:
-    """Return the whole page."""
-    style = (files("impslam.observers") / "report.css").read_text(encoding="utf-8")
+def page(title: str, sections: Iterable[str], script: str = "") -> str:
+    """Return the whole page; the script runs at its end."""
+    style = packaged("report.css")
+    script = f"<script>\n{script}</script>\n" if script else ""
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n"
-        "<body>\n<main>\n" + "\n".join(filter(None, sections)) + "\n</main>\n</body>\n</html>\n"
+        "<body>\n<main>\n"
+        + "\n".join(filter(None, sections))
+        + f"\n</main>\n{script}</body>\n</html>\n"
     )
+
+
+def packaged(name: str) -> str:
+    """Return the text of a file of this package."""
+    return (files("impslam.observers") / name).read_text(encoding="utf-8")
 
 
 def section(title: str, *parts: str, note: str = "") -> str:
@@ -103,10 +111,16 @@ def chart(
     xs = _labels("x", seconds, [v / span for v in seconds])
     keys = "".join(f'<span class="key {s.look}">{escape(s.label)}</span>' for s in lines if s.label)
     return (
-        f'<figure class="chart"><figcaption>{escape(title)} {keys}</figcaption><div class="plot">'
+        f'<figure class="chart"><figcaption>{escape(title)} {keys}</figcaption>'
+        f'<div class="plot"{times(time[0], time[-1])}>'
         '<svg viewBox="0 0 1000 100" preserveAspectRatio="none" role="img" '
         f'aria-label="{escape(title)}">{marks}{shade}{drawn}</svg>{ys}{xs}</div></figure>'
     )
+
+
+def times(begin: float, end: float) -> str:
+    """Return the attributes that tell a script between which stamps, s, a plot extends."""
+    return f' data-begin="{begin:.6f}" data-end="{end:.6f}"'
 
 
 def _axis(values: list[Array], shades: list[Array], zero: bool) -> tuple[float, float, list[float]]:

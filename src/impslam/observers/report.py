@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from impslam.observers.base import Outcome
 from impslam.observers.health_band import health_section
 from impslam.observers.history import History
 from impslam.observers.map_picture import Scene, drawn_path, map_png
-from impslam.observers.page import page, section
+from impslam.observers.page import page
 from impslam.observers.quality_section import quality_section
 from impslam.observers.sections import (
     details,
@@ -25,6 +24,7 @@ from impslam.observers.sections import (
     stages,
     uncertainty,
 )
+from impslam.observers.viewer import map_section, script
 from impslam.types import Landmark, TrueLandmark
 
 
@@ -39,11 +39,10 @@ def write_report(
     landmarks = history.known.landmarks
     laid = accuracy.laid_in_map(history)
     truth = np.zeros((0, 2)) if laid is None else laid.pairs.truth[:, :2]
-    picture = draw(image, history, truth, landmarks)
-    (folder / "report.png").write_bytes(picture)
+    (folder / "report.png").write_bytes(draw(image, history, truth, landmarks))
     sections = [
         heading(outcome, history),
-        section("Map", _image(picture), note=MAP_NOTE),
+        map_section(history, outcome, image, laid),
         health_section(outcome.health),
         accuracy.section_of(laid, history, landmarks, true_landmarks),
         quality_section(history.quality),
@@ -53,14 +52,8 @@ def write_report(
         '<div class="columns">' + stages(outcome) + dropped(outcome) + "</div>",
         details(outcome),
     ]
-    text = page(f"{outcome.log.name} · impslam", sections)
+    text = page(f"{outcome.log.name} · impslam", sections, script())
     (folder / "report.html").write_text(text, encoding="utf-8")
-
-
-MAP_NOTE = (
-    "White is free, grey is occupied, pale grey was never seen. Ellipses hold a point with 98.9 % "
-    "probability (3σ). Numbers, where there are few, are those of the landmark table."
-)
 
 
 def draw(
@@ -69,9 +62,3 @@ def draw(
     """Return the picture of the map as a PNG."""
     path, odometry = drawn_path(history.known), history.odometry[:, 1:3]
     return map_png(Scene(image, path, odometry, truth, landmarks))
-
-
-def _image(png: bytes) -> str:
-    data = base64.b64encode(png).decode()
-    words = "Occupancy grid with the estimated path, dead reckoning and the landmarks"
-    return f'<img class="map" alt="{words}" src="data:image/png;base64,{data}">'

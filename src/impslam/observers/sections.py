@@ -11,7 +11,14 @@ import numpy as np
 from impslam.observers.base import Outcome
 from impslam.observers.history import History
 from impslam.observers.page import Line, chart, escape, folded, section, table, tiles
-from impslam.observers.summary import config_toml, length, real_time_factor, stage_times
+from impslam.observers.summary import (
+    compiled,
+    config_toml,
+    length,
+    real_time_factor,
+    stage_times,
+    working_seconds,
+)
 from impslam.provenance import versions
 from impslam.types import Landmark
 
@@ -27,7 +34,8 @@ def heading(outcome: Outcome, history: History) -> str:
     found = ", ".join(f"{n} {kind}{'s' * (n > 1)}" for kind, n in sorted(kinds.items()))
     scans = len(history.path)
     speed = real_time_factor(outcome)
-    per_scan = 1e3 * outcome.wall_seconds / scans if scans else math.nan
+    per_scan = 1e3 * working_seconds(outcome) / scans if scans else math.nan
+    once = f"; {compiled(outcome)}, once, not counted" if compiled(outcome) else ""
     lost = sum(item.count for item in outcome.dropped.values())
     seconds = outcome.log_seconds
     facts = {
@@ -36,7 +44,7 @@ def heading(outcome: Outcome, history: History) -> str:
         "Path": (f"{length(history.path):.1f} m", "estimated"),
         "Landmarks": (str(len(landmarks)), found),
         **_loops(outcome),
-        "Speed": (f"{speed:,.0f}×", f"real time, {per_scan:.2f} ms a scan"),
+        "Speed": (f"{speed:,.0f}×", f"real time, {per_scan:.2f} ms a scan{once}"),
     }
     alone = ", by the lidar alone: there is no odometry" * outcome.lidar_alone
     title = f"<h1>{escape(outcome.log.name)}</h1><p>Mapped by impslam{alone}</p>"
@@ -111,7 +119,7 @@ def landmark_table(landmarks: Sequence[Landmark]) -> str:
     header = ("kind", "id", "x, y in m", "parameters", "length", "1σ", "seen", "first to last")
     start = min(mark.first_stamp for mark in landmarks)
     ordered = sorted(landmarks, key=lambda mark: (mark.kind, mark.id))
-    rows = [_landmark_row(mark, start) for mark in ordered]
+    rows = [landmark_row(mark, start) for mark in ordered]
     note = (
         "x, y: a point's centre, or the foot of the normal on a wall from the map's origin. 1σ: of "
         "x, y of a point; of distance r and direction α of a wall. Times from the first sighting."
@@ -119,7 +127,8 @@ def landmark_table(landmarks: Sequence[Landmark]) -> str:
     return section("Landmarks", table(header, rows), note=note)
 
 
-def _landmark_row(mark: Landmark, start: float) -> tuple[str, ...]:
+def landmark_row(mark: Landmark, start: float) -> tuple[str, ...]:
+    """Return the cells of a landmark's row; times are from `start`, s."""
     a, b = np.sqrt(np.maximum(np.diag(mark.covariance), 0.0))
     wall = mark.end_points is not None
     spread = (
@@ -158,7 +167,7 @@ def stages(outcome: Outcome) -> str:
             (name, *cells, f"{100 * np.sum(seconds) / max(outcome.wall_seconds, 1e-9):.0f} %")
         )
     header = ("stage", "mean ms", "median ms", "99 % ms", "of the run")
-    note = "Time per scan; settle is done once. The very first run of a version also compiles its kernels."
+    note = "Time per scan; settle is done once. The stages of the very first run include the compiling."
     return section("Time", table(header, rows), note=note)
 
 

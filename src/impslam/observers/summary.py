@@ -48,6 +48,7 @@ def summarise(outcome: Outcome, history: History, refused: int) -> dict[str, Any
         "versions": versions(),
         "time": {
             "wall_s": _round(outcome.wall_seconds, 3),
+            "compile_s": _round(outcome.compile_seconds, 3),
             "real_time_factor": _round(real_time_factor(outcome), 1),
             "stages_ms": {name: stage_times(t) for name, t in outcome.stages.items()},
         },
@@ -78,8 +79,20 @@ def loops(counts: Mapping[str, int]) -> str:
 
 
 def real_time_factor(outcome: Outcome) -> float:
-    """Return the duration of the log divided by the duration of the run."""
-    return outcome.log_seconds / outcome.wall_seconds if outcome.wall_seconds > 0.0 else math.nan
+    """Return the duration of the log divided by that of the run without compiling."""
+    seconds = working_seconds(outcome)
+    return outcome.log_seconds / seconds if seconds > 0.0 else math.nan
+
+
+def working_seconds(outcome: Outcome) -> float:
+    """Return the duration of the run without compiling, s."""
+    return outcome.wall_seconds - outcome.compile_seconds
+
+
+def compiled(outcome: Outcome) -> str:
+    """Return how long the run compiled, "" if it had nothing to compile worth telling."""
+    seconds = outcome.compile_seconds
+    return f"{seconds:.0f} s compiling" if seconds >= 0.5 else ""
 
 
 def stage_times(seconds: Array) -> dict[str, float | None]:

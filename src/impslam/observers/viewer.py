@@ -1,0 +1,185 @@
+"""The map of the report as something to play with: the scripts of `web`, and what they draw as data.
+
+Columns are base64 of little-endian arrays, their type before a colon: a browser reads them at once, and
+they take a third of what digits would.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from typing import Any
+
+import numpy as np
+
+from impslam.geometry.angles import wrap
+from impslam.geometry.se2 import between
+from impslam.health import TRACKING
+from impslam.map import Map
+from impslam.maps.files import MapImage
+from impslam.observers.accuracy import Laid
+from impslam.observers.base import Outcome
+from impslam.observers.grid_picture import coarsened, grid_png
+from impslam.observers.history import History
+from impslam.observers.page import packaged, section
+from impslam.observers.sections import landmark_row
+from impslam.types import Array, Ints, Landmark
+
+ROWS = 20_000
+"""Scans of the path at most, evenly spaced; with `POINTS` and `PIXELS` the page stays below 5 MB."""
+POINTS = 400_000
+"""End points of beams at most; of more every k-th beam is kept."""
+PIXELS = 4_000_000
+"""Cells of the grid at most; larger grids are shown in coarser cells."""
+SPREAD = (("x", "x", 0, 0), ("x", "y", 0, 1), ("y", "y", 1, 1), ("h", "h", 2, 2))
+"""Entries of a pose's covariance that are drawn or told."""
+SCRIPTS = ("data.js", "drawing.js", "pointer.js", "controls.js")
+NOTE = (
+    "Drag, wheel or pinch to move and zoom; hover to read values; click the path, the health band or a "
+    "chart to go to that time. Keys: space plays, ← → step, + − 0 zoom, r follows the robot, c colours the "
+    "path, 1 to 9 are the layers. Ellipses hold a point with 98.9 % probability (3σ)."
+)
+FIGURE = """<figure class="viewer" tabindex="0" aria-label="Map of the run">
+<div class="stage"><canvas role="img" aria-label="Map with path, landmarks, scan and robot"></canvas>
+<output class="readout"></output><div class="tip" hidden></div>
+<div class="buttons"><button type="button" data-key="+" aria-label="Closer">+</button>
+<button type="button" data-key="-" aria-label="Farther">−</button>
+<button type="button" data-key="0" aria-label="Show all" title="Show all (0)">⤢</button>
+<button type="button" data-key="r" aria-label="Follow the robot" title="Follow (r)">◎</button>
+</div></div>
+<div class="time"><button type="button" data-key=" " aria-label="Play">▶</button>
+<input type="range" min="0" value="0" aria-label="Time"><output class="clock"></output>
+<select class="speed" aria-label="Speed"></select></div>
+<div class="choices"><div class="layers"></div>
+<label>Path by <select class="colour"></select></label><span class="legend"></span></div>
+<noscript>This map needs JavaScript; report.png shows it without.</noscript></figure>"""
+
+
+def script() -> str:
+    """Return the scripts as one, whose names are its own."""
+    parts = "".join(packaged(f"web/{name}") for name in SCRIPTS)
+    return f'"use strict";\n(() => {{\n{parts}}})();\n'
+
+
+def map_section(history: History, outcome: Outcome, image: MapImage, laid: Laid | None) -> str:
+    """Return the section with the map and its data."""
+    text = json.dumps(scene(history, outcome, image, laid), ensure_ascii=False, allow_nan=False)
+    safe = text.replace("<", "\\u003c")  # a log's name cannot end the element
+    data = f'<script type="application/json" id="scene">{safe}</script>'
+    return section("Map", FIGURE, data, note=NOTE)
+
+
+def scene(history: History, outcome: Outcome, image: MapImage, laid: Laid | None) -> dict[str, Any]:
+    """Return what the scripts draw; lengths in m, angles in rad, times in s from `start`."""
+    known, start = history.known, float(history.path[0, 0]) if len(history.path) else 0.0
+    return {
+        "start": start,
+        "path": _path(history, outcome, laid, start),
+        "scans": _scans(known),
+        "loops": _loops(known, start),
+        "landmarks": [_landmark(mark, start) for mark in known.landmarks],
+        "spans": [
+            [span.begin - start, span.end - start, span.state, span.words]
+            for span in outcome.health.spans()
+        ],
+        "grid": _grid(image),
+    }
+
+
+def packed(values: Any, kind: str) -> str:
+    """Return values as "kind:base64"; kind is f4, i4, i2 or u1."""
+    data = np.ascontiguousarray(values, np.dtype(f"<{kind}"))
+    return f"{kind}:{base64.b64encode(data.tobytes()).decode()}"
+
+
+def _path(history: History, outcome: Outcome, laid: Laid | None, start: float) -> dict[str, str]:
+    """Return the columns of the path, a row for each scan that is shown."""
+    known = history.known
+    rows = _thinned(len(history.path), ROWS)
+    path, spread = history.path[rows], history.covariances[rows]
+    anchors = known.anchors[known.placed()][rows]
+    columns = {
+        **{name: path[:, i] - start * (i == 0) for i, name in enumerate("txyh")},
+        **{a + b: spread[:, i, j] for a, b, i, j in SPREAD},
+    }
+    if not outcome.lidar_alone:
+        columns |= {"ox": history.odometry[rows, 1], "oy": history.odometry[rows, 2]}
+    if laid is not None:
+        true = _true_positions(history, laid)[rows]
+        columns |= {"tx": true[:, 0], "ty": true[:, 1]}
+    packed_columns = {name: packed(column, "f4") for name, column in columns.items()}
+    return packed_columns | {
+        "scan": packed(anchors, "i4"),
+        "drive": packed(known.keyframes.sessions[anchors], "i4"),
+        "state": packed(_states(known, outcome)[rows], "u1"),
+    }
+
+
+def _thinned(count: int, most: int) -> Ints:
+    """Return evenly spaced rows of so many, the last among them."""
+    step = -(-count // most)
+    return np.arange(count - 1, -1, -max(step, 1))[::-1]
+
+
+def _true_positions(history: History, laid: Laid) -> Array:
+    """Return the true position (n, 2) in map at each scan, NaN where it is not told."""
+    true = np.full((len(history.path), 2), np.nan)
+    told = np.isin(history.path[:, 0], laid.pairs.stamps)
+    if np.count_nonzero(told) == len(laid.pairs.stamps):
+        true[told] = laid.pairs.truth[:, :2]
+    return true
+
+
+def _states(known: Map, outcome: Outcome) -> Ints:
+    """Return the state of each placed sweep; those of a map that the run began with are TRACKING."""
+    states, told = np.full(len(known.stamps), TRACKING), outcome.health.states
+    states[len(states) - len(told) :] = told
+    return states[known.placed()]
+
+
+def _scans(known: Map) -> dict[str, Any]:
+    """Return the keyframes' poses and scans; points are i2, in `unit` m, in base_link."""
+    keyframes = known.keyframes
+    step = max(1, -(-len(keyframes.points) // POINTS))
+    points, starts = keyframes.points[::step], -(-keyframes.starts // step)
+    unit = max(float(np.abs(points).max(initial=0.0)) / 32767.0, 0.001)
+    poses = {name: packed(keyframes.poses[:, i], "f4") for i, name in enumerate("xyh")}
+    points = np.round(points / unit)
+    return {**poses, "unit": unit, "starts": packed(starts, "i4"), "points": packed(points, "i2")}
+
+
+def _loops(known: Map, start: float) -> dict[str, str]:
+    """Return the loops as pairs of keyframes, their times, and their normalised innovation squared.
+
+    Loops are the edges that may be wrong, and hence have a robust kernel; motions have none.
+    """
+    edges, at = known.edges, known.keyframes
+    found = np.flatnonzero(np.isfinite(edges.kernel))
+    i, j = edges.i[found], edges.j[found]
+    error = between(at.poses[i], at.poses[j]) - edges.T_i_j[found]
+    error[:, 2] = wrap(error[:, 2])
+    nis = np.einsum("ki,kij,kj->k", error, edges.information[found], error)
+    times = {"ti": at.stamps[i] - start, "tj": at.stamps[j] - start}
+    columns = {name: packed(column, "f4") for name, column in {**times, "nis": nis}.items()}
+    return columns | {"i": packed(i, "i4"), "j": packed(j, "i4")}
+
+
+def _landmark(mark: Landmark, start: float) -> dict[str, Any]:
+    """Return a landmark: where it is, and the cells of its row in the table."""
+    x, y = map(float, mark.position)
+    (xx, xy), (_, yy) = mark.covariance.tolist()
+    place: dict[str, Any] = {"x": x, "y": y, "cells": landmark_row(mark, start)}
+    if mark.end_points is not None:
+        return place | {"ends": mark.end_points.tolist()}
+    return place | {"spread": [xx, xy, yy], "radius": mark.parameters.get("radius", 0.0)}
+
+
+def _grid(image: MapImage) -> dict[str, Any]:
+    """Return the grid as a PNG, and where it lies."""
+    image = coarsened(image, PIXELS)
+    left, _, _, top = image.extent
+    data = base64.b64encode(grid_png(image)).decode()
+    png = f"data:image/png;base64,{data}"
+    rows, columns = image.pixels.shape
+    shape = {"rows": rows, "columns": columns, "cell": image.resolution}
+    return {"png": png, "left": left, "top": top, **shape}

@@ -28,6 +28,10 @@ COMMANDS = {
     "inspect": ("inspect:inspect", "Print what is in a log, and what is wrong with it."),
     "list": ("list:list_components", "Print the components of each role and their parameters."),
     "config": ("config:config", "Print every parameter of a preset or file, as TOML."),
+    "--install-completion": (
+        "completion:install_completion",
+        "Install the completion of commands and options for your shell.",
+    ),
 }
 """Where each command is, imported when it is called, so that `imp --help` need not wait."""
 

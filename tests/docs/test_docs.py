@@ -1,0 +1,104 @@
+"""What the pages say is so: commands and code are run, or are at least understood."""
+
+import json
+import re
+import shlex
+import shutil
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.docs.notebook import NOTEBOOK, execute
+from tests.registry import own_registry
+
+from impslam.cli import main
+from impslam.cli.app import make_app
+from impslam.config import load
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+RUN = ["tutorial", "your-robot", "tasks", "parts"]
+"""Pages that a reader follows from top to bottom, in an empty folder."""
+FENCE = re.compile(r"^ *```+ *(?:\{ \.)?(\w*)[^\n]*\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)|src=\"([^\"]+)\"")
+NUMBER = re.compile(r"-?\d+(?:\.\d*)?")
+
+
+@pytest.fixture(autouse=True)
+def _own_registry():
+    with own_registry():
+        yield
+
+
+def blocks(page, *languages):
+    """Return the code blocks of a page as (language, text), snippets of files left out."""
+    found = FENCE.findall(page.read_text("utf-8"))
+    return [(name, text) for name, text in found if name in languages and "--8<--" not in text]
+
+
+def commands(text):
+    """Return the words of each call of `imp` in a block of shell commands."""
+    lines = text.replace("\\\n", " ").splitlines()
+    words = [shlex.split(line.partition(" | ")[0], comments=True) for line in lines]
+    return [line[1:] for line in words if line and line[0].removeprefix(".venv/bin/") == "imp"]
+
+
+@pytest.mark.parametrize("name", RUN)
+def test_a_page_does_what_it_says(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for example in (ROOT / "examples").glob("*.py"):
+        shutil.copy(example, tmp_path)
+    for language, text in blocks(ROOT / "docs" / f"{name}.md", "sh", "toml", "python"):
+        if language == "python":
+            exec(text, {})
+        elif language == "toml":
+            file = re.match(r"# (\S+\.toml)\n", text)
+            assert file, f"the first line of the config is to name its file: {text}"
+            Path(file[1]).write_text(text)
+            if "[[walls]]" not in text:
+                load(file[1])
+        else:
+            assert len(commands(text)) == len(text.splitlines()), "each line is one command"
+            for words in commands(text):
+                assert main([*words, "--quiet"]) == 0, words
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_command_and_config_is_understood(page):
+    for language, text in blocks(page, "sh", "toml", "python"):
+        if language == "toml":
+            tomllib.loads(text)
+        elif language == "python":
+            compile(text, str(page), "exec")
+        else:
+            for words in commands(text):
+                make_app().parse_args(words, exit_on_error=False, print_error=False)
+
+
+def test_links_out_of_the_site_lead_somewhere():
+    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]:
+        for link in filter(None, sum(LINK.findall(page.read_text("utf-8")), ())):
+            assert (page.parent / link).exists(), link
+
+
+def test_the_notebook_gives_what_it_shows(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shown = json.loads(NOTEBOOK.read_text("utf-8"))
+    for then, now in zip(shown["cells"], execute(shown)["cells"], strict=True):
+        assert NUMBER.sub("#", printed(then)) == NUMBER.sub("#", printed(now))
+        np.testing.assert_allclose(numbers(printed(then)), numbers(printed(now)), 0.05, 0.02)
+
+
+def printed(cell):
+    """Return what a cell prints, pictures as a word."""
+    texts = [
+        output.get("text", output.get("data", {}).get("text/plain", ["picture"]))
+        for output in cell.get("outputs", [])
+    ]
+    return "\n".join("".join(text) for text in texts)
+
+
+def numbers(text):
+    return [float(number) for number in NUMBER.findall(text)]

@@ -99,7 +99,7 @@ def known(function: Callable[[Path, Path], tuple[real_logs.Run, real_logs.Score]
         return (
             f"{found} of {total} cylinders, {len(all_.false) + len(all_.doubles)} false, "
             f"{cm(score.cylinder_rms)} RMS; path {cm(score.path.rmse)} RMS "
-            f"(wheels alone {score.wheels.rmse:.2f} m); {seen.speed:.0f} times real time"
+            f"(odometry alone {score.wheels.rmse:.2f} m); {seen.speed:.0f} times real time"
         )
 
     return job

@@ -9,6 +9,7 @@ batches does not change the result: see `impslam.odometry.synchroniser`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
@@ -17,13 +18,14 @@ import numpy as np
 from impslam.columns import Batch, Columns, Motions, Sweeps
 from impslam.odometry.base import Odometry, diagonal
 from impslam.odometry.clocks import Clocks
+from impslam.odometry.gyro import GyroFusion
 from impslam.odometry.stream import OdometryStream, unknown_motions
 from impslam.odometry.synchroniser import END, Synchroniser
 from impslam.pending import PendingQueue, PendingRows
 from impslam.sensors.base import Sensor
 from impslam.sources.base import Problems
 from impslam.streams import Reader, Streams
-from impslam.types import Array, Increment, Ints, Message, Observation
+from impslam.types import Array, Imu, Increment, Ints, Message, Observation
 
 USUAL_TWIST = np.array([0.5, 0.5, 1.0])
 """m/s, m/s, rad/s, half a walking pace: what is not known without odometry of the motion within a sweep."""
@@ -42,10 +44,13 @@ class Robot:
         self.name, self.odometry, self.sensors = name, odometry, sensors
         self.counts: dict[str, int] = {}
         self.problems = Problems()
+        fuses = odometry.gyro.use and odometry.tells_motion
         self._streams = Streams(
             Reader("odometry", odometry.consumes, odometry.stream),
             {n: Reader(f"sensors.{n}", s.consumes, s.stream) for n, s in sensors.items()},
+            Reader("odometry.gyro", Imu, odometry.gyro.stream) if fuses else None,
         )
+        self._gyro = GyroFusion(odometry.gyro, odometry.lever)
         self._odometry_stream, self._synchroniser = OdometryStream(odometry), Synchroniser()
         self._queue, self._clocks = PendingQueue(), Clocks()
         self._numbers: dict[str, int] = {}  # stream numbers for the clocks
@@ -78,6 +83,11 @@ class Robot:
         """Raise `ConfigError` if no part of the robot reads this type of message from this stream."""
         self._streams.check_reads(kind, stream)
 
+    @property
+    def consumes(self) -> tuple[type[Message], ...]:
+        """The types of message that it reads."""
+        return self._streams.consumes
+
     # ------------------------------------------------------------------ sensing
 
     def sense(self, batch: Batch) -> Iterator[tuple[Motions, Sweeps]]:
@@ -94,18 +104,26 @@ class Robot:
         used = self._streams.used(batch)
         shifts = dict(zip((c.stream for c in used), self._shifts(used), strict=True))
         odometry = [c for c in used if c.stream == self._streams.odometry.stream]
+        gyro = self._streams.gyro
+        turns = next((c for c in used if gyro and c.stream == gyro.stream), None)
         rows = [
             self._pending_rows(name, columns, shifts[columns.stream])
             for name, reader in self._streams.sensors.items()
             for columns in used
             if columns.stream == reader.stream
         ]
-        found = self._synchronise(*self._motions(odometry, shifts), rows, last)
+        order, motions = self._motions(odometry, shifts)
+        if gyro and gyro.stream:
+            motions = self._corrected(order, motions, turns, shifts)
+        found = self._synchronise(order, motions, rows, last)
         self._record_faults()
         return iter(found)
 
     def flush(self) -> Iterator[tuple[Motions, Sweeps]]:
         """Return the sweeps that still wait for odometry, with the motion known so far."""
+        refused = self._gyro.refusal()
+        if refused:
+            self._faults.append((END, "gyro", refused, 1))
         found = self._synchronise(*self._motions([], {}), [], END)
         self._record_faults()
         return iter(found)
@@ -167,6 +185,21 @@ class Robot:
             first = int(rows.order[np.argmax(faults)])
             self._faults.append((first, "odometry", example, int(faults.sum())))
         return rows.order, motions._replace(stamps=motions.stamps + shift)
+
+    def _corrected(
+        self, order: Ints, motions: Motions, turns: Columns | None, shifts: Mapping[str, Array]
+    ) -> Motions:
+        """Return the motions with turns corrected by the gyro; record where the wheels slip."""
+        stamps = np.empty(0) if turns is None else turns.stamps + shifts[turns.stream]
+        motions, apart = self._gyro.correct(order, motions, turns, stamps)
+        for found in apart:
+            text = (
+                f"within 1 s before {found.stamp - self._shift:.3f} s the wheels turn by "
+                f"{math.degrees(found.wheels):.1f} deg and the gyro by {math.degrees(found.gyro):.1f} deg: "
+                "the wheels slip or the robot is pushed; the heading follows the gyro"
+            )
+            self._faults.append((int(order[-1]), "wheel slip", text, 1))
+        return motions
 
     def _pending_rows(self, name: str, columns: Columns, shift: Array) -> PendingRows:
         """Return the rows of a sensor for the queue; record the unusable ones as faults."""

@@ -35,9 +35,11 @@ class Reader:
 class Streams:
     """The readers and their streams. A reader without a name gets the first stream of its kind."""
 
-    def __init__(self, odometry: Reader, sensors: Mapping[str, Reader]) -> None:
-        self.odometry, self.sensors = odometry, sensors
-        self._all = (odometry, *sensors.values())
+    def __init__(
+        self, odometry: Reader, sensors: Mapping[str, Reader], gyro: Reader | None = None
+    ) -> None:
+        self.odometry, self.sensors, self.gyro = odometry, sensors, gyro
+        self._all = (odometry, *sensors.values(), *([gyro] if gyro else []))
         self._seen: set[str] = set()
         _refuse_shared(list(sensors.values()))
 
@@ -50,6 +52,11 @@ class Streams:
     def named(self) -> frozenset[str]:
         """Names of the streams that have a reader, as far as they are known."""
         return frozenset(reader.stream for reader in self._all) - {""}
+
+    @property
+    def consumes(self) -> tuple[type[Message], ...]:
+        """Types of message that the readers read."""
+        return tuple(dict.fromkeys(reader.consumes for reader in self._all))
 
     def choose(self, defaults: Mapping[type[Message], str]) -> None:
         """Set the streams to read by type of message where the config names none."""

@@ -116,7 +116,7 @@ def _show_end(end: EndOfRun) -> None:
     if end.true is None or end.pose is None or end.odometry is None:
         return
     rows = [("true", *_coordinates(end.true), "")]
-    for name, pose in (("estimated", end.pose), ("wheels alone", end.odometry)):
+    for name, pose in (("estimated", end.pose), ("odometry alone", end.odometry)):
         error = 100 * math.dist(pose[:2], end.true[:2])
         turn = math.degrees(wrap(float(pose[2] - end.true[2])))
         rows.append((name, *_coordinates(pose), f"{error:.1f} cm, {turn:+.2f} deg"))

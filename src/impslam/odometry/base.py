@@ -9,6 +9,7 @@ import numpy as np
 
 from impslam.columns import Columns, Motions
 from impslam.component import Component, parameter
+from impslam.odometry.gyro import Gyro
 from impslam.odometry.standstill import Band
 from impslam.types import Array, Mask
 
@@ -33,6 +34,7 @@ class Odometry(Component):
     stream: str = parameter(
         "", "", "the stream that it reads; empty: the first one of its kind in the log"
     )
+    gyro: Gyro = parameter(Gyro(), "", "the gyro that corrects its turns")
 
     def readings(self, rows: Columns) -> Columns:
         """Return what odometry needs of the rows of its stream."""
@@ -42,6 +44,11 @@ class Odometry(Component):
     def standing(self) -> Band:
         """How far the readings of a standing robot stray; see `odometry.standstill`."""
         return Band()
+
+    @property
+    def lever(self) -> float:
+        """How far the robot goes, m, when a slipping wheel turns it by 1 rad."""
+        return 0.0
 
     @abstractmethod
     def usable(self, readings: Columns) -> Mask:

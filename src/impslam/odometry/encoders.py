@@ -19,6 +19,7 @@ from impslam.component import parameter, register
 from impslam.geometry.kernels import plain
 from impslam.noise import MotionNoise
 from impslam.odometry.base import DIAGONAL, Odometry, durations, known
+from impslam.odometry.gyro import Gyro
 from impslam.odometry.kernels import wheel_motions
 from impslam.odometry.standstill import Band
 from impslam.types import Array, Mask, WheelAngles
@@ -78,6 +79,13 @@ class Encoders(Odometry):
     max_speed: float = parameter(
         5.0, "m/s", "a faster wheel is an encoder jump; its motion is ignored", gt=0
     )
+
+    gyro: Gyro = parameter(Gyro(use=True), "", "the gyro that corrects its turns, if there is one")
+
+    @property
+    def lever(self) -> float:
+        """Half the track: a wheel that slips by e turns the robot by e / track and moves it by e / 2."""
+        return 0.5 * self.track
 
     @property
     def standing(self) -> Band:

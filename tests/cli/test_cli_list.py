@@ -54,4 +54,16 @@ def test_config_round_trip(imp, tmp_path, preset) -> None:
     file = tmp_path / "config.toml"
     file.write_text(said.out)
     assert imp("config", file).out == said.out
-    assert tomli_w.dumps(load(file).resolved()) == said.out  # as text: nan is not equal to nan
+    printed = tomli_w.dumps(tomllib.loads(said.out))  # as text: nan is not equal to nan
+    assert tomli_w.dumps(load(file).resolved()) == printed
+
+
+def test_config_tells_units(imp) -> None:
+    lines = imp("config", "imp").out.splitlines()
+    assert "start = [0.0, 0.0, 0.0]  # m, m, rad" in lines  # of the config itself
+    assert "mount = [0.15, 0.0, 0.0]  # m, m, rad" in lines  # of a component
+    assert "min_length = 0.4  # m" in lines  # of a component in a component
+    assert "turn_per_distance = 0.01  # rad/sqrt(m)" in lines  # of a table of parameters
+    assert "resolution = 0.05  # m" in lines
+    assert "seconds = 0.5  # s" in lines
+    assert "iterations = 4" in lines  # a count

@@ -13,7 +13,6 @@ from tests.extractors.scans import room
 from tests.maps.drawn import mapped
 from tests.recognition.plans import OFFICE, way
 
-from impslam.cli.map import COMMANDS
 from impslam.evaluation.tum import read_tum
 from impslam.graph.g2o import read_g2o
 from impslam.map import Map
@@ -228,8 +227,3 @@ def test_what_cannot_be_done_is_told_in_one_line(
     assert names.get(why, why) in said.err
     assert said.err.count("\n") == 1
     assert (tmp_path / "folder" / "mine.txt").exists()
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_each_help_has_an_example(imp, command) -> None:
-    assert f"Example: imp map {command} " in imp("map", command, "--help").out

@@ -10,41 +10,98 @@ from collections.abc import Callable, Sequence
 from cyclopts import App, CycloptsError
 
 import impslam
-from impslam.cli.console import configure
+from impslam.cli.console import configure, described
 from impslam.errors import ImpError, Interrupted, LeftError
 
 OK, UNEXPECTED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 
 
-COMMANDS = {
-    "demo": ("demo:demo", "Simulate the arena of the thesis, map it, and score the map."),
-    "run": ("run:run", "Map a log: write its path, landmarks, grid and report into a folder."),
-    "simulate": ("simulate:simulate", "Write what the robot would have recorded in a world."),
-    "evaluate": ("evaluate:evaluate", "Score runs against the truth or measured relations."),
-    "sweep": ("sweep:sweep", "Run logs x configs x settings x seeds, and tabulate the errors."),
-    "reproduce": ("reproduce:reproduce", "Run the thesis's experiments: its tables and figures."),
-    "robot": ("robot:app", "Drive, record and map from a page that the robot serves."),
-    "map": ("map:app", "Look into maps, straighten, compare, join and export them."),
-    "inspect": ("inspect:inspect", "Print what is in a log, and what is wrong with it."),
-    "list": ("list:list_components", "Print the components of each role and their parameters."),
-    "config": ("config:config", "Print every parameter of a preset or file, as TOML."),
+COMMANDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
+    "demo": (
+        "demo:demo",
+        "Simulate the arena of the thesis, map it, and score the map.",
+        ("", "--seed 3 -o demo", "-c thesis-both"),
+    ),
+    "run": (
+        "run:run",
+        "Map a log: write its path, landmarks, grid and report into a folder.",
+        (
+            "monday.mcap -o monday",
+            "drive.bag -c myrobot.toml --topic scan=/front/scan",
+            "tuesday.mcap --map monday/map.imp --frozen -o tuesday",
+        ),
+    ),
+    "simulate": (
+        "simulate:simulate",
+        "Write what the robot would have recorded in a world.",
+        ("office -o office.mcap", "hall.toml -o hall.mcap --seed 1 --set lidar.range_max=10"),
+    ),
+    "evaluate": (
+        "evaluate:evaluate",
+        "Score runs against the truth or measured relations.",
+        ("first second -o compare.png", "first --truth truth.tum --json first.json"),
+    ),
+    "sweep": (
+        "sweep:sweep",
+        "Run logs x configs x settings x seeds, and tabulate the errors.",
+        ("monday.log tuesday.log -c default -c mine.toml -o sweep", "arena --seeds 20 -o arena"),
+    ),
+    "reproduce": (
+        "reproduce:reproduce",
+        "Run the thesis's experiments: its tables and figures.",
+        ("points --seeds 1", "corridor --full -o corridor"),
+    ),
+    "robot": (
+        "robot:app",
+        "Drive, record and map from a page that the robot serves.",
+        ("--virtual", "-c robot.toml --record --map"),
+    ),
+    "map": (
+        "map:app",
+        "Look into maps, straighten, compare, join and export them.",
+        ("info office.imp", "merge one.imp two.imp -o all.imp"),
+    ),
+    "inspect": (
+        "inspect:inspect",
+        "Print what is in a log, and what is wrong with it.",
+        ("drive.mcap", "drive.mcap -c myrobot.toml"),
+    ),
+    "list": (
+        "list:list_components",
+        "Print the components of each role and their parameters.",
+        ("presets", "filter"),
+    ),
+    "config": (
+        "config:config",
+        "Print every parameter of a preset or file, as TOML.",
+        ("imp", "myrobot.toml --set filter.kind=ekf"),
+    ),
     "--install-completion": (
         "completion:install_completion",
         "Install the completion of commands and options for your shell.",
+        ("", "--shell zsh"),
     ),
 }
-"""Where each command is, imported when it is called, so that `imp --help` need not wait."""
+"""Where each command is, imported when it is called, so that `imp --help` need not wait; what it does;
+and examples."""
 
 
 def make_app() -> App:
     """Return the command line."""
     app = App(
         name="imp",
-        help="EKF SLAM for small wheeled robots with a 2D lidar: a log in, a path and a map out.",
+        help=described(
+            "SLAM for small wheeled robots with a 2D lidar: a log in, a path and a map out.",
+            "",
+            "demo",
+            "run mylog.mcap -o office",
+            "run --help",
+        ),
         version=lambda: impslam.__version__,  # 25 ms, for --version alone
     )
-    for name, (place, sentence) in COMMANDS.items():
-        app.command(f"impslam.cli.{place}", name=name, help=sentence)
+    for name, (place, sentence, examples) in COMMANDS.items():
+        shown = described(sentence, name, *examples)
+        app.command(f"impslam.cli.{place}", name=name, help=shown)
     return app
 
 

@@ -111,6 +111,12 @@ def configure(common: Common | None) -> None:
     log.handlers[:] = [LogLines()]
 
 
+def described(sentence: str, command: str, *examples: str) -> str:
+    """Return the help of a command, with examples of the words after its name."""
+    lines = [f"- `{' '.join(f'imp {command} {words}'.split())}`" for words in examples]
+    return "\n".join([sentence, "", "For example:", "", *lines])
+
+
 def stdout() -> Console:
     """Return the console for results; text is taken literally."""
     return _console(sys.stdout.isatty(), stderr=False)

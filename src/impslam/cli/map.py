@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from cyclopts import App
 
+from impslam.cli.console import described
+
 COMMANDS = {
     "info": ("Print what a map holds, and draw it.", "office.imp"),
     "straighten": (
@@ -29,7 +31,7 @@ COMMANDS = {
 }
 """What each command does, and an example; NAME is the function in `map_NAME`, imported when called."""
 
-app = App(name="map", help="Look into maps, straighten, compare, join and export them.")
+app = App(name="map")
 for _name, (_sentence, _example) in COMMANDS.items():
-    _help = f"{_sentence}\n\nExample: imp map {_name} {_example}"
+    _help = described(_sentence, f"map {_name}", _example)
     app.command(f"impslam.cli.map_{_name}:{_name}", name=_name, help=_help)

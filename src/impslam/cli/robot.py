@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from impslam.platform.console.session import Right
     from impslam.platform.station.station import Station
 
-app = App(name="robot", help="Drive, record and map from a page that the robot serves.")
+app = App(name="robot")
 
 Address = Annotated[str, Parameter(help="Address to listen on. Beyond loopback needs a password.")]
 Port = Annotated[int, Parameter(help="TCP port of the page.")]
@@ -117,9 +117,16 @@ def robot(
     say(f"stopped; logs are in {station.folder}")
 
 
-@app.command
+@app.command(
+    help=console.described(
+        "Set the password for driving (or for watching), asked for twice, or read from stdin.",
+        "robot password",
+        "",
+        "--watch",
+    )
+)
 def password(*, watch: Flag = False, common: Common | None = None) -> None:
-    """Set the password for driving (or for watching), asked for twice, or read from stdin.
+    """Set the password for driving, or for watching.
 
     Parameters
     ----------
@@ -135,7 +142,13 @@ def password(*, watch: Flag = False, common: Common | None = None) -> None:
     say(f"the password to {right} is set in {accounts.path}; all sessions end")
 
 
-@app.command
+@app.command(
+    help=console.described(
+        "Print a systemd unit that starts the robot on boot.",
+        "robot service",
+        "-c robot.toml | sudo tee /etc/systemd/system/imp.service",
+    )
+)
 def service(
     *,
     config: RobotPath,
@@ -145,8 +158,6 @@ def service(
     common: Common | None = None,
 ) -> None:
     """Print a systemd unit that starts the robot on boot.
-
-    Install it with `imp robot service -c robot.toml | sudo tee /etc/systemd/system/imp.service`.
 
     Parameters
     ----------

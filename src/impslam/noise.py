@@ -19,13 +19,17 @@ class MotionNoise(Parameters):
     indoor robots with wheel odometry: 0.05 rad/sqrt(m) straight on, 0.09 to 0.14 rad/sqrt(rad) in turns.
     """
 
-    forward: float = parameter(0.05, "m/sqrt(m)", "error along the way, per root metre", ge=0)
-    sideways: float = parameter(0.03, "m/sqrt(m)", "error across the way, per root metre", ge=0)
+    forward: float = parameter(
+        0.05, "m/sqrt(m)", "error along the way, per root metre", ge=0, noise=True
+    )
+    sideways: float = parameter(
+        0.03, "m/sqrt(m)", "error across the way, per root metre", ge=0, noise=True
+    )
     turn_per_distance: float = parameter(
-        0.05, "rad/sqrt(m)", "heading error of driving, per root metre", ge=0
+        0.05, "rad/sqrt(m)", "heading error of driving, per root metre", ge=0, noise=True
     )
     turn_per_turn: float = parameter(
-        0.15, "rad/sqrt(rad)", "heading error of turning (slip), per root radian", ge=0
+        0.15, "rad/sqrt(rad)", "heading error of turning (slip), per root radian", ge=0, noise=True
     )
 
     def variances(self, distances: Array, angles: Array) -> Array:

@@ -63,12 +63,20 @@ def _numbers(value: Any) -> Iterator[float | int]:
             yield from _numbers(part)
 
 
-def parameter(default: Any, unit: str, sentence: str, *, special: str = "", **bounds: Any) -> Any:
+def parameter(
+    default: Any,
+    unit: str,
+    sentence: str,
+    *,
+    special: str = "",
+    noise: bool = False,
+    **bounds: Any,
+) -> Any:
     """Declare a parameter: its default, its unit ("m", "rad", "1", ...) and what it means.
 
     `bounds` are pydantic's (`gt`, `ge`, `lt`, `le`, ...). Pass `...` for a parameter that has no
     sensible default. NaN or inf is allowed if it is the default, or named in `special` ("nan inf");
-    then the sentence says what it means.
+    then the sentence says what it means. `noise` marks standard deviations that `imp tune` finds.
     """
-    extra: dict[str, JsonValue] = {"unit": unit, "special": special}
+    extra: dict[str, JsonValue] = {"unit": unit, "special": special, "noise": noise}
     return Field(default, description=sentence, json_schema_extra=extra, **bounds)

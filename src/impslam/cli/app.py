@@ -46,6 +46,14 @@ COMMANDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "Run logs x configs x settings x seeds, and tabulate the errors.",
         ("monday.log tuesday.log -c default -c mine.toml -o sweep", "arena --seeds 20 -o arena"),
     ),
+    "tune": (
+        "tune:tune",
+        "Find noise and gates by many runs, and write a config.",
+        (
+            "monday.log -c mine.toml --score likelihood -o tune",
+            "monday.log --holdout tuesday.log --search association.gate=0.9,0.99,0.999",
+        ),
+    ),
     "reproduce": (
         "reproduce:reproduce",
         "Run the thesis's experiments: its tables and figures.",

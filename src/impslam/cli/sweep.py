@@ -91,15 +91,16 @@ def sweep(  # noqa: PLR0913  # each is an option that a user may give
     if seeds < 1:
         raise ConfigError(f"--seeds {seeds}: must be at least 1")
     todo = cases(found, configs or (None,), alternatives(settings), seeds)
+    pool = make_pool(jobs, scheduler)
     folder = output or make_folder(Path("runs"), f"sweep-{time.strftime('%Y%m%d-%H%M%S')}")
-    pool, journal = make_pool(jobs, scheduler), Journal(folder)
+    journal = Journal(folder)
     left = [case for case in todo if not journal.has(case.row())]
     if not quiet and len(left) < len(todo):
         console.say(f"{len(todo) - len(left)} of {len(todo)} runs are done already")
     try:
         _run(left, pool, journal, quiet)
     finally:
-        files = _write(folder, journal.rows())
+        files = write(folder, journal.rows())
     if not quiet:
         show_errors(journal.rows())
         console.say(f"table: {', '.join(map(str, files))}")
@@ -159,7 +160,7 @@ def _run(left: Sequence[Case], pool: Pool, journal: Journal, quiet: bool) -> Non
             bars("runs", done, len(left))
 
 
-def _write(folder: Path, rows: Sequence[Row]) -> list[Path]:
+def write(folder: Path, rows: Sequence[Row]) -> list[Path]:
     """Write the table, and the picture if any run has an error to show; return the files."""
     from impslam.sweeps.plot import draw_sweep
     from impslam.sweeps.table import write_table

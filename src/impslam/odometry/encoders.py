@@ -69,7 +69,7 @@ class Encoders(Odometry):
         ge=0,
     )
     wheel_noise: float = parameter(
-        0.01, "m/sqrt(m)", "random error of one wheel's travel, per root metre", ge=0
+        0.01, "m/sqrt(m)", "random error of one wheel's travel, per root metre", ge=0, noise=True
     )
     slip: MotionNoise = parameter(
         MotionNoise(forward=0.0, sideways=0.01, turn_per_distance=0.01, turn_per_turn=0.05),

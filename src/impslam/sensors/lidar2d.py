@@ -39,11 +39,16 @@ class Lidar2D(Sensor):
     )
     angle_max: float = parameter(math.pi, "rad", "beams to the left of this are invalid")
     sigma: float = parameter(
-        0.01, "m", "standard deviation of the range noise at range 0", gt=0, le=100
+        0.01, "m", "standard deviation of the range noise at range 0", gt=0, le=100, noise=True
     )
-    sigma_per_m: float = parameter(0.0, "1", "how much it grows with range", ge=0, le=1)
+    sigma_per_m: float = parameter(0.0, "1", "how much it grows with range", ge=0, le=1, noise=True)
     bias: float = parameter(
-        0.0, "m", "standard deviation of the range error that all beams share", ge=0, le=100
+        0.0,
+        "m",
+        "standard deviation of the range error that all beams share",
+        ge=0,
+        le=100,
+        noise=True,
     )
     range_scale: float = parameter(
         1.0, "1", "true range over measured range, from a calibration", gt=0

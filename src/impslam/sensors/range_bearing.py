@@ -44,11 +44,15 @@ class RangeBearing(Sensor):
     range_scale: float = parameter(
         1.0, "1", "true range over measured range, from a calibration", gt=0
     )
-    sigma_range: float = parameter(0.05, "m", "standard deviation of the range at range 0", gt=0)
-    sigma_range_per_m: float = parameter(
-        0.0, "1", "increase of that standard deviation per metre of range", ge=0
+    sigma_range: float = parameter(
+        0.05, "m", "standard deviation of the range at range 0", gt=0, noise=True
     )
-    sigma_bearing: float = parameter(0.01, "rad", "standard deviation of the bearing", gt=0)
+    sigma_range_per_m: float = parameter(
+        0.0, "1", "increase of that standard deviation per metre of range", ge=0, noise=True
+    )
+    sigma_bearing: float = parameter(
+        0.01, "rad", "standard deviation of the bearing", gt=0, noise=True
+    )
     latency: float = parameter(
         0.0,
         "s",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, TypeVar
 
 from impslam.errors import ConfigError, ImpError
@@ -39,10 +40,17 @@ class Cluster(Pool):
         with self._client() as client:
             from distributed import as_completed  # noqa: PLC0415  # an extra
 
-            futures = [client.submit(work, item, pure=False) for item in items]
-            index = {future.key: k for k, future in enumerate(futures)}
-            for future in as_completed(futures):
-                yield index[future.key], self._result(future)
+            todo, index, under_way = enumerate(items), {}, as_completed()
+            while True:
+                free = max(1, sum(client.nthreads().values())) - under_way.count()
+                for number, item in islice(todo, max(0, free)):
+                    future = client.submit(work, item, pure=False)
+                    index[future.key] = number
+                    under_way.add(future)
+                if not under_way.count():
+                    return
+                future = next(under_way)
+                yield index.pop(future.key), self._result(future)
                 future.release()
 
     def _result(self, future: Any) -> Any:

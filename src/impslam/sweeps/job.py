@@ -48,7 +48,8 @@ class Job:
         todo = list(items)
         results: dict[int, R] = {}
         self.progress(stage, 0, len(todo))
-        for index, result in Processes(self.processes).each(work, todo):
+        pool = Processes(min(self.processes, max(1, len(todo))))
+        for index, result in pool.each(work, todo):
             if isinstance(result, Lost):
                 raise ImpError(f"{stage}: {result.why}")
             results[index] = result

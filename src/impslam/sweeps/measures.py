@@ -20,7 +20,7 @@ from impslam.evaluation.scores import score_kinds, score_path
 from impslam.evaluation.trajectory import associate, ate
 from impslam.evaluation.tum import read_tum
 from impslam.map import Map
-from impslam.observers.base import Outcome
+from impslam.observers.base import Observer, Outcome
 from impslam.observers.ending import EndOfRun
 from impslam.observers.summary import length
 from impslam.open_log import open_log
@@ -29,6 +29,7 @@ from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.sweeps.cases import ROBOT, SIMULATED, Case
 from impslam.sweeps.rows import Row, attempt
+from impslam.sweeps.surprise import Surprise
 from impslam.types import Array, TrueLandmark
 
 STRETCH = 1.0
@@ -41,8 +42,8 @@ def run_case(case: Case) -> Row:
 
 
 def _measured(case: Case) -> Row:
-    log, end = case.log, EndOfRun()
-    work, marks = (_simulated if log.is_world else _replayed)(case, end)
+    log, end, surprise = case.log, EndOfRun(), Surprise()
+    work, marks = (_simulated if log.is_world else _replayed)(case, [surprise, end])
     begin = time.thread_time()
     work()
     seconds = time.thread_time() - begin
@@ -50,21 +51,22 @@ def _measured(case: Case) -> Row:
     assert end.outcome is not None
     truth = end.path if log.truth is None else read_tum(Path(log.truth))
     relations = None if log.relations is None else read_relations(Path(log.relations))
-    return {**measures(end.known, end.outcome, truth, marks, relations), "cpu_s": seconds}
+    row = measures(end.known, end.outcome, truth, marks, relations)
+    return {**row, "nll": surprise.mean, "cpu_s": seconds}
 
 
 Prepared: TypeAlias = tuple[Callable[[], object], list[TrueLandmark]]
 """What maps a log, to be called once, and the true landmarks."""
 
 
-def _replayed(case: Case, end: EndOfRun) -> Prepared:
+def _replayed(case: Case, observers: Sequence[Observer]) -> Prepared:
     """Return what maps a log."""
     config, source = open_log(case.log.path, case.config, case.overrides)
     marks = source.true_landmarks() or surveyed(source.path)
-    return partial(map_log, config, source, [end]), marks
+    return partial(map_log, config, source, observers), marks
 
 
-def _simulated(case: Case, end: EndOfRun) -> Prepared:
+def _simulated(case: Case, observers: Sequence[Observer]) -> Prepared:
     """Simulate a drive with the case's seed; return what maps it."""
     world = load_world(case.log.path)
     start = list(map(float, world.robot.start))
@@ -72,10 +74,12 @@ def _simulated(case: Case, end: EndOfRun) -> Prepared:
     messages = list(simulate(world, ROBOT, case.seed))
 
     def work() -> None:
-        run = Run(config, [end])
+        run = Run(config, observers)
         run.play(messages)
         known = run.settled()
-        end.finish(known, run.outcome(Path(case.log.name), "", len(known.landmarks)))
+        outcome = run.outcome(Path(case.log.name), "", len(known.landmarks))
+        for observer in observers:
+            observer.finish(known, outcome)
 
     return work, world.landmarks()
 

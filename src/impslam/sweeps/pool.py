@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 import signal
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import islice
 from multiprocessing import active_children, get_context, parent_process
 from threading import Thread
 from typing import TypeVar
@@ -33,7 +33,8 @@ class Pool(ABC):
     def each(self, work: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[int, R | Lost]]:
         """Yield the index of each item and its result, in the order in which they are done.
 
-        What `work` raises ends the iteration.
+        Items are taken when there is a process for them: one may depend on the results before it. What
+        `work` raises ends the iteration.
         """
 
 
@@ -45,32 +46,36 @@ class Processes(Pool):
 
     def each(self, work: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[int, R | Lost]]:
         """Yield results; see `Pool.each`. An item whose process ends is tried once more, alone."""
-        todo = deque(enumerate(items))
-        if self.count == 1 or len(todo) < 2:
+        todo = enumerate(items)
+        if self.count == 1:
             yield from ((index, work(item)) for index, item in todo)
             return
-        while todo:
-            for index, item in (yield from self._until_broken(work, todo)):
+        while suspects := (yield from self._until_broken(work, todo)):
+            for index, item in suspects.items():
                 yield index, _alone(work, item)
 
     def _until_broken(
-        self, work: Callable[[T], R], todo: deque[tuple[int, T]]
-    ) -> Generator[tuple[int, R | Lost], None, list[tuple[int, T]]]:
+        self, work: Callable[[T], R], todo: Iterator[tuple[int, T]]
+    ) -> Generator[tuple[int, R | Lost], None, dict[int, T]]:
         """Yield results until a process ends; return the items that were at work then.
 
         No more items are handed out than there are processes: one of those at work is to blame.
         """
-        running: dict[Future[R], tuple[int, T]] = {}
+        at_work: dict[int, T] = {}
+        running: dict[Future[R], int] = {}
         with _executor(self.count) as pool, suppress(BrokenProcessPool):
-            while todo or running:
-                while todo and len(running) < self.count:
-                    future = pool.submit(work, todo[0][1])
-                    running[future] = todo.popleft()
+            while True:
+                for index, item in islice(todo, self.count - len(at_work)):
+                    at_work[index] = item
+                    running[pool.submit(work, item)] = index
+                if not running:
+                    return {}
                 done, _ = wait(running, return_when=FIRST_COMPLETED)
                 for future in done:
-                    result = future.result()
-                    yield running.pop(future)[0], result
-        return list(running.values())
+                    result, index = future.result(), running.pop(future)
+                    del at_work[index]
+                    yield index, result
+        return at_work
 
 
 def _alone(work: Callable[[T], R], item: T) -> R | Lost:

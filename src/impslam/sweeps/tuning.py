@@ -1,0 +1,180 @@
+"""Finds parameters by many runs: a study of Optuna, kept in a file as it grows (the extra `tune`).
+
+What is tried next is chosen by tree-structured Parzen estimators (Bergstra et al. 2011).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from impslam.errors import ConfigError, ImpError
+from impslam.sweeps.cases import Case, Settings, plain
+from impslam.sweeps.measures import run_case
+from impslam.sweeps.pool import Lost, Pool
+from impslam.sweeps.rows import Row
+from impslam.sweeps.space import Space
+from impslam.sweeps.verdict import MEASURES
+
+JOURNAL = "study.journal"
+SCORES = {
+    "best": tuple(MEASURES),
+    "truth": ("ate_m",),
+    "relations": ("relation_m",),
+    "quality": ("disagreement_m",),
+    "likelihood": ("nll",),
+}
+"""The columns of the table that a score is: the first one that is known of a log."""
+HELP = {
+    "truth": "give --truth FILE, or choose another --score",
+    "relations": "give --relations FILE, or choose another --score",
+    "likelihood": "only an estimator that matches landmarks has innovations: --set "
+    "estimator.kind=landmarks",
+}
+MESSAGE = "message"
+
+Progress: TypeAlias = Callable[[str, int, int], None]
+
+
+def open_study(folder: Path, base: Settings, space: Space) -> Any:
+    """Return the study of a folder, a new one or the one that is there.
+
+    What a new one tries first is the config itself.
+
+    Raises
+    ------
+    ConfigError
+        If the extra is not installed, or the study that is there searched something else.
+    """
+    try:
+        import optuna  # noqa: PLC0415  # an extra
+        from optuna.storages import JournalStorage  # noqa: PLC0415
+        from optuna.storages.journal import JournalFileBackend  # noqa: PLC0415
+    except ImportError:
+        raise ConfigError(
+            "imp tune needs Optuna; install it with pip install 'impslam[tune]'"
+        ) from None
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    folder.mkdir(parents=True, exist_ok=True)
+    study = optuna.create_study(
+        storage=JournalStorage(JournalFileBackend(str(folder / JOURNAL))),
+        sampler=optuna.samplers.TPESampler(seed=0, n_startup_trials=2 * len(space) + 4),
+        study_name="tune",
+        direction="minimize",
+        load_if_exists=True,
+    )
+    asked = {key: repr(part) for key, part in space.items()}
+    if study.user_attrs.setdefault("space", asked) != asked:
+        raise ConfigError(f"{folder}: holds a search of something else; give another -o")
+    study.set_user_attr("space", asked)
+    if not study.trials:
+        known = {key: plain(value) for key, value in base if space[key].holds(plain(value))}
+        study.enqueue_trial(known)
+    return study
+
+
+def run_cases(cases: Sequence[Case]) -> list[Row]:
+    """Run the cases of one trial, one after the other."""
+    return [run_case(case) for case in cases]
+
+
+def search(
+    study: Any,
+    cases: Callable[[Any], list[Case]],
+    score: str,
+    pool: Pool,
+    trials: int,
+    progress: Progress,
+    work: Callable[[Sequence[Case]], list[Row]] = run_cases,
+) -> None:
+    """Try settings until the study has so many trials.
+
+    A trial that fails, or whose process is killed, counts; its `message` says why.
+
+    Parameters
+    ----------
+    cases : returns the runs that a trial is judged by
+    score : one of `SCORES`
+    """
+    from optuna.trial import TrialState  # noqa: PLC0415  # an extra
+
+    for trial in study.get_trials(states=(TrialState.RUNNING,)):  # of a search that was interrupted
+        study.tell(trial.number, state=TrialState.FAIL)
+        study.enqueue_trial(trial.params)
+    left = max(0, trials - len(finished(study)))
+    asked: list[Any] = []
+
+    def suggestions() -> Iterator[list[Case]]:
+        for _ in range(left):
+            asked.append(study.ask())
+            yield cases(asked[-1])
+
+    progress("trials", 0, left)
+    for done, (index, rows) in enumerate(pool.each(work, suggestions()), start=1):
+        _tell(study, asked[index], rows, score)
+        progress("trials", done, left)
+
+
+def _tell(study: Any, trial: Any, rows: Sequence[Row] | Lost, score: str) -> None:
+    from optuna.trial import TrialState  # noqa: PLC0415  # an extra
+
+    lost = [rows.why] if isinstance(rows, Lost) else [row["error"] for row in rows if row["error"]]
+    if lost:
+        trial.set_user_attr(MESSAGE, lost[0])
+        study.tell(trial, state=TrialState.FAIL)
+    elif not isinstance(rows, Lost):
+        study.tell(trial, score_of(rows, score))
+
+
+def finished(study: Any) -> list[Any]:
+    """Return the trials that have a score, or failed by themselves."""
+    return [t for t in study.trials if t.values or MESSAGE in t.user_attrs]
+
+
+def best(study: Any) -> Any:
+    """Return the best trial.
+
+    Raises
+    ------
+    ImpError
+        If all have failed.
+    """
+    known = [trial for trial in study.trials if trial.values]
+    if not known:
+        why = next((t.user_attrs[MESSAGE] for t in finished(study)), "none was made")
+        raise ImpError(f"no trial gave a score; the first: {why}")
+    return min(known, key=lambda trial: float(trial.value))
+
+
+def suggest(space: Space, trial: Any) -> Settings:
+    """Return the settings of a trial, also of one that is done."""
+    return tuple((key, part.suggest(trial, key)) for key, part in space.items())
+
+
+def score_of(rows: Sequence[Row], score: str) -> float:
+    """Return how good runs are, the less the better.
+
+    Of errors it is the geometric mean, so that logs weigh alike whatever their size; of negative
+    log-likelihoods the mean.
+
+    Raises
+    ------
+    ConfigError
+        If the score is not known of a log.
+    """
+    values = [_value(row, score) for row in rows]
+    if score == "likelihood":
+        return math.fsum(values) / len(values)
+    return math.exp(math.fsum(math.log(max(value, 1e-9)) for value in values) / len(values))
+
+
+def _value(row: Row, score: str) -> float:
+    for name in SCORES[score]:
+        value = row.get(name)
+        if value is not None and math.isfinite(value):
+            return float(value)
+    raise ConfigError(
+        f"{row['log']}: its {score} score is not known; {HELP.get(score, 'choose another --score')}"
+    )

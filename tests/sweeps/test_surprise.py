@@ -1,0 +1,53 @@
+"""The likelihood of innovations: as its formula says, and greatest where the noise is the true one."""
+
+import math
+
+import numpy as np
+import pytest
+
+from impslam.map import Revision
+from impslam.sweeps.surprise import Surprise, surprise
+from impslam.types import Match, Observation
+
+
+class Keyframe:
+    """What `Surprise` reads of a keyframe."""
+
+    def __init__(self, *places):
+        self.observations = tuple(Observation("point", np.array(z), np.eye(2)) for z in places)
+
+
+def revision(*matches):
+    return Revision(np.array([0]), np.zeros((1, 3)), np.zeros((1, 3, 3)), matches=matches)
+
+
+def match(index, innovation, S):
+    nu = np.array(innovation)
+    return Match(index, 7, nu, S, float(nu @ np.linalg.solve(S, nu)))
+
+
+def test_a_match_counts_by_its_density_and_a_new_observation_by_its_volume():
+    S = np.array([[0.04, 0.01], [0.01, 0.09]])
+    seen = Surprise()
+    seen.revise(Keyframe((1.0, -0.5), (3.0, 0.5)), revision(match(1, (0.1, -0.2), S)), None)
+    nu = np.array([0.1, -0.2])
+    density = math.exp(-0.5 * nu @ np.linalg.inv(S) @ nu) / math.sqrt(
+        np.linalg.det(2.0 * math.pi * S)
+    )
+    assert seen.mean == pytest.approx(0.5 * (-math.log(density) + math.log(2.0 * 1.0)))
+
+
+def test_nothing_matched_tells_nothing():
+    seen = Surprise()
+    seen.revise(Keyframe((1.0, 0.0)), revision(), None)
+    assert math.isnan(seen.mean)
+
+
+def test_it_is_least_at_the_true_noise(rng):
+    sigma = 0.03
+    innovations = rng.normal(0.0, sigma, (4000, 2))
+    tried = np.array([0.01, 0.02, 0.025, 0.03, 0.035, 0.05, 0.1])
+    mean = [
+        np.mean([surprise(match(0, nu, s * s * np.eye(2))) for nu in innovations]) for s in tried
+    ]
+    assert tried[int(np.argmin(mean))] == sigma

@@ -1,0 +1,164 @@
+"""The search: finds what is best, goes on where it was left, and survives trials that fail."""
+
+import json
+import math
+
+import pytest
+
+from impslam.config import load
+from impslam.errors import ConfigError, ImpError
+from impslam.sweeps.cases import find_log
+from impslam.sweeps.pool import Processes
+from impslam.sweeps.rows import attempt
+from impslam.sweeps.space import Choice, Range, noise_space, parse_space
+from impslam.sweeps.task import Task
+from impslam.sweeps.tuning import best, finished, open_study, score_of, search, suggest
+
+pytest.importorskip("optuna")
+SPACE = {"odometry.wheel_noise": Range(0.001, 1.0), "filter.kind": Choice(("ekf", "riekf"))}
+BASE = (("odometry.wheel_noise", "0.5"), ("filter.kind", "ekf"))
+
+
+def bowl(cases):
+    """Return the row of a run whose error is least at a noise of 0.03 with the riekf."""
+    (settings,) = cases
+
+    def measure():
+        noise = float(settings["odometry.wheel_noise"])
+        if noise > 0.6:
+            raise ArithmeticError("too noisy")
+        return {"ate_m": 0.1 + abs(math.log(noise / 0.03)) + (settings["filter.kind"] == "ekf")}
+
+    return [attempt({"log": "toy"}, measure)]
+
+
+def tune(folder, trials, work=bowl, processes=1):
+    study = open_study(folder, BASE, SPACE)
+    steps = []
+    search(
+        study,
+        lambda trial: [dict(suggest(SPACE, trial))],
+        "best",
+        Processes(processes),
+        trials,
+        lambda *step: steps.append(step),
+        work,
+    )
+    return study, steps
+
+
+def test_the_best_is_found_and_the_config_itself_is_tried_first(tmp_path):
+    study, steps = tune(tmp_path, 40)
+    assert dict(suggest(SPACE, study.trials[0])) == {
+        "odometry.wheel_noise": "0.5",
+        "filter.kind": "ekf",
+    }
+    found = dict(suggest(SPACE, best(study)))
+    assert 0.01 < float(found["odometry.wheel_noise"]) < 0.09
+    assert found["filter.kind"] == "riekf"
+    assert steps[-1] == ("trials", 40, 40)
+    failed = [trial for trial in study.trials if not trial.values]
+    assert {trial.user_attrs["message"] for trial in failed} <= {"ArithmeticError: too noisy"}
+
+
+def interrupted(cases):
+    raise KeyboardInterrupt
+
+
+def test_it_goes_on_where_it_was_interrupted(tmp_path):
+    tune(tmp_path, 3)
+    with pytest.raises(KeyboardInterrupt):
+        tune(tmp_path, 9, interrupted)
+    study, steps = tune(tmp_path, 6)
+    assert steps[-1] == ("trials", 3, 3)
+    assert len(finished(study)) == 6
+    lost = next(trial for trial in study.trials if trial not in finished(study) and trial.params)
+    assert lost.params in [trial.params for trial in finished(study)]
+
+
+def test_processes_share_the_trials(tmp_path):
+    study, _ = tune(tmp_path, 6, processes=2)
+    assert len(finished(study)) == 6
+
+
+def test_a_study_of_something_else_is_not_gone_on_with(tmp_path):
+    open_study(tmp_path, BASE, SPACE)
+    with pytest.raises(ConfigError, match="holds a search of something else"):
+        open_study(tmp_path, BASE, {"filter.kind": Choice(("ekf", "oc"))})
+
+
+def test_where_all_fail_the_first_reason_is_told(tmp_path):
+    def refuse(cases):
+        return [{"log": "toy", "error": "no scan"}]
+
+    study, _ = tune(tmp_path, 2, refuse)
+    with pytest.raises(ImpError, match="no trial gave a score; the first: no scan"):
+        best(study)
+
+
+def test_logs_weigh_alike_whatever_their_size():
+    def rows(small, large):
+        return [{"log": "a", "ate_m": small}, {"log": "b", "relation_m": large}]
+
+    assert score_of(rows(0.02, 1.0), "best") == pytest.approx(score_of(rows(0.01, 2.0), "best"))
+    assert score_of([{"log": "a", "nll": -3.0}, {"log": "b", "nll": 1.0}], "likelihood") == -1.0
+    with pytest.raises(ConfigError, match=r"b: its truth score is not known; give --truth FILE"):
+        score_of(rows(1.0, 1.0), "truth")
+    with pytest.raises(ConfigError, match=r"estimator.kind=landmarks"):
+        score_of([{"log": "a", "nll": math.nan}], "likelihood")
+
+
+def test_by_default_all_noise_is_searched_around_its_value():
+    space = noise_space(load("imp"))
+    assert space["sensors.lidar.sigma"] == Range(0.0003, 0.03)
+    assert space["odometry.slip.turn_per_turn"] == Range(0.005, 0.5)
+    assert "odometry.slip.forward" not in space  # 0 in this config: that there is none is known
+    assert not any(key.startswith(("tracker", "landmarks")) for key in space)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("filter.kind=ekf", "expected LOW:HIGH or values"),
+        ("odometry.wheel_noise=1:0.1", "the lower one first"),
+        ("odometry.wheel_noise=a:b", "expected two numbers"),
+    ],
+)
+def test_a_space_that_is_none_is_refused(text, message):
+    with pytest.raises(ConfigError, match=message):
+        parse_space([text], load("imp"))
+
+
+def test_a_range_of_whole_numbers_stays_whole():
+    assert parse_space(["filter.iterations=1:5"], load("imp", ["filter.kind=ekf"])) == {
+        "filter.iterations": Range(1, 5, whole=True)
+    }
+
+
+def test_the_tuned_config_loads_and_tells_its_evidence(tmp_path):
+    study, _ = tune(tmp_path, 8)
+    task = Task([find_log("room")], [find_log("arena")], None, ["grid.resolution=0.1"], 1)
+    rows = [
+        {"log": log, "config": when, "error": "", "ate_m": error}
+        for log, when, error in (
+            *(("room", "before", 0.02), ("room", "after", 0.01)),
+            *(("arena", "before", 0.04), ("arena", "after", 0.05)),
+        )
+    ]
+    found = suggest(SPACE, best(study))
+    text = task.tuned(found, rows, "best", study)
+    assert "# room: 0.02 before, 0.01 after" in text
+    assert "# arena, kept apart: 0.04 before, 0.05 after" in text
+    (tmp_path / "tuned.toml").write_text(text)
+    config = load(tmp_path / "tuned.toml")
+    assert config.filter["kind"] == "riekf"
+    assert config.odometry["wheel_noise"] == float(dict(found)["odometry.wheel_noise"])
+    assert config.grid.resolution == 0.1
+    assert config.robot == "imp"
+
+
+def test_an_end_of_a_range_that_no_config_has_is_refused():
+    task = Task([find_log("room")], [], "imp", [], 1)
+    with pytest.raises(ConfigError, match=r"sensors.lidar.sigma = 500"):
+        task.space(["sensors.lidar.sigma=0.001:500.0"])
+    assert json.dumps(list(task.values(task.space([]))))

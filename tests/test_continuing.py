@@ -43,8 +43,8 @@ def given(slam, drive, rows, late=0.0):
     return slam
 
 
-def mapped(drive, rows, late=0.0, **how):
-    return given(impslam.Slam("default", **how), drive, rows, late).finish()
+def mapped(drive, rows, late=0.0, config="default", **how):
+    return given(impslam.Slam(config, **how), drive, rows, late).finish()
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +74,29 @@ def test_another_log_begins_a_session_that_is_found(drive, whole, tmp_path):
     assert known.keyframes.placed.all()
     off = wrapped(known.path()[n:, 1:] - known.path()[rows, 1:], 2)
     assert np.abs(off).max() < 0.05
+
+
+def test_another_log_with_the_same_stamps_is_told_by_its_odometry(drive, whole):
+    """The stamps of simulators, and of robots whose clocks count from their start, are alike."""
+    poses, ranges = drive
+    rows = np.arange(170, 340)
+    poses = poses.copy()
+    poses[rows] = compose(np.array([1.0, 2.0, 0.5]), poses[rows])  # odometry has a start of its own
+    known = mapped((poses, ranges), rows, late=-17.0, known=whole)
+    assert known.stamps[len(whole.stamps)] < 1.0
+    assert len(known.stamps) > len(whole.stamps) + 160  # a few begin alike
+    assert known.keyframes.sessions.max() == 1
+    assert known.keyframes.placed.all()
+
+
+def test_an_estimator_that_cannot_go_on_gives_way_to_one_that_can(drive, whole):
+    """Unless it is asked for."""
+    known = mapped(drive, slice(170, 340), late=1000.0, known=whole, config="imp", settings=[
+        "odometry.kind=odometry_pose", "sensors.lidar.range_max=20",
+    ])  # fmt: skip
+    assert known.keyframes.placed.all()
+    with pytest.raises(ConfigError, match="cannot go on with a map"):
+        impslam.Slam("imp", ["estimator.kind=landmarks"], known=whole)
 
 
 def test_a_robot_that_is_carried_elsewhere_is_found_again(drive, whole):

@@ -1,8 +1,8 @@
 """Goes on with a map: what of a log is in it already, and how keyframes are numbered on.
 
-A log whose first scans are the last ones of the map, by their stamps, is the one that the map was made
-from. It is tracked again up to there, which costs little and leaves the tracker as it was; then it goes
-on as if it had never stopped. Any other log begins a session, which has to be found in the map.
+A log whose first scans are the last ones of the map, by stamps and odometry, is the one that the map
+was made from. It is tracked again up to there, which costs little and leaves the tracker as it was; then
+it goes on as if it had never stopped. Any other log begins a session, which has to be found in the map.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from impslam.errors import ConfigError
+from impslam.geometry.se2 import between
 from impslam.map import Map, Track
 from impslam.types import Array
 
@@ -34,6 +35,10 @@ class Known(NamedTuple):
     hint: Array | None = None
 
 
+SAME_ODOMETRY = 1e-3
+"""m and rad; dead reckoning of the same readings differs by rounding, that of two drives by far more. Logs
+of simulators begin at the same stamp, and stamps of two robots may count from their start."""
+
 _ROWS = (
     "stamps", "T_anchor_base", "covariance", "odometry", "located", "reasons", "amounts",
 )  # fmt: skip
@@ -47,7 +52,8 @@ class Continuation:
         self._next = 0 if known is None else len(known.map.keyframes)
         self._shift: int | None = None if self._next else 0
         self._first = 0  # keyframe of the log, where it is in the map
-        self._stamps = np.empty(0)  # of its scans there
+        self._stamps, self._odometry = np.empty(0), np.empty((0, 3))  # of its scans there
+        self._start: Array | None = None  # odometry of its first scan, as it comes again
         self._count = 0  # of those that have come again
         self._goes_on = self._waits = (
             False  # where it stopped, or for the first keyframe of a session
@@ -61,6 +67,8 @@ class Continuation:
         if scans:
             begin = len(known.stamps) - scans
             self._stamps, self._first = known.stamps[begin:], int(known.anchors[begin])
+            odometry = known.odometry_poses[begin:]
+            self._odometry = between(odometry[0], odometry)
 
     @property
     def repeated(self) -> int:
@@ -88,11 +96,19 @@ class Continuation:
 
     def _repeated(self, track: Track) -> int:
         """Return how many scans of a track come again, of its first ones."""
-        stamps = track.stamps
+        stamps, odometry = track.stamps, track.odometry
         if track.keyframe is not None:
             stamps = np.append(stamps, track.keyframe.stamp)
+            odometry = np.concatenate((odometry, track.keyframe.odometry[None]))
+        if self._start is None and len(odometry):
+            self._start = odometry[0].copy()
         expected = self._stamps[self._count : self._count + len(stamps)]
-        same = stamps[: len(expected)] == expected
+        n = len(expected)
+        same = stamps[:n] == expected
+        if n:
+            moved = between(self._start, odometry[:n])
+            driven = self._odometry[self._count : self._count + n]
+            same &= (np.abs(between(driven, moved)) < SAME_ODOMETRY).all(axis=1)
         count = len(same) if same.all() else int(np.argmin(same))
         self._count += count
         return count

@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from impslam.component import explain, shorten
+from impslam.component import build, explain, shorten
 from impslam.config import Config, carried, load, load_plugins
 from impslam.errors import ConfigError, SourceError
 from impslam.fitting import fitted
@@ -58,6 +58,17 @@ def open_log(
         with source:
             config = fitted(config, source, odometry_is_free=odometry_is_free)
     return config, source
+
+
+def going_on(config: Config, settings: Sequence[str] = ()) -> Config:
+    """Return the config with an estimator that can go on with a map: its own, or `graph`.
+
+    One that the settings ask for stays; it says itself that it cannot.
+    """
+    asked = any(_sets(one, "estimator") for one in settings)
+    if asked or build("estimator", config.estimator).goes_on:
+        return config
+    return config.model_copy(update={"estimator": {"kind": "graph"}})
 
 
 def _sets(setting: str, key: str) -> bool:

@@ -31,7 +31,7 @@ from impslam.map import Keyframe, Keyframes, Map, PathRows, T_map_odom, Track
 from impslam.map_builder import MapBuilder, blended
 from impslam.observers.base import Dropped, Observer, Outcome
 from impslam.observers.health import HealthMonitor
-from impslam.open_log import open_log
+from impslam.open_log import going_on, open_log
 from impslam.provenance import fingerprint
 from impslam.sources.base import Problems, Source
 from impslam.threads import OneBlasThread
@@ -94,7 +94,10 @@ def run(  # noqa: PLR0913  # each is a choice that a user may make
     2
     """
     begin = begin_with(known, frozen=frozen, hint=hint)
-    return map_log(*open_log(log, config, settings), observers, progress, begin)
+    chosen, source = open_log(log, config, settings)
+    if begin is not None:
+        chosen = going_on(chosen, settings)
+    return map_log(chosen, source, observers, progress, begin)
 
 
 def map_log(

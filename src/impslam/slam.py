@@ -16,7 +16,7 @@ from impslam.continuing import begin_with
 from impslam.errors import ImpError, ShapeError
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer
-from impslam.open_log import finished
+from impslam.open_log import finished, going_on
 from impslam.run import Run
 from impslam.types import (
     Array,
@@ -81,6 +81,8 @@ class Slam:
         chosen = finished(config, settings)
         self._newest = _Newest()
         begin = begin_with(known, frozen=frozen, hint=hint)
+        if begin is not None:
+            chosen = going_on(chosen, settings)
         self._run = Run(chosen, [self._newest, *observers], begin)
         self._progress, self._order = progress, 0
         self._given: dict[str, float] = {}  # newest stamp by stream

@@ -108,7 +108,7 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     from impslam.cli.run_folder import run_folder
     from impslam.fitting import choices
     from impslam.observers.ending import EndOfRun
-    from impslam.open_log import open_log
+    from impslam.open_log import going_on, open_log
 
     changes = [
         *settings,
@@ -121,6 +121,11 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
         raise ConfigError("--live shows a log from its start; leave out --live or --map")
     chosen, source = open_log(log, config, changes)
     quiet = common is not None and common.quiet
+    if known_map is not None and (able := going_on(chosen, changes)) is not chosen:
+        if not quiet:
+            own = chosen.estimator["kind"]
+            console.say(f"estimator: graph, for {own} cannot go on with a map")
+        chosen = able
     end = EndOfRun()
     page = page or Page()
     player = partial(replay, port=page.port, quiet=quiet) if page.live else None

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.component import build
 from impslam.config import Config, load
 from impslam.continuing import Known
 from impslam.map import Map
+from impslam.open_log import going_on as able
 from impslam.platform.station.map_store import FILE
 from impslam.types import Array
 
@@ -42,7 +42,4 @@ def going_on(folder: Path, preset: str, *, frozen: bool, hint: Array | None = No
     ImpError
         If the map cannot be read.
     """
-    config = load(preset)
-    if not build("estimator", config.estimator).goes_on:
-        config = load(preset, ["estimator.kind=graph"])
-    return GoingOn(folder.name, Known(Map.load(folder / FILE), frozen, hint), config)
+    return GoingOn(folder.name, Known(Map.load(folder / FILE), frozen, hint), able(load(preset)))

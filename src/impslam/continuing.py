@@ -105,7 +105,7 @@ class Continuation:
         expected = self._stamps[self._count : self._count + len(stamps)]
         n = len(expected)
         same = stamps[:n] == expected
-        if n:
+        if n and self._start is not None:
             moved = between(self._start, odometry[:n])
             driven = self._odometry[self._count : self._count + n]
             same &= (np.abs(between(driven, moved)) < SAME_ODOMETRY).all(axis=1)

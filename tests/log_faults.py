@@ -3,7 +3,10 @@
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
+import numpy as np
+
 from impslam.columns import Batch, Columns
+from impslam.geometry.se2 import between, compose, exp, log
 from impslam.types import LaserScan, OdometryPose, WheelAngles
 
 Change = Callable[[Columns], Columns]
@@ -28,6 +31,10 @@ def of(kind, change) -> Change:
     return lambda columns: change(columns) if issubclass(columns.kind, kind) else columns
 
 
+def nothing() -> Change:
+    return lambda columns: columns
+
+
 # --------------------------------------------------------------------------- scans
 
 
@@ -39,12 +46,57 @@ def turned(angle: float) -> Change:
     return of(LaserScan, lambda c: with_layout(c, angles=c["angles"] + angle))
 
 
-def scaled_ranges(scale: float, offset: float = 0.0) -> Change:
-    return of(LaserScan, lambda c: with_values(c, ranges=scale * c["ranges"] + offset))
+def scaled_ranges(scale: float) -> Change:
+    return of(LaserScan, lambda c: with_values(c, ranges=scale * c["ranges"]))
+
+
+def no_return(value: float) -> Change:
+    """Give a value to a tenth of the beams, and to those that have none."""
+
+    def change(c: Columns) -> Columns:
+        ranges, drawn = c["ranges"].copy(), np.random.default_rng(0).random(c["ranges"].shape)
+        with np.errstate(invalid="ignore"):
+            ranges[(drawn < 0.1) | ~np.isfinite(ranges)] = value
+        return with_values(c, ranges=ranges)
+
+    return of(LaserScan, change)
+
+
+def body(width: float) -> Change:
+    """Put a part of the robot in view, width rad of the middle half of the beams."""
+
+    def change(c: Columns) -> Columns:
+        angles, ranges = c["angles"], c["ranges"].copy()
+        first = len(angles) // 4
+        hidden = np.abs(angles - angles[first]) <= width
+        hidden[:first] = False
+        noise = np.random.default_rng(0).normal(0.0, 0.005, (len(c), int(hidden.sum())))
+        ranges[:, hidden] = 0.35 + noise
+        return with_values(c, ranges=ranges)
+
+    return of(LaserScan, change)
 
 
 def late(seconds: float) -> Change:
     return of(LaserScan, lambda c: with_values(c, stamp=c["stamp"] + seconds))
+
+
+def jitter(seconds: float) -> Change:
+    """Stamp scans late by a random time, of a mean of so many s and as large a deviation, at most three."""
+    rng = np.random.default_rng(0)
+
+    def change(c: Columns) -> Columns:
+        by = np.minimum(rng.exponential(seconds, len(c)), 3.0 * seconds)
+        return with_values(c, stamp=c["stamp"] + by)
+
+    return of(LaserScan, change)
+
+
+def sweep_of(seconds: float) -> Change:
+    def change(c: Columns) -> Columns:
+        return with_layout(c, time_offsets=np.linspace(0.0, seconds, len(c["angles"])))
+
+    return of(LaserScan, change)
 
 
 # --------------------------------------------------------------------------- wheels
@@ -58,6 +110,13 @@ def reversed_wheels(*sides: str) -> Change:
     return of(WheelAngles, lambda c: with_values(c, **{side: -c[side] for side in sides}))
 
 
+def wrapping(at: float) -> Change:
+    return of(
+        WheelAngles,
+        lambda c: with_values(c, left=np.mod(c["left"], at), right=np.mod(c["right"], at)),
+    )
+
+
 # --------------------------------------------------------------------------- odometry
 
 
@@ -67,3 +126,46 @@ def standing() -> Change:
         return with_values(c, **{name: 0.0 * column for name, column in first.items()})
 
     return of((WheelAngles, OdometryPose), still)
+
+
+def scaled_odometry(way: float, turn: float) -> Change:
+    """Scale ways and turns of the poses of odometry."""
+    return _of_motions(lambda twists: twists * [way, way, turn])
+
+
+def unsigned() -> Change:
+    """Let odometry log ways backward as forward."""
+    return _of_motions(lambda twists: np.abs(twists) * [1.0, 0.0, 0.0] + twists * [0.0, 0.0, 1.0])
+
+
+def _of_motions(change: Callable[[np.ndarray], np.ndarray]) -> Change:
+    """Change the twists (m, 3) between poses of odometry."""
+    last: list[np.ndarray] = []  # the newest pose as it was, and as it is now
+
+    def changed(c: Columns) -> Columns:
+        poses = c["pose"].copy()
+        before, now = last or (poses[0], poses[0].copy())
+        steps = exp(change(log(between(np.vstack((before, poses[:-1])), poses))))
+        for k, step in enumerate(steps):
+            now = compose(now, step)
+            poses[k] = now
+        last[:] = c["pose"][-1], now
+        return with_values(c, pose=poses)
+
+    return of(OdometryPose, changed)
+
+
+def there_and_back(batches: Iterable[Batch]) -> list[Batch]:
+    """Return a drive, and after it the same backward in time: the robot drives back, astern."""
+    there = list(batches)
+    ends = [float(c.stamps.max()) for batch in there for c in batch.values()]
+    orders = [int(c.order.max()) for batch in there for c in batch.values()]
+    turn, last = 2.0 * max(ends) + 0.1, 2 * max(orders) + 1
+
+    def back(c: Columns) -> Columns:
+        c = c.take(slice(None, None, -1))
+        offset = float(c["time_offsets"].max(initial=0.0)) if c.kind is LaserScan else 0.0
+        c = replace(c, order=last - c.order)
+        return with_values(c, stamp=turn - c["stamp"] - offset)
+
+    return there + [{name: back(c) for name, c in batch.items()} for batch in reversed(there)]

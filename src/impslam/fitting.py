@@ -54,11 +54,11 @@ def fitted(config: Config, source: Source, *, odometry_is_free: bool) -> Config:
 def choices(config: Config, source: Source) -> str:
     """Return in one line which streams of a log are read, as what, and how the lasers are mounted.
 
-    The source is, or has been, open; the line is empty for a log that says nothing of its robot.
+    The source is, or has been, open.
     """
-    if not source.describes_robot:
-        return ""
     robot = config.make_robot()
+    if not source.describes_robot:
+        return _by_config(config, robot)
     lasers = list(_lasers(robot, source))
     parts = [
         f"scan {stream} ({_mount_words(name, mount, config)})" for name, stream, mount in lasers
@@ -82,6 +82,24 @@ def choices(config: Config, source: Source) -> str:
     elif stream:
         parts.append(f"odometry {stream}")
     return "; ".join(parts)
+
+
+def _by_config(config: Config, robot: Robot) -> str:
+    """Return the same of a log that says nothing of its robot: all is from the config."""
+    sensors = [
+        f"{sensor.name} {name}"
+        + (f" ({_given_words(name, config)})" if sensor.consumes is LaserScan else "")
+        for name, sensor in robot.sensors.items()
+    ]
+    return "; ".join([*sensors, f"odometry {robot.odometry.name}"])
+
+
+def _given_words(name: str, config: Config) -> str:
+    table = config.sensors[name]
+    if "mount" not in table and "upside_down" not in table:
+        return f"mount unknown, taken to be at base_link; set sensors.{name}.mount"
+    own = Mount(tuple(table.get("mount", (0.0, 0.0, 0.0))), table.get("upside_down", False))
+    return f"mount {_words(own)}, the config"
 
 
 def _lasers(robot: Robot, source: Source) -> Iterator[tuple[str, str, Mount]]:

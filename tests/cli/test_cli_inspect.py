@@ -44,15 +44,15 @@ def test_clocks(imp, write) -> None:
     said = imp("inspect", log)
     assert "LaserScan 6 0.2 30.2 30.000 1 1" in " ".join(said.out.split())
     for problem in ("gap", "backward stamp", "repeated stamp"):
-        assert f"problem: 1 x {problem}: {log}" in said.out
+        assert f"note: 1 x {problem}: {log}" in said.out
 
 
 def test_scans_of_changing_length_and_invalid_beams(imp, write) -> None:
-    log = write([scan(1.0, 21), scan(2.0, 31, 0.0), WheelAngles(1.0, 0, 0)])
+    log = write([scan(1.0, 21), scan(2.0, 31, 0.0), scan(3.0, 31, 0.0), WheelAngles(1.0, 0, 0)])
     said = imp("inspect", log)
     assert "beams          21 to 31" in said.out
-    assert "invalid beams  59.6 %" in said.out
-    assert "few valid beams" in said.out
+    assert "invalid beams  74.7 %" in said.out
+    assert "2 of 3 scans have fewer than 10 valid ranges" in said.out
     assert "not in the log" in said.out
 
 

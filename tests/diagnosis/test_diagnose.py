@@ -42,10 +42,10 @@ CASES = {
     "ranges 10 % short": (faults.scaled_ranges(0.9), (), "ranges scale"),
     "late": (faults.late(0.2), (), "stamps late"),
     "standing": (faults.standing(), (), "odometry stands still"),
-    "track": (faults.of((), None), ("odometry.track=0.5",), "track"),
-    "radius": (faults.of((), None), ("odometry.wheel_radius=0.08",), "wheel radius"),
-    "ratio": (faults.of((), None), ("odometry.right_left_ratio=1.1",), "wheels unequal"),
-    "mount": (faults.of((), None), ("sensors.lidar.mount=[-0.1,0,0]",), "laser elsewhere"),
+    "track": (faults.nothing(), ("odometry.track=0.46",), "track"),
+    "radius": (faults.nothing(), ("odometry.wheel_radius=0.08",), "wheel radius"),
+    "ratio": (faults.nothing(), ("odometry.right_left_ratio=1.1",), "wheels unequal"),
+    "mount": (faults.nothing(), ("sensors.lidar.mount=[-0.1,0,0]",), "laser elsewhere"),
 }
 
 

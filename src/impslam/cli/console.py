@@ -174,9 +174,13 @@ def show_facts(facts: Mapping[str, str]) -> None:
         say(f"{name:<{width}}  {value}")
 
 
+COPED_WITH = frozenset({"gap", "backward stamp", "repeated stamp"})
+"""Kinds of problems with a log that do a run no harm."""
+
+
 def show_problem(kind: str, count: int, example: str) -> None:
     """Print what was wrong with a log: how often, and the first time."""
-    say(f"problem: {count} x {kind}: {example}")
+    say(f"{'note' if kind in COPED_WITH else 'problem'}: {count} x {kind}: {example}")
 
 
 def show_finding(kind: str, text: str, *, harmful: bool) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impslam.cli import console
-from impslam.cli.console import Base, Columns, Common, Settings, Topics
+from impslam.cli.console import Base, Columns, Common, Flag, Settings, Topics
 from impslam.cli.progress import display, follow
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ def inspect(
     settings: Settings = (),
     topics: Topics = (),
     columns: Columns = (),
+    json: Flag = False,
     common: Common | None = None,
 ) -> None:
     """Print the contents of a log, how they are used, and problems with their fixes.
@@ -33,6 +34,8 @@ def inspect(
     ----------
     log
         A file or folder; its format is recognised from its content.
+    json
+        Print all of it as JSON.
     """
     from impslam.cli.job import column_settings, topic_settings
     from impslam.cli.survey import Survey
@@ -48,10 +51,14 @@ def inspect(
         for _ in follow(survey.read(source), source, shown, "reading"):
             pass
     named = config or ("stored in the log" if "\n" in preset else preset)
+    if json:
+        from impslam.cli.inspect_json import as_json
+
+        console.say(as_json(log, source, named, streams, survey))
+        return
     console.say(f"{log}: {source.name}, preset {named}")
     _show_streams(streams, survey.reads)
-    if chosen_streams := choices(chosen, source):
-        console.say(f"reads: {chosen_streams}")
+    console.say(f"reads: {choices(chosen, source)}")
     _show_clocks(survey)
     console.show_facts(_scan_facts(survey.beams) | _motion_facts(survey, chosen))
     _show_problems(source.problems, survey.unused, survey.problems, findings=survey.findings)
@@ -121,7 +128,8 @@ def _show_problems(*found: Problems, findings: list[Finding]) -> None:
             console.show_problem(kind, count, problems.examples[kind])
     for finding in findings:
         console.show_finding(finding.kind, str(finding), harmful=finding.harmful)
-    if not any(problems.counts for problems in found) and not any(f.harmful for f in findings):
+    kinds = {kind for problems in found for kind in problems.counts}
+    if kinds <= console.COPED_WITH and not any(finding.harmful for finding in findings):
         console.say("no problem found")
 
 

@@ -103,10 +103,10 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     output
         The folder to write to, a new one. Default: runs/LOG-DATE-TIME.
     """
+    from impslam.cli.first_look import show_first_look
     from impslam.cli.job import column_settings, execute, topic_settings
     from impslam.cli.replay import replay
     from impslam.cli.run_folder import run_folder
-    from impslam.fitting import choices
     from impslam.observers.ending import EndOfRun
     from impslam.open_log import going_on, open_log
 
@@ -131,8 +131,8 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     player = partial(replay, port=page.port, quiet=quiet) if page.live else None
     name = log.resolve().name.split(".")[0] or "log"
     with run_folder(output, name, force=force) as folder:
-        if not quiet and (chosen_streams := choices(chosen, source)):
-            console.say(f"reads: {chosen_streams}")
+        if not quiet:
+            show_first_look(chosen, source, config)
         known = execute(
             chosen, source, folder, quiet or page.live, more=[end], player=player, begin=known_map
         )

@@ -10,17 +10,17 @@ import numpy as np
 
 from impslam.columns import Motions, Sweeps, messages
 from impslam.config import Config
-from impslam.diagnosis.diagnose import diagnose
+from impslam.diagnosis.diagnose import SCANS, diagnose
 from impslam.diagnosis.finding import Finding
 from impslam.diagnosis.head import Head
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Problems, Source
 from impslam.types import Array, LaserScan, Message
 
+FEWEST = 10
+"""Valid beams with which a scan can be matched."""
 MOSTLY = 0.5
-"""Share of invalid beams above which a problem is reported."""
-DIAGNOSED = 4000
-"""Scans at the beginning of the log that are diagnosed: some minutes, and some seconds of work."""
+"""Share of scans with fewer above which a problem is reported."""
 
 
 @dataclass(slots=True)
@@ -70,6 +70,8 @@ class Beams:
     sweep: float = 0.0
     total: int = 0
     invalid: int = 0
+    scans: int = 0
+    poor: int = 0
 
     def add(self, scan: LaserScan, lidar: Lidar2D | None) -> None:
         """Add a scan, with the limits of the lidar in the config."""
@@ -85,7 +87,9 @@ class Beams:
             valid = np.isfinite(scan.ranges) & (scan.ranges > 0.0)
         if lidar is not None:
             valid = lidar.scan(scan, np.zeros(3)).valid
-        self.total, self.invalid = self.total + n, self.invalid + n - int(valid.sum())
+        count = int(valid.sum())
+        self.total, self.invalid = self.total + n, self.invalid + n - count
+        self.scans, self.poor = self.scans + 1, self.poor + (count < FEWEST)
         if valid.any():
             self.nearest = min(self.nearest, float(scan.ranges[valid].min()))
             self.farthest = max(self.farthest, float(scan.ranges[valid].max()))
@@ -109,7 +113,7 @@ class Survey:
 
     def __init__(self, config: Config) -> None:
         self._config, self._robot = config, config.make_robot()
-        self.unused, self._head = self._robot.problems, Head(DIAGNOSED)
+        self.unused, self._head = self._robot.problems, Head(SCANS)
         self.findings: list[Finding] = []
         self.clocks: dict[str, Clock] = {}
         self.beams = Beams()
@@ -164,11 +168,11 @@ class Survey:
             self.problems.add("no odometry", self._no_odometry(wanted))
         if name is not None and motion is not None:
             self._judge_clocks(name, motion)
-        if self.beams.share_invalid > MOSTLY:
+        if self.beams.poor > MOSTLY * self.beams.scans:
             self.problems.add(
                 "few valid beams",
-                f"{100 * self.beams.share_invalid:.0f} % of the beams have no valid range: check "
-                f"the lidar, or sensors.{name}.range_min and range_max",
+                f"{self.beams.poor} of {self.beams.scans} scans have fewer than {FEWEST} valid ranges: "
+                f"check the lidar, or sensors.{name}.range_min and range_max",
             )
 
     def _seen(self) -> str | None:

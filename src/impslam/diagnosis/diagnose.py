@@ -7,15 +7,26 @@ from collections.abc import Iterable, Mapping
 from impslam.calibration.recording import record_batches
 from impslam.columns import Batch
 from impslam.config import Config
+from impslam.diagnosis.beams import beams
 from impslam.diagnosis.evidence import evidence
 from impslam.diagnosis.finding import Finding
 from impslam.diagnosis.handedness import handedness
+from impslam.diagnosis.head import Head
 from impslam.diagnosis.mount import mount
 from impslam.diagnosis.odometry import odometry
+from impslam.diagnosis.presets import preset
+from impslam.diagnosis.stamps import stamps
+from impslam.diagnosis.wheels import wheels
 from impslam.sensors.lidar2d import Lidar2D
+from impslam.sources.base import Source
 from impslam.types import Message
 
-CHECKS = (handedness, mount, odometry)
+SCANS = 4000
+"""Scans at the beginning of a log that are diagnosed: some minutes, and seconds of work."""
+FIRST_SCANS = 600
+"""The same before a run: a minute or two, and tenths of a second."""
+
+CHECKS = (wheels, handedness, mount, odometry, stamps, beams)
 
 
 def diagnose(
@@ -25,8 +36,24 @@ def diagnose(
 
     `defaults` are the streams to read where the config names none; see `Source.defaults`.
     """
-    if not any(isinstance(sensor, Lidar2D) for sensor in config.make_robot().sensors.values()):
+    if not _has_lidar(config):
         return []
     known = evidence(config, record_batches(config, batches, defaults))
+    if other := list(preset(known)):
+        return other  # all else would follow from it
     found = [finding for check in CHECKS for finding in check(known)]
     return sorted(found, key=lambda finding: not finding.harmful)
+
+
+def first_look(config: Config, source: Source) -> list[Finding]:
+    """Return what harms a run, as far as the beginning of a log shows it; the source must be open."""
+    if not _has_lidar(config):
+        return []
+    head = Head(FIRST_SCANS)
+    for _ in head.read(source.batches()):
+        pass
+    return [one for one in diagnose(config, head.batches, source.defaults()) if one.harmful]
+
+
+def _has_lidar(config: Config) -> bool:
+    return any(isinstance(sensor, Lidar2D) for sensor in config.make_robot().sensors.values())

@@ -28,10 +28,11 @@ TURNING = 0.02
 
 
 class Lag(NamedTuple):
-    """How late scans are stamped, in s, and its standard deviation."""
+    """How late scans are stamped, in s, its standard deviation, and that of turns (rad) in the fit."""
 
     seconds: float
     sigma: float
+    scale: float
 
 
 def lag(motion: Laser, odometer: Odometer) -> Lag | None:
@@ -53,7 +54,7 @@ def lag(motion: Laser, odometer: Odometer) -> Lag | None:
         ):  # it does not turn as the laser does, at any lag
             return None
         late -= float(np.clip(found.p[0] / found.p[1], -STEP, STEP))
-    return Lag(late, float(found.sigma[0] / abs(found.p[1])))
+    return Lag(late, float(found.sigma[0] / abs(found.p[1])), found.scale)
 
 
 def _fit(odometer: Odometer, before: Array, after: Array, turns: Array) -> Fit:

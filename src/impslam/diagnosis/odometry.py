@@ -16,8 +16,8 @@ from impslam.odometry.encoders import Encoders
 
 COPES = 3.0
 """Times its declared noise that odometry may be off by where scans are matched: it is then a guess only."""
-STILL = 0.02
-"""Share of the laser's motion below which odometry stands still."""
+GROSS = 3.0
+"""Times the way beyond which a reading is no turn of another wheel, but another unit."""
 FEWEST_BACK = 5
 """Stretches backward from which on odometry without a sign shows."""
 MOST_OTHER = 0.2
@@ -150,13 +150,20 @@ def _mended(e: Evidence, agreed: Agreement) -> tuple[str, tuple[str, ...], str]:
         short = kind == "ranges scale"
         other = f"; or, if ranges are off, --set {ranges}" if short else ""
         return "odometry scale", (), f"no setting mends it; calibrate the odometry{other}"
-    radius, track = e.odometry.wheel_radius / a, e.odometry.track * d / a
-    wheels = f"odometry.wheel_radius={radius:.4g}", f"odometry.track={track:.4g}"
+    track = e.odometry.track * d / a
+    wheels = _way_setting(e.odometry, a), f"odometry.track={track:.4g}"
     if kind == "ranges scale":
         return kind, (ranges,), f"or --set {wheels[0]} --set {wheels[1]}"
     if kind == "track":
         return kind, (f"odometry.track={e.odometry.track * d:.4g}",), ""
     return kind, wheels[:1] if misfits[kind] < SIGMAS else wheels, ""
+
+
+def _way_setting(odometry: Encoders, scale: float) -> str:
+    """Return what mends a scale of ways: the radius, or where no wheel is so large or small, the ticks."""
+    if 1.0 / GROSS < scale < GROSS:
+        return f"odometry.wheel_radius={odometry.wheel_radius / scale:.4g}"
+    return f"odometry.per_turn={odometry.per_turn * scale:.6g}"
 
 
 def _unequal(e: Evidence) -> Iterator[Finding]:

@@ -1,0 +1,62 @@
+"""What `imp inspect` prints, for other programs: all numbers, and each finding with its settings."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from impslam.cli.survey import Beams, Clock, Survey
+from impslam.evaluation.json_values import json_values
+from impslam.sources.base import Problems, Source, Stream
+
+
+def as_json(log: Path, source: Source, preset: str, streams: list[Stream], survey: Survey) -> str:
+    """Return the facts, problems and findings of a log as JSON; what is not known is null."""
+    facts = {
+        "log": str(log),
+        "format": source.name,
+        "preset": preset,
+        "streams": [{**asdict(stream), "used": stream.name in survey.reads} for stream in streams],
+        "clocks": {name: _clock(clock) for name, clock in sorted(survey.clocks.items())},
+        "scans": _beams(survey.beams),
+        "odometry": {"way_m": survey.way, "turns_rad": survey.rotation},
+        "problems": [
+            one for part in (source.problems, survey.unused, survey.problems) for one in _list(part)
+        ],
+        "findings": [asdict(finding) for finding in survey.findings],
+    }
+    return json.dumps(json_values(facts), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def _clock(clock: Clock) -> dict[str, Any]:
+    return {
+        "count": clock.count,
+        "rate_hz": clock.rate,
+        "first_s": clock.first,
+        "last_s": clock.last,
+        "longest_gap_s": clock.gap,
+        "backward": clock.backward,
+        "repeated": clock.repeated,
+    }
+
+
+def _beams(beams: Beams) -> dict[str, Any] | None:
+    if not beams.counts:
+        return None
+    return {
+        "beams": sorted(beams.counts),
+        "field_of_view_rad": beams.field_of_view,
+        "sweep_s": beams.sweep,
+        "nearest_m": beams.nearest,
+        "farthest_m": beams.farthest,
+        "invalid": beams.share_invalid,
+    }
+
+
+def _list(problems: Problems) -> list[dict[str, Any]]:
+    return [
+        {"kind": kind, "count": count, "example": problems.examples[kind]}
+        for kind, count in problems.counts.items()
+    ]

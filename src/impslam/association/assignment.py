@@ -24,10 +24,39 @@ def one_to_one(rows: Ints, columns: Ints, cost: Array) -> list[int]:
     a, k = {row for row, _ in wanted}, {column for _, column in wanted}
     if len(a) == len(k) == len(wanted):  # nobody competes
         return list(range(len(wanted)))
-    in_a, in_k = ({key: i for i, key in enumerate(sorted(keys))} for keys in (a, k))
-    table = np.full((len(a), len(k)), _FORBIDDEN)
-    place = {(in_a[row], in_k[column]): p for p, (row, column) in enumerate(wanted)}
-    table[tuple(zip(*place, strict=True))] = cost
+    chosen: list[int] = []
+    for pairs in _competitions(wanted):
+        chosen += pairs if len(pairs) == 1 else _solve([wanted[p] for p in pairs], pairs, cost)
+    return sorted(chosen)
+
+
+def _competitions(wanted: Sequence[tuple[int, int]]) -> Iterable[list[int]]:
+    """Return the pairs by who competes with whom, be it through others: each solved by itself."""
+    leader, first = list(range(len(wanted))), dict[tuple[int, int], int]()
+    for p, (row, column) in enumerate(wanted):
+        for key in ((0, row), (1, column)):
+            one, other = _leader(leader, first.setdefault(key, p)), _leader(leader, p)
+            leader[max(one, other)] = min(one, other)
+    groups: dict[int, list[int]] = {}
+    for p in range(len(wanted)):
+        groups.setdefault(_leader(leader, p), []).append(p)
+    return groups.values()
+
+
+def _leader(leader: list[int], p: int) -> int:
+    while leader[p] != p:
+        leader[p] = p = leader[leader[p]]
+    return p
+
+
+def _solve(wanted: list[tuple[int, int]], pairs: list[int], cost: Array) -> list[int]:
+    in_a, in_k = (
+        {key: i for i, key in enumerate(sorted(keys))}
+        for keys in map(set, zip(*wanted, strict=True))
+    )
+    table = np.full((len(in_a), len(in_k)), _FORBIDDEN)
+    place = {(in_a[row], in_k[column]): p for p, (row, column) in zip(pairs, wanted, strict=True)}
+    table[tuple(zip(*place, strict=True))] = cost[pairs]
     chosen = zip(*(side.tolist() for side in linear_sum_assignment(table)), strict=True)
     return [place[pair] for pair in chosen if pair in place]
 

@@ -72,6 +72,8 @@ class Association(Component):
     """Chooses among hypotheses."""
 
     role: ClassVar[str] = "association"
+    judges_jointly: ClassVar[bool] = False
+    """Whether a pairing's fate depends on others than those of the same observation or landmark."""
 
     def reach(self, dof: int) -> float:
         """Return the squared Mahalanobis distance beyond which no pairing matters here."""

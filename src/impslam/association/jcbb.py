@@ -10,7 +10,7 @@ its first pairings fail their own gate, which makes the answer depend on the ord
 
 from __future__ import annotations
 
-from typing import NamedTuple, TypeVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -52,6 +52,8 @@ def _numbered(ids: list[int]) -> Ints:
 @register("jcbb")
 class Jcbb(Association):
     """The largest set of pairings that is compatible as a whole (Neira & Tardós 2001)."""
+
+    judges_jointly: ClassVar[bool] = True
 
     gate: float = parameter(
         0.999,

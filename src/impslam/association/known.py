@@ -42,11 +42,13 @@ class Known(Association):
         read = [observations[i].label for i in group.observations.tolist()]
         labels = np.array([-1 if label is None else label for label in read], np.int64)
         borne = (labels >= 0) & (labels == group.labels)
-        newest = {int(group.labels[p]): int(group.landmarks[p]) for p in np.flatnonzero(borne)}
+        newest = {
+            int(group.observations[p]): int(group.landmarks[p]) for p in np.flatnonzero(borne)
+        }
         best: dict[int, int] = {}  # a label that is read twice belongs to the nearer
         for p in np.flatnonzero(borne).tolist():
             k = int(group.landmarks[p])
-            if newest[int(labels[p])] == k:  # of several that bear it
+            if newest[int(group.observations[p])] == k:  # of several that bear its label
                 rival = best.get(k, p)
                 best[k] = min(p, rival, key=lambda q: (group.distance2[q], q))
         limit = quantile(self.gate, group.innovation.shape[-1])

@@ -12,11 +12,12 @@ from impslam.association.base import Association
 from impslam.component import register
 from impslam.errors import ConfigError, NumericalError
 from impslam.estimators.base import Estimator, check_keyframe, is_known
+from impslam.estimators.blur import blurred
 from impslam.filters.base import Filter
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
 from impslam.map import Keyframe, Map, Revision
-from impslam.types import Array, Increment, Landmark, Observation
+from impslam.types import Array, Landmark
 
 START_SIGMA = 1e-4
 """m and rad: the start is the map's origin by definition; this only keeps P positive definite."""
@@ -65,7 +66,10 @@ class Landmarks(Estimator):
 
     def _add(self, keyframe: Keyframe) -> Revision:
         check_keyframe(keyframe)
-        observations, stamp = self._blur(keyframe.observations, keyframe.motion), keyframe.stamp
+        observations, stamp = (
+            blurred(keyframe.observations, keyframe.motion, self._models),
+            keyframe.stamp,
+        )
         now = keyframe.motion.stamp  # goes on where a clock is set
 
         self._filter.predict(keyframe.motion)
@@ -98,24 +102,6 @@ class Landmarks(Estimator):
     def _revision(self, keyframe: Keyframe, **facts: Any) -> Revision:
         pose, covariance = self._filter.pose[None], self._filter.covariance[None]
         return Revision(np.array([keyframe.id]), pose, covariance, **facts)
-
-    def _blur(
-        self, observations: tuple[Observation, ...], motion: Increment
-    ) -> tuple[Observation, ...]:
-        """Add to R what the motion between a keyframe's moment and an observation's is unsure by."""
-        late: dict[str, list[int]] = {}
-        for i, o in enumerate(observations):
-            if o.delay:
-                late.setdefault(o.kind, []).append(i)
-        if motion.duration == 0.0 or not late:
-            return observations
-        rate, blurred = motion.covariance / motion.duration, list(observations)
-        for kind, indices in late.items():
-            J = self._models[kind].z_D_motion(np.array([observations[i].z for i in indices]))
-            for i, added in zip(indices, J @ rate @ J.swapaxes(1, 2), strict=True):
-                o = observations[i]
-                blurred[i] = o.with_noise(o.R + abs(o.delay) * added)
-        return tuple(blurred)
 
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the landmarks in the form users read."""

@@ -17,6 +17,7 @@ import numpy as np
 
 from impslam.filters.belief import POSE
 from impslam.geometry.kernels import kernel
+from impslam.geometry.roots import root
 from impslam.types import Array, Ints
 
 
@@ -24,12 +25,6 @@ def _axes(theta: float) -> Array:
     """Return (3, 3), which takes a change [x, y, theta] to that of heading, ahead and aside."""
     c, s = math.cos(theta), math.sin(theta)
     return np.array([[0.0, 0.0, 1.0], [c, s, 0.0], [-s, c, 0.0]])
-
-
-def root(P: Array) -> Array:
-    """Return a square root (n, n) of a positive semidefinite P (n, n)."""
-    values, vectors = np.linalg.eigh(P)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _triangular(A: Array) -> Array:

@@ -41,8 +41,9 @@ from impslam.filters.base import Reach, everything
 from impslam.filters.belief import POSE
 from impslam.filters.gaussian import INDEFINITE, GaussianFilter
 from impslam.filters.scoring import score_predicted
-from impslam.filters.square_root import SquareRootBelief, own_roots, root, spread_out
+from impslam.filters.square_root import SquareRootBelief, own_roots, spread_out
 from impslam.geometry.angles import wrap
+from impslam.geometry.roots import root
 from impslam.geometry.se2 import compose
 from impslam.landmarks.base import LandmarkModel
 from impslam.types import Array, Increment, Ints, Match, Observation
@@ -154,14 +155,11 @@ class UnscentedKalmanFilter(GaussianFilter):
             return
         H, y, R = self._measured(observations, matches, self._doubt(matches))
         begin = 0
-        try:
-            for block in R:
-                end = begin + len(block)
-                whiten = np.linalg.inv(np.linalg.cholesky(block))
-                H[begin:end], y[begin:end] = whiten @ H[begin:end], whiten @ y[begin:end]
-                begin = end
-        except np.linalg.LinAlgError:
-            raise NumericalError(INDEFINITE) from None
+        for block in R:
+            rows = slice(begin, begin + len(block))
+            whiten = _whitening(block)
+            H[rows], y[rows] = whiten @ H[rows], whiten @ y[rows]
+            begin = rows.stop
         step, mean = self._belief.absorb(H, y), self._belief.mean
         mean[:POSE] = _wrapped(mean[:POSE] + step[:POSE])
         for table in self._atlas.tables():
@@ -245,6 +243,17 @@ class UnscentedKalmanFilter(GaussianFilter):
 def _wrapped(pose: Array) -> Array:
     pose[2] = wrap(float(pose[2]))
     return pose
+
+
+def _whitening(R: Array) -> Array:
+    """Return an A with A R A^T the identity."""
+    try:
+        whiten = np.asarray(np.linalg.inv(np.linalg.cholesky(R)))
+    except np.linalg.LinAlgError:
+        raise NumericalError(INDEFINITE) from None
+    if not np.isfinite(whiten).all():  # what LAPACK makes of NaN
+        raise NumericalError(INDEFINITE)
+    return whiten
 
 
 def _moved(observation: Observation, delta: Array) -> Observation:

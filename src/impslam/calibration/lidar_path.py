@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from impslam.columns import Columns, Scans
+from impslam.columns import Columns, Motions, Scans, Sweeps
 from impslam.geometry.se2 import between, log
 from impslam.health import NONE
 from impslam.odometry.lidar_only import LidarOnly
 from impslam.robot import Robot
 from impslam.sensors.lidar2d import Lidar2D
-from impslam.tracking.base import Gate, Tracker
+from impslam.tracking.base import Gate
 from impslam.tracking.scan_to_map import ScanToMap
 from impslam.types import Array, Ints, Mask
 
+LOST, CHUNK = 5, 100
+"""Scans in a row that do not fit, after which the tracker is lost; and sweeps that it takes at once."""
 NEVER = 1e9
 """m, rad, s: no motion is so long, and no sweep but the first becomes a keyframe."""
 
@@ -49,27 +51,54 @@ def bare(lidar: Lidar2D) -> Lidar2D:
 def lidar_path(lidar: Lidar2D, scans: Sequence[Columns]) -> LidarPath:
     """Return the path of a lidar by its scans (pieces of one layout each), matched scan to map.
 
-    Stamps should be on one time line. Between sweeps it is predicted at constant velocity.
+    Stamps should be on one time line. Between sweeps it is predicted at constant velocity. Where scans
+    no longer fit it begins anew: only what is relative counts.
     """
-    own = bare(lidar)
-    robot = Robot("lidar", LidarOnly(), {"lidar": own})
-    tracker: Tracker = ScanToMap()
-    gate = Gate(np.full(3, NEVER), np.zeros(3))
-    moved, trusted, located = [np.empty((0, 3))], [np.empty(0, np.bool_)], [np.empty(0, np.bool_)]
-    at = [np.empty(0)]
-    clock = bare(lidar)
+    robot = Robot("lidar", LidarOnly(), {"lidar": bare(lidar)})
+    clock, follower = bare(lidar), _Follower()
+    nothing = np.empty(0, np.bool_)
+    found, at = [_Followed(np.empty((0, 3)), nothing, nothing)], [np.empty(0)]
     for piece in scans:
-        sensed = [*robot.sense({piece.stream: piece})]
-        for motions, sweeps in (*sensed, *robot.flush()):
-            steps = tracker.steps(motions, sweeps, gate)
-            moved.append(steps.moved)
-            trusted.append(steps.reasons == NONE)
-            located.append(steps.located)
+        sensed = [*robot.sense({piece.stream: piece}), *robot.flush()]
+        found += [one for motions, sweeps in sensed for one in follower.follow(motions, sweeps)]
         begins, ends = clock.spans(piece)
         at.append(0.5 * (begins + ends))
-    middles, poses = np.concatenate(at), chain(np.concatenate(moved))
-    told = np.concatenate(trusted), np.concatenate(located)
-    return LidarPath(middles, poses, *told, twists(middles, poses))
+    moved, trusted, located = map(np.concatenate, zip(*found, strict=True))
+    middles, poses = np.concatenate(at), chain(moved)
+    return LidarPath(middles, poses, trusted, located, twists(middles, poses))
+
+
+class _Followed(NamedTuple):
+    """Motions (m, 3) to m sweeps; whether each may be used, and tells the place, (m,)."""
+
+    moved: Array
+    trusted: Mask
+    located: Mask
+
+
+class _Follower:
+    """A tracker that begins anew where it is lost."""
+
+    def __init__(self) -> None:
+        self._tracker = ScanToMap()
+        self._gate = Gate(np.full(3, NEVER), np.zeros(3))
+        self._anew = False
+
+    def follow(self, motions: Motions, sweeps: Sweeps) -> Iterator[_Followed]:
+        """Yield what became of the next sweeps, in order."""
+        begin = 0
+        while begin < len(sweeps):
+            rows = slice(begin, begin + CHUNK)
+            steps = self._tracker.steps(motions.take(rows), sweeps.take(rows), self._gate)
+            trusted = steps.reasons == NONE
+            trusted[0] &= not self._anew
+            lost = np.convolve(~trusted, np.ones(LOST), "valid") == LOST
+            self._anew = bool(lost.any())
+            end = int(np.argmax(lost)) + LOST if self._anew else len(trusted)
+            yield _Followed(steps.moved[:end], trusted[:end], steps.located[:end])
+            begin += end
+            if self._anew:
+                self._tracker = ScanToMap()
 
 
 def chain(moved: Array) -> Array:

@@ -41,8 +41,8 @@ SMOOTH, ALONG, FLAT = 4, 0.25, 0.95
 """Neighbours on either side, m, and cosine between normals, of points that are smoothed."""
 FEWEST, SHARE = 30, 0.5
 """Points that match, and their share of the scan with fewer: below, the scans show different places."""
-ROUGH = 0.001
-"""m: no surface is flatter, and no range is finer."""
+ROUGH = 0.005
+"""m: what surfaces are not flat by (skirting, frames, fabric), and what a grazing beam shows of it."""
 LEAST = 1e-4
 """Chi-square per point: ranges are no more than 100 times as exact as the config says."""
 ROUNDS = 20
@@ -56,8 +56,9 @@ class LidarMotions(NamedTuple):
     Attributes
     ----------
     begins, ends : (m,) s, middles of the two sweeps, by the scans' own clock
-    T_begin_end : (m, 3) of the lidar, if the ranges were right
-    information : (m, 4, 4) of [x, y, yaw, range offset], m, m, rad, m
+    T_begin_end : (m, 3) of the lidar, if the ranges are right
+    joint : (m, 4) [x, y, yaw, range offset] that fit best together, m, m, rad, m
+    information : (m, 4, 4) of `joint`
     scatter : (m,) m, standard deviation of the points' distances from the lines
     share : (m,) share of points that match
     """
@@ -65,6 +66,7 @@ class LidarMotions(NamedTuple):
     begins: Array
     ends: Array
     T_begin_end: Array
+    joint: Array
     information: Array
     scatter: Array
     share: Array
@@ -94,6 +96,7 @@ class Alignment(NamedTuple):
     """Where one scan lies on another; see `LidarMotions`."""
 
     T_a_b: Array
+    joint: Array
     information: Array
     scatter: float
     share: float
@@ -123,7 +126,7 @@ def matched_pairs(lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath) -> 
     return LidarMotions(path.middles[begins[kept]], path.middles[ends[kept]], *columns)
 
 
-_NONE = [np.empty((0, 3)), np.empty((0, 4, 4)), np.empty(0), np.empty(0)]
+_NONE = [np.empty((0, *shape)) for shape in ((3,), (4,), (4, 4), (), ())]
 
 
 def pairs(path: LidarPath) -> tuple[Ints, Ints]:
@@ -203,7 +206,9 @@ def align(a: Surface, b: Surface, guess: Array, noise: tuple[float, float]) -> A
     if count < FEWEST or count < SHARE * fewest:
         return None
     chi2 = max(float(e[near] @ e[near]) / (count - 3), LEAST)
-    return Alignment(pose, J[near].T @ J[near] / chi2, float(off[near].std()), count / fewest)
+    H = J[near].T @ J[near]
+    joint = np.append(pose, 0.0) - np.linalg.pinv(H, 1e-9, hermitian=True) @ (J[near].T @ e[near])
+    return Alignment(pose, joint, H / chi2, float(off[near].std()), count / fewest)
 
 
 def _misfit(

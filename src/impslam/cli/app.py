@@ -74,6 +74,11 @@ COMMANDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "Print what is in a log, and what is wrong with it.",
         ("drive.mcap", "drive.mcap -c myrobot.toml"),
     ),
+    "calibrate": (
+        "calibrate:calibrate",
+        "Find wheels, laser pose, latency and noise of a robot from its logs.",
+        ("drive.mcap -o mine.toml", "one.bag two.bag -c myrobot.toml --keep track -o mine.toml"),
+    ),
     "list": (
         "list:list_components",
         "Print the components of each role and their parameters.",

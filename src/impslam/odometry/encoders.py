@@ -111,6 +111,16 @@ class Encoders(Odometry):
     def _travels(self, readings: Columns) -> tuple[Array, Array]:
         """Return the travels (m,) in m of both wheels between the readings, on the shorter way round."""
         per_reading = 2.0 * math.pi * self.wheel_radius / self.per_turn
+        left, right = self._changes(readings)
+        return per_reading * left, per_reading * right * self.right_left_ratio
+
+    def turns(self, readings: Columns) -> tuple[Array, Array]:
+        """Return the turns (m,) in rad of the left and the right wheel between the readings."""
+        left, right = self._changes(readings)
+        return 2.0 * math.pi / self.per_turn * left, 2.0 * math.pi / self.per_turn * right
+
+    def _changes(self, readings: Columns) -> tuple[Array, Array]:
+        """Return how the readings of the left and the right wheel change, forward positive, (m,)."""
         left, right = np.diff(plain(readings["left"])), np.diff(plain(readings["right"]))
         if self.wrap:
             left -= self.wrap * np.rint(left / self.wrap)
@@ -118,10 +128,7 @@ class Encoders(Odometry):
         if self.exchanged:
             left, right = right, left
         left_sign, right_sign = _SIGNS[self.reversed]
-        return (
-            left_sign * per_reading * left,
-            right_sign * per_reading * right * self.right_left_ratio,
-        )
+        return left_sign * left, right_sign * right
 
     def fault(self, readings: Columns) -> str:
         """Describe the fault; see `Odometry.fault`."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from impslam.columns import Columns, Motions
 from impslam.component import parameter, register
-from impslam.geometry.se2 import between
+from impslam.geometry.se2 import between, exp, log
 from impslam.noise import MotionNoise
 from impslam.odometry.base import Odometry, diagonal, durations, known
 from impslam.types import Array, Mask, OdometryPose
@@ -21,6 +21,17 @@ class OdometryPoses(Odometry):
 
     consumes: ClassVar[type] = OdometryPose
 
+    distance_scale: float = parameter(
+        1.0, "1", "true way over the one in the log, from a calibration", gt=0
+    )
+    turn_scale: float = parameter(
+        1.0, "1", "true turn over the one in the log, from a calibration", gt=0
+    )
+    turn_per_metre: float = parameter(
+        0.0,
+        "rad/m",
+        "turn per way that the log lacks, from a calibration: wheels of unequal size",
+    )
     noise: MotionNoise = parameter(MotionNoise(), "", "how far this odometry strays")
     drift: tuple[float, float, float] = parameter(
         (0.0, 0.0, 0.0),
@@ -38,13 +49,23 @@ class OdometryPoses(Odometry):
 
     def motions(self, readings: Columns) -> Motions:
         """Return the motions between the poses; see `Odometry.motions`."""
-        d_pose, seconds = _steps(readings), durations(readings)
+        d_pose, seconds = self._calibrated(_steps(readings)), durations(readings)
         distances = np.hypot(d_pose[:, 0], d_pose[:, 1])
         moved = d_pose.any(axis=1)
         variances = self.noise.variances(distances, d_pose[:, 2])
         variances += np.square(self.drift) * (seconds * moved)[:, None]
         motions = Motions(readings.stamps[1:], d_pose, diagonal(variances), seconds)
         return known(motions, distances <= self.max_speed * np.maximum(seconds, 0.2))
+
+    def _calibrated(self, steps: Array) -> Array:
+        """Return the true motions (m, 3) for those in the log."""
+        scale = self.distance_scale, self.distance_scale, self.turn_scale
+        if scale == (1.0, 1.0, 1.0) and self.turn_per_metre == 0.0:
+            return steps
+        twists = log(steps)
+        true = twists * scale
+        true[:, 2] += self.turn_per_metre * twists[:, 0]
+        return exp(true)
 
     def fault(self, readings: Columns) -> str:
         """Say what is wrong; see `Odometry.fault`."""

@@ -1,0 +1,199 @@
+"""`imp calibrate`: wheels, laser and latency of a robot, from any logs in which it turns."""
+
+from __future__ import annotations
+
+import json as json_text
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from impslam.cli import console
+from impslam.cli.console import Base, Columns, Common, Output, Settings, Topics
+from impslam.cli.progress import display
+from impslam.errors import ConfigError
+
+if TYPE_CHECKING:
+    from impslam.calibration.calibrate import Calibration
+    from impslam.calibration.residuals import Drive
+    from impslam.config import Config
+
+ADVICE = {
+    "x": "drive turns to both sides",
+    "y": "drive turns to both sides",
+    "yaw": "drive straight stretches",
+    "track": "drive turns to both sides",
+    "turn_scale": "drive turns to both sides",
+    "latency": "change speed and turn rate often",
+    "range_offset": "pass walls at an angle",
+    "range_scale": "one with the robot's lengths: --keep wheel_radius or --keep track tells it",
+}
+"""What a drive lacks that does not tell a parameter."""
+
+
+def calibrate(  # noqa: PLR0913  # each is an option that a user may give
+    *logs: Path,
+    config: Base = None,
+    settings: Settings = (),
+    topics: Topics = (),
+    columns: Columns = (),
+    keep: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
+    output: Output = None,
+    json: Path | None = None,
+    common: Common | None = None,
+) -> None:
+    """Find wheels, laser pose, latency and noise of a robot from logs in which it turns.
+
+    The lidar's motions, by its scans alone, are held against odometry. Each parameter comes with its
+    standard deviation; what the drives do not tell stays as it is.
+
+    Parameters
+    ----------
+    logs
+        Logs of one robot; no two lengths of it may have changed in between.
+    keep
+        A parameter that stays as it is: --keep wheel_radius. The scale of the ranges is found if a
+        length of the robot is kept.
+    output
+        Write the config to run with (TOML), and the picture of before and after (PNG) beside it.
+    json
+        Write all numbers: a JSON file.
+    """
+    from impslam.calibration.calibrate import calibrate as solve
+    from impslam.cli.job import column_settings, topic_settings
+
+    if not logs:
+        raise ConfigError("no log given; name one or more logs of one robot")
+    if output is not None and output.suffix.lower() != ".toml":
+        raise ConfigError(f"{output}: is written as TOML; give -o NAME.toml")
+    every = [*settings, *topic_settings(topics), *column_settings(columns)]
+    quiet = common is not None and common.quiet
+    chosen, drives = _read(logs, config, every, quiet)
+    found = solve(chosen, drives, keep)
+    if not quiet:
+        _show(found)
+    if output is not None:
+        _write(found, chosen, output, _base(logs[0], config), settings, logs)
+        if not quiet:
+            console.say(f"{output}, {output.with_suffix('.png')}")
+    if json is not None:
+        json.write_text(json_text.dumps(_numbers(found), indent=1) + "\n", "utf-8")
+
+
+def _read(
+    logs: Sequence[Path], base: str | None, settings: Sequence[str], quiet: bool
+) -> tuple[Config, list[Drive]]:
+    """Return the config, as it fits the first log, and the drives of all."""
+    from impslam.calibration.calibrate import drives_of
+    from impslam.calibration.recording import record
+    from impslam.open_log import open_log
+
+    configs, drives = list[Any](), list[Any]()
+    with display(quiet) as shown:
+        for log in logs:
+            config, source = open_log(log, base, settings)
+            task = shown and shown.add_task(log.name, total=source.total)
+
+            def tick(source: Any = source, task: Any = task) -> None:
+                if shown:
+                    shown.update(task, completed=source.position)
+
+            drives += drives_of(config, record(config, source, tick), str(log))
+            configs.append(config)
+    names = {drive.model.names for drive in drives}
+    if len(names) > 1:
+        raise ConfigError(
+            f"{logs[0]} and others have other kinds of odometry; calibrate one at a time"
+        )
+    return configs[0], drives
+
+
+def _show(found: Calibration) -> None:
+    """Print parameters and noise."""
+    motions = sum(len(kept) for kept in found.solution.kept)
+    fit = sum(int(kept.sum()) for kept in found.solution.kept)
+    console.say(f"{fit} of {motions} motions of the lidar fit")
+    header = ("parameter", "unit", "told", "config", "found", "std")
+    console.show_table(header, list(_rows(found)), numbers=3)
+    noise = [(s.name, s.unit, *_rounded(s.sigma, s.value, s.sigma)) for s in found.spreads]
+    console.show_table(("random error", "unit", "found", "std"), noise, numbers=2)
+    for gyro in {drive.gyro for drive in found.drives if drive.gyro is not None}:
+        bias = " +- ".join(_rounded(gyro.bias_sigma, gyro.bias, gyro.bias_sigma))
+        scale = " +- ".join(_rounded(gyro.scale_sigma, gyro.scale, gyro.scale_sigma))
+        console.say(f"gyro: bias {bias} rad/s, true over measured rate {scale}")
+
+
+def _rows(found: Calibration) -> Iterator[tuple[str, ...]]:
+    for one in found.parameters:
+        if one.told:
+            yield one.name, one.unit, "yes", *_rounded(one.sigma, one.before, one.value, one.sigma)
+        else:
+            why = ADVICE.get(one.name, "drive more")
+            yield one.name, one.unit, f"no: {why}", f"{one.before:g}", "", ""
+
+
+def _rounded(sigma: float, *values: float) -> tuple[str, ...]:
+    """Return values with two digits of their standard deviation."""
+    import math
+
+    digits = 6 if not 0.0 < sigma < math.inf else max(0, 1 - math.floor(math.log10(sigma)))
+    return tuple(f"{value:.{digits}f}" for value in values)
+
+
+def _base(log: Path, config: str | None) -> str | None:
+    """Return what the written config is based on; None if it must be whole."""
+    from impslam.config import presets
+    from impslam.sources.base import recognise
+
+    if config is not None:
+        return config if config in presets() else str(Path(config).resolve())
+    with recognise(log)(path=log) as source:
+        return source.preset if source.preset in presets() else None
+
+
+def _write(  # all that the file rests on
+    found: Calibration,
+    config: Config,
+    output: Path,
+    base: str | None,
+    settings: Sequence[str],
+    logs: Sequence[Path],
+) -> None:
+    """Write the config and the picture."""
+    import tomli_w
+
+    from impslam.calibration.calibrate import table
+    from impslam.calibration.picture import write_picture
+    from impslam.config import load, merge, parse_setting
+
+    above: dict[str, Any] = {} if base is None else {"base": base}
+    if base is None:
+        above = config.resolved()
+    for setting in settings:
+        above = merge(above, parse_setting(setting))
+    above = merge(above, table(found))
+    names = ", ".join(log.name for log in logs)
+    lines = "".join(
+        f"# {one.name}: +- {one.sigma:.2g} {one.unit}\n" for one in found.parameters if one.told
+    )
+    output.parent.mkdir(parents=True, exist_ok=True)
+    output.write_text(f"# Calibrated from {names}\n{lines}{tomli_w.dumps(above)}", "utf-8")
+    load(output)
+    write_picture(found, output.with_suffix(".png"), f"Calibration from {names}")
+
+
+def _numbers(found: Calibration) -> dict[str, Any]:
+    from impslam.calibration.calibrate import table
+    from impslam.evaluation.json_values import json_values
+
+    numbers: dict[str, Any] = json_values({
+        "parameters": found.parameters,
+        "covariance": found.covariance.tolist(),
+        "random_errors": found.spreads,
+        "gyro": [drive.gyro for drive in found.drives],
+        "motions": [len(kept) for kept in found.solution.kept],
+        "motions_that_fit": [int(kept.sum()) for kept in found.solution.kept],
+        "config": table(found),
+    })  # fmt: skip
+    return numbers

@@ -1,0 +1,124 @@
+"""From logs to a config: what a simulated robot is, what its drive does not tell, what is written."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from impslam.calibration.calibrate import calibrate, drives_of, table
+from impslam.calibration.gyro import gyro_of
+from impslam.calibration.recording import record_batches
+from impslam.calibration.scan_pairs import lidar_motions
+from impslam.columns import batches
+from impslam.config import load, merge
+from impslam.errors import ConfigError, SourceError
+from impslam.simulation.robot import InertialUnit, Lidar, SimulatedRobot, WheelEncoders
+from impslam.simulation.simulate import simulate
+from impslam.simulation.world import load_world
+
+WRONG = load(
+    "imp",
+    [
+        "odometry.track=0.44",
+        "odometry.wheel_radius=0.062",
+        "sensors.lidar.mount=[0.1,0.03,0.1]",
+        "sensors.lidar.latency=0.1",
+    ],
+)
+EIGHT = [(0.9, 0.3), (1.5, 0.9), (0.9, 1.3), (0.3, 0.9), (0.9, 0.4), (0.3, -0.3), (-0.2, 0.3)]
+
+
+def recorded(waypoints, robot, rounds=1, world="room"):
+    """Return what a robot records on its way in a world."""
+    world = load_world(world)
+    way = world.robot.model_copy(update={"waypoints": tuple(waypoints) * rounds, "lookahead": 0.2})
+    messages = simulate(world.model_copy(update={"robot": way, "cylinders": ()}), robot)
+    return record_batches(WRONG, batches((type(m).__name__, m) for m in messages))
+
+
+@pytest.fixture(scope="module")
+def eight():
+    """A figure of eight by a robot with fine wheels, another track and mount, and a biased gyro."""
+    robot = SimulatedRobot(
+        encoders=WheelEncoders.perfect(track=0.41, wheel_radius=0.064, noise=1e-6),
+        lidar=Lidar.perfect(mount=(0.12, -0.02, 0.05), sigma=0.003),
+        imu=InertialUnit(gyro_bias_sigma=0.02, gyro_sigma=0.004),
+    )
+    return recorded(EIGHT, robot, rounds=2)
+
+
+def test_what_the_robot_is(eight):
+    found = calibrate(WRONG, drives_of(WRONG, eight, "log"))
+    got = {one.name: one for one in found.parameters}
+    true = {
+        "wheel_radius": 0.064,
+        "track": 0.41,
+        "x": 0.12,
+        "y": -0.02,
+        "yaw": 0.05,
+        "latency": 0.0,
+    }
+    for name, value in true.items():
+        assert got[name].told
+        assert abs(got[name].value - value) < max(4.0 * got[name].sigma, 1e-3 * abs(value))
+        assert got[name].sigma < 0.01
+    assert not got["range_scale"].told
+    config = load(merge(WRONG.model_dump(exclude_none=True), table(found)))
+    assert config.odometry["track"] == got["track"].value
+    assert config.sensors["lidar"]["mount"] == [got[name].value for name in ("x", "y", "yaw")]
+
+
+def test_a_length_that_is_kept_tells_the_scale_of_the_ranges(eight):
+    """The config says 0.44 m, and the track is 0.41: all is 7.3 % larger, ranges too."""
+    config = load(WRONG.model_dump(exclude_none=True), ["sensors.lidar.latency=0"])
+    got = {
+        one.name: one
+        for one in calibrate(config, drives_of(config, eight, "log"), ["track"]).parameters
+    }
+    assert not got["track"].told
+    assert got["range_scale"].value == pytest.approx(0.44 / 0.41, rel=0.02)
+    assert got["wheel_radius"].value == pytest.approx(0.064 * 0.44 / 0.41, rel=0.02)
+
+
+def test_several_logs_are_one(eight):
+    drives = drives_of(WRONG, eight, "log")
+    one, two = calibrate(WRONG, drives), calibrate(WRONG, [*drives, *drives])
+    ratio = [
+        a.sigma / b.sigma for a, b in zip(one.parameters, two.parameters, strict=True) if a.told
+    ]
+    np.testing.assert_allclose(ratio, np.sqrt(2.0), rtol=0.15)
+
+
+def test_straight_on_tells_no_track():
+    robot = SimulatedRobot(
+        encoders=WheelEncoders.perfect(), lidar=Lidar.perfect(sigma=0.003), imu=None
+    )
+    drives = drives_of(WRONG, recorded([(0.0, 1.2), (0.0, 4.9)], robot, world="arena"), "log")
+    got = {one.name: one for one in calibrate(WRONG, drives).parameters}
+    assert got["wheel_radius"].told
+    for name, before in (("track", 0.44), ("x", 0.1), ("y", 0.03)):
+        assert not got[name].told
+        assert got[name].value == before
+
+
+def test_the_gyro(eight):
+    _, lidar = "lidar", WRONG.make_robot().sensors["lidar"]
+    found = gyro_of(eight.gyro, lidar_motions(lidar, eight.scans), 0.0)
+    standing = eight.gyro[eight.gyro[:, 0] < eight.gyro[0, 0] + 0.9, 1]
+    assert abs(found.bias - standing.mean()) < 4.0 * np.hypot(
+        found.bias_sigma, standing.std() / 9.0
+    )
+    assert abs(found.scale - 1.0) < 4.0 * found.scale_sigma
+    assert gyro_of(np.empty((0, 2)), lidar_motions(lidar, eight.scans), 0.0) is None
+
+
+def test_what_cannot_be_calibrated(eight):
+    with pytest.raises(
+        ConfigError, match="--keep radius: no such parameter; there are wheel_radius"
+    ):
+        calibrate(WRONG, drives_of(WRONG, eight, "log"), ["radius"])
+    with pytest.raises(SourceError, match="log: has no OdometryPose to calibrate"):
+        drives_of(load("default"), replace(eight, odometry=()), "log")
+    robot = SimulatedRobot(imu=None)
+    with pytest.raises(SourceError, match="motions of the lidar were matched, and 10 are needed"):
+        drives_of(WRONG, recorded([(0.3, 0.0)], robot), "log")

@@ -1,0 +1,33 @@
+"""The first estimate is exact without noise, but for the latency, which it seeks on a grid."""
+
+import numpy as np
+import pytest
+from tests.calibration.drives import SCALES, TRUE, drive, none, twists, wheels
+
+from impslam.calibration.closed_form import first_estimate
+from impslam.calibration.residuals import Drive
+
+
+@pytest.mark.parametrize("yaw", [0.0, np.pi / 2, 3.0, -2.0])
+@pytest.mark.parametrize(("model", "true"), [(wheels(40.0)[0], TRUE), (twists(40.0), SCALES)])
+def test_exact_without_noise(model, true, yaw):
+    true = np.where(np.arange(9) == 5, yaw, true)
+    found = first_estimate([drive(model, true=true)], 0.0)
+    np.testing.assert_allclose(found, true, atol=1e-6)
+
+
+def test_several_drives():
+    two = [drive(wheels(10.0)[0]), drive(wheels(25.0)[0])]
+    np.testing.assert_allclose(first_estimate(two, 0.04), TRUE, atol=1e-6)
+
+
+def test_bad_matches_are_weighed_down(rng):
+    of = drive(wheels(60.0)[0], rng=rng)
+    wrong = rng.choice(len(of.motions.begins), 12, replace=False)
+    of.motions.T_begin_end[wrong] += rng.normal(0.0, [0.5, 0.5, 0.5], (12, 3))
+    found = first_estimate([of], 0.0)
+    np.testing.assert_allclose(found[:6], TRUE[:6], atol=0.02)
+
+
+def test_nothing_is_told_of_no_motion():
+    assert first_estimate([Drive(wheels(10.0)[0], none())], 0.0) is None

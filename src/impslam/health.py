@@ -25,6 +25,8 @@ on has failed. LOST: it may be anywhere; the map takes in nothing.
     NONE,
     OPEN,
     BLIND,
+    DISORDERED,
+    REPEATED,
     SLIPPED,
     PUSHED,
     STALLED,
@@ -33,12 +35,14 @@ on has failed. LOST: it may be anywhere; the map takes in nothing.
     ELSEWHERE,
     UNPLACED,
     NOT_FINITE,
-) = range(11)
+) = range(13)
 """The reasons. `OPEN` and `GROWN` come with a way in m, `UNEXPLAINED` and `ELSEWHERE` with a share."""
 _WORDS = (
     "",
     "nothing to see along the corridor for {0:.1f} m",
     "the lidar sees nothing; the pose is dead-reckoned",
+    "stamps of scans run back and forth: which motion belongs to a scan is uncertain",
+    "the lidar repeats one scan while odometry moves; the pose is dead-reckoned",
     "the scans show another motion than odometry; the pose follows the scans",
     "the robot moves, the wheels do not; the pose follows the scans",
     "the wheels turn, the robot does not; the pose follows the scans",

@@ -24,6 +24,8 @@ INSIDE, OUTSIDE = 11.34, 16.27
 """Chi-square of three degrees of freedom that 1 % and 0.1 % exceed."""
 REFERENCE = np.diag(np.array([0.02, 0.02, 0.005]) ** 2)
 """m, m, rad, squared: how well the settled path of a clean run knows where the robot was."""
+LEAST = 0.05
+"""m: a limit is no less, since a settled path is known no better."""
 VERDICTS = ("harmless", "said", "honest", "noted", "silent")
 """harmless: no pose was wrong. said: no wrong pose was called TRACKING, or the run refused the log. honest:
 all that were are within their ellipse. noted: some were not, and a note at the end of the run names a
@@ -181,4 +183,4 @@ def _worst(error: Array) -> float:
 def limit_of(clean: Mapped, drive: Drive) -> float:
     """Return the error in m beyond which a pose is wrong, by the clean run of the drive."""
     worst = float(errors(clean, drive, exact=True)[0].max())
-    return min(OFF, TIMES * worst)
+    return min(OFF, max(TIMES * worst, LEAST))

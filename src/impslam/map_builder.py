@@ -97,7 +97,9 @@ class MapBuilder:
 
     def _keep(self, keyframe: Keyframe, revision: Revision) -> None:
         kept = self._keyframes
-        kept["innovations"].append((len(revision.matches), *revision.nis()))
+        nis = sum(match.distance2 for match in revision.matches)
+        dof = sum(len(match.innovation) for match in revision.matches)
+        kept["innovations"].append((len(revision.matches), nis, dof))
         scan = keyframe.scan
         if scan is None or self._frozen:
             kept["origins"].append(0.0)

@@ -53,6 +53,11 @@ class Bar(Observer):
         if not outcome.partial:
             self._tell("writing the report")
 
+    def show(self, what: str, share: float) -> None:
+        """Show what is written after the run, and the share of it that is."""
+        if self._display is not None:
+            self._display.update(self._task, description=what, total=1.0, completed=share)
+
     def _tell(self, description: str) -> None:
         if self._display is not None:
             self._display.update(self._task, description=description)

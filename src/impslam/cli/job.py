@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from impslam.cli.bar import Bar
+from impslam.cli.exports import Exports
 from impslam.cli.interruption import Interruption
 from impslam.cli.progress import display
 from impslam.config import Config
@@ -51,20 +52,22 @@ def execute(  # noqa: PLR0913  # all that a run consists of
     known: Sequence[TrueLandmark] = (),
     player: Callable[[Config, Source, list[Observer]], Map] | None = None,
     begin: Known | None = None,
+    exports: Exports | None = None,
 ) -> Map:
     """Run a log, write its files into a folder, and show how far it has come.
 
     A run that an error or a signal ends early writes what it knows, marked as partial. `known` are the
     true landmarks, for scoring alone, where neither the source nor a file beside it tells them.
-    `begin` is a map to go on with. `player` takes the log through the estimator in another way than at
-    once.
+    `begin` is a map to go on with, `exports` tells what else to write at the end. `player` takes the log
+    through the estimator in another way than at once.
     """
     if folder.resolve().is_relative_to(source.path.resolve()):
         raise ConfigError(f"{folder}: is inside the log and would change it; give another -o")
     with display(quiet) as shown:
         known = known or source.true_landmarks() or surveyed(source.path)
         bar = Bar(source, shown)
-        observers = [bar, Recorder(folder, known), *more]
+        files = [] if exports is None else exports.observers(bar.show)
+        observers = [bar, Recorder(folder, known), *more, *files]
         if player is not None:
             return player(config, source, observers)
         with Interruption(bar.interrupted) as interruption:

@@ -13,6 +13,7 @@ from cyclopts import Parameter
 
 from impslam.cli import console
 from impslam.cli.console import Base, Columns, Common, Flag, Force, Output, Seed, Settings, Topics
+from impslam.cli.exports import Exports
 from impslam.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -92,6 +93,7 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     force: Force = False,
     begin: Begin | None = None,
     page: Page | None = None,
+    exports: Exports | None = None,
     common: Common | None = None,
 ) -> None:
     """Map a log: write its path, landmarks, grid and report into a folder.
@@ -134,10 +136,16 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
         if not quiet:
             show_first_look(chosen, source, config)
         known = execute(
-            chosen, source, folder, quiet or page.live, more=[end], player=player, begin=known_map
+            *(chosen, source, folder, quiet or page.live),
+            more=[end],
+            player=player,
+            begin=known_map,
+            exports=exports,
         )
     if not quiet and end.outcome is not None:
         show(known, end.outcome, output or folder, at_once=not page.live)
+        for line in () if exports is None else exports.lines():
+            console.say(line)
 
 
 def show(known: Map, outcome: Outcome, folder: Path, *, at_once: bool = True) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import TypeAlias
 
 import cv2
@@ -33,18 +34,25 @@ class Canvas:
     ----------
     pixels : (rows, columns, 3) uint8, blue, green, red; row 0 is at the top
     scale : pixels per m
+    corner : (2,) m, the upper left one
     """
 
     def __init__(self, bounds: tuple[float, float, float, float], size: int, ground: str) -> None:
         left, right, bottom, top = bounds
         self.scale = size / max(right - left, top - bottom)
-        self._corner = np.array([left, top])
+        self.corner = np.array([left, top])
         columns, rows = (max(1, round(side * self.scale)) for side in (right - left, top - bottom))
         self.pixels: Picture = np.full((rows, columns, 3), colour(ground), np.uint8)
 
+    def copy(self) -> Canvas:
+        """Return a canvas with pixels of its own."""
+        twin = copy(self)
+        twin.pixels = self.pixels.copy()
+        return twin
+
     def place(self, points: Array) -> Array:
         """Return where points (..., 2) m are, in pixels from the centre of the first: x, y."""
-        at = (points - self._corner) * (self.scale, -self.scale) - 0.5
+        at = (points - self.corner) * (self.scale, -self.scale) - 0.5
         return np.asarray(np.clip(at, -FARTHEST, FARTHEST))
 
     def paste(self, image: Picture, left: float, top: float, resolution: float) -> None:

@@ -43,12 +43,15 @@ def paint(grid: OccupancyGrid, version: int) -> GridPicture:
     """Return a grid's picture, cut to what is known; the same greys as map.pgm."""
     image = map_image(grid)
     rows, columns = image.pixels.shape
-    return GridPicture(grid_png(image), version, image.origin, image.resolution, (columns, rows))
+    data = png(COLOURS[image.pixels])
+    return GridPicture(data, version, image.origin, image.resolution, (columns, rows))
 
 
-def grid_png(image: MapImage) -> bytes:
-    """Return a grid as a PNG in `COLOURS`."""
-    return png(COLOURS[image.pixels])
+def occupancy(image: MapImage) -> npt.NDArray[np.int8]:
+    """Return the cells as nav_msgs/OccupancyGrid has them: 0 free, 100 occupied, -1 unknown."""
+    values = np.full(256, -1, np.int8)
+    values[FREE], values[OCCUPIED] = 0, 100
+    return np.asarray(values[image.pixels])
 
 
 def coarsened(image: MapImage, most: int) -> MapImage:

@@ -8,8 +8,21 @@ from functools import cached_property
 import numpy as np
 
 from impslam.evaluation.quality import Quality, quality
+from impslam.health import NONE, Health
 from impslam.map import Map, PathRows
 from impslam.types import Array
+
+
+def health_of(known: Map, health: Health) -> Health:
+    """Return the health of `known.rows()`: of sweeps before those of the run nothing bad is known.
+
+    `health` is that of the newest sweeps of the map.
+    """
+    begin = len(known.stamps) - len(health.stamps)
+    reasons, amounts = np.full(len(known.stamps), NONE, np.int8), np.zeros(len(known.stamps))
+    reasons[begin:], amounts[begin:] = health.reasons, health.amounts
+    placed = known.placed()
+    return Health(known.stamps[placed], reasons[placed], amounts[placed])
 
 
 @dataclass(frozen=True, eq=False)

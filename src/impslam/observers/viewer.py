@@ -14,13 +14,13 @@ import numpy as np
 
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import between
-from impslam.health import TRACKING
 from impslam.map import Map
 from impslam.maps.files import MapImage
 from impslam.observers.accuracy import Laid
 from impslam.observers.base import Outcome
-from impslam.observers.grid_picture import coarsened, grid_png
-from impslam.observers.history import History
+from impslam.observers.canvas import png
+from impslam.observers.grid_picture import coarsened
+from impslam.observers.history import History, health_of
 from impslam.observers.page import packaged, section
 from impslam.observers.sections import landmark_row
 from impslam.types import Array, Ints, Landmark
@@ -111,7 +111,7 @@ def _path(history: History, outcome: Outcome, laid: Laid | None, start: float) -
     return packed_columns | {
         "scan": packed(anchors, "i4"),
         "drive": packed(known.keyframes.sessions[anchors], "i4"),
-        "state": packed(_states(known, outcome)[rows], "u1"),
+        "state": packed(health_of(known, outcome.health).states[rows], "u1"),
     }
 
 
@@ -128,13 +128,6 @@ def _true_positions(history: History, laid: Laid) -> Array:
     if np.count_nonzero(told) == len(laid.pairs.stamps):
         true[told] = laid.pairs.truth[:, :2]
     return true
-
-
-def _states(known: Map, outcome: Outcome) -> Ints:
-    """Return the state of each placed sweep; those of a map that the run began with are TRACKING."""
-    states, told = np.full(len(known.stamps), TRACKING), outcome.health.states
-    states[len(states) - len(told) :] = told
-    return states[known.placed()]
 
 
 def _scans(known: Map) -> dict[str, Any]:
@@ -175,11 +168,10 @@ def _landmark(mark: Landmark, start: float) -> dict[str, Any]:
 
 
 def _grid(image: MapImage) -> dict[str, Any]:
-    """Return the grid as a PNG, and where it lies."""
+    """Return the grid as a PNG in the greys of `map.pgm`, and where it lies."""
     image = coarsened(image, PIXELS)
     left, _, _, top = image.extent
-    data = base64.b64encode(grid_png(image)).decode()
-    png = f"data:image/png;base64,{data}"
     rows, columns = image.pixels.shape
     shape = {"rows": rows, "columns": columns, "cell": image.resolution}
-    return {"png": png, "left": left, "top": top, **shape}
+    data = base64.b64encode(png(image.pixels)).decode()
+    return {"png": f"data:image/png;base64,{data}", "left": left, "top": top, **shape}

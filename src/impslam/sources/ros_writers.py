@@ -53,15 +53,18 @@ def nanoseconds(stamp: float) -> int:
     return whole * NANOSECONDS + round((stamp - whole) * NANOSECONDS)
 
 
-def _time(stamp: float) -> RosMessage:
+def time_of(stamp: float) -> RosMessage:
+    """Return s as a time of ROS."""
     return new("builtin_interfaces/msg/Time", *divmod(nanoseconds(stamp), NANOSECONDS))
 
 
-def _header(stamp: float, frame: str) -> RosMessage:
-    return new("std_msgs/msg/Header", _time(stamp), frame)
+def header_of(stamp: float, frame: str) -> RosMessage:
+    """Return the header of a message in a frame."""
+    return new("std_msgs/msg/Header", time_of(stamp), frame)
 
 
-def _xyz(kind: str, values: Array) -> RosMessage:
+def xyz(kind: str, values: Array) -> RosMessage:
+    """Return numbers as a message of geometry_msgs whose fields they are: x, y, z (and w)."""
     return new(f"geometry_msgs/msg/{kind}", *map(float, values))
 
 
@@ -82,7 +85,7 @@ def _scan(message: LaserScan) -> RosMessage:
     bright = np.empty(0) if message.intensities is None else message.intensities
     return new(
         "sensor_msgs/msg/LaserScan",
-        _header(message.stamp, "laser"),
+        header_of(message.stamp, "laser"),
         float(message.angles[0]),
         float(message.angles[-1]),
         step,
@@ -97,14 +100,14 @@ def _scan(message: LaserScan) -> RosMessage:
 
 def _wheels(message: WheelAngles) -> RosMessage:
     position, none = np.array([message.left, message.right], np.float64), np.empty(0)
-    header = _header(message.stamp, "")
+    header = header_of(message.stamp, "")
     return new("sensor_msgs/msg/JointState", header, [LEFT, RIGHT], position, none, none)
 
 
 def _voltages(message: EncoderVoltages) -> RosMessage:
     """Return the left encoder in x and the right one in y, V; no standard type has a pair."""
-    both = _xyz("Vector3", np.array([message.left, message.right, 0.0]))
-    return new("geometry_msgs/msg/Vector3Stamped", _header(message.stamp, ""), both)
+    both = xyz("Vector3", np.array([message.left, message.right, 0.0]))
+    return new("geometry_msgs/msg/Vector3Stamped", header_of(message.stamp, ""), both)
 
 
 def _imu(message: Imu) -> RosMessage:
@@ -113,39 +116,39 @@ def _imu(message: Imu) -> RosMessage:
     turn = message.orientation
     return new(
         "sensor_msgs/msg/Imu",
-        _header(message.stamp, "imu"),
-        _xyz("Quaternion", np.array([0.0, 0.0, 0.0, 1.0]) if turn is None else turn),
+        header_of(message.stamp, "imu"),
+        xyz("Quaternion", np.array([0.0, 0.0, 0.0, 1.0]) if turn is None else turn),
         unknown if turn is None else known,
-        _xyz("Vector3", message.angular_velocity),
+        xyz("Vector3", message.angular_velocity),
         known,
-        _xyz("Vector3", message.linear_acceleration),
+        xyz("Vector3", message.linear_acceleration),
         known,
     )
 
 
 def _acceleration(message: Acceleration) -> RosMessage:
-    linear, angular = _xyz("Vector3", message.linear_acceleration), _xyz("Vector3", np.zeros(3))
+    linear, angular = xyz("Vector3", message.linear_acceleration), xyz("Vector3", np.zeros(3))
     both = new("geometry_msgs/msg/Accel", linear, angular)
-    return new("geometry_msgs/msg/AccelStamped", _header(message.stamp, "imu"), both)
+    return new("geometry_msgs/msg/AccelStamped", header_of(message.stamp, "imu"), both)
 
 
 def _magnetic(message: MagneticField) -> RosMessage:
-    field = _xyz("Vector3", message.field)
-    return new("sensor_msgs/msg/MagneticField", _header(message.stamp, "imu"), field, np.zeros(9))
+    field = xyz("Vector3", message.field)
+    return new("sensor_msgs/msg/MagneticField", header_of(message.stamp, "imu"), field, np.zeros(9))
 
 
 def _temperature(message: Climate) -> RosMessage:
-    header = _header(message.stamp, "base_link")
+    header = header_of(message.stamp, "base_link")
     return new("sensor_msgs/msg/Temperature", header, message.temperature, UNKNOWN_VARIANCE)
 
 
 def _humidity(message: Climate) -> RosMessage:
-    header = _header(message.stamp, "base_link")
+    header = header_of(message.stamp, "base_link")
     return new("sensor_msgs/msg/RelativeHumidity", header, message.humidity, UNKNOWN_VARIANCE)
 
 
 def _device_time(message: DeviceTime) -> RosMessage:
-    header, device = _header(message.stamp, ""), _time(message.device_stamp)
+    header, device = header_of(message.stamp, ""), time_of(message.device_stamp)
     return new("sensor_msgs/msg/TimeReference", header, device, message.device)
 
 
@@ -153,7 +156,7 @@ def _event(message: Event) -> RosMessage:
     level = LEVELS.get(message.level, LEVELS["error"])
     return new(
         "rcl_interfaces/msg/Log",
-        _time(message.stamp),
+        time_of(message.stamp),
         level,
         message.source,
         message.text,
@@ -162,32 +165,39 @@ def _event(message: Event) -> RosMessage:
 
 
 def _velocity(message: Velocity) -> RosMessage:
-    forward = _xyz("Vector3", np.array([message.speed, 0.0, 0.0]))
-    turn = _xyz("Vector3", np.array([0.0, 0.0, message.turn_rate]))
+    forward = xyz("Vector3", np.array([message.speed, 0.0, 0.0]))
+    turn = xyz("Vector3", np.array([0.0, 0.0, message.turn_rate]))
     twist = new("geometry_msgs/msg/Twist", forward, turn)
-    return new("geometry_msgs/msg/TwistStamped", _header(message.stamp, "base_link"), twist)
+    return new("geometry_msgs/msg/TwistStamped", header_of(message.stamp, "base_link"), twist)
 
 
 def _image(message: Image) -> RosMessage:
     data = np.frombuffer(message.data, np.uint8)
-    header = _header(message.stamp, "camera")
+    header = header_of(message.stamp, "camera")
     return new("sensor_msgs/msg/CompressedImage", header, message.format, data)
+
+
+def planar(pose: Array) -> RosMessage:
+    """Return a pose (3,) in the plane as `geometry_msgs/Pose`."""
+    x, y, theta = map(float, pose)
+    place = xyz("Point", np.array([x, y, 0.0]))
+    return new("geometry_msgs/msg/Pose", place, turn(theta))
+
+
+def turn(theta: float) -> RosMessage:
+    """Return a heading as `geometry_msgs/Quaternion`."""
+    half = 0.5 * theta
+    return xyz("Quaternion", np.array([0.0, 0.0, math.sin(half), math.cos(half)]))
 
 
 def pose(message: OdometryPose | TruePose) -> RosMessage:
     """Return a pose in the plane as `nav_msgs/Odometry`, in map (the truth) or odom."""
     frame = "map" if isinstance(message, TruePose) else "odom"
-    x, y, theta = map(float, message.pose)
-    turn = np.array([0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0)])
-    place = new(
-        "geometry_msgs/msg/Pose",
-        _xyz("Point", np.array([x, y, 0.0])),
-        _xyz("Quaternion", turn),
-    )
-    still = _xyz("Vector3", np.zeros(3))
+    place = planar(message.pose)
+    still = xyz("Vector3", np.zeros(3))
     return new(
         "nav_msgs/msg/Odometry",
-        _header(message.stamp, frame),
+        header_of(message.stamp, frame),
         "base_link",
         new("geometry_msgs/msg/PoseWithCovariance", place, np.zeros(36)),
         new(

@@ -243,8 +243,8 @@ function paint() {
   brush.drawImage(source, 0, 0);
   const image = brush.getImageData(0, 0, picture.width, picture.height), bytes = image.data;
   for (let k = 0; k < bytes.length; k += 4) {
-    const code = bytes[k] > 127 ? free : taken;
-    [bytes[k], bytes[k + 1], bytes[k + 2]] = [code >> 16, (code >> 8) & 255, code & 255];
+    const grey = bytes[k], code = grey > 230 ? free : taken; // of a trinary map: 254 free, 205 unseen, 0 taken
+    [bytes[k], bytes[k + 1], bytes[k + 2], bytes[k + 3]] = [code >> 16, (code >> 8) & 255, code & 255, grey > 230 || grey < 100 ? 255 : 0];
   }
   brush.putImageData(image, 0, 0);
   redraw();

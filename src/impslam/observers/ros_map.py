@@ -1,0 +1,71 @@
+"""Writes what a run has learned as an MCAP file that Foxglove and RViz open."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from impslam.geometry.se2 import compose, inverse
+from impslam.map import Map
+from impslam.maps.files import map_image
+from impslam.observers import ros_values
+from impslam.observers.base import Observer, Outcome
+from impslam.observers.history import health_of
+from impslam.sources.mcap_file import LATCHED, McapFile
+from impslam.sources.ros_storage import RosMessage
+from impslam.sources.ros_writers import TYPES, Record, nanoseconds
+from impslam.types import Array, Ints
+
+
+class RosMap(Observer):
+    """Writes the file at the end of a run: see `write_ros_map`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def finish(self, known: Map, outcome: Outcome) -> None:
+        """Write the file."""
+        write_ros_map(self._path, known, outcome)
+
+
+def write_ros_map(path: Path, known: Map, outcome: Outcome) -> None:
+    """Write a map as an MCAP file, which is replaced if it exists.
+
+    `/map`, `/path` and `/landmarks` are latched and come first: they are the final ones. `/tf` (map ->
+    odom -> base_link) and `/health` follow, a message for each scan, in the order of their stamps; of scans
+    with one stamp the last one counts.
+
+    Raises
+    ------
+    ImpError
+        If the file cannot be written, or stamps do not fit ROS.
+    """
+    rows = known.rows()
+    at = _in_time(rows.stamps)
+    stamps, poses, odometry = rows.stamps[at], rows.poses[at], rows.odometry[at]
+    _, reasons, amounts = health_of(known, outcome.health)
+    begin = float(stamps[0])
+    with McapFile(path) as file:
+
+        def write(topic: str, stamp: float, message: RosMessage, latched: bool = False) -> None:
+            kind = message.__msgtype__
+            record = Record(topic, kind, TYPES.serialize_cdr(message, kind))
+            file.append(record, nanoseconds(stamp), *(LATCHED,) * latched)
+
+        image = map_image(known.grid(outcome.config["grid"]["resolution"]))
+        write("/map", begin, ros_values.grid(image, begin), True)
+        write("/path", begin, ros_values.path(stamps, poses), True)
+        write("/landmarks", begin, ros_values.landmarks(known.landmarks, begin), True)
+        T_map_odom = compose(poses, inverse(odometry))
+        for k, stamp in enumerate(stamps.tolist()):
+            write("/tf", stamp, ros_values.frames(stamp, T_map_odom[k], odometry[k]))
+            reason, amount = int(reasons[at[k]]), float(amounts[at[k]])
+            write("/health", stamp, ros_values.health(stamp, reason, amount))
+
+
+def _in_time(stamps: Array) -> Ints:
+    """Return the rows in the order of their stamps (n,), of equal ones the last: tf2 takes no others."""
+    order = np.argsort(stamps, kind="stable")
+    last = np.append(np.diff(stamps[order]) > 0.0, True)
+    return np.asarray(order[last])

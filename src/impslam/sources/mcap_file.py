@@ -1,0 +1,83 @@
+"""One MCAP file of ROS 2 that appears when it is complete."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Self
+
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from impslam.errors import SourceError
+from impslam.sources.ros_writers import TYPES, Record
+
+_FOREVER = QosTime(2147483647, 4294967295)
+LATCHED = Qos(
+    QosHistory.KEEP_LAST,
+    1,
+    QosReliability.RELIABLE,
+    QosDurability.TRANSIENT_LOCAL,
+    _FOREVER,
+    _FOREVER,
+    QosLiveliness.AUTOMATIC,
+    _FOREVER,
+    False,
+)
+"""What a topic offers whose last message is for those, too, who listen later."""
+
+
+class McapFile:
+    """Writes records to an MCAP file (profile ros2, CDR, zstd chunks); the same ones give the same bytes.
+
+    The file appears when it is closed without an error, and replaces one that exists.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = Path(path)
+        self._connections: dict[str, Connection] = {}
+
+    def __enter__(self) -> Self:
+        """Open a temporary folder beside the file, since rosbags writes folders."""
+        try:
+            self._folder = tempfile.TemporaryDirectory(prefix=".imp-", dir=self._path.parent)
+        except OSError as error:
+            raise SourceError(
+                f"{self._path}: cannot be written ({error.strerror}); check folder and permissions"
+            ) from None
+        # The name within is recorded in the file; a fixed one keeps the bytes the same.
+        self._writer = Writer(
+            Path(self._folder.name) / "log", version=9, storage_plugin=StoragePlugin.MCAP
+        )
+        self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        self._writer.open()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        with self._folder:
+            if kind is not None:
+                self._writer.abort()
+                return
+            self._close()
+            self._writer.close()
+            (self._writer.path / "log.mcap").replace(self._path)
+
+    def _close(self) -> None:
+        """Append what comes last."""
+
+    def append(self, record: Record, clock: int, *qos: Qos) -> None:
+        """Append a record, logged at `clock` (ns); `qos` is that of a topic's first record."""
+        topic, kind, data = record
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(
+                topic, kind, typestore=TYPES, offered_qos_profiles=qos
+            )
+        self._writer.write(self._connections[topic], clock, data)

@@ -1,0 +1,39 @@
+"""`imp run` writes files for other programs."""
+
+import json
+
+import cv2
+import pytest
+from rosbags.highlevel import AnyReader
+
+from impslam.observers import video
+
+
+def test_the_files_lie_beside_the_run_and_are_told(imp, room, tmp_path, monkeypatch):
+    monkeypatch.setattr(video, "SIZE", 200)
+    monkeypatch.setattr(video, "RATE", 2.0)
+    mcap, mp4 = tmp_path / "run.mcap", tmp_path / "run.mp4"
+    done = imp("run", room, "-o", tmp_path / "run", "--mcap", mcap, "--video", mp4)
+    assert (done.code, done.err) == (0, "")
+    assert f"for Foxglove and RViz: {mcap}" in done.out
+    assert f"video: {mp4}" in done.out
+    scans = json.loads((tmp_path / "run" / "summary.json").read_text())["counts"]["steps"]
+    with AnyReader([mcap]) as reader:
+        assert {c.topic: c.msgcount for c in reader.connections}["/tf"] == scans
+    assert cv2.VideoCapture(str(mp4)).get(cv2.CAP_PROP_FRAME_COUNT) > 10
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "said"),
+    [
+        ("--mcap", "run.bag", "ends in .mcap"),
+        ("--video", "run.avi", "ends in .mp4"),
+        ("--rerun", "run.rerun", "ends in .rrd"),
+        ("--mcap", "nowhere/run.mcap", "there is no folder"),
+    ],
+)
+def test_a_file_that_cannot_be_is_refused_before_the_run(imp, room, tmp_path, option, name, said):
+    done = imp("run", room, "-o", tmp_path / "run", option, tmp_path / name)
+    assert done.code == 2
+    assert said in done.err
+    assert not (tmp_path / "run").exists()

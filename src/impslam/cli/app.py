@@ -54,6 +54,11 @@ COMMANDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
             "monday.log --holdout tuesday.log --search association.gate=0.9,0.99,0.999",
         ),
     ),
+    "track": (
+        "track:track",
+        "Find the robot's true path in the video of an overhead camera.",
+        ("overhead.mp4 -o truth.tum", "overhead.mp4 --setup camera.toml -o truth.tum"),
+    ),
     "reproduce": (
         "reproduce:reproduce",
         "Run the thesis's experiments: its tables and figures.",

@@ -29,11 +29,14 @@ def simulate(
     settings: Annotated[
         tuple[str, ...], Parameter(name="--set", negative="", show_default=False)
     ] = (),
+    camera: Path | None = None,
     common: Common | None = None,
 ) -> None:
     """Drive the simulated robot through a world and write the log, truth included.
 
-    Beside LOG.mcap it writes LOG.truth.tum (true poses at the scans' stamps) and LOG.landmarks.csv.
+    Beside LOG.mcap it writes LOG.truth.tum (true poses at the scans' stamps) and LOG.landmarks.csv;
+    with --camera NAME.mp4 the video of an overhead camera, its setup NAME.toml and pictures of a board
+    in NAME.board, for `imp track`.
 
     Parameters
     ----------
@@ -44,21 +47,40 @@ def simulate(
     seed
         Seed of all noise; the same seed gives the same bytes.
     robot
-        A TOML file with what differs from the thesis's robot: tables encoders, lidar, imu.
+        A TOML file with what differs from the thesis's robot: tables encoders, lidar, imu, overhead.
     settings
         A parameter of the robot: --set lidar.rate=5, --set encoders.track=0.3, --set imu=none;
         `imp list simulated-robot` shows them all.
+    camera
+        The video to write (.mp4, .avi, .mkv) of a camera over the world.
     """
     from impslam.evaluation.landmark_files import landmarks_path
     from impslam.simulation.world import load_world
 
     quiet = common is not None and common.quiet
     chosen = load_world(world)
+    driven = load_robot(robot, settings)
     with display(quiet) as shown:
-        scans = write_log(chosen, output, seed, shown, load_robot(robot, settings))
+        if camera is not None:  # first, since it refuses worlds that it cannot see
+            film(chosen, driven, camera, seed, shown)
+        scans = write_log(chosen, output, seed, shown, driven)
     if not quiet:
         console.say(f"{output}: {scans} scans in world {chosen.name!r}, seed {seed}")
         console.say(f"truth: {truth_path(output)}, {landmarks_path(output)}")
+        if camera is not None:
+            console.say(f"video: {camera}; what was measured: {camera.with_suffix('.toml')}")
+
+
+def film(world: World, robot: SimulatedRobot, path: Path, seed: int, shown: Any = None) -> None:
+    """Write the video of an overhead camera, and what `imp track` needs to know of it."""
+    from impslam.simulation.drive import drive
+    from impslam.simulation.overhead_files import write_film
+    from impslam.simulation.scene import Scene
+
+    way = drive(world.robot)
+    tick = ticker(shown, "filming", way.duration)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_film(path, robot.overhead, Scene(world), way, robot.start_time, seed, tick)
 
 
 def load_robot(file: Path | None = None, settings: Sequence[str] = ()) -> SimulatedRobot:

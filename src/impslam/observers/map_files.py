@@ -12,8 +12,9 @@ import numpy as np
 from impslam.evaluation.tum import HEALTH_COLUMN, PATH_COLUMNS, write_tum
 from impslam.graph.g2o import G2o, write_g2o
 from impslam.health import Reasons
-from impslam.map import UPPER, Map, PathRows
+from impslam.map import UPPER, Map
 from impslam.maps.files import MapImage, write_landmarks, write_map
+from impslam.types import Array
 
 GRAPH = "graph.g2o"
 MAP_FILES = frozenset(
@@ -50,7 +51,8 @@ def write_map_files(
     with keep("trajectory.csv"):
         if states is not None:
             states = states[known.placed()[len(known.stamps) - len(states) :]]
-        _write_table(folder / "trajectory.csv", rows, states)
+        table = folder / "trajectory.csv"
+        write_path_table(table, rows.stamps, rows.poses, rows.covariances, states)
     with keep("landmarks.csv"):
         write_landmarks(folder / "landmarks.csv", known.landmarks)
     if len(known.edges.i):
@@ -72,9 +74,12 @@ def _graph(known: Map) -> G2o:
 _ROW = "%.9f,%.9f,%.9f,%.9f" + 6 * ",%.9e"
 
 
-def _write_table(path: Path, rows: PathRows, states: Reasons | None) -> None:
-    spread = rows.covariances[:, UPPER[0], UPPER[1]]
-    values, head, row = np.column_stack((rows.stamps, rows.poses, spread)), PATH_COLUMNS, _ROW
+def write_path_table(
+    path: Path, stamps: Array, poses: Array, covariances: Array, states: Reasons | None = None
+) -> None:
+    """Write poses (m, 3) with their covariances as CSV, and the health of the newest ones if told."""
+    spread = covariances[:, UPPER[0], UPPER[1]]
+    values, head, row = np.column_stack((stamps, poses, spread)), PATH_COLUMNS, _ROW
     if states is not None:
         column = np.zeros(len(values))
         column[len(values) - len(states) :] = states

@@ -11,6 +11,7 @@ import math
 from typing import Any, Self
 
 from impslam.parameters import Parameters, parameter
+from impslam.simulation.world import Span
 
 _STEP = 2 * math.pi / 1024  # rad, angular step of the URG-04LX
 
@@ -113,12 +114,34 @@ class InertialUnit(Device):
         return cls(**{**dict.fromkeys(faults, 0), **other})
 
 
+class OverheadCamera(Device):
+    """A camera under the ceiling that films the run: the ground truth of the thesis (5.2)."""
+
+    width: int = parameter(1920, "px", "of the picture", ge=64, le=7680)
+    height: int = parameter(1080, "px", "of the picture", ge=64, le=4320)
+    focal: float = parameter(1300.0, "px", "focal length: 73 deg across", gt=0.0)
+    above: float = parameter(5.0, "m", "height over the floor", gt=2.0)
+    tilt: tuple[float, float] = parameter((0.03, -0.02), "rad", "off the plumb line")
+    distortion: tuple[float, float, float, float] = parameter(
+        (-0.12, 0.02, 0.0005, -0.0005), "1", "k1, k2, p1, p2 of the lens"
+    )
+    rate: float = parameter(10.0, "Hz", "pictures", gt=0.0, le=240.0)
+    exposure: float = parameter(0.01, "s", "of a picture", ge=0.0)
+    blur: float = parameter(0.8, "px", "of the lens, standard deviation", ge=0.0)
+    noise: float = parameter(3.0, "1", "grey levels of 255", ge=0.0)
+    survey_sigma: float = parameter(0.002, "m", "of what was measured by tape", ge=0.0)
+    marker_size: float = parameter(0.10, "m", "of the marker on the robot", gt=0.0)
+    marker_height: float = parameter(0.20, "m", "above the floor", gt=0.0)
+    hidden: tuple[Span, ...] = parameter((), "s", "times in which something covers the robot")
+
+
 class SimulatedRobot(Device):
     """The robot of the thesis; leave a device out with None."""
 
     encoders: WheelEncoders | None = WheelEncoders()
     lidar: Lidar | None = Lidar()
     imu: InertialUnit | None = InertialUnit()
+    overhead: OverheadCamera = OverheadCamera()
     start_time: float = parameter(1000.0, "s", "stamp of the first message", ge=0.0)
     truth_rate: float = parameter(100.0, "Hz", "true poses, besides those at scan stamps", gt=0.0)
 

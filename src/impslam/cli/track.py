@@ -1,0 +1,149 @@
+"""`imp track`: the robot's true path from the video of an overhead camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from impslam.cli import console
+from impslam.cli.console import Common, Target
+from impslam.cli.progress import display
+from impslam.errors import ConfigError
+
+if TYPE_CHECKING:
+    from impslam.overhead.setup import Setup
+    from impslam.overhead.track import Tracked
+    from impslam.types import Array
+
+
+def track(
+    video: Path,
+    /,
+    *,
+    output: Target,
+    setup: Path | None = None,
+    start: float | None = None,
+    common: Common | None = None,
+) -> None:
+    """Follow the marker on a robot in a video, and write its path with covariances.
+
+    Beside TRUTH.tum it writes TRUTH.csv (poses with covariances), TRUTH.landmarks.csv (cylinders with
+    discs) and TRUTH.png (the track over the scene). Pictures without the marker have no pose.
+
+    Parameters
+    ----------
+    video
+        What the camera saw; any format that ffmpeg reads.
+    output
+        The path to write, a TUM file.
+    setup
+        What was measured: board, floor, marker, discs. Default: the TOML file beside the video.
+    start
+        Stamp of the first picture on the robot's clock, s. Default: that of the setup.
+    """
+    from impslam.overhead.setup import load_setup
+    from impslam.overhead.track import track as follow
+
+    quiet = common is not None and common.quiet
+    if output.suffix.lower() != ".tum":
+        raise ConfigError(f"{output}: is written as a TUM file; give -o NAME.tum")
+    place = setup or video.with_suffix(".toml")
+    known = load_setup(place)
+    if start is not None:
+        known = known.model_copy(update={"start": start})
+    with display(quiet) as shown:
+        tracked = follow(video, known, place.parent, _bars(shown))
+    _write(output, tracked, known)
+    if not quiet:
+        _show(tracked, known)
+        console.say(f"truth: {output}, {output.with_suffix('.csv')}")
+        console.say(f"picture: {output.with_suffix('.png')}")
+
+
+def _bars(shown: Any) -> Any:
+    """Return what shows the progress of each stage."""
+    tasks: dict[str, Any] = {}
+
+    def progress(stage: str, done: int, total: int) -> None:
+        if shown is None:
+            return
+        if stage not in tasks:
+            tasks[stage] = shown.add_task(f"finding the {stage}", total=total)
+        shown.update(tasks[stage], completed=done)
+
+    return progress
+
+
+def _write(output: Path, tracked: Tracked, setup: Setup) -> None:
+    import numpy as np
+
+    from impslam.evaluation.landmark_files import landmarks_path, write_true_landmarks
+    from impslam.evaluation.overhead_plot import draw_track
+    from impslam.evaluation.tum import write_tum
+    from impslam.observers.map_files import write_path_table
+    from impslam.types import TrueLandmark
+
+    output.parent.mkdir(parents=True, exist_ok=True)
+    poses, covariances = tracked.found.poses, tracked.found.covariances
+    write_tum(output, np.column_stack((tracked.stamps, poses)))
+    write_path_table(output.with_suffix(".csv"), tracked.stamps, poses, covariances)
+    marks = [
+        TrueLandmark(f"cylinder {n}", "cylinder", found.centre, {"radius": found.radius})
+        for n, found in enumerate(tracked.cylinders, 1)
+    ]
+    if marks:
+        write_true_landmarks(landmarks_path(output), marks)
+    picture = draw_track(tracked, setup)
+    picture.savefig(output.with_suffix(".png"), dpi=130, metadata={"Software": None})
+
+
+def _show(tracked: Tracked, setup: Setup) -> None:
+    """Print what was found, how sure it is, and what was not."""
+    import numpy as np
+
+    calibration, found = tracked.calibration, tracked.found
+    place, shared = (
+        1e3 * float(np.sqrt(np.median(np.trace(c[:, :2, :2], axis1=1, axis2=2))))
+        for c in (found.covariances, found.shared)
+    )
+    heading = np.degrees(np.sqrt(np.median(found.covariances[:, 2, 2])))
+    points = len(setup.floor.points) - len(tracked.unseen)
+    lens = f"{calibration.board_rms:.2f} px from {calibration.views} views of the board"
+    facts = {
+        "poses": f"{len(tracked.stamps)}",
+        "hidden": _times(tracked.hidden),
+        "unfit": _times(tracked.unfit),
+        "lens": lens if calibration.views else "from the measured points alone",
+        "floor": f"{calibration.ground_rms:.2f} px from {points} points",
+        "corners": f"{found.sigma:.2f} px",
+        "error of a place": f"{place:.1f} mm, of which calibration and height {shared:.1f} mm",
+        "error of a heading": f"{heading:.2f} deg",
+    }
+    if tracked.unseen:
+        facts["floor"] += f"; not seen: {', '.join(map(str, tracked.unseen))}"
+    console.show_facts(facts)
+    for number, cylinder in enumerate(tracked.cylinders, 1):
+        x, y = cylinder.centre
+        sigma = 1e3 * float(np.sqrt(np.trace(cylinder.covariance)))
+        console.say(
+            f"cylinder {number}: x {x:.3f}  y {y:.3f}  radius {cylinder.radius:.3f} m, +- {sigma:.1f} mm"
+        )
+
+
+def _times(stamps: Array) -> str:
+    """Say in how many pictures, and when."""
+    if not len(stamps):
+        return "none"
+    return f"{len(stamps)} pictures: {', '.join(_spans(stamps.tolist()))}"
+
+
+def _spans(stamps: Sequence[float], gap: float = 1.0) -> list[str]:
+    """Return stamps as spans, of which those less than a second apart are one."""
+    spans = [[stamps[0], stamps[0]]]
+    for stamp in stamps[1:]:
+        if stamp - spans[-1][1] > gap:
+            spans.append([stamp, stamp])
+        spans[-1][1] = stamp
+    said = [f"{a:.2f} s" if a == b else f"{a:.2f} to {b:.2f} s" for a, b in spans]
+    return said if len(said) <= 5 else [*said[:4], "..."]

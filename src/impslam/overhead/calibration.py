@@ -1,0 +1,187 @@
+"""Lens and floor from a board and from measured points: one weighted least squares problem.
+
+Views of a board tell the lens, measured points tell how the camera stands; both enter with what they
+are worth, beside what any camera is likely to be, and the covariance of all is the inverse of the
+information (Triggs et al. 2000). Without a board the lens is as uncertain as the points leave it, and
+so are then all poses: that is told, not assumed away.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+
+from impslam.errors import ImpError
+from impslam.overhead.camera import EXTRINSIC, LENS, Camera, linearised, project
+from impslam.types import Array
+
+FIRST_SIGMA = 0.3  # px, of a board's corner, until the residuals have told
+ROUNDS = 3  # in which the corners' noise settles
+NARROW = 0.05  # of the points' extent along a line: nearer to it, they tell no pose
+FEWEST = 4  # points of a plane that determine a pose
+
+
+class View(NamedTuple):
+    """Points (n, 3) m, in the board's frame or in map, and where they are seen (n, 2) px."""
+
+    points: Array
+    pixels: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """A camera and how well it explains what it was calibrated with.
+
+    Attributes
+    ----------
+    camera : the camera, with the covariance of its parameters
+    board_rms, ground_rms : px, residuals of one coordinate; NaN without a board
+    views : number of views of the board
+    """
+
+    camera: Camera
+    board_rms: float
+    ground_rms: float
+    views: int
+
+
+def calibrate(
+    size: tuple[int, int], boards: Sequence[View], ground: View, sigma: float, pixel_sigma: Array
+) -> Calibration:
+    """Return the camera that explains views of a board and measured points best.
+
+    Parameters
+    ----------
+    size : width and height of the picture, px
+    sigma : m, standard deviation of a coordinate of a measured point
+    pixel_sigma : (n,) px, standard deviation of where each of these points is seen
+
+    Raises
+    ------
+    ImpError
+        If the points do not determine how the camera stands.
+    """
+    if len(ground.points) < FEWEST:
+        raise ImpError(f"{len(ground.points)} measured points on the floor; give at least {FEWEST}")
+    spread = np.linalg.svd(ground.points - ground.points.mean(axis=0), compute_uv=False)
+    if spread[1] < NARROW * spread[0]:
+        raise ImpError("the measured points on the floor lie on one line; spread them out")
+    problem = _Problem(size, boards, ground, sigma, pixel_sigma)
+    x, corner = problem.start(), FIRST_SIGMA
+    for _ in range(ROUNDS):
+        fit = least_squares(
+            problem.residuals, x, problem.jacobian, x_scale="jac", method="lm", args=(corner,)
+        )
+        x = fit.x
+        if not boards:
+            break
+        corner = problem.corner_noise(x)
+    covariance = np.linalg.pinv(fit.jac.T @ fit.jac, hermitian=True)[:15, :15]
+    camera = Camera(*size, x[:15], covariance)
+    residuals = camera.project(ground.points) - ground.pixels
+    ground_rms = math.sqrt(float(np.mean(residuals**2)))
+    return Calibration(camera, corner if boards else math.nan, ground_rms, len(boards))
+
+
+class _Problem:
+    """Unknown are the camera (15,) and the pose of each view of the board, (6,) each."""
+
+    def __init__(
+        self,
+        size: tuple[int, int],
+        boards: Sequence[View],
+        ground: View,
+        sigma: float,
+        pixel_sigma: Array,
+    ) -> None:
+        self._boards, self._ground = boards, ground
+        self._noise = sigma, pixel_sigma
+        width, height = size
+        # What a lens is like before anything is seen: 30 to 90 degrees wide, its axis through the
+        # middle, square pixels, and no fish-eye.
+        self._lens = np.array(
+            [width, width, 0.5 * (width - 1), 0.5 * (height - 1), 0, 0, 0, 0, 0], dtype=np.float64
+        )
+        self._spread = np.array(
+            [0.5 * width, 0.5 * width, 0.03 * width, 0.03 * width, 0.3, 0.3, 0.01, 0.01, 0.3]
+        )
+        self._size = size
+
+    def start(self) -> Array:
+        """Return a first solution, by OpenCV."""
+        lens = self._lens.copy()
+        if len(self._boards) >= 3:
+            points = [view.points.astype(np.float32) for view in self._boards]
+            pixels = [view.pixels.astype(np.float32) for view in self._boards]
+            flags = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
+            _, matrix, distortion, *_ = cv2.calibrateCamera(
+                points, pixels, self._size, None, None, flags=flags
+            )
+            lens[:4] = matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
+            lens[4:] = distortion.ravel()[:5]
+        poses = [_stand(view, lens) for view in (self._ground, *self._boards)]
+        return np.concatenate([poses[0], lens, *poses[1:]])
+
+    def corner_noise(self, x: Array) -> float:
+        """Return the noise of a board's corners in px that their residuals tell."""
+        residuals = [
+            project(vector, view.points) - view.pixels
+            for vector, view in zip(self._vectors(x), self._boards, strict=True)
+        ]
+        free = sum(r.size for r in residuals) - 6 * len(residuals) - 9
+        return math.sqrt(sum(float(np.sum(r**2)) for r in residuals) / max(free, 1))
+
+    def residuals(self, x: Array, corner: float) -> Array:
+        """Return all residuals, in standard deviations."""
+        seen = project(x[:15], self._ground.points) - self._ground.pixels
+        parts = [(seen / self._ground_sigma(x)).ravel()]
+        for vector, view in zip(self._vectors(x), self._boards, strict=True):
+            parts.append((project(vector, view.points) - view.pixels).ravel() / corner)
+        prior = (x[LENS] - self._lens) / self._spread
+        square = (x[6] - x[7]) / (0.01 * self._size[0])
+        return np.concatenate([*parts, prior, [square]])
+
+    def jacobian(self, x: Array, corner: float) -> Array:
+        """Return the derivatives of `residuals` by x."""
+        rows = []
+        block = np.zeros((2 * len(self._ground.points), len(x)))
+        block[:, :15] = linearised(x[:15], self._ground.points)[1]
+        rows.append(block / np.repeat(self._ground_sigma(x), 2, axis=0))
+        for k, (vector, view) in enumerate(zip(self._vectors(x), self._boards, strict=True)):
+            block = np.zeros((2 * len(view.points), len(x)))
+            derived = linearised(vector, view.points)[1]
+            block[:, LENS] = derived[:, LENS]
+            block[:, 15 + 6 * k : 21 + 6 * k] = derived[:, EXTRINSIC]
+            rows.append(block / corner)
+        prior = np.zeros((10, len(x)))
+        prior[np.arange(9), np.arange(6, 15)] = 1.0 / self._spread
+        prior[9, [6, 7]] = np.array([1.0, -1.0]) / (0.01 * self._size[0])
+        return np.vstack([*rows, prior])
+
+    def _vectors(self, x: Array) -> list[Array]:
+        """Return the camera as each view of the board has it: the board's frame for map."""
+        return [np.concatenate([x[begin : begin + 6], x[LENS]]) for begin in range(15, len(x), 6)]
+
+    def _ground_sigma(self, x: Array) -> Array:
+        """Return the noise (n, 1) px of measured points: how they are seen, and measured."""
+        rotation = cv2.Rodrigues(x[:3])[0]
+        depth = self._ground.points @ rotation[2] + x[5]
+        measured = self._noise[0] * x[6] / np.maximum(depth, 1e-3)
+        return np.asarray(np.hypot(measured, self._noise[1])[:, None])
+
+
+def _stand(view: View, lens: Array) -> Array:
+    """Return the pose (6,) from which a lens (9,) sees a view so."""
+    matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1.0]])
+    flat = np.ptp(view.points[:, 2]) < 1e-9 and abs(view.points[0, 2]) < 1e-9
+    how = cv2.SOLVEPNP_IPPE if flat else cv2.SOLVEPNP_SQPNP
+    good, rotation, shift = cv2.solvePnP(view.points, view.pixels, matrix, lens[4:], flags=how)
+    if not good:
+        raise ImpError("the measured points do not tell how the camera stands; spread them out")
+    return np.concatenate([rotation.ravel(), shift.ravel()])

@@ -25,24 +25,33 @@ on has failed. LOST: it may be anywhere; the map takes in nothing.
     NONE,
     OPEN,
     BLIND,
+    DISORDERED,
+    REPEATED,
     SLIPPED,
     PUSHED,
     STALLED,
+    INCONSISTENT,
     GROWN,
+    DISPLACED,
     UNEXPLAINED,
     ELSEWHERE,
     UNPLACED,
     NOT_FINITE,
-) = range(11)
-"""The reasons. `OPEN` and `GROWN` come with a way in m, `UNEXPLAINED` and `ELSEWHERE` with a share."""
+) = range(15)
+"""The reasons. `OPEN` and `GROWN` come with a way in m, `INCONSISTENT` with a ratio, `UNEXPLAINED` and
+`ELSEWHERE` with a share."""
 _WORDS = (
     "",
     "nothing to see along the corridor for {0:.1f} m",
     "the lidar sees nothing; the pose is dead-reckoned",
+    "stamps of scans run back and forth: which motion belongs to a scan is uncertain",
+    "the lidar repeats one scan while odometry moves; the pose is dead-reckoned",
     "the scans show another motion than odometry; the pose follows the scans",
     "the robot moves, the wheels do not; the pose follows the scans",
     "the wheels turn, the robot does not; the pose follows the scans",
+    "landmarks are {0:.1f} times as far as expected from where they were; the position is uncertain",
     "nothing known was seen for {0:.1f} m; the position is uncertain",
+    "most of what is seen fits no landmark from before; the position is uncertain",
     "only {1:.0f} % of the scan fits the map; the map takes in nothing",
     "only {1:.0f} % of the scan fits the map: the robot is elsewhere",
     "it is not known yet where in the map the robot is",

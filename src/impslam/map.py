@@ -29,6 +29,7 @@ from impslam.types import (
     Array,
     Edges,
     Increment,
+    Innovation,
     Ints,
     Landmark,
     Mask,
@@ -143,6 +144,7 @@ class Revision:
     refused : why the keyframe could not be used, "" if it was used
     placed : (r,) or one for all, whether it is known where they are in the map
     dropped : keyframes whose scans are not kept, for they add nothing to those of others
+    innovation : of all matches jointly, None where it is not known
     """
 
     ids: Ints
@@ -155,6 +157,19 @@ class Revision:
     refused: str = ""
     placed: Mask | bool = True
     dropped: tuple[int, ...] = ()
+    innovation: Innovation | None = None
+
+    def nis(self) -> tuple[float, int]:
+        """Return the normalised innovation squared of the matches and its degrees of freedom.
+
+        Where it is not known jointly it is the sum over the matches, whose mean is the same.
+        """
+        if self.innovation is not None:
+            return self.innovation.nis, self.innovation.dof
+        return (
+            sum(match.distance2 for match in self.matches),
+            sum(len(match.innovation) for match in self.matches),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

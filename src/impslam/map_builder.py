@@ -97,9 +97,7 @@ class MapBuilder:
 
     def _keep(self, keyframe: Keyframe, revision: Revision) -> None:
         kept = self._keyframes
-        nis = sum(match.distance2 for match in revision.matches)
-        dof = sum(len(match.innovation) for match in revision.matches)
-        kept["innovations"].append((len(revision.matches), nis, dof))
+        kept["innovations"].append((len(revision.matches), *revision.nis()))
         scan = keyframe.scan
         if scan is None or self._frozen:
             kept["origins"].append(0.0)

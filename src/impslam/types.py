@@ -359,6 +359,21 @@ class Observation:
         )  # fmt: skip
 
 
+class Innovation(NamedTuple):
+    """How far the matched observations of a scan were from what was expected, all of them jointly.
+
+    Attributes
+    ----------
+    nis : nu^T S^-1 nu of the stacked innovation, with the correlations that one pose gives to all
+    dof : its number of scalars, and of degrees of freedom: what `nis` is on average if S is right
+    log_det : log det S, with S in m^2 and rad^2
+    """
+
+    nis: float
+    dof: int
+    log_det: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
     """An observation taken for a landmark: innovation (k,), its covariance S (k, k), and d^2."""

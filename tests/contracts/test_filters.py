@@ -124,6 +124,23 @@ def test_a_new_landmark_is_correlated_with_the_old_ones(belief):
     assert belief.landmarks()[-1].covariance[0, 0] < 0.01 * wide
 
 
+def test_a_correction_tells_its_innovation_jointly(belief):
+    """As `joint` has it before the correction, if the filter tells it at all."""
+    rng = np.random.default_rng(7)
+    for pose, increment in drive(5, rng):
+        step(belief, increment, observe(pose, rng))
+    belief.predict(Increment(9.0, np.zeros(3), np.diag([0.05, 0.05, 0.01]) ** 2, 1.0))
+    seen = observe(pose, rng)
+    matches = belief.associate(seen, Known()).matches
+    nu, S = belief.joint(seen, matches)
+    told = belief.correct(seen, matches)
+    assert belief.correct(seen, ()) is None
+    if told is not None:
+        assert told.dof == len(nu)
+        np.testing.assert_allclose(told.nis, nu @ np.linalg.solve(S, nu))
+        np.testing.assert_allclose(told.log_det, np.linalg.slogdet(S)[1])
+
+
 def test_joint_and_hypotheses_are_one_score(belief):
     """A pair judged alone has the innovation that it has among all pairs, and nearly its S.
 

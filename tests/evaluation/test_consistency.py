@@ -5,9 +5,11 @@ import pytest
 
 from impslam.evaluation.consistency import (
     chi2_bounds,
+    effective_count,
     nees,
     pose_errors,
     resampled_means,
+    score_innovations,
     share_within,
 )
 
@@ -61,3 +63,34 @@ def test_resampling_keeps_the_steps_of_a_run_together(rng):
     run = rng.normal(size=(30, 1))
     means = resampled_means(np.hstack([run, -run]), rng)
     np.testing.assert_allclose(means[:, 0], -means[:, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.8])
+def test_correlated_values_count_as_fewer(rng, correlation):
+    """Of an AR(1) process: n (1 - r) / (1 + r) (Bartlett 1946)."""
+    values = np.empty(20_000)
+    values[0] = 0.0
+    for k, noise in enumerate(rng.normal(size=len(values) - 1), start=1):
+        values[k] = correlation * values[k - 1] + noise
+    expected = len(values) * (1.0 - correlation) / (1.0 + correlation)
+    assert effective_count(values) == pytest.approx(expected, rel=0.1)
+
+
+def test_values_that_are_all_the_same_count_once():
+    assert effective_count(np.ones(50)) == 1.0
+
+
+def test_innovations_of_the_right_size_lie_in_their_interval(rng):
+    dof = rng.integers(0, 12, 400).astype(float)
+    nis = np.where(dof > 0.0, rng.chisquare(np.maximum(dof, 1.0)), 0.0)
+    rows = np.column_stack((dof // 2, nis, dof))
+    score = score_innovations(rows)
+    assert score.count == int((dof > 0.0).sum())
+    assert score.matches == int((dof // 2).sum())
+    assert score.low < 1.0 < score.high
+    assert score.mean == pytest.approx(1.0, abs=3.0 * (score.high - 1.0) / 1.96)
+    assert score.within == pytest.approx(0.95, abs=0.04)
+    twice = score_innovations(rows * (1.0, 2.0, 1.0))
+    assert twice.mean > score.high
+    assert twice.within < 0.9
+    assert score_innovations(np.zeros((3, 3))) is None

@@ -72,21 +72,25 @@ def test_a_robot_that_is_lost_stays_so_until_a_place_is_recognised(cuts):
     monitor = HealthMonitor()
     health = watch([0.0] * 4, cuts, reasons=[NONE, UNEXPLAINED, ELSEWHERE, NONE], monitor=monitor)
     assert health.states.tolist() == [0, 1, 2, 2]
-    assert why(health) == "only 80 % of the scan fits the map: the robot is elsewhere"
-    sweep = SimpleNamespace(scan=None, reason=NONE, amount=0.0, located=True)
+    assert why(health) == words(ELSEWHERE, 0.1 * ELSEWHERE)
+    sweep = SimpleNamespace(
+        scan=None, reason=NONE, amount=0.0, located=True, lost=False, observations=()
+    )
     path = PathRows(np.array([14.0]), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3)))
     for ids, placed, state in (([4], False, 2), ([3, 4], False, 2), ([3, 4], True, 0)):
-        revision = SimpleNamespace(ids=ids, matches=(), placed=placed)
+        revision = SimpleNamespace(ids=ids, matches=(), placed=placed, born=())
         monitor.revise(sweep, revision, path)
         assert monitor.health.states[-1] == state
 
 
 def test_a_robot_whose_place_in_the_map_is_not_known_is_lost():
     monitor = HealthMonitor()
-    sweep = SimpleNamespace(scan=None, reason=NONE, amount=0.0, located=True)
+    sweep = SimpleNamespace(
+        scan=None, reason=NONE, amount=0.0, located=True, lost=False, observations=()
+    )
     path = PathRows(np.array([14.0]), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3)))
     for ids, placed in (([4], False), ([5], False), ([3, 4, 5], np.array([True, True, True]))):
-        monitor.revise(sweep, SimpleNamespace(ids=ids, matches=(), placed=placed), path)
+        monitor.revise(sweep, SimpleNamespace(ids=ids, matches=(), placed=placed, born=()), path)
     assert monitor.health.reasons.tolist() == [UNPLACED, UNPLACED, NONE]
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from impslam.map import Revision
 from impslam.sweeps.surprise import Surprise, surprise
-from impslam.types import Match, Observation
+from impslam.types import Innovation, Match, Observation
 
 
 class Keyframe:
@@ -17,8 +17,9 @@ class Keyframe:
         self.observations = tuple(Observation("point", np.array(z), np.eye(2)) for z in places)
 
 
-def revision(*matches):
-    return Revision(np.array([0]), np.zeros((1, 3)), np.zeros((1, 3, 3)), matches=matches)
+def revision(*matches, innovation=None):
+    zero = np.array([0]), np.zeros((1, 3)), np.zeros((1, 3, 3))
+    return Revision(*zero, matches=matches, innovation=innovation)
 
 
 def match(index, innovation, S):
@@ -48,6 +49,17 @@ def test_it_is_least_at_the_true_noise(rng):
     innovations = rng.normal(0.0, sigma, (4000, 2))
     tried = np.array([0.01, 0.02, 0.025, 0.03, 0.035, 0.05, 0.1])
     mean = [
-        np.mean([surprise(match(0, nu, s * s * np.eye(2))) for nu in innovations]) for s in tried
+        np.mean([surprise(revision(match(0, nu, s * s * np.eye(2)))) for nu in innovations])
+        for s in tried
     ]
     assert tried[int(np.argmin(mean))] == sigma
+
+
+def test_what_is_known_jointly_counts_jointly():
+    S = np.array([[0.04, 0.03], [0.03, 0.04]])
+    nu = np.array([0.2, 0.19])
+    told = Innovation(float(nu @ np.linalg.solve(S, nu)), 2, float(np.linalg.slogdet(S)[1]))
+    one = match(0, nu, np.diag(np.diag(S)))
+    jointly = 0.5 * (told.nis + told.log_det) + math.log(2.0 * math.pi)
+    assert surprise(revision(one, innovation=told)) == pytest.approx(jointly)
+    assert surprise(revision(one)) > jointly  # the common part explains both

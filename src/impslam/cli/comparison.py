@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from impslam.cli import console
+from impslam.evaluation.consistency import Innovations
 from impslam.evaluation.options import Alignment
 from impslam.evaluation.quality import Quality
 from impslam.evaluation.relations import RelationErrors
@@ -80,7 +81,7 @@ def show_paths(scores: Mapping[str, PathScore], align_by: Alignment, delta: floa
     """Print how far paths are from the truth."""
     name, stretch = ALIGNED[align_by], f"RPE/{delta:g} m"
     header = ["run", "poses", "ATE, m", f"{name}, m", "max, m", "heading, deg"]
-    header += [f"{stretch}, m", "deg", "NEES", "in 95 %"]
+    header += [f"{stretch}, m", "deg", "NEES", "95 %", "within"]
     show(header, {(run,): _path_cells(score) for run, score in scores.items()})
     notes = [f"ATE, RPE, heading: root mean squares; {NOTES[align_by]}"]
     sure = [score.consistency for score in scores.values()]
@@ -100,8 +101,8 @@ def _consistency_note(known: Sequence[Consistency]) -> str:
     dofs = " or ".join(str(dof) for dof in sorted({c.dof for c in known}))
     what = "" if min(c.dof for c in known) == 3 else " (2: of the position alone)"
     return (
-        f"NEES: mean over poses from the true start, ideal {dofs}{what}; in 95 %: share of poses in "
-        "the chi-square interval (one run; steps are not independent)"
+        f"NEES: mean over poses from the true start, ideal {dofs}{what}; 95 %: where it lies if "
+        "consistent, by chi-square and the correlation of steps; within: share in the interval of one pose"
     )
 
 
@@ -131,12 +132,13 @@ def _angle(value: float, digits: int) -> Cell:
     return _number(math.degrees(value), digits)
 
 
-def _sure(sure: Consistency | None) -> tuple[Cell, Cell]:
+def _sure(sure: Consistency | None) -> tuple[Cell, Cell, Cell]:
     if sure is None:
-        return Cell("-"), Cell("-")
+        return Cell("-"), Cell("-"), Cell("-")
     dof = "" if sure.dof == 3 else " (2)"
     mean = Cell(f"{sure.mean:.2f}{dof}", abs(math.log(max(sure.mean, 1e-300) / sure.dof)))
-    return mean, Cell(f"{100.0 * sure.within:.0f} %", abs(sure.within - 0.95))
+    interval = Cell(f"{sure.low:.2f} to {sure.high:.2f}")
+    return mean, interval, Cell(f"{100.0 * sure.within:.0f} %", abs(sure.within - 0.95))
 
 
 def show_landmarks(scores: Mapping[str, Sequence[KindScore]], gate: float, note: str) -> None:
@@ -163,6 +165,27 @@ def _kind_cells(score: KindScore) -> list[Cell]:
         _length(score.distance.max),
         _angle(score.angle.rmse, 2) if score.angle.max else Cell(""),
         Cell(f"{nees:.2f}" if math.isfinite(nees) else "-", off),
+    ]
+
+
+def show_innovations(found: Mapping[str, Innovations]) -> None:
+    """Print how consistent the innovations of runs are."""
+    header = ("run", "keyframes", "matches", "NIS", "95 %", "within")
+    show(header, {(run,): _innovation_cells(some) for run, some in found.items()})
+    console.say(
+        "NIS: innovations squared per degree of freedom, ideal 1, of keyframes with matches; it needs no "
+        "truth; 95 %: where it lies if consistent, by chi-square; within: share of keyframes in their "
+        "own interval"
+    )
+
+
+def _innovation_cells(found: Innovations) -> list[Cell]:
+    return [
+        Cell(str(found.count)),
+        Cell(str(found.matches)),
+        Cell(f"{found.mean:.3f}", abs(math.log(max(found.mean, 1e-300)))),
+        Cell(f"{found.low:.3f} to {found.high:.3f}"),
+        Cell(f"{100.0 * found.within:.0f} %", abs(found.within - 0.95)),
     ]
 
 

@@ -31,6 +31,7 @@ EXPERIMENTS = {
     "drawings": ("drawings:drawings", 1),
     "extractors": ("extractors:extractors", 10),
     "consistency": ("consistency:consistency", 1000),
+    "faults": ("faults:faults", 3),
 }
 """Where each experiment is, imported when it is asked for, and how many seeds its claims rest on.
 
@@ -51,6 +52,9 @@ def reproduce(
     jobs: Annotated[
         int | None, Parameter(name=["--jobs", "-j"], help="Processes. Default: all cores.")
     ] = None,
+    data: Annotated[
+        Path | None, Parameter(help="Folder of the public logs. Default: simulated drives alone.")
+    ] = None,
     output: Output = None,
     force: Force = False,
     common: Common | None = None,
@@ -63,7 +67,8 @@ def reproduce(
     Parameters
     ----------
     experiments
-        Any of points, lines, both, corridor, figures, drawings, extractors, consistency. Default: all.
+        Any of points, lines, both, corridor, figures, drawings, extractors, consistency, faults.
+        Default: all.
     output
         The folder to write to, a new one. Default: runs/reproduce-DATE-TIME.
     """
@@ -77,6 +82,8 @@ def reproduce(
     for what, number in (("--seeds", seeds), ("--jobs", jobs)):
         if number is not None and number < 1:
             raise ConfigError(f"{what} {number}: must be at least 1")
+    if data is not None and not data.is_dir():
+        raise ConfigError(f"--data {data}: no such folder")
     quiet = common is not None and common.quiet
     said = ["imp", "reproduce", *experiments, *(["--seeds", str(seeds)] if seeds else [])]
     said += ["--full"] if full else []
@@ -85,7 +92,7 @@ def reproduce(
         try:
             for name in names:
                 runs = seeds or (EXPERIMENTS[name][1] if full else None)
-                job = Job(runs, jobs or os.cpu_count() or 1, StageBars(shown, name))
+                job = Job(runs, jobs or os.cpu_count() or 1, StageBars(shown, name), data)
                 parts.append(_study(name)(job))
         finally:
             if parts:  # hours of work, where a later one is interrupted

@@ -9,6 +9,7 @@ from typing import Any
 
 from impslam.cli.comparison import (
     short_names,
+    show_innovations,
     show_landmarks,
     show_paths,
     show_quality,
@@ -17,6 +18,7 @@ from impslam.cli.comparison import (
 from impslam.cli.comparison_json import kind_facts, path_facts, relation_facts, write_json
 from impslam.cli.evaluate import Against
 from impslam.errors import ConfigError, ImpError
+from impslam.evaluation.consistency import Innovations, score_innovations
 from impslam.evaluation.landmark_files import read_true_landmarks
 from impslam.evaluation.landmarks import corners
 from impslam.evaluation.options import Alignment
@@ -53,6 +55,7 @@ class Scores:
     path: PathScore | None
     kinds: list[KindScore] | None
     relations: RelationErrors | None
+    innovations: Innovations | None
     quality: Quality | None
 
 
@@ -104,8 +107,10 @@ def _score(place: Path, by: Yardsticks) -> Scores:
     kinds = None
     if known and run.landmarks is not None:
         kinds = score_kinds(run.landmarks, [*known, *_corners(known)], path, by.how.gate)
-    own = None if run.known is None else quality(run.known)
-    return Scores(place, run, path, kinds, relations, own)
+    if run.known is None:
+        return Scores(place, run, path, kinds, relations, None, None)
+    seen = score_innovations(run.known.keyframes.innovations)
+    return Scores(place, run, path, kinds, relations, seen, quality(run.known))
 
 
 def _corners(known: list[TrueLandmark]) -> list[TrueLandmark]:
@@ -121,6 +126,8 @@ def _show(scores: Mapping[str, Scores], by: Yardsticks) -> None:
         show_landmarks(kinds, by.how.gate, _frame(bool(paths), by.how.align))
     if relations:
         show_relations(relations)
+    if seen := {name: score.innovations for name, score in scores.items() if score.innovations}:
+        show_innovations(seen)
     if own := {name: score.quality for name, score in scores.items() if score.quality}:
         show_quality(own)
 
@@ -152,6 +159,7 @@ def _facts(scores: Mapping[str, Scores], by: Yardsticks) -> dict[str, Any]:
             "path": path_facts(score.path) if score.path else None,
             "landmarks": kind_facts(score.kinds) if score.kinds else None,
             "relations": relation_facts(score.relations) if score.relations else None,
+            "innovations": score.innovations,
             "quality": score.quality.figures() if score.quality else None,
         }
     return {"align": by.how.align, "delta_m": by.how.delta, "gate_m": by.how.gate, "runs": runs}

@@ -75,7 +75,7 @@ class Landmarks(Estimator):
         self._filter.predict(keyframe.motion)
         try:
             choice = self._filter.associate(observations, self._association)
-            self._filter.correct(observations, choice.matches)
+            told = self._filter.correct(observations, choice.matches)
         except NumericalError:
             self._filter.take_back()
             raise
@@ -95,9 +95,8 @@ class Landmarks(Estimator):
             )
             self._filter.remove(gone)
 
-        return self._revision(
-            keyframe, matches=choice.matches, born=born, origins=tuple(chosen), gone=tuple(gone)
-        )
+        facts = {"matches": choice.matches, "born": born, "origins": tuple(chosen)}
+        return self._revision(keyframe, **facts, gone=tuple(gone), innovation=told)
 
     def _revision(self, keyframe: Keyframe, **facts: Any) -> Revision:
         pose, covariance = self._filter.pose[None], self._filter.covariance[None]

@@ -1,10 +1,13 @@
 """Does the filter know how wrong it is? Normalised errors against chi-square bounds.
 
 Bar-Shalom, Li & Kirubarajan 2001, 5.4: the normalised estimation error squared (NEES) of a
-consistent filter has a chi-square distribution, whose mean is its number of degrees of freedom.
+consistent filter has a chi-square distribution, whose mean is its number of degrees of freedom. So has
+the normalised innovation squared (NIS), which needs no truth.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,7 +34,58 @@ def nees(errors: Array, covariances: Array) -> Array:
     return np.asarray(np.sum(errors * solved, axis=-1))
 
 
-def chi2_bounds(dof: int, runs: int = 1, confidence: float = 0.95) -> tuple[float, float]:
+@dataclass(frozen=True, slots=True)
+class Innovations:
+    """Normalised innovations squared of a run: what its sensors saw against what it foretold.
+
+    `mean` is per degree of freedom, ideally 1; for a consistent filter it lies between `low` and `high`
+    in 95 % of runs. `within` is the share of the `count` keyframes with matches inside their own 95 %
+    interval.
+    """
+
+    count: int
+    matches: int
+    mean: float
+    low: float
+    high: float
+    within: float
+
+
+def score_innovations(innovations: Array) -> Innovations | None:
+    """Return how consistent innovations are, from `Keyframes.innovations` (k, 3); None without any.
+
+    Innovations of a consistent filter are white, so that the sum over keyframes is chi-square, too.
+    """
+    from scipy.special import chdtri  # noqa: PLC0415  0.1 s, only where there are matches
+
+    matches, nis, dof = innovations[innovations[:, 2] > 0.0].T
+    if not len(dof):
+        return None
+    low, high = (chdtri(dof, above) for above in (0.975, 0.025))
+    total = float(dof.sum())
+    least, most = (float(chdtri(total, above)) / total for above in (0.975, 0.025))
+    within = float(np.mean((nis >= low) & (nis <= high)))
+    return Innovations(len(dof), int(matches.sum()), float(nis.sum()) / total, least, most, within)
+
+
+def effective_count(values: Array) -> float:
+    """Return how many independent values (n,) tell as much of their mean as these correlated ones do.
+
+    n over the sum of their correlations at all lags, which is summed in pairs as long as these are
+    positive (Geyer 1992, 3.3).
+    """
+    n, away = len(values), values - values.mean()
+    if not away.any():
+        return 1.0
+    spectrum = np.abs(np.fft.rfft(away, 2 * n)) ** 2
+    correlation = np.fft.irfft(spectrum)[:n]
+    correlation /= correlation[0]
+    pairs = correlation[: n - n % 2].reshape(-1, 2).sum(axis=1)
+    end = int(np.argmax(pairs <= 0.0)) if (pairs <= 0.0).any() else len(pairs)
+    return float(np.clip(n / max(2.0 * pairs[:end].sum() - 1.0, 1.0), 1.0, n))
+
+
+def chi2_bounds(dof: int, runs: float = 1, confidence: float = 0.95) -> tuple[float, float]:
     """Return the interval that the mean of `runs` independent normalised errors lies in."""
     from scipy.special import chdtri  # noqa: PLC0415  0.1 s, only where a truth is known
 

@@ -15,7 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from impslam.errors import ImpError
-from impslam.evaluation.consistency import nees, pose_errors, share_within
+from impslam.evaluation.consistency import (
+    chi2_bounds,
+    effective_count,
+    nees,
+    pose_errors,
+    share_within,
+)
 from impslam.evaluation.landmarks import (
     LandmarkScore,
     judged_as,
@@ -48,13 +54,16 @@ STILL = 1e-3
 class Consistency:
     """Normalised error squared of one run's poses, whose steps are not independent.
 
-    `dof` is 3, or 2 where only positions are known: what `mean` ideally is. `within` is the share of
+    `dof` is 3, or 2 where only positions are known: what `mean` ideally is. For a consistent filter it
+    lies between `low` and `high` in 95 % of runs, as the steps are correlated. `within` is the share of
     the `count` poses inside the 95 % interval of the chi-square distribution.
     """
 
     dof: int
     count: int
     mean: float
+    low: float
+    high: float
     within: float
 
 
@@ -150,7 +159,8 @@ def _consistency(run: RecordedRun, pairs: Pairs, T_truth_map: Array) -> Consiste
     if not used.any():
         return None
     values = nees(errors[used], covariances[used])
-    return Consistency(dof, len(values), float(values.mean()), share_within(values, 1, dof))
+    mean, bounds = float(values.mean()), chi2_bounds(dof, effective_count(values))
+    return Consistency(dof, len(values), mean, *bounds, share_within(values, 1, dof))
 
 
 def _regular(covariances: Array) -> Mask:

@@ -10,7 +10,7 @@ from typing import ClassVar, Self, TypeAlias
 from impslam.association.base import Assignment, Association, Hypotheses
 from impslam.component import Component
 from impslam.landmarks.base import LandmarkModel
-from impslam.types import Array, Increment, Ints, Landmark, Match, Observation
+from impslam.types import Array, Increment, Innovation, Ints, Landmark, Match, Observation
 
 Reach: TypeAlias = Callable[[int], float]
 
@@ -69,8 +69,12 @@ class Filter(Component):
         return association.assign(observations, hypotheses, self.joint)
 
     @abstractmethod
-    def correct(self, observations: Sequence[Observation], matches: Sequence[Match]) -> None:
+    def correct(
+        self, observations: Sequence[Observation], matches: Sequence[Match]
+    ) -> Innovation | None:
         """Take all matches of a scan in, in one batch (thesis Eq. 2.27-2.29).
+
+        Return how far they were from what was expected, or None where the filter does not tell.
 
         Raises
         ------

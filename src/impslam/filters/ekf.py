@@ -26,7 +26,7 @@ from impslam.filters.scoring import score
 from impslam.filters.update import Rows, gain, innovation_covariance, solve
 from impslam.geometry.angles import wrap
 from impslam.landmarks.base import Initial, LandmarkModel, Prediction
-from impslam.types import Array, Increment, Match, Observation
+from impslam.types import Array, Increment, Innovation, Match, Observation
 
 
 @register("ekf")
@@ -75,16 +75,20 @@ class Ekf(GaussianFilter):
         S, _ = innovation_covariance(rows, self._belief.P, scene.entries)
         return innovation[scene.order], S[np.ix_(scene.order, scene.order)]
 
-    def correct(self, observations: Sequence[Observation], matches: Sequence[Match]) -> None:
+    def correct(
+        self, observations: Sequence[Observation], matches: Sequence[Match]
+    ) -> Innovation | None:
         """Take all matches of a scan in, in one batch (thesis Eq. 2.27-2.29).
 
         The linearisations need P among the pose and the matched landmarks only. Once they have
-        settled the gain goes to the whole state.
+        settled the gain goes to the whole state. The innovation is that of the first one; where R is
+        taken larger (`tails`, `repeats`), it is not told, for that would be of another noise.
         """
         if not matches:
-            return
+            return None
         belief, pairs = self._belief, self._atlas.pairs(observations, matches)
-        scene = Scene(belief.mean, pairs, self._doubt(matches))
+        doubt = self._doubt(matches)
+        scene, told = Scene(belief.mean, pairs, doubt), None
         pose, states = scene.pose, scene.states
         step = np.zeros(len(scene.entries))
         for _ in range(self.iterations):
@@ -92,11 +96,14 @@ class Ekf(GaussianFilter):
             U, y, moved, sound = solve(rows, belief.P, scene.entries, innovation, step)
             if not sound:
                 raise NumericalError(INDEFINITE)
+            if told is None and doubt is None:
+                told = Innovation(float(y @ y), len(y), 2.0 * float(np.log(np.diag(U)).sum()))
             turned, step = abs(moved[2] - step[2]), moved
             if turned < self.tolerance:
                 break
             pose, states = scene.moved(step)
         self._finish(*gain(rows, belief.P, belief.n, scene.entries, U, y))
+        return told
 
     def _finish(self, W_T: Array, step: Array, of_pose: Array) -> None:
         """Move the mean by a step (size,) and correct the covariance by W^T (rows, size).

@@ -21,6 +21,7 @@ from impslam.health import (
 )
 from impslam.map import Keyframe, PathRows, Revision, Track
 from impslam.observers.base import Observer
+from impslam.observers.landmark_watch import LandmarkWatch
 from impslam.types import Array, Mask
 
 UNCERTAIN = 0.25
@@ -35,13 +36,15 @@ class HealthMonitor(Observer):
     `UNCERTAIN` since the last match (of a landmark, of a scan with a map, or of a place), or that a scan
     has no valid beam. The growth counts, not the uncertainty itself, which is large far from the start;
     a robot that stands still may see no landmark for long. A robot that is lost stays so until a place
-    is recognised, and so does one of which it is not known yet where in the map it is.
+    is recognised, and so does one of which it is not known yet where in the map it is. What
+    `LandmarkWatch` tells of a keyframe holds until the next one.
     """
 
     def __init__(self) -> None:
-        # x, y of the last pose, way since a match, variance there; reason and amount of one that is lost
+        # x, y of the last pose, way since a match, variance there; reason and amount that last
         self._carried = np.zeros(6)
         self._fresh = True  # no pose yet, or landmarks were recognised
+        self._landmarks = LandmarkWatch()
         self._stamps, self._amounts = GrowingArray(), GrowingArray()
         self._reasons = GrowingArray(dtype=np.int8)
 
@@ -72,8 +75,12 @@ class HealthMonitor(Observer):
         lost, placed = self._carried[4:], bool(np.ravel(revision.placed)[-1])
         if revision.matches or len(revision.ids) > 1:  # a landmark, or a place, is known
             self._fresh = True
-            lost[0] = NONE if placed else lost[0]
-        if not placed and lost[0] == NONE:
+            if placed and lost[0] >= ELSEWHERE:
+                lost[0] = NONE
+        told = self._landmarks.revise(keyframe, revision)
+        if lost[0] < ELSEWHERE:
+            lost[:] = told
+        if not placed and lost[0] < ELSEWHERE:
             lost[:] = UNPLACED, 0.0
         seen = keyframe.scan is None or bool(keyframe.scan.valid.any())
         self._record(
@@ -109,7 +116,7 @@ def _judge(
     """Put in place of the tracker's m reasons (m,) and amounts (m,) what is worse.
 
     carried (6,) is x, y of the last pose, the way since the last match, the variance there, and the reason
-    and the amount of a robot that is lost until it is found. fresh (m,): which poses are those of a
+    and the amount of what lasts: a robot is lost until it is found. fresh (m,): which poses are those of a
     match; seen (m,): which scans have a valid beam.
     """
     walked, lost = carried[:4], carried[4:]
@@ -125,7 +132,7 @@ def _judge(
             lost[0], lost[1] = float(ELSEWHERE), amounts[k]
         if not math.isfinite(variance):
             reasons[k], amounts[k] = NOT_FINITE, 0.0
-        elif lost[0] != NONE:
+        elif lost[0] > reasons[k]:
             reasons[k], amounts[k] = int(lost[0]), lost[1]
         elif grown and reasons[k] < GROWN:
             reasons[k], amounts[k] = GROWN, walked[2]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeAlias, TypeVar
 
 from impslam.errors import ImpError
@@ -29,11 +30,13 @@ class Job:
     seeds : number of simulated runs, of seeds 0, 1, ...; the study's own number where None
     processes : number of processes; the results do not depend on it
     progress : is called after each part of the work
+    data : folder of the public logs, for studies that use them
     """
 
     seeds: int | None = None
     processes: int = 1
     progress: ProgressCallback = ignore_progress
+    data: Path | None = None
 
     def map(self, work: Callable[[T], R], items: Iterable[T], stage: str) -> list[R]:
         """Return the results of independent work, in the order of the items.

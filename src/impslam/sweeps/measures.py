@@ -12,6 +12,7 @@ from typing import TypeAlias
 import numpy as np
 
 from impslam.config import load
+from impslam.evaluation.consistency import score_innovations
 from impslam.evaluation.landmark_files import surveyed
 from impslam.evaluation.quality import quality
 from impslam.evaluation.relations import read_relations, relation_errors
@@ -116,7 +117,7 @@ def _facts(known: Map, outcome: Outcome) -> Row:
     """Return sizes, the shares of scans in each state of health, and the innovations' mean NIS."""
     states = outcome.health.counts()
     total = max(1, sum(states.values()))
-    matches, nis, dof = known.keyframes.innovations.sum(axis=0).tolist()
+    seen = score_innovations(known.keyframes.innovations)
     return {
         "scans": len(known.stamps),
         "keyframes": len(known.keyframes),
@@ -125,8 +126,9 @@ def _facts(known: Map, outcome: Outcome) -> Row:
         "log_s": outcome.log_seconds,
         "loops_closed": outcome.counts.get("loops closed"),
         **{name.lower(): count / total for name, count in states.items()},
-        "matches": int(matches),
-        "nis_per_dof": nis / dof if dof else math.nan,
+        "matches": seen.matches if seen else 0,
+        "nis_per_dof": seen.mean if seen else math.nan,
+        "nis_within": seen.within if seen else math.nan,
     }
 
 

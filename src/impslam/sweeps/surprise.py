@@ -1,11 +1,15 @@
 """How well a filter foretells what its sensors see: the likelihood of the innovations.
 
-Before each correction the filter predicts a matched observation as a Gaussian, N(z; h(x), S). The product
-of these densities over a run is the likelihood of the run's noise parameters (Schweppe 1965; Bar-Shalom, Li
-& Kirubarajan 2001, 5.4): its maximum is where the innovations are as large as S says, and no larger
-than they need be. An observation that belongs to no landmark is taken as uniform over all that
-observations of its kind were in this run. So a narrow gate gains nothing by what it refuses, and runs
-that match differently can be compared: they explain the same observations.
+Before each correction the filter predicts the matched observations of a scan as one Gaussian,
+N(z; h(x), S): jointly, for the error of the pose is in all of them, and only what they do not share
+is the sensor's. The product of these densities over a run is the likelihood of its noise parameters
+(Schweppe 1965; Bar-Shalom, Li & Kirubarajan 2001, 5.4): its maximum is where the innovations are as
+large as S says, and S is no larger than it need be. A filter that does not tell S jointly is judged
+observation by observation, which says less of how noise divides between motion and sensor.
+
+An observation that belongs to no landmark is taken as uniform over all that observations of its kind
+were in this run. So a narrow gate gains nothing by what it refuses, and runs that match differently
+can be compared: they explain the same observations.
 """
 
 from __future__ import annotations
@@ -33,7 +37,7 @@ class Surprise(Observer):
         del path
         for observation in keyframe.observations:
             self._see(observation)
-        self._matched += sum(map(surprise, revision.matches))
+        self._matched += surprise(revision)
         self._matches += len(revision.matches)
         matched = {match.observation for match in revision.matches}
         self._new.update(o.kind for i, o in enumerate(keyframe.observations) if i not in matched)
@@ -57,7 +61,13 @@ class Surprise(Observer):
         return float(np.log(sides).sum())
 
 
-def surprise(match: Match) -> float:
-    """Return the negative logarithm of a matched observation's density, as the filter foretold it."""
-    log_det = float(np.linalg.slogdet(2.0 * math.pi * match.S)[1])
-    return 0.5 * (match.distance2 + log_det)
+def surprise(revision: Revision) -> float:
+    """Return the negative logarithm of the density of a scan's matches, as the filter foretold them."""
+    nis, dof = revision.nis()
+    told = revision.innovation
+    log_det = sum(map(_log_det, revision.matches)) if told is None else told.log_det
+    return 0.5 * (nis + log_det + dof * math.log(2.0 * math.pi))
+
+
+def _log_det(match: Match) -> float:
+    return float(np.linalg.slogdet(match.S)[1])

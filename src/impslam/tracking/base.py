@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -18,15 +19,20 @@ from impslam.columns import Motions, Sweeps
 from impslam.component import Component, parameter
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
-from impslam.health import ELSEWHERE, SLIPPED, STALLED, Reasons
+from impslam.health import ELSEWHERE, REPEATED, SLIPPED, STALLED, Reasons
 from impslam.map import Keyframe, Track
 from impslam.parameters import Parameters
 from impslam.sources.base import Problems
+from impslam.tracking.scan_rows import Rows, first_row, judge_rows
 from impslam.types import Array, Increment, Mask
 
 _CONTRADICTED = (
     "the scan at {:.3f} s shows another motion than odometry; the pose follows the scans: check "
     "encoders and wheels, or the parameters of odometry"
+)
+_REPEATED = (
+    "the scan at {:.3f} s is to the bit the one before, although odometry has moved; it is left out: "
+    "the lidar, its driver or the network hangs"
 )
 
 
@@ -112,6 +118,7 @@ class Tracker(Component):
     _reference: tuple[Array, Array] = PrivateAttr()
     _odometry: Array = PrivateAttr()
     _travelled: dict[str, Array] = PrivateAttr(default_factory=dict)
+    _rows: dict[str, Rows] = PrivateAttr(default_factory=dict)
     _duration: float = PrivateAttr(0.0)
     _keyframes: int = PrivateAttr(0)
     _problems: Problems = PrivateAttr(default_factory=Problems)
@@ -153,11 +160,11 @@ class Tracker(Component):
         `motions` are by odometry, from the middle of the sweep before to that of each.
         """
         travelled = self._travelled.setdefault(sweeps.sensor, np.full(3, math.inf))
+        sweeps, wrong = self._judged(motions, sweeps)
         steps = self.steps(motions, sweeps, Gate(self._limits, travelled))
+        np.maximum(steps.reasons, wrong, out=steps.reasons)
         against = (steps.reasons >= SLIPPED) & (steps.reasons <= STALLED)
-        for k in np.flatnonzero(against).tolist():
-            stamp = sweeps.columns.stamps[k]
-            self._problems.add("odometry against scans", _CONTRADICTED.format(stamp))
+        self._note("odometry against scans", _CONTRADICTED, sweeps, against)
         for name, others in self._travelled.items():  # each sensor looks at what others do not see
             if name != sweeps.sensor:
                 count(steps.moved, motions.duration, Gate(np.full(3, math.inf), others))
@@ -170,6 +177,26 @@ class Tracker(Component):
             begin = end + 1
         if begin < len(sweeps):
             yield self._track(tracked, slice(begin, len(sweeps)), ends=False)
+
+    def _judged(self, motions: Motions, sweeps: Sweeps) -> tuple[Sweeps, Reasons]:
+        """Return sweeps without the beams of scans that are repeated, and what is wrong with each."""
+        scans, known = sweeps.scans, self._rows.get(sweeps.sensor)
+        if scans is None:
+            return sweeps, np.zeros(len(sweeps), np.int8)
+        if known is None or len(known.ranges) != len(scans.angles):
+            known = self._rows[sweeps.sensor] = first_row(len(scans.angles))
+        wrong = judge_rows(sweeps.columns.stamps, scans.ranges, motions.d_pose, known)
+        repeated = wrong == REPEATED
+        if repeated.any():
+            self._note("repeated scan", _REPEATED, sweeps, repeated)
+            scans = replace(scans, valid=scans.valid & ~repeated[:, None])
+            sweeps = replace(sweeps, scans=scans)
+        return sweeps, wrong
+
+    def _note(self, kind: str, words: str, sweeps: Sweeps, which: Mask) -> None:
+        """Enter sweeps (m,) in the problems."""
+        for stamp in sweeps.columns.stamps[which].tolist():
+            self._problems.add(kind, words.format(stamp))
 
     def _track(self, tracked: _Tracked, rows: slice, *, ends: bool) -> Track:
         """Return the track of some rows, and with `ends` the keyframe in the row after them."""

@@ -1,0 +1,77 @@
+"""Whether landmarks are seen where the estimate has them.
+
+Two tests of what a filter says of itself. The squared innovations, over their degrees of freedom, are 1 on
+average if it is consistent (Bar-Shalom et al. 2001, ch. 5.4); odometry that slips on and on, scans that are
+late, or a lidar that has turned on its mount make them larger. And what was recognised at the last
+keyframe is in view at the next one: where most of it fits no landmark all at once, the robot is
+elsewhere than estimated. It is so until landmarks from before are recognised: those that are new since may
+be the same things once more.
+"""
+
+from __future__ import annotations
+
+import math
+
+from impslam.health import DISPLACED, INCONSISTENT, NONE
+from impslam.map import Keyframe, Revision
+
+MEMORY = 20.0
+"""Keyframes (2 m of way) over which innovations are averaged: some 150 degrees of freedom."""
+MOST = 1.3
+"""Squared innovations over degrees of freedom that 1 % of so many exceed by chance (chi-square)."""
+SHORT = 5.0
+"""Keyframes over which the usual number of matches is averaged."""
+FEWEST = 3
+"""Matches that are usual at least, to say that they are missing."""
+MISSING = 0.5
+"""Share of the usual number of matches that is missing, while as much is seen."""
+SEEN = 0.7
+"""Share of the usual number of observations that is still as much."""
+KNOWN = 0.75
+"""Share of matches that are with landmarks from before, of a robot that is where it is estimated."""
+PERSISTS = 3
+"""Keyframes in a row that have to say so, either way."""
+
+
+class LandmarkWatch:
+    """Tells what is wrong with the landmarks that keyframes recognise."""
+
+    def __init__(self) -> None:
+        self._squares, self._freedoms = MEMORY, MEMORY  # as if it had been consistent
+        self._matches = self._seen = 0.0
+        self._missing = self._again = 0  # keyframes in a row
+        self._newest = -1  # landmark
+        self._before: int | None = None  # newest landmark before the robot was displaced
+
+    def revise(self, keyframe: Keyframe, revision: Revision) -> tuple[int, float]:
+        """Take in a keyframe; return what is wrong, `NONE` if nothing is, and the amount with it."""
+        self._average(revision)
+        self._displace(keyframe, revision)
+        self._newest = max((self._newest, *revision.born))
+        ratio = self._squares / self._freedoms
+        if self._before is not None:
+            return DISPLACED, 0.0
+        return (INCONSISTENT, math.sqrt(ratio)) if ratio > MOST else (NONE, 0.0)
+
+    def _average(self, revision: Revision) -> None:
+        keep = 1.0 - 1.0 / MEMORY
+        self._squares = keep * self._squares + sum(m.distance2 for m in revision.matches)
+        self._freedoms = keep * self._freedoms + sum(len(m.innovation) for m in revision.matches)
+
+    def _displace(self, keyframe: Keyframe, revision: Revision) -> None:
+        found, seen = len(revision.matches), len(keyframe.observations)
+        if keyframe.lost and self._newest >= 0:
+            self._before, self._again = self._newest, 0
+        elif self._before is None:
+            missing = found <= MISSING * self._matches and seen >= SEEN * self._seen
+            self._missing = self._missing + 1 if missing and self._matches >= FEWEST else 0
+            if self._missing >= PERSISTS:
+                self._before, self._again = self._newest, 0
+        else:
+            known = sum(match.landmark <= self._before for match in revision.matches)
+            self._again = self._again + 1 if known >= max(FEWEST, KNOWN * found) else 0
+            if self._again >= PERSISTS:
+                self._before, self._missing = None, 0
+        if not self._missing:
+            self._matches += (found - self._matches) / SHORT
+            self._seen += (seen - self._seen) / SHORT

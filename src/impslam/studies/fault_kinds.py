@@ -1,0 +1,337 @@
+"""The faults of `imp reproduce faults`: each a function from a drive to what would have been recorded.
+
+Faults that come on the way begin between a third and a half of the drive. Those of odometry act on the
+ways of the two wheels, which for a log of odometry poses are those of a robot with a track of `TRACK`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeAlias
+
+import numpy as np
+
+from impslam.columns import Columns
+from impslam.geometry.se2 import between, compose, exp, inverse, log
+from impslam.studies.drives import Drive, metres_per_reading, with_values
+from impslam.types import Array, OdometryPose
+
+Rng: TypeAlias = np.random.Generator
+Fault: TypeAlias = Callable[[Drive, Rng], Drive]
+
+TRACK = 0.4
+"""m between wheels that a log tells nothing of."""
+FROZEN, GAP, SLIP, HOUR = 10.0, 30.0, 0.5, 3600.0
+"""s that a device is frozen, s without data, m of slip at once, and s by which a clock jumps."""
+COVER, BODY, PEOPLE = 0.3, 0.2, 6
+"""m to what covers beams, m of a person's radius, and how many are around."""
+DENSE = 1 << 20
+"""Places for rows that are put in after a place of the log."""
+JITTER = 0.01
+"""m, noise of ranges that are made up."""
+
+
+def begin_of(drive: Drive, rng: Rng) -> int:
+    """Return the row of scans at which a fault begins."""
+    n = len(drive.scans)
+    return int(rng.integers(n // 3, n // 2))
+
+
+def none(drive: Drive, rng: Rng) -> Drive:
+    """Change nothing."""
+    del rng
+    return drive
+
+
+# ------------------------------------------------------------------ rows of scans
+
+
+def dropped(share: float) -> Fault:
+    """Lose a share of the scans."""
+
+    def fault(drive: Drive, rng: Rng) -> Drive:
+        kept = rng.random(len(drive.scans)) >= share
+        kept[0] = True
+        return drive.keep(kept, slice(None))
+
+    return fault
+
+
+def doubled(drive: Drive, rng: Rng) -> Drive:
+    """Record every scan twice."""
+    del rng
+    return drive.keep(np.repeat(np.arange(len(drive.scans)), 2), slice(None))
+
+
+def shuffled(drive: Drive, rng: Rng) -> Drive:
+    """Write the scans of each half second in any order, stamps along with them."""
+    n, few = len(drive.scans), drive.rows(0.5)
+    rows = np.lexsort((rng.random(n), np.arange(n) // few))
+    moved = drive.keep(rows, slice(None))
+    return moved._replace(scans=replace(moved.scans, order=drive.scans.order))
+
+
+def gap(drive: Drive, rng: Rng) -> Drive:
+    """Record nothing for a while."""
+    i = begin_of(drive, rng)
+    j = i + drive.rows(GAP)
+    rows = np.arange(len(drive.scans))
+    return drive.keep((rows < i) | (rows >= j), ~drive.after(i) | drive.after(j))
+
+
+def late(drive: Drive, rng: Rng) -> Drive:
+    """Show in each scan what was seen 0.3 s before."""
+    del rng
+    rows = np.maximum(np.arange(len(drive.scans)) - drive.rows(0.3), 0)
+    return drive.showing(ranges=drive.scans["ranges"][rows])
+
+
+def repeated(drive: Drive, rng: Rng) -> Drive:
+    """Send one scan again and again for a while."""
+    i = begin_of(drive, rng)
+    ranges = drive.scans["ranges"].copy()
+    ranges[i : i + drive.rows(FROZEN)] = ranges[i]
+    return drive.showing(ranges=ranges)
+
+
+# ------------------------------------------------------------------ what beams show
+
+
+def turned(drive: Drive, rng: Rng) -> Drive:
+    """Turn the lidar on its mount by 5 degrees on the way."""
+    i, angles = begin_of(drive, rng), drive.scans["angles"]
+    step = float(np.median(np.diff(angles)))
+    beams = round(math.radians(5.0) / step)
+    ranges = drive.scans["ranges"].copy()
+    ranges[i:] = np.roll(ranges[i:], -beams, axis=1)
+    if abs(len(angles) * step) < 2.0 * math.pi - 2.0 * abs(step):  # beams that nobody measured
+        ranges[i:, slice(-beams, None) if beams > 0 else slice(None, -beams)] = math.nan
+    return drive.showing(ranges=ranges)
+
+
+def mirrored(drive: Drive, rng: Rng) -> Drive:
+    """Mount the lidar upside down, and say nothing of it."""
+    del rng
+    return drive.showing(ranges=drive.scans["ranges"][:, ::-1].copy())
+
+
+def covered(drive: Drive, rng: Rng) -> Drive:
+    """Cover half of the beams with what moves along with the robot, from some time on."""
+    i, n = begin_of(drive, rng), drive.scans["ranges"].shape[1]
+    ranges, first = drive.scans["ranges"].copy(), int(rng.integers(0, n // 2))
+    hidden = ranges[i:, first : first + n // 2]
+    hidden[:] = COVER + JITTER * rng.standard_normal(hidden.shape)
+    return drive.showing(ranges=ranges)
+
+
+def filled(value: float) -> Fault:
+    """Give 30 % of the beams a value that is no range."""
+
+    def fault(drive: Drive, rng: Rng) -> Drive:
+        ranges = drive.scans["ranges"]
+        bad = rng.random(ranges.shape) < 0.3
+        return drive.showing(ranges=np.where(bad, value, ranges))
+
+    return fault
+
+
+def scaled(drive: Drive, rng: Rng) -> Drive:
+    """Measure all ranges 3 % too long."""
+    del rng
+    return drive.showing(ranges=1.03 * drive.scans["ranges"])
+
+
+def people(drive: Drive, rng: Rng) -> Drive:
+    """Let people walk along with the robot, 0.7 to 3 m away."""
+    scans, n = drive.scans, len(drive.scans)
+    seconds = drive.period * np.arange(n)[:, None]
+    phase, rate, swing = rng.uniform(-1.0, 1.0, (3, PEOPLE))
+    bearing = math.pi * phase + 0.5 * rate * seconds
+    distance = 1.85 + 1.15 * np.sin(0.5 * swing * seconds + 10.0 * phase)
+    ranges = np.array(scans["ranges"], np.float64)
+    for k in range(PEOPLE):
+        angles = scans["angles"] - (bearing[:, k : k + 1] - drive.truth[:, 2:])
+        along, across = (distance[:, k : k + 1] * f(angles) for f in (np.cos, np.sin))
+        hit = (along > 0.0) & (np.abs(across) < BODY)
+        front = along - np.sqrt(np.maximum(BODY**2 - across**2, 0.0))
+        front += JITTER * rng.standard_normal(front.shape)
+        ranges = np.where(hit & ((ranges <= COVER / 2.0) | ~(ranges < front)), front, ranges)
+    return drive.showing(ranges=ranges)
+
+
+# ------------------------------------------------------------------ odometry
+
+
+def absent(drive: Drive, rng: Rng) -> Drive:
+    """Record no odometry."""
+    del rng
+    return drive.keep(slice(None), slice(0, 0))
+
+
+def reset(drive: Drive, rng: Rng) -> Drive:
+    """Begin odometry at 0 again on the way."""
+    odometry, on = drive.odometry, drive.after(begin_of(drive, rng))
+    first = int(np.argmax(on))
+    values = {}
+    if odometry.kind is OdometryPose:
+        pose = odometry["pose"]
+        moved = compose(inverse(pose[first]), pose)
+        values["pose"] = np.where(on[:, None], moved, pose)
+    else:
+        for name in ("left", "right"):
+            values[name] = odometry[name] - np.where(on, odometry[name][first], 0.0)
+    return drive._replace(odometry=with_values(odometry, **values))
+
+
+def told(drive: Drive, change: Callable[[Array], Array]) -> Drive:
+    """Return the drive with other ways (m, 2) in m of the left and the right wheel, row by row."""
+    odometry = drive.odometry
+    if odometry.kind is OdometryPose:
+        return drive._replace(odometry=with_values(odometry, pose=_led(odometry, change)))
+    unit = metres_per_reading(drive.config.odometry)
+    readings = np.column_stack((odometry["left"], odometry["right"])).astype(np.float64)
+    ways = unit * np.diff(readings, axis=0, prepend=readings[:1])
+    left, right = (readings[0] + np.cumsum(change(ways), axis=0) / unit).T
+    return drive._replace(odometry=with_values(odometry, left=left, right=right))
+
+
+def _led(odometry: Columns, change: Callable[[Array], Array]) -> Array:
+    """Return the poses of odometry after a change of the ways of the wheels; what goes sideways stays."""
+    pose: Array = odometry["pose"]
+    twists = log(between(pose[np.maximum(np.arange(len(pose)) - 1, 0)], pose))
+    half = 0.5 * TRACK * twists[:, 2]
+    left, right = change(np.column_stack((twists[:, 0] - half, twists[:, 0] + half))).T
+    steps = exp(np.column_stack((0.5 * (left + right), twists[:, 1], (right - left) / TRACK)))
+    out = np.empty_like(pose)
+    out[0] = pose[0]
+    for k in range(1, len(pose)):
+        out[k] = compose(out[k - 1], steps[k])
+    return out
+
+
+def wheels(factors: tuple[float, float], seconds: float = FROZEN) -> Fault:
+    """Let the left and the right wheel tell so many times their ways for a while."""
+
+    def fault(drive: Drive, rng: Rng) -> Drive:
+        i = begin_of(drive, rng)
+        during = drive.after(i) & ~drive.after(i + drive.rows(seconds))
+        return told(drive, lambda ways: np.where(during[:, None], ways * np.array(factors), ways))
+
+    return fault
+
+
+def slipped(drive: Drive, rng: Rng) -> Drive:
+    """Let both wheels tell half a metre too much within half a second."""
+    i = begin_of(drive, rng)
+    during = drive.after(i) & ~drive.after(i + drive.rows(0.5))
+    return told(drive, lambda ways: ways + (during / max(during.sum(), 1) * SLIP)[:, None])
+
+
+def swapped(drive: Drive, rng: Rng) -> Drive:
+    """Take each wheel for the other."""
+    del rng
+    return told(drive, lambda ways: ways[:, ::-1])
+
+
+# ------------------------------------------------------------------ time and place
+
+
+def stuck(drive: Drive, rng: Rng) -> Drive:
+    """Drive against a wall: the robot stands for a while, and its wheels turn at 0.3 m/s."""
+    i, some = begin_of(drive, rng), drive.rows(FROZEN)
+    n, m, j = len(drive.scans), len(drive.odometry), int(np.sum(~drive.after(i)))
+    more, seconds = round(some * m / n), some * drive.period
+    place = int(drive.scans.order[i]) - 1
+    stay = drive.keep(
+        np.insert(np.arange(n), i, [i] * some), np.insert(np.arange(m), j, [j] * more)
+    )
+    scans = _inserted(stay.scans, slice(i, i + some), place, seconds)
+    odometry = _inserted(stay.odometry, slice(j, j + more), place, seconds)
+    ranges = scans["ranges"].astype(np.float64)
+    ranges[i : i + some] += JITTER * rng.standard_normal((some, ranges.shape[1]))
+    ways = np.zeros((m + more, 1))
+    ways[j : j + more] = 0.3 * seconds / more
+    still = stay._replace(scans=with_values(scans, ranges=ranges), odometry=odometry)
+    return told(still, lambda moved: moved + ways)
+
+
+def _inserted(columns: Columns, rows: slice, place: int, seconds: float) -> Columns:
+    """Spread rows that were put in over so many s after a place of the log; what follows is later."""
+    share = np.clip((np.arange(len(columns)) - rows.start) / (rows.stop - rows.start), 0.0, 1.0)
+    orders = columns.order * DENSE
+    orders[rows] = place * DENSE + (share[rows] * (DENSE - 1)).astype(np.int64)
+    moved = with_values(columns, stamp=columns.stamps + seconds * share)
+    return replace(moved, order=orders)
+
+
+def kidnapped(drive: Drive, rng: Rng) -> Drive:
+    """Carry the robot some of its way, at least 2 m, without a word from odometry."""
+    i, n = begin_of(drive, rng), len(drive.scans)
+    far = np.hypot(*(drive.truth[:, :2] - drive.truth[i, :2]).T) > 2.0
+    far[: i + 1], far[n - n // 5 :] = False, False
+    if not far.any():
+        return drive
+    j = int(rng.choice(np.flatnonzero(far)))
+    rows, until = np.arange(n), drive.after(j)
+    carried = drive.after(i) & ~until
+    moved = told(drive, lambda ways: np.where(carried[:, None], 0.0, ways))
+    seconds = drive.scans.stamps[j] - drive.scans.stamps[i] - drive.period
+    scans = with_values(moved.scans, stamp=moved.scans.stamps - np.where(rows >= j, seconds, 0.0))
+    odometry = with_values(
+        moved.odometry, stamp=moved.odometry.stamps - np.where(until, seconds, 0.0)
+    )
+    moved = moved._replace(scans=scans, odometry=odometry)
+    return moved.keep((rows <= i) | (rows > j), ~carried)
+
+
+def stamped(change: Callable[[Array, float], Array]) -> Fault:
+    """Change all stamps from some time on."""
+
+    def fault(drive: Drive, rng: Rng) -> Drive:
+        i = begin_of(drive, rng)
+        first = float(drive.scans.stamps[i])
+
+        def stamps(columns: Columns) -> Columns:
+            on = columns.order >= drive.scans.order[i]
+            return with_values(
+                columns, stamp=np.where(on, change(columns.stamps, first), columns.stamps)
+            )
+
+        return drive._replace(odometry=stamps(drive.odometry), scans=stamps(drive.scans))
+
+    return fault
+
+
+FAULTS: dict[str, Fault] = {
+    "none": none,
+    "scans dropped, 1 %": dropped(0.01),
+    "scans dropped, 5 %": dropped(0.05),
+    "scans dropped, 20 %": dropped(0.2),
+    "scans dropped, 50 %": dropped(0.5),
+    "scans doubled": doubled,
+    "scans shuffled": shuffled,
+    "no data for 30 s": gap,
+    "scans 0.3 s late": late,
+    "one scan repeated for 10 s": repeated,
+    "lidar turned by 5° on the way": turned,
+    "lidar mirrored": mirrored,
+    "half of the beams covered": covered,
+    "30 % of the beams NaN": filled(math.nan),
+    "30 % of the beams infinite": filled(math.inf),
+    "30 % of the beams negative": filled(-1.0),
+    "ranges 3 % too long": scaled,
+    "people around": people,
+    "odometry absent": absent,
+    "odometry frozen for 10 s": wheels((0.0, 0.0)),
+    "one wheel frozen for 10 s": wheels((0.0, 1.0)),
+    "odometry reset to 0": reset,
+    "slip of 20 % for 30 s": wheels((1.2, 1.2), 30.0),
+    "slip of 0.5 m": slipped,
+    "wheels swapped": swapped,
+    "against a wall for 10 s": stuck,
+    "kidnapped": kidnapped,
+    "stamps jump an hour": stamped(lambda stamps, first: stamps + HOUR),
+    "stamps run backward": stamped(lambda stamps, first: 2.0 * first - stamps),
+}

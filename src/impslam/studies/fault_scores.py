@@ -1,0 +1,186 @@
+"""What came of a faulty drive: how far the path was off, what health said of it, and what the run said."""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.errors import ImpError, in_a_line
+from impslam.evaluation.consistency import nees, pose_errors
+from impslam.fitting import fitted
+from impslam.health import TRACKING, Health
+from impslam.map import Keyframe, Map, PathRows, Revision, Track
+from impslam.observers.base import Observer, Outcome
+from impslam.run import map_log
+from impslam.studies.drives import Drive, DriveSource
+from impslam.sweeps.rows import Row
+from impslam.types import Array, Ints, Mask
+
+OFF, TIMES = 0.5, 5.0
+"""m, and times the worst error of the clean run: a pose that is further off is wrong."""
+INSIDE, OUTSIDE = 11.34, 16.27
+"""Chi-square of three degrees of freedom that 1 % and 0.1 % exceed."""
+REFERENCE = np.diag(np.array([0.02, 0.02, 0.005]) ** 2)
+"""m, m, rad, squared: how well the settled path of a clean run knows where the robot was."""
+LEAST = 0.05
+"""m: a limit is no less, since a settled path is known no better."""
+VERDICTS = ("harmless", "said", "honest", "noted", "silent")
+"""harmless: no pose was wrong. said: no wrong pose was called TRACKING, or the run refused the log. honest:
+all that were are within their ellipse. noted: some were not, and a note at the end of the run names a
+problem. silent: nothing does."""
+
+
+class Live(Observer):
+    """Keeps the path as it is known at the time, and the outcome.
+
+    Rows are those of `DriveSource`: `places` are orders of the log.
+    """
+
+    def __init__(self) -> None:
+        self._paths: list[PathRows] = []
+        self._places: list[Ints] = []
+        self.outcome: Outcome | None = None
+
+    def follow(self, track: Track, path: PathRows) -> None:
+        """Keep the poses of a track."""
+        self._paths.append(path)
+        self._places.append(track.sweeps.columns.order[track.rows])
+
+    def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
+        """Keep the pose of a keyframe."""
+        del revision
+        self._paths.append(path)
+        self._places.append(keyframe.sweeps.columns.order[[keyframe.row]])
+
+    def finish(self, known: Map, outcome: Outcome) -> None:
+        """Keep the outcome."""
+        del known
+        self.outcome = outcome
+
+    @property
+    def places(self) -> Ints:
+        """Place in the log of each scan (n,)."""
+        return np.concatenate(self._places)
+
+    @property
+    def poses(self) -> Array:
+        """Poses (n, 3) in map."""
+        return np.concatenate([path.poses for path in self._paths])
+
+    @property
+    def covariances(self) -> Array:
+        """Covariances (n, 3, 3)."""
+        return np.concatenate([path.covariances for path in self._paths])
+
+
+class Mapped(NamedTuple):
+    """A drive that was mapped.
+
+    Attributes
+    ----------
+    rows : (k,) which rows of the drive's scans were used, in their order
+    poses, covariances : (k, 3), (k, 3, 3) as they were known at the time
+    settled : (k, 3) as they are known at the end
+    health : of the k scans
+    notes : kinds of problems that the run told of
+    seconds : s of CPU
+    """
+
+    rows: Ints
+    poses: Array
+    covariances: Array
+    settled: Array
+    health: Health
+    notes: frozenset[str]
+    seconds: float
+
+
+def mapped(drive: Drive) -> Mapped:
+    """Map a drive as `imp run` does.
+
+    Raises
+    ------
+    ImpError
+        If the run refuses it.
+    """
+    source, live = DriveSource.of(drive), Live()
+    begin = time.process_time()
+    config = fitted(drive.config, source, odometry_is_free=True)
+    known = map_log(config, source, [live])
+    seconds = time.process_time() - begin
+    outcome = live.outcome
+    assert outcome is not None
+    rows = np.searchsorted(source.drive.scans.order, live.places)
+    notes = frozenset(outcome.dropped)
+    settled = np.full((len(rows), 3), np.nan)
+    settled[known.placed()] = known.path()[:, 1:]
+    return Mapped(rows, live.poses, live.covariances, settled, outcome.health, notes, seconds)
+
+
+def with_truth(drive: Drive, clean: Mapped) -> Drive:
+    """Return a drive whose truth is not known with that of the clean run's settled path."""
+    truth = drive.truth.copy()
+    truth[clean.rows] = clean.settled
+    return drive._replace(truth=truth)
+
+
+def errors(run: Mapped, drive: Drive, *, exact: bool) -> tuple[Array, Array]:
+    """Return how far off each pose is, (k,) m, and its normalised error squared (k,)."""
+    error = pose_errors(run.poses, drive.truth[run.rows])
+    spread = run.covariances + (1e-12 * np.eye(3) if exact else REFERENCE)
+    return np.hypot(error[:, 0], error[:, 1]), nees(error, spread)
+
+
+def score(drive: Drive, limit: float, usual: frozenset[str], *, exact: bool) -> Row:
+    """Map a faulty drive and score it.
+
+    `limit` is the error in m beyond which a pose is wrong, `usual` are the notes of the clean run, and
+    `exact` tells whether the truth is exact.
+    """
+    begin = time.process_time()
+    try:
+        run = mapped(drive)
+    except ImpError as error:
+        seconds = time.process_time() - begin
+        return {"verdict": "said", "said": in_a_line(error), "seconds": seconds}
+    off, squares = errors(run, drive, exact=exact)
+    tracking = run.health.states == TRACKING
+    wrong, outside = off > limit, squares > OUTSIDE
+    silent = wrong & outside & tracking
+    notes = run.notes - usual
+    return {
+        "verdict": _verdict(wrong, wrong & tracking, silent, notes),
+        "off": float(off.max()),
+        "off_at_end": float(off[-1]),
+        "off_settled": _worst(run.settled - drive.truth[run.rows]),
+        "scans": len(off),
+        "tracking": int(tracking.sum()),
+        "inside": int((tracking & (squares < INSIDE)).sum()),
+        "wrong": int(wrong.sum()),
+        "silent": int(silent.sum()),
+        "lost": int((run.health.states > 1).sum()),
+        "said": run.health.summary,
+        "notes": sorted(notes),
+        "seconds": run.seconds,
+    }
+
+
+def _verdict(wrong: Mask, unsaid: Mask, silent: Mask, notes: frozenset[str]) -> str:
+    if silent.any():
+        return "noted" if notes else "silent"
+    if unsaid.any():
+        return "honest"
+    return "said" if wrong.any() else "harmless"
+
+
+def _worst(error: Array) -> float:
+    placed = np.hypot(error[:, 0], error[:, 1])
+    return float(np.nanmax(placed)) if np.isfinite(placed).any() else float("nan")
+
+
+def limit_of(clean: Mapped, drive: Drive) -> float:
+    """Return the error in m beyond which a pose is wrong, by the clean run of the drive."""
+    worst = float(errors(clean, drive, exact=True)[0].max())
+    return min(OFF, max(TIMES * worst, LEAST))

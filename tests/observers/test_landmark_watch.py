@@ -1,0 +1,59 @@
+"""Landmarks that are not where the estimate has them: all at once, or a little all the time."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from impslam.health import DISPLACED, INCONSISTENT, NONE
+from impslam.observers.landmark_watch import MOST, LandmarkWatch
+
+
+def keyframes(watch, matched, seen=5, born=(), ratio=1.0, count=1, lost=False):
+    """Return the reasons that keyframes give in which these landmarks are matched."""
+    out = []
+    for _ in range(count):
+        matches = [
+            SimpleNamespace(landmark=k, distance2=2.0 * ratio, innovation=np.zeros(2))
+            for k in matched
+        ]
+        keyframe = SimpleNamespace(observations=[None] * seen, lost=lost)
+        out.append(watch.revise(keyframe, SimpleNamespace(matches=matches, born=born))[0])
+    return out
+
+
+@pytest.fixture
+def watch():
+    known = LandmarkWatch()
+    keyframes(known, (), born=range(5))
+    assert keyframes(known, range(5), count=40) == [NONE] * 40
+    return known
+
+
+def test_a_robot_whose_landmarks_are_gone_at_once_is_displaced_until_they_are_seen_again(watch):
+    assert keyframes(watch, (), count=3) == [NONE, NONE, DISPLACED]
+    keyframes(watch, (), born=range(5, 10))
+    assert keyframes(watch, range(5, 10), count=50) == [DISPLACED] * 50  # the same things once more
+    assert keyframes(watch, [0, 1, 5, 6, 7], count=50) == [DISPLACED] * 50
+    assert keyframes(watch, range(5), count=4) == [DISPLACED, DISPLACED, NONE, NONE]
+
+
+def test_a_robot_that_sees_less_is_not(watch):
+    assert keyframes(watch, [0, 1], seen=2, count=20) == [NONE] * 20
+
+
+def test_a_robot_that_comes_to_new_ground_is_not(watch):
+    for k in range(10):
+        assert keyframes(watch, range(k, 5 + k), seen=8, count=5) == [NONE] * 5
+        keyframes(watch, range(k, 5 + k), seen=8, born=[5 + k])
+
+
+def test_a_tracker_that_is_lost_is_displaced(watch):
+    assert keyframes(watch, (), lost=True) == [DISPLACED]
+    assert keyframes(watch, range(5), count=3)[-1] == NONE
+
+
+def test_innovations_that_are_too_large_are_told_and_modest_ones_not(watch):
+    assert keyframes(watch, range(5), ratio=0.2, count=40) == [NONE] * 40
+    assert keyframes(watch, range(5), ratio=1.1 * MOST, count=100)[-1] == INCONSISTENT
+    assert keyframes(watch, range(5), ratio=1.0, count=100)[-1] == NONE

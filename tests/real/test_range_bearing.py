@@ -3,6 +3,9 @@
 import pytest
 from benchmarks.range_bearing import measure
 
+from impslam.sweeps.cases import cases, find_log
+from impslam.sweeps.measures import run_case
+
 pytestmark = [pytest.mark.real]
 
 
@@ -35,3 +38,18 @@ def test_robots_among_barcodes(data_folder, robot):
     assert row.marks < marks
     assert row.odometry > 4.0 * row.path
     assert row.consistency.mean < 6.0  # 1.0 to 4.2
+
+
+def test_the_likelihood_is_greatest_at_the_simulated_noise(data_folder):
+    """1 cm and 0.1 degrees; there the innovations are as large as they should be, too."""
+    log = find_log(str(data_folder / "kf-demo" / "kf-slam_demo.txt"))
+    key = "sensors.detections.sigma_{}".format
+
+    def row(metres, radians):
+        settings = {key("range"): [str(metres)], key("bearing"): [str(radians)]}
+        return run_case(*cases([log], ["kf-demo"], settings, 1))
+
+    true = row(0.01, 1.745e-3)
+    assert 0.96 < true["nis_per_dof"] < 1.04  # measured 1.005 on 2026-11-22
+    for other in ((0.0115, 1.745e-3), (0.0087, 1.745e-3), (0.01, 2.0e-3), (0.01, 1.5e-3)):
+        assert row(*other)["nll"] > true["nll"] + 0.003  # nats, of each of 3537

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
@@ -100,7 +101,7 @@ def sweep(  # noqa: PLR0913  # each is an option that a user may give
     try:
         _run(left, pool, journal, quiet)
     finally:
-        files = write(folder, journal.rows())
+        files = write(folder, journal.rows()) if journal.rows() else []
     if not quiet:
         show_errors(journal.rows())
         console.say(f"table: {', '.join(map(str, files))}")
@@ -184,7 +185,7 @@ def show_errors(rows: Sequence[Row]) -> None:
         for variant, runs in variants.items():
             values = values_of(runs, measure) if measure else []
             spread = str(Quantiles.of(100.0 * value for value in values)) if values else "-"
-            seconds = f"{sum(run['cpu_s'] for run in runs) / len(runs):.2f}"
+            seconds = f"{median(run['cpu_s'] for run in runs):.2f}"
             what = MEASURES.get(measure, "nothing known")
             cells.append((Path(log).name, variant, what, str(len(runs)), spread, seconds))
     if cells:

@@ -112,6 +112,7 @@ def test_by_default_all_noise_is_searched_around_its_value():
     space = noise_space(load("imp"))
     assert space["sensors.lidar.sigma"] == Range(0.0003, 0.03)
     assert space["odometry.slip.turn_per_turn"] == Range(0.005, 0.5)
+    assert "sensors.lidar.bias" not in space  # no innovation shows it
     assert "odometry.slip.forward" not in space  # 0 in this config: that there is none is known
     assert not any(key.startswith(("tracker", "landmarks")) for key in space)
 

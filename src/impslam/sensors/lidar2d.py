@@ -43,13 +43,8 @@ class Lidar2D(Sensor):
     )
     sigma_per_m: float = parameter(0.0, "1", "how much it grows with range", ge=0, le=1, noise=True)
     bias: float = parameter(
-        0.0,
-        "m",
-        "standard deviation of the range error that all beams share",
-        ge=0,
-        le=100,
-        noise=True,
-    )
+        0.0, "m", "standard deviation of the range error that all beams share", ge=0, le=100
+    )  # no noise to be found: what all scans of a run share is in the map, and no innovation shows it
     range_scale: float = parameter(
         1.0, "1", "true range over measured range, from a calibration", gt=0
     )

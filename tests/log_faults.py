@@ -82,11 +82,11 @@ def late(seconds: float) -> Change:
 
 
 def jitter(seconds: float) -> Change:
-    """Stamp scans late by a random time, of a mean of so many s and as large a deviation, at most three."""
+    """Stamp scans at random, by a standard deviation of so many s, early or late, twice that at most."""
     rng = np.random.default_rng(0)
 
     def change(c: Columns) -> Columns:
-        by = np.minimum(rng.exponential(seconds, len(c)), 3.0 * seconds)
+        by = np.clip(rng.normal(0.0, seconds, len(c)), -2.0 * seconds, 2.0 * seconds)
         return with_values(c, stamp=c["stamp"] + by)
 
     return of(LaserScan, change)
@@ -126,6 +126,37 @@ def standing() -> Change:
         return with_values(c, **{name: 0.0 * column for name, column in first.items()})
 
     return of((WheelAngles, OdometryPose), still)
+
+
+def stopping(begin: float, seconds: float) -> Change:
+    """Hold the readings of odometry for some time; then it goes on from there."""
+    held: dict[str, np.ndarray] = {}
+
+    def change(c: Columns) -> Columns:
+        if not held:
+            held["stamp"] = c["stamp"][0] + begin
+        still = (c["stamp"] >= held["stamp"]) & (c["stamp"] < held["stamp"] + seconds)
+        values = {}
+        for name in set(c.values) - {"stamp"}:
+            before = c[name][~still & (c["stamp"] < held["stamp"])]
+            if len(before):
+                held[name] = before[-1]
+            values[name] = c[name].copy()
+            values[name][still] = held[name]
+        return with_values(c, **values)
+
+    return of((WheelAngles, OdometryPose), change)
+
+
+def blocked(width: float) -> Change:
+    """Cover the lidar over a width in rad, on the right of its middle."""
+
+    def change(c: Columns) -> Columns:
+        middle, ranges = c["angles"].mean(), c["ranges"].copy()
+        ranges[:, (c["angles"] < middle) & (c["angles"] > middle - width)] = 0.0
+        return with_values(c, ranges=ranges)
+
+    return of(LaserScan, change)
 
 
 def scaled_odometry(way: float, turn: float) -> Change:

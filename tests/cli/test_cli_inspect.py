@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+import json
 import re
+from itertools import islice
 
 import numpy as np
 import pytest
 from tests.sources.logs import write_acfr_park
 
+from impslam.simulation.simulate import simulate
+from impslam.simulation.world import load_world
 from impslam.sources.recording import McapWriter
 from impslam.types import LaserScan, OdometryPose, WheelAngles
 
@@ -92,3 +96,28 @@ def test_real_logs(imp, data_folder) -> None:
     assert "LaserScan 457 5.0" in words
     assert "beams 360" in words
     assert "odometry encoders, 2" in words
+
+
+def test_json(imp, room) -> None:
+    facts = json.loads(imp("inspect", room, "--json").out)
+    assert facts["preset"] == "imp"
+    assert {"/scan", "/joint_states"} <= {s["name"] for s in facts["streams"] if s["used"]}
+    assert facts["clocks"]["LaserScan"]["count"] == 100
+    assert facts["problems"] == facts["findings"] == []
+
+
+def test_a_finding_and_its_setting(imp, tmp_path) -> None:
+    """A drive of the arena read with another robot's wheels: named by inspect and by the run itself."""
+    messages = simulate(load_world("arena"), seed=0)
+    with McapWriter(tmp_path / "arena.mcap", "imp") as writer:
+        for message in islice(messages, 12_000):
+            writer.write(message)
+    wrong = "odometry.wheel_radius=0.11", "odometry.track=0.693"
+    settings = [word for one in wrong for word in ("--set", one)]
+    said = imp("inspect", tmp_path / "arena.mcap", *settings).out
+    assert "problem: wrong preset: " in said
+    assert "they fit preset imp: -c imp" in said
+    assert "no problem found" not in said
+    run = imp("run", tmp_path / "arena.mcap", "-o", tmp_path / "run", *settings).out
+    assert "reads: preset imp; scan /scan" in run
+    assert "problem: wrong preset: " in run

@@ -45,6 +45,12 @@ CASES = {
     "track": (faults.nothing(), ("odometry.track=0.46",), "track"),
     "radius": (faults.nothing(), ("odometry.wheel_radius=0.08",), "wheel radius"),
     "ratio": (faults.nothing(), ("odometry.right_left_ratio=1.1",), "wheels unequal"),
+    "wrapping": (faults.wrapping(18.85), (), "encoder wraps"),
+    "jitter": (faults.jitter(0.02), (), "stamps jitter"),
+    "no return": (faults.no_return(4.0), (), "value for no return"),
+    "body": (faults.body(0.3), (), "own body in view"),
+    "sweep": (faults.sweep_of(0.5), (), "sweep too long"),
+    "stops": (faults.stopping(20.0, 10.0), (), "odometry stops"),
     "mount": (faults.nothing(), ("sensors.lidar.mount=[-0.1,0,0]",), "laser elsewhere"),
 }
 
@@ -58,3 +64,27 @@ def test_a_fault_is_found_and_mended(drive, name: str) -> None:
     assert problems[kind].sure > 0.99 or problems[kind].advice
     mended = harm(wrong, *settings, *problems[kind].fix)
     assert mended == {}
+
+
+def test_another_robots_preset_is_named(drive) -> None:
+    (only,) = diagnose(load("turtlebot3-waffle", ["sensors.lidar.mount=[0.15,0,0]"]), drive, {})
+    assert only.kind == "wrong preset"
+    assert only.advice.endswith("-c imp")
+
+
+def test_what_a_run_copes_with_is_a_note(drive) -> None:
+    settings = "tracker.kind=scan_to_map", "odometry.track=0.42"
+    (only,) = found(drive, *settings)
+    assert (only.kind, only.harmful) == ("track", False)
+
+
+def test_a_dead_sector(drive) -> None:
+    (only,) = found(faults.faulty(drive, faults.blocked(0.3)))
+    assert (only.kind, only.harmful) == ("dead sector", False)
+
+
+def test_mirrored_or_exchanged_without_a_gyro(drive) -> None:
+    quiet = [{name: c for name, c in batch.items() if name != "Imu"} for batch in drive]
+    problems = harm(faults.faulty(quiet, faults.exchanged()))
+    assert problems["scan mirrored"].sure == 0.5
+    assert "odometry.exchanged=true" in problems["scan mirrored"].advice

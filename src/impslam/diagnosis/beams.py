@@ -20,6 +20,8 @@ PEAK = 5.0
 """Times as often as the most frequent value beside it: on surfaces, frequencies change gradually."""
 BESIDE = 20
 """Values on either side that it is compared with."""
+DEAD = 0.02
+"""Share of all beams, side by side, without a return in any scan."""
 BODY = 1.0
 """m: a robot's own body is nearer."""
 STEADY = (0.02, 0.01)
@@ -43,7 +45,7 @@ def beams(e: Evidence) -> list[Finding]:
     some = _some(e)
     if some is None:
         return []
-    return [*_no_return(e, some), *_body(e, some)]
+    return [*_no_return(e, some), *_body(e, some), *_dead(e, some)]
 
 
 def _some(e: Evidence) -> Beams | None:
@@ -91,6 +93,20 @@ def _body(e: Evidence, some: Beams) -> list[Finding]:
         return []
     meets, farthest = near[body], float(usual[body].max())
     return [_own_body(e, some, meets, farthest)]
+
+
+def _dead(e: Evidence, some: Beams) -> list[Finding]:
+    """Find sectors within the field of view in which no beam ever returns."""
+    seen = np.flatnonzero(some.valid.any(axis=0))
+    gaps = np.diff(seen) - 1
+    if not len(gaps) or gaps.max() < max(DEAD * len(some.angles), 2.0):
+        return []
+    k = int(np.argmax(gaps))
+    if not e.lidar.in_field(some.angles[seen[k] + 1 : seen[k + 1]]).any():
+        return []
+    first, last = np.degrees(some.angles[[seen[k] + 1, seen[k + 1] - 1]])
+    what = f"no beam between {first:.0f} and {last:.0f} deg ever returns: something covers the lidar there"
+    return [Finding("dead sector", what, harmful=False)]
 
 
 def _own_body(e: Evidence, some: Beams, meets: Ints, farthest: float) -> Finding:

@@ -15,7 +15,8 @@ from impslam.diagnosis.head import Head
 from impslam.diagnosis.mount import mount
 from impslam.diagnosis.odometry import odometry
 from impslam.diagnosis.presets import preset
-from impslam.diagnosis.stamps import stamps
+from impslam.diagnosis.scales import scales
+from impslam.diagnosis.stamps import overlap, stamps
 from impslam.diagnosis.wheels import wheels
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Source
@@ -26,7 +27,9 @@ SCANS = 4000
 FIRST_SCANS = 600
 """The same before a run: a minute or two, and tenths of a second."""
 
-CHECKS = (wheels, handedness, mount, odometry, stamps, beams)
+ROOTS = (overlap, wheels, preset)
+"""What these find makes others find much that follows from it."""
+CHECKS = (handedness, stamps, odometry, scales, mount, beams)
 
 
 def diagnose(
@@ -39,8 +42,9 @@ def diagnose(
     if not _has_lidar(config):
         return []
     known = evidence(config, record_batches(config, batches, defaults))
-    if other := list(preset(known)):
-        return other  # all else would follow from it
+    for check in ROOTS:
+        if roots := list(check(known)):
+            return roots
     found = [finding for check in CHECKS for finding in check(known)]
     return sorted(found, key=lambda finding: not finding.harmful)
 

@@ -13,15 +13,12 @@ from impslam.calibration.recording import Recording, lidar_of
 from impslam.columns import Columns
 from impslam.config import Config
 from impslam.diagnosis.agreement import FEWEST, Agreement, Axis, agreement, drive_axis
-from impslam.diagnosis.finding import is_off
-from impslam.diagnosis.lag import Lag, lag
+from impslam.diagnosis.timing import Timing, timing
 from impslam.diagnosis.travel import Laser, Odometer, laser, odometer, stretches
 from impslam.odometry.base import Odometry
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.types import Array, Ints
 
-LATE = 0.05
-"""s: drivers stamp a scan at its beginning, end or arrival; at 1 rad/s it turns a scan by 3 degrees."""
 HOLONOMIC = 0.1
 """Share of odometry's way that is sideways, from which on a robot is no wheeled one with an axle."""
 
@@ -35,8 +32,7 @@ class Evidence:
     config, name, lidar, odometry : the config, its first lidar with its name, its odometry
     recording : the rows of the log
     laser, odometer : motion by the lidar alone, with stamps as received, and by odometry alone
-    lag : how late scans are; None where it cannot be told
-    is_late : whether that is beyond what the config says
+    timing : when scans were taken
     times : (k, 2) s, begin and end of stretches on the odometry's clock, where both are known
     moved, gone : (k, 3) twists over the stretches of the laser, and of base_link by odometry
     axis : direction in which the robot drives, from the laser; None where it cannot be told
@@ -51,8 +47,7 @@ class Evidence:
     recording: Recording
     laser: Laser
     odometer: Odometer
-    lag: Lag | None
-    is_late: bool
+    timing: Timing
     times: Array
     moved: Array
     gone: Array
@@ -66,6 +61,16 @@ class Evidence:
         return f"sensors.{self.name}"
 
     @property
+    def matches_scans(self) -> bool:
+        """Whether a run follows the scans, and odometry is a guess only."""
+        return self.config.make_tracker().matches_scans
+
+    @property
+    def goes(self) -> bool:
+        """Whether odometry tells of any motion over the stretches."""
+        return bool((np.abs(self.gone[:, [0, 2]]) > 1e-6).any())
+
+    @property
     def is_mount_given(self) -> bool:
         """Whether the config, or the log for it, says where the laser is mounted."""
         return "mount" in self.config.sensors[self.name]
@@ -77,11 +82,9 @@ def evidence(config: Config, recording: Recording) -> Evidence:
     name, lidar = lidar_of(config)
     motion = laser(lidar_path(lidar, recording.scans))
     counter = odometer(robot.odometry, recording.odometry if robot.odometry.tells_motion else ())
-    late = lag(motion, counter) if len(counter.stamps) else None
-    is_late = late is not None and is_off(late.seconds - lidar.latency, late.sigma, LATE)
-    shift = late.seconds if late is not None and is_late else lidar.latency
-    begins, ends = _known(motion, counter, shift)
-    times = np.column_stack((motion.stamps[begins], motion.stamps[ends])) - shift
+    when = timing(motion, counter, lidar)
+    begins, ends = _known(motion, counter, when.stamps)
+    times = np.column_stack((when.stamps[begins], when.stamps[ends]))
     sums = np.cumsum(motion.twists, axis=0)
     moved = sums[ends] - sums[begins]
     gone = counter.until(times[:, 1]) - counter.until(times[:, 0]) if len(times) else moved
@@ -95,8 +98,8 @@ def evidence(config: Config, recording: Recording) -> Evidence:
             axle = driven(moved, axis.angle)
             agreed = agreement(axle, gone)
     return Evidence(
-        config, name, lidar, robot.odometry, recording, motion, counter, late, is_late, times,
-        moved, gone, axis, axle, agreed,
+        config, name, lidar, robot.odometry, recording, motion, counter, when, times, moved, gone,
+        axis, axle, agreed,
     )  # fmt: skip
 
 
@@ -111,11 +114,11 @@ def gone_by(odometry: Odometry, rows: Sequence[Columns], times: Array) -> Array:
     return counter.until(times[:, 1]) - counter.until(times[:, 0])
 
 
-def _known(motion: Laser, counter: Odometer, shift: float) -> tuple[Ints, Ints]:
+def _known(motion: Laser, counter: Odometer, stamps: Array) -> tuple[Ints, Ints]:
     begins, ends = stretches(motion)
     if not len(counter.stamps):
         return begins[:0], ends[:0]
-    whole = counter.is_whole(motion.stamps[begins] - shift, motion.stamps[ends] - shift)
+    whole = counter.is_whole(stamps[begins], stamps[ends])
     return begins[whole], ends[whole]
 
 

@@ -10,6 +10,7 @@ from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import Finding, certainty, is_off
 from impslam.diagnosis.handedness import handedness
 from impslam.diagnosis.robust import fit
+from impslam.diagnosis.scales import RANGES, scales
 from impslam.geometry.angles import wrap
 
 ASKEW = math.radians(2.0)
@@ -34,6 +35,8 @@ def mount(e: Evidence) -> list[Finding]:
 
 def _turned(e: Evidence, yaw: float, off: float, sigma: float) -> Finding:
     x, y, _ = e.lidar.mount
+    if not e.is_mount_given:
+        x = e.axis.ahead if e.axis is not None else x
     what = (
         f"the laser is turned by {math.degrees(yaw):.1f} ± {math.degrees(sigma):.1f} deg from the "
         f"direction in which the robot drives; its mount says {math.degrees(e.lidar.mount[2]):.1f} deg"
@@ -55,6 +58,8 @@ def _elsewhere(e: Evidence) -> list[Finding]:
     per turn as it lies ahead of it.
     """
     assert e.axis is not None
+    if any(finding.kind == RANGES for finding in scales(e)):
+        return []  # first the metres, then the places
     base = fit(e.gone[:, 2:], e.gone[:, 1])
     x, y, yaw = e.lidar.mount
     ahead = e.axis.ahead - float(base.p[0])

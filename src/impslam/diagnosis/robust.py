@@ -49,8 +49,11 @@ class Fit(NamedTuple):
         return bool(self.p[k] < -CLEAR * self.sigma[k])
 
 
-def fit(A: Array, y: Array, block: int = 1) -> Fit:
-    """Fit the parameters (n,) of m rows A (m, n) and y (m,), m > n; see `sandwich` for `block`."""
+def fit(A: Array, y: Array, block: int = 1, least: float = 1e-9) -> Fit:
+    """Fit the parameters (n,) of m rows A (m, n) and y (m,), m > n; see `sandwich` for `block`.
+
+    `least` is the standard deviation of a row at least.
+    """
     weights: Array = np.ones(len(y))
     p: Array = np.zeros(A.shape[1])
     for k in range(ROUNDS):
@@ -58,7 +61,7 @@ def fit(A: Array, y: Array, block: int = 1) -> Fit:
         before = p
         p = np.asarray(np.linalg.lstsq(weighted.T @ A, weighted.T @ y, rcond=None)[0])
         residuals = y - A @ p
-        scale = spread(residuals)
+        scale = max(spread(residuals), least)
         if k < ROUNDS // 3:  # least absolute residuals first: the biweight needs a start near
             weights = 1.0 / np.maximum(np.abs(residuals), scale)
         else:

@@ -99,8 +99,9 @@ def laser(path: LidarPath) -> Laser:
     twists = np.zeros((len(path.poses), 3))
     twists[1:] = log(between(path.poses[:-1], path.poses[1:]))
     seconds = np.diff(path.middles, prepend=np.nan)
-    steady, told = (seconds > 0.0) & (seconds <= GAP), path.trusted & path.located
-    return Laser(path.middles, twists, steady & told & np.append(False, told[:-1]))
+    # Where stamps jitter, leaving out those that run back would keep the longer of the times between them.
+    near, told = np.abs(seconds) <= GAP, path.trusted & path.located
+    return Laser(path.middles, twists, near & told & np.append(False, told[:-1]))
 
 
 def stretches(motion: Laser) -> tuple[Ints, Ints]:

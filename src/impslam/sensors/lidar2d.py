@@ -117,7 +117,7 @@ class Lidar2D(Sensor):
         parts = place(
             plain(columns["ranges"]),
             beams,
-            self._in_field(angles),
+            self.in_field(angles),
             twists if self.deskew else np.zeros_like(twists),
             np.array([*self.mount, -1.0 if self.upside_down else 1.0]),
             np.array([self.range_scale, self.range_offset, low, high]),
@@ -136,7 +136,7 @@ class Lidar2D(Sensor):
         high = float(np.fmin(self.range_max, columns["range_max"]))
         return (0.0 if math.isnan(low) else low), (math.inf if math.isnan(high) else high)
 
-    def _in_field(self, angles: Array) -> Mask:
+    def in_field(self, angles: Array) -> Mask:
         """Return (n,) which beams are within the limits of the angle."""
         # Beams of a full turn may be given as 0 to 2 pi: compare directions, not numbers.
         field = self.angle_max - self.angle_min

@@ -29,8 +29,12 @@ HALVED = 6
 """How often a step is halved that does not help; then it is left out."""
 ALIKE = 0.02
 """Standard deviations by which parameters change in the last round at most."""
-GATE = 25.0
-"""Chi-square of 4 degrees of freedom that one motion in 20,000 exceeds."""
+GATE = 13.3
+"""Chi-square of 4 degrees of freedom that one motion in 100 exceeds."""
+TAIL, NINTH = 0.9, 7.8
+"""A share of the motions, and the chi-square that it stays below."""
+HEAVY = 1.5
+"""Tails so much heavier than that are an accident of few motions; beyond, variances grow with them."""
 WHEELS = len(MATCHING)
 """Where the noise of wheels is among the variances."""
 MEDIAN = 3.36
@@ -43,9 +47,10 @@ class Solution(NamedTuple):
     Attributes
     ----------
     parameters : (n,) as `residuals` takes them
-    covariance : (n, n); 0 for those that are not free
+    covariance : (n, n); 0 for those that are not free. Larger where many motions do not fit
     noise : of the motions that fit, as in `noise.names`; the covariance rests on it
-    slip : of odometry alone, over all motions: wheels that stick count here
+    slip : of odometry over all motions, wheels that stick and stamps that jitter included: what it
+        strays by to a filter that knows no more than the scans' noise
     kept : by drive, (k,) the motions that fit
     chi2 : by drive, (k,) of 4 degrees of freedom each
     """
@@ -100,9 +105,10 @@ def solve(drives: Sequence[Drive], start: Array, free: Mask, prior: Prior) -> So
         if k > 1 and not changed.any():
             break
     m = len(MATCHING)
-    matched = C + np.tensordot(variances[:m], B[:m], axes=1)
-    slip = fitted(now.e, matched, B[m:], np.maximum(variances[m:], TYPICAL[m:] ** 2))
+    slip = fitted(now.e, C, B[m:], np.maximum(variances[m:], TYPICAL[m:] ** 2))
     ends = np.cumsum([len(drive.motions.begins) for drive in drives])[:-1]
+    heavy = float(np.quantile(now.chi2, TAIL)) / NINTH
+    covariance = covariance * max(1.0, heavy / HEAVY)
     return Solution(
         parameters, covariance, noise, slip, np.split(near, ends), np.split(now.chi2, ends)
     )

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from impslam.calibration.residuals import Drive
     from impslam.config import Config
 
+SLIPS = 0.9
+"""Share of the motions that fit at least where wheels hardly slip."""
 ADVICE = {
     "x": "drive turns to both sides",
     "y": "drive turns to both sides",
@@ -114,6 +116,11 @@ def _show(found: Calibration) -> None:
     motions = sum(len(kept) for kept in found.solution.kept)
     fit = sum(int(kept.sum()) for kept in found.solution.kept)
     console.say(f"{fit} of {motions} motions of the lidar fit")
+    if fit < SLIPS * motions:
+        console.say(
+            "the others do not: wheels slip, or stamps jitter; what you have measured is better kept, "
+            "e.g. --keep x --keep y --keep yaw --keep latency"
+        )
     header = ("parameter", "unit", "told", "config", "found", "std")
     console.show_table(header, list(_rows(found)), numbers=3)
     noise = [(s.name, s.unit, *_rounded(s.sigma, s.value, s.sigma)) for s in found.spreads]

@@ -43,9 +43,9 @@ def test_scans_of_different_places_do_not_match():
 def test_jacobian_by_the_pose():
     """A point falls up to 2 cm beside its partner, so half of b's normals turning moves it by 1 cm."""
     a, b, at = seen(np.zeros(3)), seen(MOTION), MOTION + np.array([0.002, -0.003, 0.001])
-    tree = cKDTree(a.smooth)
-    e, J, off = _misfit(a, b, tree, at, 0.05, NOISE)
-    found = jacobian(lambda pose: _misfit(a, b, tree, pose, 0.05, NOISE)[2], at, 1e-7)
+    trees = cKDTree(a.smooth), cKDTree(b.smooth)
+    e, J, off = _misfit(a, b, trees, at, 0.05, NOISE)
+    found = jacobian(lambda pose: _misfit(a, b, trees, pose, 0.05, NOISE)[2], at, 1e-7)
     error = np.abs(J[:, :3] * (off / e)[:, None] - found)
     assert np.quantile(error, 0.98) < 0.012
 
@@ -55,8 +55,9 @@ def test_jacobian_by_an_offset_of_all_ranges():
     at, offset = MOTION + np.array([0.002, -0.003, 0.001]), 2e-4  # points are float32
     a, b = seen(np.zeros(3)), seen(MOTION)
     long_a, long_b = seen(np.zeros(3), offset=offset), seen(MOTION, offset=offset)
-    e, J, off = _misfit(a, b, cKDTree(a.smooth), at, 0.05, NOISE)
-    moved = _misfit(long_a, long_b, cKDTree(long_a.smooth), at, 0.05, NOISE)[2]
+    e, J, off = _misfit(a, b, (cKDTree(a.smooth), cKDTree(b.smooth)), at, 0.05, NOISE)
+    trees = cKDTree(long_a.smooth), cKDTree(long_b.smooth)
+    moved = _misfit(long_a, long_b, trees, at, 0.05, NOISE)[2]
     assert len(moved) == len(off)
     error = np.abs(J[:, 3] * (off / e) - (moved - off) / offset)
     assert np.quantile(np.abs(J[:, 3] * (off / e)), 0.9) > 0.05

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from impslam.config import load
+from impslam.simulation.robot import SimulatedRobot, WheelEncoders
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.sources.recording import McapWriter
@@ -59,3 +60,24 @@ def test_refusals(imp, eight, words, expected):
     assert said.code == 2
     assert expected in said.err
     assert len(said.err.splitlines()) == 1
+
+
+def drive(world, path, waypoints, seed=0):
+    """Write the log of a robot with unequal wheels on its way in a world."""
+    encoders = WheelEncoders.perfect(radius_sigma=0.01, track_sigma=0.02)
+    world = load_world(world)
+    plan = world.robot.model_copy(update={"waypoints": waypoints, "lookahead": 0.1})
+    robot = SimulatedRobot(encoders=encoders, imu=None)
+    with McapWriter(path, "imp") as writer:
+        for message in simulate(world.model_copy(update={"robot": plan}), robot, seed):
+            writer.write(message)
+    return path
+
+
+def test_squares(imp, tmp_path):
+    """Wheels by UMBmark: as unequal as the robot's seed has them."""
+    left = ((0.0, 1.0), (-1.0, 1.0), (-1.0, 0.0), (0.0, 0.0), (0.0, 0.05))
+    logs = [drive("arena", tmp_path / "left.mcap", left)]
+    said = imp("calibrate", *logs, "--square", "1")
+    assert said.code == 2
+    assert "1 squares turn left and 0 right" in said.err

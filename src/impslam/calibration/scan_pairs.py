@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -151,13 +151,14 @@ def _features(
 ) -> list[Surface]:
     """Return the surfaces of sweeps, in the lidar's frame in the middle of each."""
     return [
-        _of_sweep(some, k)
+        surface_of(some, k)
         for some in deskewed(lidar, scans, path, rows)
         for k in range(len(some.stamps))
     ]
 
 
-def _of_sweep(scans: Scans, k: int) -> Surface:
+def surface_of(scans: Scans, k: int) -> Surface:
+    """Return what sweep k shows, in the frame of the scans."""
     out = np.empty((len(scans.angles), 5), np.float32)
     spacing = beam_spacing(scans.angles)
     count = find_features(
@@ -189,9 +190,9 @@ def align(a: Surface, b: Surface, guess: Array, noise: tuple[float, float]) -> A
     fewest = min(len(a.points), len(b.points))
     if fewest < FEWEST:
         return None
-    tree, pose, scale = cKDTree(a.smooth), np.array(guess), 1.0
+    trees, pose, scale = (cKDTree(a.smooth), cKDTree(b.smooth)), np.array(guess), 1.0
     for k in range(ROUNDS):
-        e, J, _ = _misfit(a, b, tree, pose, max(REACH * 0.5**k, NEAR), noise)
+        e, J, _ = _misfit(a, b, trees, pose, max(REACH * 0.5**k, NEAR), noise)
         if len(e) < FEWEST:
             return None
         scale = CLOSE * 1.4826 * float(np.median(np.abs(e)))
@@ -200,19 +201,24 @@ def align(a: Surface, b: Surface, guess: Array, noise: tuple[float, float]) -> A
         pose += step
         if np.abs(step).max() < SETTLED:
             break
-    e, J, off = _misfit(a, b, tree, pose, NEAR, noise)
+    e, J, off = _misfit(a, b, trees, pose, NEAR, noise)
     near = np.abs(e) < scale
-    count = int(near.sum())
+    count = 0.5 * float(near.sum())  # each point is in two pairs, on average
     if count < FEWEST or count < SHARE * fewest:
         return None
-    chi2 = max(float(e[near] @ e[near]) / (count - 3), LEAST)
-    H = J[near].T @ J[near]
-    joint = np.append(pose, 0.0) - np.linalg.pinv(H, 1e-9, hermitian=True) @ (J[near].T @ e[near])
+    chi2 = max(0.5 * float(e[near] @ e[near]) / (count - 3.0), LEAST)
+    H = 0.5 * J[near].T @ J[near]
+    joint = np.append(pose, 0.0) - np.linalg.pinv(H, 1e-9, hermitian=True) @ (
+        0.5 * J[near].T @ e[near]
+    )
     return Alignment(pose, joint, H / chi2, float(off[near].std()), count / fewest)
 
 
+Trees: TypeAlias = tuple[cKDTree, cKDTree]
+
+
 def _misfit(
-    a: Surface, b: Surface, tree: cKDTree, pose: Array, reach: float, noise: tuple[float, float]
+    a: Surface, b: Surface, trees: Trees, pose: Array, reach: float, noise: tuple[float, float]
 ) -> tuple[Array, Array, Array]:
     """Return (k,) how far points of b are off the lines of a, in standard deviations, and in m.
 
@@ -220,12 +226,11 @@ def _misfit(
     all ranges.
     """
     turn = rotation(float(pose[2])).T  # of rows
-    apart, j = tree.query(b.smooth @ turn + pose[:2], distance_upper_bound=reach)
-    met = np.flatnonzero(np.isfinite(apart))
-    m = b.normals[met] @ turn
-    facing = _dot(m, a.normals[j[met]]) > FACING
-    met, m = met[facing], m[facing]
-    r, p, n = b.points[met] @ turn, a.points[j[met]], m + a.normals[j[met]]
+    i, j = _paired(a, b, trees, pose, reach)
+    m = b.normals[i] @ turn
+    facing = _dot(m, a.normals[j]) > FACING
+    i, j, m = i[facing], j[facing], m[facing]
+    r, p, n = b.points[i] @ turn, a.points[j], m + a.normals[j]
     n /= np.hypot(n[:, 0], n[:, 1])[:, None]
     far_b, far_a = np.hypot(r[:, 0], r[:, 1]), np.hypot(p[:, 0], p[:, 1])
     along_b, along_a = _dot(n, r) / far_b, _dot(n, p) / far_a
@@ -234,6 +239,19 @@ def _misfit(
     off = _dot(n, r + pose[:2] - p)
     J = np.column_stack((n, n[:, 1] * r[:, 0] - n[:, 0] * r[:, 1], along_b - along_a))
     return off / sigma, J / sigma[:, None], off
+
+
+def _paired(a: Surface, b: Surface, trees: Trees, pose: Array, reach: float) -> tuple[Ints, Ints]:
+    """Return the rows (k,) of b and of a that are paired: the nearest one of each point, both ways.
+
+    Points lie denser nearby, so that the nearest one is more often a near one that was measured too
+    long; one way alone, ranges seem to be off by some sigma^2 / r.
+    """
+    turn, of_a, of_b = rotation(float(pose[2])), np.arange(len(a.smooth)), np.arange(len(b.smooth))
+    to_a, j = trees[0].query(b.smooth @ turn.T + pose[:2], distance_upper_bound=reach)
+    to_b, i = trees[1].query((a.smooth - pose[:2]) @ turn, distance_upper_bound=reach)
+    there, back = np.isfinite(to_a), np.isfinite(to_b)
+    return np.concatenate((of_b[there], i[back])), np.concatenate((j[there], of_a[back]))
 
 
 def _dot(one: Array, two: Array) -> Array:

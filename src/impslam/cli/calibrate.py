@@ -5,7 +5,7 @@ from __future__ import annotations
 import json as json_text
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from cyclopts import Parameter
 
@@ -13,6 +13,9 @@ from impslam.cli import console
 from impslam.cli.console import Base, Columns, Common, Output, Settings, Topics
 from impslam.cli.progress import display
 from impslam.errors import ConfigError
+
+Written: TypeAlias = "tuple[Config, dict[str, Any], list[str]]"
+"""The config that a calibration began with, what is laid over it, and lines that say how sure it is."""
 
 if TYPE_CHECKING:
     from impslam.calibration.calibrate import Calibration
@@ -41,6 +44,7 @@ def calibrate(  # noqa: PLR0913  # each is an option that a user may give
     topics: Topics = (),
     columns: Columns = (),
     keep: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
+    square: float | None = None,
     output: Output = None,
     json: Path | None = None,
     common: Common | None = None,
@@ -57,12 +61,14 @@ def calibrate(  # noqa: PLR0913  # each is an option that a user may give
     keep
         A parameter that stays as it is: --keep wheel_radius. The scale of the ranges is found if a
         length of the robot is kept.
+    square
+        UMBmark: each log is a square with sides of so many m that ends where it began, some to the
+        left and some to the right. Only wheels and track are found.
     output
         Write the config to run with (TOML), and the picture of before and after (PNG) beside it.
     json
         Write all numbers: a JSON file.
     """
-    from impslam.calibration.calibrate import calibrate as solve
     from impslam.cli.job import column_settings, topic_settings
 
     if not logs:
@@ -71,16 +77,45 @@ def calibrate(  # noqa: PLR0913  # each is an option that a user may give
         raise ConfigError(f"{output}: is written as TOML; give -o NAME.toml")
     every = [*settings, *topic_settings(topics), *column_settings(columns)]
     quiet = common is not None and common.quiet
-    chosen, drives = _read(logs, config, every, quiet)
+    if square is not None:
+        from impslam.cli.umbmark import show_squares
+
+        above = show_squares(logs, config, every, square, quiet)
+    else:
+        above = _solved(logs, config, every, keep, output, json, quiet)
+    if output is not None:
+        _write(above, logs, config, settings, output)
+        if not quiet:
+            console.say(str(output))
+
+
+def _solved(  # see `calibrate`
+    logs: Sequence[Path],
+    config: str | None,
+    settings: Sequence[str],
+    keep: Sequence[str],
+    output: Path | None,
+    json: Path | None,
+    quiet: bool,
+) -> Written:
+    """Calibrate by all motions; show it, draw it, and return what is to be written."""
+    from impslam.calibration.calibrate import calibrate as solve
+    from impslam.calibration.calibrate import table
+
+    chosen, drives = _read(logs, config, settings, quiet)
     found = solve(chosen, drives, keep)
     if not quiet:
-        _show(found)
-    if output is not None:
-        _write(found, chosen, output, _base(logs[0], config), settings, logs)
-        if not quiet:
-            console.say(f"{output}, {output.with_suffix('.png')}")
+        _show(found, keep)
     if json is not None:
         json.write_text(json_text.dumps(_numbers(found), indent=1) + "\n", "utf-8")
+    if output is not None:
+        from impslam.calibration.picture import write_picture
+
+        output.parent.mkdir(parents=True, exist_ok=True)
+        names = ", ".join(log.name for log in logs)
+        write_picture(found, output.with_suffix(".png"), f"Calibration from {names}")
+    told = [f"{one.name}: +- {one.sigma:.2g} {one.unit}" for one in found.parameters if one.told]
+    return chosen, table(found), told
 
 
 def _read(
@@ -111,7 +146,7 @@ def _read(
     return configs[0], drives
 
 
-def _show(found: Calibration) -> None:
+def _show(found: Calibration, keep: Sequence[str]) -> None:
     """Print parameters and noise."""
     motions = sum(len(kept) for kept in found.solution.kept)
     fit = sum(int(kept.sum()) for kept in found.solution.kept)
@@ -122,7 +157,7 @@ def _show(found: Calibration) -> None:
             "e.g. --keep x --keep y --keep yaw --keep latency"
         )
     header = ("parameter", "unit", "told", "config", "found", "std")
-    console.show_table(header, list(_rows(found)), numbers=3)
+    console.show_table(header, list(_rows(found, keep)), numbers=3)
     noise = [(s.name, s.unit, *_rounded(s.sigma, s.value, s.sigma)) for s in found.spreads]
     console.show_table(("random error", "unit", "found", "std"), noise, numbers=2)
     for gyro in {drive.gyro for drive in found.drives if drive.gyro is not None}:
@@ -131,13 +166,13 @@ def _show(found: Calibration) -> None:
         console.say(f"gyro: bias {bias} rad/s, true over measured rate {scale}")
 
 
-def _rows(found: Calibration) -> Iterator[tuple[str, ...]]:
+def _rows(found: Calibration, keep: Sequence[str]) -> Iterator[tuple[str, ...]]:
     for one in found.parameters:
         if one.told:
             yield one.name, one.unit, "yes", *_rounded(one.sigma, one.before, one.value, one.sigma)
         else:
-            why = ADVICE.get(one.name, "drive more")
-            yield one.name, one.unit, f"no: {why}", f"{one.before:g}", "", ""
+            why = "kept" if one.name in keep else f"no: {ADVICE.get(one.name, 'drive more')}"
+            yield one.name, one.unit, why, f"{one.before:g}", "", ""
 
 
 def _rounded(sigma: float, *values: float) -> tuple[str, ...]:
@@ -159,35 +194,25 @@ def _base(log: Path, config: str | None) -> str | None:
         return source.preset if source.preset in presets() else None
 
 
-def _write(  # all that the file rests on
-    found: Calibration,
-    config: Config,
-    output: Path,
-    base: str | None,
-    settings: Sequence[str],
-    logs: Sequence[Path],
+def _write(
+    above: Written, logs: Sequence[Path], base: str | None, settings: Sequence[str], output: Path
 ) -> None:
-    """Write the config and the picture."""
+    """Write the config, on top of the one that it began with."""
     import tomli_w
 
-    from impslam.calibration.calibrate import table
-    from impslam.calibration.picture import write_picture
     from impslam.config import load, merge, parse_setting
 
-    above: dict[str, Any] = {} if base is None else {"base": base}
-    if base is None:
-        above = config.resolved()
+    config, found, told = above
+    name = _base(logs[0], base)
+    below: dict[str, Any] = config.resolved() if name is None else {"base": name}
     for setting in settings:
-        above = merge(above, parse_setting(setting))
-    above = merge(above, table(found))
+        below = merge(below, parse_setting(setting))
+    lines = "".join(f"# {line}\n" for line in told)
     names = ", ".join(log.name for log in logs)
-    lines = "".join(
-        f"# {one.name}: +- {one.sigma:.2g} {one.unit}\n" for one in found.parameters if one.told
-    )
     output.parent.mkdir(parents=True, exist_ok=True)
-    output.write_text(f"# Calibrated from {names}\n{lines}{tomli_w.dumps(above)}", "utf-8")
+    text = tomli_w.dumps(merge(below, found))
+    output.write_text(f"# Calibrated from {names}\n{lines}{text}", "utf-8")
     load(output)
-    write_picture(found, output.with_suffix(".png"), f"Calibration from {names}")
 
 
 def _numbers(found: Calibration) -> dict[str, Any]:

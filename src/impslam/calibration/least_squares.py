@@ -33,6 +33,8 @@ GATE = 13.3
 """Chi-square of 4 degrees of freedom that one motion in 100 exceeds."""
 TAIL, NINTH = 0.9, 7.8
 """A share of the motions, and the chi-square that it stays below."""
+SHAPES = 0.001
+"""m: what corners, edges and the width of beams leave in a range offset, in any drive; simulated."""
 HEAVY = 1.5
 """Tails so much heavier than that are an accident of few motions; beyond, variances grow with them."""
 WHEELS = len(MATCHING)
@@ -109,6 +111,8 @@ def solve(drives: Sequence[Drive], start: Array, free: Mask, prior: Prior) -> So
     ends = np.cumsum([len(drive.motions.begins) for drive in drives])[:-1]
     heavy = float(np.quantile(now.chi2, TAIL)) / NINTH
     covariance = covariance * max(1.0, heavy / HEAVY)
+    offset = len(start) - len(SENSOR) + SENSOR.index("range_offset")
+    covariance[offset, offset] += SHAPES**2 * free[offset]
     return Solution(
         parameters, covariance, noise, slip, np.split(near, ends), np.split(now.chi2, ends)
     )

@@ -30,6 +30,8 @@ on has failed. LOST: it may be anywhere; the map takes in nothing.
     SLIPPED,
     PUSHED,
     STALLED,
+    OPPOSED,
+    SKIPPED,
     INCONSISTENT,
     GROWN,
     DISPLACED,
@@ -37,9 +39,9 @@ on has failed. LOST: it may be anywhere; the map takes in nothing.
     ELSEWHERE,
     UNPLACED,
     NOT_FINITE,
-) = range(15)
-"""The reasons. `OPEN` and `GROWN` come with a way in m, `INCONSISTENT` with a ratio, `UNEXPLAINED` and
-`ELSEWHERE` with a share."""
+) = range(17)
+"""The reasons. `OPEN` and `GROWN` come with a way in m, `SKIPPED` with s, `INCONSISTENT` with a ratio,
+`UNEXPLAINED` and `ELSEWHERE` with a share."""
 _WORDS = (
     "",
     "nothing to see along the corridor for {0:.1f} m",
@@ -49,6 +51,8 @@ _WORDS = (
     "the scans show another motion than odometry; the pose follows the scans",
     "the robot moves, the wheels do not; the pose follows the scans",
     "the wheels turn, the robot does not; the pose follows the scans",
+    "odometry and scans turn opposite ways: wheels are swapped, or the lidar is mirrored",
+    "no data for {0:.0f} s, and the robot has moved; the position is uncertain",
     "landmarks are {0:.1f} times as far as expected from where they were; the position is uncertain",
     "nothing known was seen for {0:.1f} m; the position is uncertain",
     "most of what is seen fits no landmark from before; the position is uncertain",

@@ -11,6 +11,7 @@ from tests.tracking.sweeps import motions_of, sweeps_of
 from impslam.columns import Sweeps
 from impslam.component import components
 from impslam.geometry.se2 import between, compose, exp
+from impslam.health import NONE, SKIPPED
 from impslam.tracking.base import KeyframeGate
 from impslam.types import Increment
 
@@ -192,3 +193,17 @@ def test_odometry_is_handed_on_beside_the_motion(make):
             found.append(track.keyframe.odometry)
     np.testing.assert_allclose(found, reckoned, atol=1e-12)
     np.testing.assert_allclose(tracker.odometry, reckoned[-1], atol=1e-12)
+
+
+def test_a_way_without_data_is_told(make):
+    motions, sweeps = driven()
+    for seconds, way, reason in ((10.0, 1.0, SKIPPED), (10.0, 0.0, NONE), (1.0, 1.0, NONE)):
+        duration, d_pose = motions.duration.copy(), motions.d_pose.copy()
+        duration[20], d_pose[20] = seconds, [way, 0.0, 0.0]
+        changed = motions._replace(duration=duration, d_pose=d_pose)
+        found = {}
+        for track in make().follow(changed, sweeps):
+            found |= dict(zip(range(track.rows.start, track.rows.stop), track.reasons, strict=True))
+            if track.keyframe is not None:
+                found[track.keyframe.row] = track.keyframe.reason
+        assert (found[20] == SKIPPED) == (reason == SKIPPED)

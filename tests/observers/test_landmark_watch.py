@@ -17,7 +17,7 @@ def keyframes(watch, matched, seen=5, born=(), ratio=1.0, count=1, lost=False):
             SimpleNamespace(landmark=k, distance2=2.0 * ratio, innovation=np.zeros(2))
             for k in matched
         ]
-        keyframe = SimpleNamespace(observations=[None] * seen, lost=lost)
+        keyframe = SimpleNamespace(observations=[None] * seen, lost=lost, reason=NONE)
         out.append(watch.revise(keyframe, SimpleNamespace(matches=matches, born=born))[0])
     return out
 

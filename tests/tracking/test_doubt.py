@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from impslam.health import ELSEWHERE, NONE, OPEN, PUSHED, SLIPPED, STALLED, UNEXPLAINED
-from impslam.tracking.doubt import BARE, FITS, Fit, compare, judge, lasting, no_doubt
+from impslam.tracking.doubt import BARE, FITS, Fit, compare, judge, lasting, no_doubt, opposed
 
 USUAL = 0.85
 AHEAD, STILL = np.array([0.1, 0.0, 0.0]), np.zeros(3)
@@ -109,3 +109,18 @@ def test_a_scan_that_fits_somewhere_else_has_to_fit_better(off, said):
     assert judge(doubt, fit(0.1), USUAL, 0.2) == UNEXPLAINED
     assert judge(doubt, fit(0.8 * USUAL, off=away), USUAL, 0.2) == said
     assert judge(doubt, fit(0.95 * USUAL, off=away), USUAL, 0.2) == NONE
+
+
+@pytest.mark.parametrize(("sign", "found"), [(1.0, False), (-1.0, True)])
+def test_turns_of_opposite_signs_are_told_after_half_a_radian(sign, found):
+    turns, rng = np.zeros(2), np.random.default_rng(3)
+    said = [opposed(turns, 0.1, sign * 0.1 + 0.01 * rng.standard_normal()) for _ in range(30)]
+    assert not any(said[:4])
+    assert all(said[8:]) == any(said) == found
+
+
+def test_noise_of_a_straight_drive_and_a_late_lidar_turn_no_opposite_way():
+    turns, rng = np.zeros(2), np.random.default_rng(4)
+    assert not any(opposed(turns, *(0.02 * rng.standard_normal(2))) for _ in range(2000))
+    rate = 0.1 * np.sin(0.1 * np.arange(300))
+    assert not any(opposed(turns, *pair) for pair in zip(rate[3:], rate[:-3], strict=True))

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from impslam.health import DISPLACED, INCONSISTENT, NONE
+from impslam.health import DISPLACED, INCONSISTENT, NONE, SKIPPED
 from impslam.map import Keyframe, Revision
 
 MEMORY = 20.0
@@ -60,7 +60,7 @@ class LandmarkWatch:
 
     def _displace(self, keyframe: Keyframe, revision: Revision) -> None:
         found, seen = len(revision.matches), len(keyframe.observations)
-        if keyframe.lost and self._newest >= 0:
+        if (keyframe.lost or keyframe.reason == SKIPPED) and self._newest >= 0:
             self._before, self._again = self._newest, 0
         elif self._before is None:
             missing = found <= MISSING * self._matches and seen >= SEEN * self._seen

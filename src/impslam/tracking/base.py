@@ -19,7 +19,7 @@ from impslam.columns import Motions, Sweeps
 from impslam.component import Component, parameter
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
-from impslam.health import ELSEWHERE, REPEATED, SLIPPED, STALLED, Reasons
+from impslam.health import ELSEWHERE, OPPOSED, REPEATED, SKIPPED, SLIPPED, STALLED, Reasons
 from impslam.map import Keyframe, Track
 from impslam.parameters import Parameters
 from impslam.sources.base import Problems
@@ -34,6 +34,14 @@ _REPEATED = (
     "the scan at {:.3f} s is to the bit the one before, although odometry has moved; it is left out: "
     "the lidar, its driver or the network hangs"
 )
+_OPPOSED = (
+    "up to the scan at {:.3f} s odometry and scans turn opposite ways: check that the wheels are not "
+    "swapped, and sensors.*.upside_down"
+)
+_LONGEST = 3.0
+"""s between two sweeps, beyond which nobody knows by which way the robot has gone."""
+_WAY = (0.2, 0.2)
+"""m, rad: motion meanwhile that makes a difference."""
 
 
 class KeyframeGate(Parameters):
@@ -163,6 +171,8 @@ class Tracker(Component):
         sweeps, wrong = self._judged(motions, sweeps)
         steps = self.steps(motions, sweeps, Gate(self._limits, travelled))
         np.maximum(steps.reasons, wrong, out=steps.reasons)
+        _skip(motions, steps)
+        self._note("turns against scans", _OPPOSED, sweeps, steps.reasons == OPPOSED)
         against = (steps.reasons >= SLIPPED) & (steps.reasons <= STALLED)
         self._note("odometry against scans", _CONTRADICTED, sweeps, against)
         for name, others in self._travelled.items():  # each sensor looks at what others do not see
@@ -252,6 +262,14 @@ class Tracker(Component):
             reason=int(steps.reasons[row]),
             amount=float(steps.amounts[row]),
         )
+
+
+def _skip(motions: Motions, steps: Steps) -> None:
+    """Enter in the steps which motions have come about unseen."""
+    d_pose, seconds = motions.d_pose, motions.duration
+    moved = (np.hypot(d_pose[:, 0], d_pose[:, 1]) > _WAY[0]) | (np.abs(d_pose[:, 2]) > _WAY[1])
+    skipped = (seconds > _LONGEST) & moved & (steps.reasons < SKIPPED)
+    steps.reasons[skipped], steps.amounts[skipped] = SKIPPED, seconds[skipped]
 
 
 @kernel

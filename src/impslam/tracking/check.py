@@ -24,7 +24,8 @@ from impslam.geometry.algebra import between, solve, turned
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
-from impslam.health import NONE, PUSHED, SLIPPED, Reasons
+from impslam.health import NONE, OPPOSED, PUSHED, SLIPPED, Reasons
+from impslam.tracking.doubt import opposed
 from impslam.tracking.local_map import LocalMap, empty_map
 from impslam.tracking.matching import UNSOLVED, Settings, match
 from impslam.tracking.surfels import Surfels, thin
@@ -110,12 +111,14 @@ class Pending(NamedTuple):
     pose, covariance : (3,), (3, 3)
     clock : (2,) s, how long it took, and the newest stamp
     doubt : (1,) whether that scan contradicted odometry
+    turns : (2,) see `doubt.opposed`
     """
 
     pose: Array
     covariance: Array
     clock: Array
     doubt: Mask
+    turns: Array
 
 
 class OdometryCheck:
@@ -130,7 +133,9 @@ class OdometryCheck:
         matched, odometry, used = (np.zeros((MOST, 3)) for _ in range(3))
         spread, ring = np.zeros((MOST, 3, 3)), np.zeros(2, np.int64)
         self._places = Places(np.zeros(MOST), matched, odometry, used, spread, ring)
-        self._pending = Pending(np.zeros(3), np.zeros((3, 3)), np.zeros(2), np.zeros(1, np.bool_))
+        self._pending = Pending(
+            np.zeros(3), np.zeros((3, 3)), np.zeros(2), np.zeros(1, np.bool_), np.zeros(2)
+        )
         self._known = empty_map()
 
     def check(self, motions: Motions, surfels: Surfels | None) -> Checked:
@@ -174,6 +179,8 @@ def _check(
             out[k] = _contradicted(before, motion, wide, places, pending)
             if out[k] != NONE:
                 _instead(d_pose[k], covariance[k], before, motion, wide, places)
+            if opposed(pending.turns, pending.pose[2], motion[2]):
+                out[k] = OPPOSED
             advance_pose(places.used[(places.ring[1] - 1) % MOST], d_pose[k])
         pending.doubt[0] = out[k] != NONE
         pending.pose[:], pending.covariance[:], pending.clock[0] = 0.0, 0.0, 0.0

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.geometry.kernels import kernel
-from impslam.health import ELSEWHERE, NONE, OPEN, PUSHED, SLIPPED, STALLED, UNEXPLAINED
+from impslam.health import ELSEWHERE, NONE, OPEN, OPPOSED, PUSHED, SLIPPED, STALLED, UNEXPLAINED
 from impslam.types import Array
 
 FITS = 0.55
@@ -44,6 +44,10 @@ LACKS = 0.3
 """Share of the motion that one tells below which the other one stands."""
 LEAST = 0.15, 0.25
 """m, rad: motion that is told within those seconds at least; matches are off by less."""
+TURNING = 3.0
+"""rad of turning that are remembered, to tell whether odometry and scans turn alike."""
+TURNED = 0.05
+"""rad^2, the products of both turns that have to add up at least: 0.5 rad in steps of 0.1."""
 BARE = 1.0
 """m of way along a bare corridor that are told of: shorter, odometry is off by no more than a match."""
 
@@ -57,6 +61,7 @@ class Doubt(NamedTuple):
     shares : (2,) mean of the inlier share of many scans, and its variance
     told, shown : (2,) m and rad that odometry told and that the scans showed within `SECONDS`
     bare : (1,) m of way since a scan told where the robot is
+    turns : (2,) sums of the products of told and shown turns, and of their amounts, rad^2
     newest : (2,) reason and way of the newest match that was compared
     """
 
@@ -65,6 +70,7 @@ class Doubt(NamedTuple):
     told: Array
     shown: Array
     bare: Array
+    turns: Array
     newest: Array
 
 
@@ -91,6 +97,7 @@ def no_doubt() -> Doubt:
         np.zeros(2),
         np.zeros(2),
         np.zeros(1),
+        np.zeros(2),
         np.zeros(2),
     )
 
@@ -135,7 +142,22 @@ def compare(
         sums[1] = keep * sums[1] + abs(motion[2])
     doubt.bare[0] = 0.0 if located else doubt.bare[0] + math.hypot(shown[0], shown[1])
     doubt.newest[0], doubt.newest[1] = _difference(doubt, located, far)
+    if opposed(doubt.turns, told[2], shown[2]):
+        doubt.newest[0], doubt.newest[1] = float(OPPOSED), 0.0
     return lasting(doubt, 0.0)
+
+
+@kernel
+def opposed(turns: Array, told: float, shown: float) -> bool:
+    """Take in a turn as odometry tells it and as scans show it; tell whether they have opposite signs.
+
+    They have where the products of both add up to less than minus half of their amounts: noise gives
+    sums of any sign, but small ones.
+    """
+    keep = math.exp(-0.5 * (abs(told) + abs(shown)) / TURNING)
+    turns[0] = keep * turns[0] + told * shown
+    turns[1] = keep * turns[1] + abs(told * shown)
+    return bool(turns[1] > TURNED and turns[0] < -0.5 * turns[1])
 
 
 @kernel

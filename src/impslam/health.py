@@ -25,6 +25,7 @@ on has failed. LOST: it may be anywhere; the map takes in nothing.
     NONE,
     OPEN,
     BLIND,
+    COVERED,
     DISORDERED,
     REPEATED,
     SLIPPED,
@@ -39,13 +40,14 @@ on has failed. LOST: it may be anywhere; the map takes in nothing.
     ELSEWHERE,
     UNPLACED,
     NOT_FINITE,
-) = range(17)
+) = range(18)
 """The reasons. `OPEN` and `GROWN` come with a way in m, `SKIPPED` with s, `INCONSISTENT` with a ratio,
-`UNEXPLAINED` and `ELSEWHERE` with a share."""
+`COVERED`, `UNEXPLAINED` and `ELSEWHERE` with a share."""
 _WORDS = (
     "",
     "nothing to see along the corridor for {0:.1f} m",
     "the lidar sees nothing; the pose is dead-reckoned",
+    "{1:.0f} % of the beams show what moves along with the robot; they are left out",
     "stamps of scans run back and forth: which motion belongs to a scan is uncertain",
     "the lidar repeats one scan while odometry moves; the pose is dead-reckoned",
     "the scans show another motion than odometry; the pose follows the scans",

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -19,29 +18,21 @@ from impslam.columns import Motions, Sweeps
 from impslam.component import Component, parameter
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
-from impslam.health import ELSEWHERE, OPPOSED, REPEATED, SKIPPED, SLIPPED, STALLED, Reasons
+from impslam.health import ELSEWHERE, OPPOSED, SLIPPED, STALLED, Reasons
 from impslam.map import Keyframe, Track
 from impslam.parameters import Parameters
 from impslam.sources.base import Problems
-from impslam.tracking.scan_rows import Rows, first_row, judge_rows
+from impslam.tracking.screening import Screening
 from impslam.types import Array, Increment, Mask
 
 _CONTRADICTED = (
     "the scan at {:.3f} s shows another motion than odometry; the pose follows the scans: check "
     "encoders and wheels, or the parameters of odometry"
 )
-_REPEATED = (
-    "the scan at {:.3f} s is to the bit the one before, although odometry has moved; it is left out: "
-    "the lidar, its driver or the network hangs"
-)
 _OPPOSED = (
     "up to the scan at {:.3f} s odometry and scans turn opposite ways: check that the wheels are not "
     "swapped, and sensors.*.upside_down"
 )
-_LONGEST = 3.0
-"""s between two sweeps, beyond which nobody knows by which way the robot has gone."""
-_WAY = (0.2, 0.2)
-"""m, rad: motion meanwhile that makes a difference."""
 
 
 class KeyframeGate(Parameters):
@@ -126,7 +117,7 @@ class Tracker(Component):
     _reference: tuple[Array, Array] = PrivateAttr()
     _odometry: Array = PrivateAttr()
     _travelled: dict[str, Array] = PrivateAttr(default_factory=dict)
-    _rows: dict[str, Rows] = PrivateAttr(default_factory=dict)
+    _screening: Screening = PrivateAttr(default_factory=Screening)
     _duration: float = PrivateAttr(0.0)
     _keyframes: int = PrivateAttr(0)
     _problems: Problems = PrivateAttr(default_factory=Problems)
@@ -168,10 +159,10 @@ class Tracker(Component):
         `motions` are by odometry, from the middle of the sweep before to that of each.
         """
         travelled = self._travelled.setdefault(sweeps.sensor, np.full(3, math.inf))
-        sweeps, wrong = self._judged(motions, sweeps)
+        sweeps, wrong, amounts = self._screening.screen(motions, sweeps, self._problems)
         steps = self.steps(motions, sweeps, Gate(self._limits, travelled))
-        np.maximum(steps.reasons, wrong, out=steps.reasons)
-        _skip(motions, steps)
+        worse = wrong > steps.reasons
+        steps.reasons[worse], steps.amounts[worse] = wrong[worse], amounts[worse]
         self._note("turns against scans", _OPPOSED, sweeps, steps.reasons == OPPOSED)
         against = (steps.reasons >= SLIPPED) & (steps.reasons <= STALLED)
         self._note("odometry against scans", _CONTRADICTED, sweeps, against)
@@ -187,21 +178,6 @@ class Tracker(Component):
             begin = end + 1
         if begin < len(sweeps):
             yield self._track(tracked, slice(begin, len(sweeps)), ends=False)
-
-    def _judged(self, motions: Motions, sweeps: Sweeps) -> tuple[Sweeps, Reasons]:
-        """Return sweeps without the beams of scans that are repeated, and what is wrong with each."""
-        scans, known = sweeps.scans, self._rows.get(sweeps.sensor)
-        if scans is None:
-            return sweeps, np.zeros(len(sweeps), np.int8)
-        if known is None or len(known.ranges) != len(scans.angles):
-            known = self._rows[sweeps.sensor] = first_row(len(scans.angles))
-        wrong = judge_rows(sweeps.columns.stamps, scans.ranges, motions.d_pose, known)
-        repeated = wrong == REPEATED
-        if repeated.any():
-            self._note("repeated scan", _REPEATED, sweeps, repeated)
-            scans = replace(scans, valid=scans.valid & ~repeated[:, None])
-            sweeps = replace(sweeps, scans=scans)
-        return sweeps, wrong
 
     def _note(self, kind: str, words: str, sweeps: Sweeps, which: Mask) -> None:
         """Enter sweeps (m,) in the problems."""
@@ -262,14 +238,6 @@ class Tracker(Component):
             reason=int(steps.reasons[row]),
             amount=float(steps.amounts[row]),
         )
-
-
-def _skip(motions: Motions, steps: Steps) -> None:
-    """Enter in the steps which motions have come about unseen."""
-    d_pose, seconds = motions.d_pose, motions.duration
-    moved = (np.hypot(d_pose[:, 0], d_pose[:, 1]) > _WAY[0]) | (np.abs(d_pose[:, 2]) > _WAY[1])
-    skipped = (seconds > _LONGEST) & moved & (steps.reasons < SKIPPED)
-    steps.reasons[skipped], steps.amounts[skipped] = SKIPPED, seconds[skipped]
 
 
 @kernel

@@ -1,0 +1,79 @@
+"""Beams that end on the robot's own body, a cable or a cover are left out; walls and people are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.extractors.scans import cast, room
+from tests.tracking.sweeps import scans_of
+
+from impslam.geometry.se2 import compose, exp
+from impslam.tracking.covered import hidden_beams, no_cover
+
+ROOM = room(-3.0, 6.0, -2.0, 2.5)
+ANGLES = np.linspace(-2.0, 2.0, 240)
+STEP = exp(np.array([0.04, 0.0, 0.03]))
+SECTOR = slice(80, 160)
+
+
+def driven(step=STEP, scans=60, lines=ROOM):
+    pose, out = np.zeros(3), []
+    for _ in range(scans):
+        out.append(cast(lines, pose=pose, angles=ANGLES, sigma=0.005).scan)
+        pose = compose(pose, step)
+    return scans_of(out)
+
+
+def covered(scans, distance=0.3, begin=20):
+    ranges, points = scans.ranges.copy(), scans.points.copy()
+    noise = 0.01 * np.random.default_rng(1).standard_normal((len(ranges) - begin, 80))
+    ranges[begin:, SECTOR] = distance + noise
+    along = np.stack((np.cos(scans.angles), np.sin(scans.angles)), axis=-1)[SECTOR]
+    points[begin:, SECTOR] = ranges[begin:, SECTOR, None] * along
+    return ranges, points
+
+
+def hidden(scans, told, cut=1000):
+    cover, out = no_cover(len(ANGLES)), []
+    ranges, points = told
+    scans = replace(scans, ranges=ranges, points=points)
+    for k in range(0, len(ranges), cut):
+        part = slice(k, k + cut)
+        steps = np.tile(STEP, (len(ranges[part]), 1))
+        out.append(hidden_beams(steps, scans.take(part), cover))
+    return np.concatenate(out)
+
+
+@pytest.mark.parametrize("cut", [1, 7, 1000])
+def test_a_cover_is_left_out_after_less_than_a_metre_and_nothing_else(cut):
+    scans = driven()
+    out = hidden(scans, covered(scans), cut)
+    assert not out[:25].any()
+    assert out[45:, SECTOR].mean() > 0.9
+    rest = np.delete(out, np.arange(len(ANGLES))[SECTOR], axis=1)
+    assert rest.mean() < 0.01
+
+
+def test_a_cover_that_is_taken_away_is_forgotten():
+    scans = driven()
+    ranges, points = covered(scans)
+    ranges[50:], points[50:] = scans.ranges[50:], scans.points[50:]
+    out = hidden(scans, (ranges, points))
+    assert out[49, SECTOR].any()
+    assert not out[57:].any()
+
+
+def test_a_clean_drive_hides_nothing():
+    scans = driven(scans=150)
+    assert not hidden(scans, (scans.ranges, scans.points)).any()
+
+
+def test_a_wall_close_by_that_is_followed_is_no_cover():
+    lines = np.array([[[-5.0, 0.4], [20.0, 0.4]], [[20.0, -1.5], [-5.0, -1.5]]])
+    scans = driven(np.array([0.04, 0.0, 0.0]), lines=lines)
+    assert not hidden(scans, (scans.ranges, scans.points)).any()
+
+
+def test_a_robot_that_stands_while_its_wheels_turn_has_no_cover():
+    scans = driven(np.zeros(3))
+    assert not hidden(scans, (scans.ranges, scans.points)).any()

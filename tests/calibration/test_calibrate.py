@@ -83,10 +83,13 @@ def test_a_length_that_is_kept_tells_the_scale_of_the_ranges(eight):
 def test_several_logs_are_one(eight):
     drives = drives_of(WRONG, eight, "log")
     one, two = calibrate(WRONG, drives), calibrate(WRONG, [*drives, *drives])
-    ratio = [
-        a.sigma / b.sigma for a, b in zip(one.parameters, two.parameters, strict=True) if a.told
-    ]
-    np.testing.assert_allclose(ratio, np.sqrt(2.0), rtol=0.15)
+    ratio = {
+        a.name: a.sigma / b.sigma
+        for a, b in zip(one.parameters, two.parameters, strict=True)
+        if a.told
+    }
+    assert ratio.pop("range_offset") < 1.2  # it errs alike in all drives
+    np.testing.assert_allclose(list(ratio.values()), np.sqrt(2.0), rtol=0.15)
 
 
 def test_straight_on_tells_no_track():

@@ -33,7 +33,7 @@ GATE = 13.3
 """Chi-square of 4 degrees of freedom that one motion in 100 exceeds."""
 TAIL, NINTH = 0.9, 7.8
 """A share of the motions, and the chi-square that it stays below."""
-SHAPES = 0.001
+SHAPES = 0.0015
 """m: what corners, edges and the width of beams leave in a range offset, in any drive; simulated."""
 HEAVY = 1.5
 """Tails so much heavier than that are an accident of few motions; beyond, variances grow with them."""

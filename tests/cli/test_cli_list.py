@@ -29,6 +29,12 @@ def test_one_role(imp, role) -> None:
     assert imp("list", role).out.splitlines()[0].startswith(role.rstrip("s"))
 
 
+def test_presets_are_told_in_whole_sentences(imp) -> None:
+    text = " ".join(imp("list", "presets").out.split())
+    assert "a SICK LMS that tells how bright echoes are, speed and steering." in text
+    assert "among barcodes. thesis-both" in text
+
+
 def test_default_unit_and_sentence(imp) -> None:
     line = next(s for s in imp("list", "odometry").out.splitlines() if " track " in f"{s} ")
     field = components("odometry")["encoders"].model_fields["track"]

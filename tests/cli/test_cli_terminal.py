@@ -82,7 +82,7 @@ def test_a_run_s_bar_tells_how_far_it_has_come(room: Path, tmp_path: Path) -> No
     slow = ("--set", "keyframes.distance=0", "--set", "sensors.lidar.extractors.walls.kind=hough")
     code, said = in_terminal("run", room, "-o", tmp_path / "run", *slow)
     assert code == 0
-    assert re.search(r"mapping .*━", said), "it moves on from starting"
+    assert re.search(r"mapping, [\d,]+ scans/s .*━", said), "it moves on from starting"
 
 
 @pytest.mark.parametrize("words", [("list",), ("config", "imp"), ("evaluate", "{run}")])

@@ -15,6 +15,7 @@ from impslam.graph.g2o import read_g2o
 from impslam.map import Map
 from impslam.maps.files import FREE, OCCUPIED, read_landmarks, read_map
 from impslam.observers.recorder import Recorder
+from impslam.observers.run_folder import write_run
 from impslam.types import Edges, TrueLandmark
 
 PROMISED = {
@@ -163,3 +164,12 @@ def test_true_landmarks_are_kept_where_there_are_any(tmp_path):
     (back,) = read_true_landmarks(tmp_path / "truth.landmarks.csv")
     assert (back.name, back.kind, back.parameters["radius"]) == ("a", "cylinder", 0.1)
     np.testing.assert_array_equal(back.position, known[0].position)
+
+
+def test_a_run_whose_sensor_has_no_scans_writes_no_empty_grid(tmp_path):
+    run = runs.Scripted()
+    for result in runs.make_results(5):
+        run.step(replace(result, scan=None))
+    write_run(tmp_path, run.map(), runs.make_outcome(5))
+    assert not {"map.pgm", "map.yaml"} & {path.name for path in tmp_path.iterdir()}
+    assert '"columns": 1' in (tmp_path / "report.html").read_text()

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from cyclopts import App, CycloptsError
 
 import impslam
+from impslam.cli import waiting
 from impslam.cli.console import configure, described
 from impslam.errors import ImpError, Interrupted, LeftError
 
@@ -170,7 +171,11 @@ def _call(words: list[str]) -> None:
     command, bound, _ = make_app().parse_args(words, exit_on_error=False, print_error=False)
     configure(bound.arguments.get("common"))
     run: Callable[..., object] = command
-    run(*bound.args, **bound.kwargs)
+    waiting.begin(words)
+    try:
+        run(*bound.args, **bound.kwargs)
+    finally:
+        waiting.end()
 
 
 def _end(code: int, error: BaseException, message: str, debug: bool) -> int:

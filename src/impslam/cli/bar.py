@@ -19,26 +19,31 @@ class Bar(Observer):
 
     def __init__(self, source: Source, display: Any = None) -> None:
         self._source, self._display, self._due = source, display, 0.0
+        self._scans, self._begin = 0, 0.0
         if display is not None:
             self._task = display.add_task("starting (the very first run compiles)", total=None)
 
     def follow(self, track: Track, path: PathRows) -> None:
         """Move on."""
-        del track, path
-        self._move()
+        del track
+        self._move(len(path.stamps))
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
         """Move on."""
-        del keyframe, revision, path
-        self._move()
+        del keyframe, revision
+        self._move(len(path.stamps))
 
-    def _move(self) -> None:
-        if self._display is None or time.monotonic() < self._due:
+    def _move(self, scans: int) -> None:
+        now = time.monotonic()
+        self._begin = self._begin or now
+        self._scans += scans
+        if self._display is None or now < self._due:
             return
-        self._due = time.monotonic() + PERIOD
+        self._due, seconds = now + PERIOD, now - self._begin
+        rate = f", {self._scans / seconds:,.0f} scans/s" if seconds > PERIOD else ""
         self._display.update(
             self._task,
-            description="mapping",
+            description=f"mapping{rate}",
             total=self._source.total,
             completed=self._source.position,
         )

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from cyclopts import Parameter
 
+from impslam.cli import waiting
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.padding import Padding
@@ -97,6 +99,7 @@ class LogLines(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write an entry."""
+        waiting.end()
         sys.stderr.write(f"imp: {record.levelname.lower()}: {record.getMessage()}\n")
 
 
@@ -190,4 +193,5 @@ def show_finding(kind: str, text: str, *, harmful: bool) -> None:
 
 def say(text: str = "") -> None:
     """Print a line of a result, however long."""
+    waiting.end()
     sys.stdout.write(text + "\n")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib.resources import files
+from itertools import takewhile
 from typing import Any, TypeAlias
 
 from pydantic import BaseModel
@@ -54,10 +55,12 @@ def list_components(role: str | None = None, /, *, common: Common | None = None)
 
 
 def _title(preset: str) -> str:
-    """Return the comment that a preset's file begins with."""
+    """Return the first sentence of the comment that a preset's file begins with."""
     text = files("impslam").joinpath("presets", f"{preset}.toml").read_text("utf-8")
-    first = text.split("\n", 1)[0]
-    return first.removeprefix("#").strip() if first.startswith("#") else ""
+    comment = takewhile(lambda line: line.startswith("#"), text.splitlines())
+    words = " ".join(line.removeprefix("#").strip() for line in comment)
+    sentence, dot, _ = words.partition(". ")
+    return sentence + dot.strip()
 
 
 def _show_names(names: dict[str, str]) -> None:

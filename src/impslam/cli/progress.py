@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from impslam.cli import waiting
 from impslam.cli.console import stderr
 
 if TYPE_CHECKING:
@@ -68,6 +69,8 @@ def display(quiet: bool = False) -> Iterator[Any]:
         yield None
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    waiting.end()
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=stderr(), transient=True) as shown:

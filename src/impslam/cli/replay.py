@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from impslam.cli import console
 from impslam.errors import ConfigError, LeftError
+from impslam.extras import install
 
 if TYPE_CHECKING:
     from impslam.config import Config
@@ -23,7 +24,7 @@ def need_web() -> None:
     missing = [name for name in WEB if importlib.util.find_spec(name) is None]
     if missing:
         raise ConfigError(
-            f"the page needs {missing[0]}; install it with `pip install 'impslam[robot,web]'`"
+            f"the page needs {missing[0]}; install it with `{install('robot', 'web')}`"
         )
 
 

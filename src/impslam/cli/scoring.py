@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import logging
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from impslam.evaluation.scores import KindScore, PathScore, score_kinds, score_p
 from impslam.evaluation.tum import read_tum
 from impslam.types import Array, TrueLandmark
 
+log = logging.getLogger(__name__)
 DRAWN: dict[Alignment, str] = {
     "fit": "fitted to the truth",
     "start": "laid on the true start",
@@ -65,10 +67,7 @@ def compare(
     """Print how runs compare, write the numbers, draw the picture."""
     yardsticks = _read(against)
     places = list(dict.fromkeys(runs))
-    scores = {
-        name: _score(place, yardsticks)
-        for name, place in zip(short_names(places), places, strict=True)
-    }
+    scores = dict(_scored(zip(short_names(places), places, strict=True), yardsticks))
     if not quiet:
         _show(scores, yardsticks)
     if json is not None:
@@ -87,9 +86,31 @@ def _read(against: Against) -> Yardsticks:
     )
 
 
-def _score(place: Path, by: Yardsticks) -> Scores:
+def _scored(places: Iterable[tuple[str, Path]], by: Yardsticks) -> Iterator[tuple[str, Scores]]:
+    """Yield the scores of the runs that can be compared, and say of the others why they cannot.
+
+    Raises
+    ------
+    ImpError
+        If none can, or one cannot be read.
+    """
+    failed: list[ImpError] = []
+    compared = 0
+    for name, place in places:
+        run = read_run(place)
+        try:
+            yield name, _score(place, run, by)
+            compared += 1
+        except ImpError as error:
+            failed.append(error)
+    if not compared:
+        raise failed[0]
+    for left in failed:
+        log.warning("left out: %s", left)
+
+
+def _score(place: Path, run: RecordedRun, by: Yardsticks) -> Scores:
     """Compare a run with what there is to compare it with."""
-    run = read_run(place)
     truth = run.truth if by.truth is None else by.truth
     known = run.true_landmarks if by.landmarks is None else by.landmarks
     if by.landmarks is not None and run.landmarks is None:

@@ -13,14 +13,14 @@ from impslam.evaluation.tum import HEALTH_COLUMN, PATH_COLUMNS, write_tum
 from impslam.graph.g2o import G2o, write_g2o
 from impslam.health import Reasons
 from impslam.map import UPPER, Map
-from impslam.maps.files import MapImage, write_landmarks, write_map
+from impslam.maps.files import UNKNOWN, MapImage, write_landmarks, write_map
 from impslam.types import Array
 
 GRAPH = "graph.g2o"
 MAP_FILES = frozenset(
     {"trajectory.tum", "trajectory.csv", "landmarks.csv", "map.pgm", "map.yaml", GRAPH}
 )
-"""What is written; the graph only where the map has one."""
+"""What is written; the graph and the grid only where the map has them."""
 
 
 Keep: TypeAlias = Callable[..., AbstractContextManager[None]]
@@ -58,8 +58,9 @@ def write_map_files(
     if len(known.edges.i):
         with keep(GRAPH):
             write_g2o(folder / GRAPH, _graph(known))
-    with keep("map.pgm", "map.yaml"):
-        write_map(folder, image)
+    if (image.pixels != UNKNOWN).any():  # a sensor without scans draws no grid
+        with keep("map.pgm", "map.yaml"):
+            write_map(folder, image)
 
 
 def _graph(known: Map) -> G2o:

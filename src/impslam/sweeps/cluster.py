@@ -13,6 +13,7 @@ from itertools import islice
 from typing import Any, TypeVar
 
 from impslam.errors import ConfigError, ImpError
+from impslam.extras import install
 from impslam.sweeps.pool import Lost, Pool
 
 T = TypeVar("T")
@@ -78,7 +79,7 @@ class Cluster(Pool):
             from distributed import Client  # noqa: PLC0415  # an extra
         except ImportError:
             raise ConfigError(
-                "--scheduler needs Dask; install it with pip install 'impslam[distributed]'"
+                f"--scheduler needs Dask; install it with `{install('distributed')}`"
             ) from None
         logging.getLogger("distributed").setLevel(
             logging.CRITICAL

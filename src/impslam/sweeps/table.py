@@ -12,6 +12,7 @@ from typing import Any
 
 from impslam.errors import ConfigError
 from impslam.evaluation.json_values import json_values
+from impslam.extras import install
 from impslam.sweeps.rows import Row
 
 JOURNAL, CSV, PARQUET = "runs.jsonl", "runs.csv", "runs.parquet"
@@ -112,7 +113,7 @@ def write_table(folder: Path, rows: Iterable[Row]) -> list[Path]:
     try:
         write_parquet(folder / PARQUET, table)
     except ImportError:
-        log.warning("only %s is written; for Parquet: pip install 'impslam[parquet]'", folder / CSV)
+        log.warning("only %s is written; for Parquet: %s", folder / CSV, install("parquet"))
         return [folder / CSV]
     return [folder / CSV, folder / PARQUET]
 

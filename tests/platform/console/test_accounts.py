@@ -10,6 +10,7 @@ from impslam.platform.console.accounts import Accounts, AccountsError, write_pri
 from impslam.platform.console.authenticator import (
     KNOWN_LIFE,
     LINK_LIFE,
+    LINK_PAUSE,
     Authenticator,
     LoginRefused,
 )
@@ -501,8 +502,12 @@ class TestGate:
         linked.offer_link()
         assert len(shown) == 2
         linked.redeem("127.0.0.1", shown[1].partition("token=")[2])
-        linked.offer_link()  # within the minute
+        clock.moment += 10.0
+        assert linked.offer_link() == LINK_PAUSE - 10.0  # one a minute
         assert len(shown) == 2
+        clock.moment += LINK_PAUSE
+        assert linked.offer_link() == 0.0
+        assert len(shown) == 3
 
     def test_a_link_ends_when_a_password_is_set(self, linked, shown):
         linked.offer_link()

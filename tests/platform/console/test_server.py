@@ -95,9 +95,11 @@ class TestLink:
     def test_another_link_is_shown_where_somebody_asks_for_the_page(self, tmp_path):
         with serving(tmp_path, passwords=False) as served, served.client() as client:
             client.get(served.told[1].removeprefix("open "))
+            assert "again in 60 s" in client.get("/login?token=used").text  # one a minute
+            assert len(served.told) == 2
             served.clock.ahead += 3600.0
             assert client.get("/camera.jpg").status_code == 401
-            assert "No password is set" in client.get("/login").text
+            assert "newest one is printed" in client.get("/login").text
             client.get("/login")
             assert len(served.told) == 3
             assert client.get(served.told[2].removeprefix("open ")).status_code == 200

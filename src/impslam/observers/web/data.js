@@ -15,7 +15,7 @@ const STOPS = [[59, 111, 224], [20, 163, 139], [224, 150, 20], [216, 27, 60]]; /
 const SHADES = 32; // colours of a path: a change of colour costs a stroke
 const STATES = ["TRACKING", "DEGRADED", "LOST"];
 const LAYERS = [ // name, label, shown at first, offered
-  ["grid", "Grid", true, true],
+  ["grid", "Grid", true, grid.columns > 1],
   ["path", "Path", true, true],
   ["odometry", "Odometry alone", false, "ox" in path],
   ["truth", "Truth", true, "tx" in path],

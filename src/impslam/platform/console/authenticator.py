@@ -77,15 +77,21 @@ class Authenticator:
             log.error("%s", error)  # noqa: TRY400  # what to do is in the message
             return False
 
-    def offer_link(self) -> None:
-        """Show a new link where nobody can come in by another; at most one a minute."""
+    def offer_link(self) -> float:
+        """Show a new link where nobody can come in by another; at most one a minute.
+
+        Returns in how many s a link can be shown; 0 where one holds now.
+        """
         moment = self._clock()
-        waits = self._link is not None and moment < self._link[1]
-        if waits or moment - self._linked < LINK_PAUSE or not self.open_by_link():
-            return
+        pause = self._linked + LINK_PAUSE - moment
+        if not self.open_by_link() or (self._link is not None and moment < self._link[1]):
+            return 0.0
+        if pause > 0.0:
+            return pause
         token = secrets.token_urlsafe(32)
         self._link, self._linked = (digest(token), moment + LINK_LIFE), moment
         self._show(f"/login?token={token}")
+        return 0.0
 
     def redeem(self, address: str, token: str) -> tuple[str, Session]:
         """Return a session that may drive, and its token, for a link that was not used before.

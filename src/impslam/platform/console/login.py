@@ -30,7 +30,12 @@ _FORM = """<form method="post" action="/login">
         <button>Log in</button>
       </form>"""
 _LINK = """<p>No password is set, so this page opens by a link that is good once.
-        A new one is printed where <code>imp robot</code> runs.</p>"""
+        $where</p>"""
+_PRINTED = "The newest one is printed where <code>imp robot</code> runs."
+_SOON = (
+    "Open <a href='/login'>this page</a> again in $seconds s: a new one is then printed where "
+    "<code>imp robot</code> runs."
+)
 _ENTER = '<p><a href="/">Open the page</a></p>'
 _GO_ON = '<meta http-equiv="refresh" content="0; url=/" />'
 
@@ -61,8 +66,7 @@ class _LoginEndpoints:
             return self._follow(request, token)
         if not self._authenticator.open_by_link():
             return self._shown(_FORM)
-        self._authenticator.offer_link()
-        return self._shown(_LINK)
+        return self._shown(self._offered())
 
     async def enter(self, request: Request) -> Response:
         try:
@@ -88,7 +92,6 @@ class _LoginEndpoints:
         try:
             token, _ = self._authenticator.redeem(address(request), token)
         except LoginRefused as error:
-            self._authenticator.offer_link()
             return self._refused(error)
         # Not a redirect: the link may have been opened from another site's page, and browsers
         # would withhold the strict cookie from a redirect that began there.
@@ -101,8 +104,14 @@ class _LoginEndpoints:
             response.headers["retry-after"] = str(seconds)
             return response
         return self._shown(
-            _LINK if self._authenticator.open_by_link() else _FORM, str(error), status=401
+            self._offered() if self._authenticator.open_by_link() else _FORM, str(error), status=401
         )
+
+    def _offered(self) -> str:
+        """Offer a link, and return where it is found."""
+        seconds = math.ceil(self._authenticator.offer_link())
+        where = Template(_SOON).substitute(seconds=seconds) if seconds else _PRINTED
+        return Template(_LINK).substitute(where=where)
 
     def _shown(self, body: str, message: str = "", head: str = "", status: int = 200) -> Response:
         notice = f'<p class="refused" role="alert">{html.escape(message)}</p>' if message else ""

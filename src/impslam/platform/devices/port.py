@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+from impslam.extras import install
 from impslam.platform.devices.base import DeviceError
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ def extra(module: str) -> ModuleType:
         return importlib.import_module(module)
     except ImportError as error:
         raise DeviceError(
-            f'{module} is not installed; install it with: pip install "impslam[robot]"'
+            f"{module} is not installed; install it with: {install('robot')}"
         ) from error
 
 

@@ -5,6 +5,7 @@ import pytest
 from tests.calibration.drives import SCALES, TRUE, drive, none, twists, wheels
 
 from impslam.calibration.closed_form import first_estimate
+from impslam.calibration.odometry_models import DifferentialDrive
 from impslam.calibration.residuals import Drive
 
 
@@ -31,3 +32,16 @@ def test_bad_matches_are_weighed_down(rng):
 
 def test_nothing_is_told_of_no_motion():
     assert first_estimate([Drive(wheels(10.0)[0], none())], 0.0) is None
+
+
+def test_few_turns_tell_the_latency(rng):
+    """Most motions are straight, and tell nothing of it."""
+    speed, turns = np.full(3000, 0.4), np.zeros(3000)
+    for begin in (400, 1200, 2300):
+        turns[begin : begin + 100] = 0.8 * np.sign(begin - 1000)
+    off = 0.5 * TRUE[2] * turns
+    left, right = (speed - off) / 50.0 / TRUE[0], (speed + off) / 50.0 / TRUE[0] / TRUE[1]
+    model = DifferentialDrive(np.arange(3001) / 50.0, np.zeros(3000, bool), left, right)
+    found = first_estimate([drive(model, rng=rng)], 0.3)
+    assert abs(found[6] - TRUE[6]) < 0.05
+    assert abs(found[2] - TRUE[2]) < 0.03

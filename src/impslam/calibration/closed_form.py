@@ -47,7 +47,7 @@ def first_estimate(drives: Sequence[Drive], latency: float) -> Array | None:
 
 
 def _turning(drives: Sequence[Drive], latency: float) -> tuple[Array, float]:
-    """Return what each reading turns the robot by (2,), and the median error of the turns, rad."""
+    """Return what each reading turns the robot by (2,), and the mean error of the turns, rad."""
     A = np.concatenate([
         sums(d.model, d.model.turned(), d.motions.begins - latency, d.motions.ends - latency)
         for d in drives
@@ -60,7 +60,7 @@ def _turning(drives: Sequence[Drive], latency: float) -> tuple[Array, float]:
         )
         off = np.abs(A @ turning - b)
         weights = _weights(off)
-    return turning, float(np.median(off))
+    return turning, float(np.mean(off))
 
 
 def _weights(off: Array) -> Array:

@@ -32,6 +32,7 @@ EXPERIMENTS = {
     "extractors": ("extractors:extractors", 10),
     "consistency": ("consistency:consistency", 1000),
     "faults": ("faults:faults", 3),
+    "filters": ("filter_table:filter_table", 100),
 }
 """Where each experiment is, imported when it is asked for, and how many seeds its claims rest on.
 
@@ -67,8 +68,8 @@ def reproduce(
     Parameters
     ----------
     experiments
-        Any of points, lines, both, corridor, figures, drawings, extractors, consistency, faults.
-        Default: all.
+        Any of points, lines, both, corridor, figures, drawings, extractors, consistency, faults,
+        filters. Default: all.
     output
         The folder to write to, a new one. Default: runs/reproduce-DATE-TIME.
     """

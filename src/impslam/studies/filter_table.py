@@ -1,0 +1,188 @@
+"""Every filter on the same data, in one table, for `imp reproduce filters`."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from itertools import product
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from impslam.config import load
+from impslam.estimators.base import Estimator
+from impslam.evaluation.consistency import nees, pose_errors, resampled_means
+from impslam.map import Keyframe
+from impslam.studies.arena_experiment import GATE, true_landmarks
+from impslam.studies.batch_optimum import optima
+from impslam.studies.circle_simulation import HUANG, LONG_LOOP, Setting, Trial, simulate
+from impslam.studies.consistency_arena import SETTLED
+from impslam.studies.filter_consistency import BATCH, CHECK_EVERY
+from impslam.studies.report import Picture, ResultTable, Section, load_text, make_table
+from impslam.studies.sweep import Run, Variant, sweep
+from impslam.sweeps.job import Job
+from impslam.sweeps.rows import Row, attempt, by_variant, failures
+from impslam.types import Array, Increment, Observation
+
+TEXT = load_text("filter_table")
+FILTERS: Mapping[str, Sequence[str]] = TEXT["filters"]
+KNOWN = ("estimator.kind=landmarks", "association.kind=known", "lifecycle.kind=immediate")
+"""What is set beforehand on simulated landmarks: they are no question there."""
+SETTINGS: Mapping[str, Setting] = {"circle": HUANG, "long loop": LONG_LOOP}
+ARENA = "arena"
+RUNS = 8
+"""By default; 95 % intervals say how little that is."""
+
+
+class Cell(NamedTuple):
+    """A mean over runs and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def __format__(self, form: str) -> str:
+        return f"{self.value:{form}} [{self.low:{form}}, {self.high:{form}}]"
+
+
+class Standing(NamedTuple):
+    """What a filter comes to on some data; NaN where that is not measured."""
+
+    runs: int
+    nees: Cell
+    position: Cell  # m
+    over_optimum: float
+    milliseconds: float
+
+
+def filter_table(job: Job) -> Section:
+    """Run every filter on everything; `job.seeds` is the number of runs."""
+    runs = range(job.seeds or RUNS)
+    rows: list[Row] = []
+    for data in SETTINGS:
+        work = list(product((*FILTERS, BATCH), runs))
+        rows += job.map(partial(_circle_row, data), work, data)
+    variants = [Variant(name, "imp", tuple(given)) for name, given in FILTERS.items()]
+    arena = sweep(variants, runs, measure=arena_row, job=job, stage=ARENA)
+    rows += [{"data": ARENA, **row} for row in arena]
+    standings = {data: standing(rows, data) for data in (*SETTINGS, ARENA)}
+    text = "\n\n".join(filter(None, (TEXT["text"], failures(rows))))
+    tables = [_table(data, found) for data, found in standings.items()]
+    return Section("filters", TEXT["title"], text, tables, _pictures(standings), standings, rows)
+
+
+def standing(rows: Iterable[Row], data: str) -> dict[str, Standing]:
+    """Return what each filter comes to on some data."""
+    groups = by_variant(row for row in rows if row["data"] == data)
+    best = groups.get(BATCH, ())
+    optimum = _rms(best, "position2_at_checks")
+    rng = np.random.default_rng(0)
+    return {
+        name: Standing(
+            len(runs),
+            _interval(np.array([run["nees"] for run in runs]), rng),
+            Cell(*np.sqrt(_interval(np.array([run["position2"] for run in runs]), rng))),
+            _rms(runs, "position2_at_checks") / optimum,
+            float(np.median([run["milliseconds"] for run in runs])),
+        )
+        for name, runs in groups.items()
+    }
+
+
+def _interval(values: Array, rng: np.random.Generator) -> Cell:
+    means = resampled_means(values[:, None], rng)[:, 0]
+    return Cell(float(values.mean()), *np.quantile(means, [0.025, 0.975]).tolist())
+
+
+def _rms(rows: Sequence[Row], metric: str) -> float:
+    values = [row[metric] for row in rows]
+    return math.sqrt(np.mean(values)) if values else math.nan
+
+
+def _circle_row(data: str, item: tuple[str, int]) -> Row:
+    """Return the row of a filter, or of the optimum, on a simulated run."""
+    name, run = item
+    trial = simulate(SETTINGS[data], np.random.default_rng([0, run]))
+    given = {"data": data, "variant": name, "seed": run}
+    return attempt(given, lambda: circle_row(SETTINGS[data], name, trial))
+
+
+def circle_row(setting: Setting, name: str, trial: Trial) -> Row:
+    """Return the mean squares of a run's errors, all over and at the optimum's check points."""
+    checks = range(CHECK_EVERY, setting.steps, CHECK_EVERY)
+    begin = time.process_time()
+    if name == BATCH:
+        found = [(o.step, o.pose, o.covariance) for o in optima(setting, trial, checks)]
+    else:
+        found = list(
+            _follow(setting, load("imp", [*KNOWN, *FILTERS[name]]).make_estimator(), trial)
+        )
+    seconds = time.process_time() - begin
+    steps, poses, covariances = (np.array(column) for column in zip(*found, strict=True))
+    errors = pose_errors(poses, trial.truth[steps])
+    squares = (errors[:, :2] ** 2).sum(1)
+    return {
+        "nees": float(nees(errors, covariances).mean()),
+        "position2": float(squares.mean()),
+        "position2_at_checks": float(squares[np.isin(steps, checks)].mean()),
+        "milliseconds": 1e3 * seconds / len(steps) if name != BATCH else math.nan,
+    }
+
+
+def _follow(
+    setting: Setting, estimator: Estimator, trial: Trial
+) -> Iterable[tuple[int, Array, Array]]:
+    """Yield step, pose and covariance of an estimator that is shown a run."""
+    Q, R = np.diag(setting.motion_sigmas**2), setting.sigma**2 * np.eye(2)
+    none, nowhere = np.zeros((3, 3)), cast("Any", None)  # landmarks that are simulated have no scan
+    for k, d_pose in enumerate(trial.odometry, start=1):
+        seen = tuple(
+            Observation("corner", trial.measurements[k - 1, i], R, label=i)
+            for i in np.flatnonzero(trial.in_range[k - 1]).tolist()
+        )
+        motion = Increment(k * setting.dt, d_pose, Q, setting.dt)
+        keyframe = Keyframe(
+            k, motion.stamp, motion, none[0], none[0], none, nowhere, 0, observations=seen
+        )
+        revision = estimator.add(keyframe)
+        yield k, revision.poses[-1], revision.covariances[-1]
+
+
+def arena_row(run: Run) -> Row:
+    """Return the same of a run in the arena, and what became of its landmarks."""
+    from impslam.evaluation.landmarks import score_landmarks  # noqa: PLC0415
+
+    later = run.rows.stamps - run.rows.stamps[0] >= SETTLED
+    score = score_landmarks(run.landmarks, true_landmarks(), GATE)
+    return {
+        "nees": float(run.nees[later].mean()),
+        "position2": float(np.mean(run.errors[later] ** 2)),
+        "position2_at_checks": math.nan,
+        "milliseconds": math.nan,
+        "missing": len(score.missing),
+        "false": len(score.false),
+    }
+
+
+def _table(data: str, standings: Mapping[str, Standing]) -> ResultTable:
+    def number(value: float, form: str) -> str:
+        return "" if math.isnan(value) else f"{value:{form}}"
+
+    columns = {
+        "runs": lambda s: str(s.runs),
+        "pose NEES": lambda s: f"{s.nees:.2f}",
+        "position [m]": lambda s: f"{s.position:{'.4f' if data == ARENA else '.3f'}}",
+        "over the optimum": lambda s: number(s.over_optimum, ".3f"),
+        "ms a step": lambda s: number(s.milliseconds, ".2f"),
+    }
+    return make_table(data.capitalize(), standings, columns, TEXT["note"], ("filter",))
+
+
+def _pictures(standings: Mapping[str, Mapping[str, Standing]]) -> list[Picture]:
+    from impslam.evaluation.plots import as_png  # noqa: PLC0415  imports matplotlib
+    from impslam.studies.filter_plot import draw_nees  # noqa: PLC0415
+
+    cells = {data: {n: s.nees for n, s in found.items()} for data, found in standings.items()}
+    return [Picture("filters-nees", as_png(draw_nees(cells), dpi=160), TEXT["caption"])]

@@ -1,0 +1,68 @@
+"""The table of all filters: everything is in it, and its cells are the figures."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from impslam.component import components
+from impslam.config import load
+from impslam.studies import filter_table
+from impslam.studies.circle_simulation import HUANG, simulate
+from impslam.studies.filter_consistency import BATCH
+from impslam.studies.filter_plot import draw_nees
+from impslam.studies.filter_table import FILTERS, KNOWN, circle_row, standing
+
+SHORT = replace(HUANG, steps=85)
+
+
+def test_every_filter_is_in_it():
+    named = {load("imp", [*KNOWN, *given]).filter["kind"] for given in FILTERS.values()}
+    kinds = {load("imp", [*KNOWN, *given]).estimator["kind"] for given in FILTERS.values()}
+    assert named == set(components("filter"))
+    assert kinds == {"landmarks", "particles"}
+
+
+@pytest.fixture(scope="module")
+def rows():
+    made = []
+    for run in range(2):
+        trial = simulate(SHORT, np.random.default_rng([0, run]))
+        for name in ("ekf", "riekf", "FastSLAM 2", BATCH):
+            row = circle_row(SHORT, name, trial)
+            made.append({"data": "circle", "variant": name, "seed": run, "error": "", **row})
+    return made
+
+
+def test_a_filter_is_compared_with_the_optimum_where_that_is_known(rows):
+    found = standing(rows, "circle")
+    assert found[BATCH].over_optimum == 1.0
+    assert math.isnan(found[BATCH].milliseconds)
+    for name in ("ekf", "riekf"):
+        assert found[name].over_optimum == pytest.approx(1.0, abs=0.1)
+    assert 0.5 < found["FastSLAM 2"].over_optimum < 2.0
+
+
+def test_intervals_hold_the_means(rows):
+    for found in standing(rows, "circle").values():
+        assert found.runs == 2
+        for cell in (found.nees, found.position):
+            assert cell.low <= cell.value <= cell.high
+    values = [row["nees"] for row in rows if row["variant"] == "ekf"]
+    assert standing(rows, "circle")["ekf"].nees.value == pytest.approx(np.mean(values))
+
+
+def test_the_figure_has_a_panel_for_each_data_set(rows):
+    found = standing(rows, "circle")
+    cells = {data: {name: s.nees for name, s in found.items()} for data in ("one", "two")}
+    assert [axes.get_title("left") for axes in draw_nees(cells).axes] == ["one", "two"]
+
+
+def test_the_section_is_told_in_tables_of_its_own(monkeypatch):
+    monkeypatch.setattr(filter_table, "FILTERS", {"ekf": FILTERS["ekf"]})
+    monkeypatch.setattr(filter_table, "SETTINGS", {"circle": SHORT})
+    part = filter_table.filter_table(filter_table.Job(seeds=1))
+    assert [table.title for table in part.tables] == ["Circle", "Arena"]
+    assert [row[0] for row in part.tables[0].rows] == ["ekf", BATCH]
+    assert all(row["error"] == "" for row in part.runs)

@@ -335,6 +335,9 @@ class Observation:
     attributes : further measured properties by name, e.g. {"radius": 0.15} (m)
     label : the landmark's identity where the sensor knows it (barcodes), else None
     delay : s, how long after the reading's moment its beams were fired, on average (signed)
+    shared : (k,) what z is off by if the error that all readings of its sensor share is one standard
+        deviation; R holds its square, too. None: readings share no error
+    sensor : whose error that is
     """
 
     kind: str
@@ -345,17 +348,21 @@ class Observation:
     attributes: Mapping[str, float] = field(default_factory=dict)
     label: int | None = None
     delay: float = 0.0
+    shared: Array | None = None
+    sensor: str = ""
 
     def with_noise(self, R: Array) -> Observation:
         """Return the observation with another R (k, k): `replace` in a quarter of its time."""
         return Observation(
-            self.kind, self.z, R, self.beams, self.end_points, self.attributes, self.label, self.delay
+            self.kind, self.z, R, self.beams, self.end_points, self.attributes, self.label,
+            self.delay, self.shared, self.sensor,
         )  # fmt: skip
 
-    def with_delay(self, delay: float) -> Observation:
-        """Return the observation with another delay, s."""
+    def of_sensor(self, sensor: str, delay: float) -> Observation:
+        """Return the observation as one of a sensor, with another delay, s."""
         return Observation(
-            self.kind, self.z, self.R, self.beams, self.end_points, self.attributes, self.label, delay
+            self.kind, self.z, self.R, self.beams, self.end_points, self.attributes, self.label,
+            delay, self.shared, sensor,
         )  # fmt: skip
 
 

@@ -33,7 +33,9 @@ def random_rows(rng, n, offsets, dims, some):
         entries += range(offsets[k], offsets[k] + dims[k])
         h_m[two, : dims[k]] = rng.normal(size=(2, dims[k]))
         H[two, :POSE], H[two, offsets[k] : offsets[k] + dims[k]] = h_pose[two], h_m[two, : dims[k]]
-    return Rows(slots, blocks, noise, h_pose, h_m), H, R, np.array(entries)
+    errors, h_error = np.where(np.arange(count) % 3, slots[-1], -1), rng.normal(size=count)
+    H[np.arange(count), entries[slots[-1]]] += np.where(errors < 0, 0.0, h_error)
+    return Rows(slots, blocks, noise, h_pose, h_m, errors, h_error), H, R, np.array(entries)
 
 
 @pytest.mark.parametrize("landmarks", [70, 150])  # one panel of P, and several
@@ -41,6 +43,7 @@ def test_update_is_the_kalman_update(rng, landmarks):
     belief, P, offsets, dims = random_belief(rng, landmarks)
     rows, H, R, entries = random_rows(rng, belief.n, offsets, dims, [5, 0, 69, 33])
     innovation, before = rng.normal(size=len(H)), rng.normal(size=belief.n)
+    before[entries[rows.errors.max()]] = 0.0  # a shared error is considered, not moved
     S = H @ P @ H.T + R
     K = P @ H.T @ np.linalg.inv(S)
     np.testing.assert_allclose(innovation_covariance(rows, belief.P, entries)[0], S, atol=1e-10)

@@ -88,4 +88,5 @@ def _cylinder(row: Array, beams: np.ndarray, scan: Scan) -> Observation:
     xx, xy, yy = row[5:8] * max(1.0, row[11])
     shared = scan.bias * row[8:10]
     R = np.array([[xx, xy], [xy, yy]]) + np.outer(shared, shared)
-    return Observation("cylinder", row[2:4].copy(), R, beams, None, {"radius": float(row[4])})
+    radius = {"radius": float(row[4])}
+    return Observation("cylinder", row[2:4].copy(), R, beams, None, radius, shared=shared)

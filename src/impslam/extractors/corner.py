@@ -90,7 +90,8 @@ class Corner(StraightPieces):
             return None
         beams = np.concatenate((found.beams(a), found.beams(b)))
         far = np.array([found.end_points[a, 0], found.end_points[b, 1]])
-        return Observation("corner", point, R, beams, None, _shape(point, far, scan.laser[:2]))
+        shape = _shape(point, far, scan.laser[:2])
+        return Observation("corner", point, R, beams, None, shape, shared=shift)
 
     def _meets(
         self, point: Array, end: Array, normal: tuple[float, float], sigma: float, scan: Scan

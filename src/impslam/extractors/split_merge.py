@@ -74,9 +74,10 @@ class SplitMerge(StraightPieces):
         del rng
         found, good = self._pieces(scan)
         P = covariances(found, scan.bias, self.flatness)
-        z, R = _facing(found.lines, P, scan.laser)
+        z, R, slopes = _facing(found.lines, P, scan.laser)
+        shared = scan.bias * slopes
         return [
-            Observation("wall", z[k], R[k], found.beams(k), found.end_points[k])
+            Observation("wall", z[k], R[k], found.beams(k), found.end_points[k], shared=shared[k])
             for k in good.tolist()
         ]
 
@@ -110,13 +111,17 @@ def _covariances(
 
 
 @kernel
-def _facing(lines: Array, P: Array, laser: Array) -> tuple[Array, Array]:
-    """Return z (k, 2) and R (k, 2, 2) of walls whose normals point away from the laser."""
-    z, R = np.empty((len(lines), 2)), P.copy()
+def _facing(lines: Array, P: Array, laser: Array) -> tuple[Array, Array, Array]:
+    """Return z (k, 2) and R (k, 2, 2) of walls whose normals point away from the laser.
+
+    The last value (k, 2) is how z changes by an error that all ranges share.
+    """
+    z, R, slopes = np.empty((len(lines), 2)), P.copy(), lines[:, 5:7].copy()
     for k in range(len(lines)):
         rho, alpha = lines[k, 0], lines[k, 1]
         if rho - math.cos(alpha) * laser[0] - math.sin(alpha) * laser[1] < 0.0:
             rho, alpha = -rho, alpha + math.pi
             R[k, 0, 1], R[k, 1, 0] = -R[k, 0, 1], -R[k, 1, 0]
+            slopes[k, 0] = -slopes[k, 0]
         z[k, 0], z[k, 1] = rho, wrap_in_kernel(alpha)
-    return z, R
+    return z, R, slopes

@@ -68,6 +68,17 @@ def _symmetric(P: Array, o: int, dim: int) -> Array:
 
 
 @kernel
+def rows_of(P: Array, entries: Ints, n: int) -> Array:
+    """Return P[entries, :n] (k, n) from the lower triangle."""
+    out = np.empty((len(entries), n))
+    for a in range(len(entries)):
+        entry = entries[a]
+        for i in range(n):
+            out[a, i] = P[entry, i] if i <= entry else P[i, entry]
+    return out
+
+
+@kernel
 def _compact(P: Array, indices: Ints) -> None:
     """Move the rows and columns at ascending indices to the front, in place."""
     for b in range(len(indices)):
@@ -113,6 +124,8 @@ class Belief(Protocol):
 
     n: int
     mean: Array
+    errors: dict[str, int]
+    """Where in the state the errors stand that observations of a sensor share, by sensor."""
 
     @property
     def covariance(self) -> Array:
@@ -135,7 +148,7 @@ class GaussianBelief:
     """Mean and covariance of [pose, landmark, landmark, ...]; knows sizes, not kinds."""
 
     def __init__(self, pose: Array, covariance: Array) -> None:
-        self.n = POSE
+        self.n, self.errors = POSE, dict[str, int]()
         self.mean = np.zeros(_BLOCK + _ODD)
         self.P = np.zeros((_BLOCK + _ODD, _BLOCK + _ODD), order="F")
         self.mean[:POSE] = pose
@@ -176,24 +189,43 @@ class GaussianBelief:
         return innovation_blocks(self.P, offsets, z_D_pose, z_D_m)
 
     def subtract(self, left: Array, right: Array) -> None:
-        """Subtract a symmetric product left^T right from P; both (k, len(P))."""
+        """Subtract a symmetric product left^T right from P; both (k, len(P)).
+
+        Shared errors stay as unsure as they are (Schmidt 1966).
+        """
         subtract_product(self.P, self.n, left, right)
+        for row in self.errors.values():
+            for column in self.errors.values():
+                if column <= row:
+                    self.P[row, column] = float(column == row)
 
     def extend(self, m: Array, m_D_pose: Array, noise: Array) -> int:
         """Append a landmark that depends on the pose and on noise (dim, dim); return its offset."""
+        return self.append(m, np.arange(POSE), m_D_pose, noise)
+
+    def append(self, m: Array, on: Ints, J: Array, noise: Array) -> int:
+        """Append a landmark (dim,); it depends as J (dim, k) on entries (k,), and on noise (dim, dim)."""
         o, dim = self.n, len(m)
         self._reserve(o + dim)
-        pose = self.pose_covariance()
-        self.P[o : o + dim, :POSE] = m_D_pose @ pose
-        self.P[o : o + dim, POSE:o] = m_D_pose @ self.P[POSE:o, :POSE].T
-        self.P[o : o + dim, o : o + dim] = m_D_pose @ pose @ m_D_pose.T + noise
+        rows = J @ rows_of(self.P, on, o)
+        self.P[o : o + dim, :o] = rows
+        self.P[o : o + dim, o : o + dim] = rows[:, on] @ J.T + noise
         self.mean[o : o + dim] = m
         self.n = o + dim
         return o
 
+    def error(self, sensor: str) -> int:
+        """Return where the error stands that a sensor's observations share; of unit variance at first."""
+        if sensor not in self.errors:
+            none = np.zeros((1, 0))
+            self.errors[sensor] = self.append(np.zeros(1), np.arange(0), none, np.eye(1))
+        return self.errors[sensor]
+
     def keep(self, indices: Ints) -> None:
         """Keep these entries of the state (sorted), forget the others."""
         self.n = len(indices)
+        places = np.searchsorted(indices, list(self.errors.values())).tolist()
+        self.errors = dict(zip(self.errors, places, strict=True))
         self.mean[: self.n] = self.mean[indices]
         _compact(self.P, indices)
         if len(self.mean) - self.n >= 2 * _BLOCK:

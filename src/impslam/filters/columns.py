@@ -20,12 +20,16 @@ class Columns(NamedTuple):
     indices : (k,) into all observations of the scan
     z, R : (k, dim_z) and (k, dim_z, dim_z)
     ends : (k, 2, 2) m, where in base_link they begin and end; 0 for those of points
+    shared : (k, dim_z) what z is off by for a standard deviation of its sensor's shared error, or 0
+    sensors : whose error that is, "" for none
     """
 
     indices: Ints
     z: Array
     R: Array
     ends: Array
+    shared: Array
+    sensors: list[str]
 
     @classmethod
     def of(cls, observations: Sequence[Observation], indices: list[int]) -> Columns:
@@ -33,10 +37,22 @@ class Columns(NamedTuple):
         some, k = [observations[i] for i in indices], len(indices)
         z = np.concatenate([o.z for o in some]).reshape(k, -1)
         R = np.concatenate([o.R for o in some]).reshape(*z.shape, -1)
-        return cls(np.array(indices), z, R, end_points(some))
+        sensors = ["" if o.shared is None else o.sensor for o in some]
+        shared = np.zeros_like(z)
+        for row, o in zip(shared, some, strict=True):
+            if o.shared is not None:
+                row[:] = o.shared
+        return cls(np.array(indices), z, R, end_points(some), shared, sensors)
 
 
-NONE = Columns(np.empty(0, np.int64), np.empty((0, 0)), np.empty((0, 0, 0)), np.empty((0, 2, 2)))
+NONE = Columns(
+    np.empty(0, np.int64),
+    np.empty((0, 0)),
+    np.empty((0, 0, 0)),
+    np.empty((0, 2, 2)),
+    np.empty((0, 0)),
+    [],
+)
 """Of a kind that the scan does not show."""
 
 

@@ -70,7 +70,9 @@ class Ekf(GaussianFilter):
         self, observations: Sequence[Observation], pairs: Sequence[Match]
     ) -> tuple[Array, Array]:
         """Return innovation and S = H P H^T + R of all pairs, correlations between them included."""
-        scene = Scene(self._belief.mean, self._atlas.pairs(observations, pairs))
+        scene = Scene(
+            self._belief.mean, self._atlas.pairs(observations, pairs), self._belief.errors
+        )
         rows, innovation = self._linearise(scene, scene.pose, scene.states)
         S, _ = innovation_covariance(rows, self._belief.P, scene.entries)
         return innovation[scene.order], S[np.ix_(scene.order, scene.order)]
@@ -88,7 +90,7 @@ class Ekf(GaussianFilter):
             return None
         belief, pairs = self._belief, self._atlas.pairs(observations, matches)
         doubt = self._doubt(matches)
-        scene, told = Scene(belief.mean, pairs, doubt), None
+        scene, told = Scene(belief.mean, pairs, belief.errors, doubt), None
         pose, states = scene.pose, scene.states
         step = np.zeros(len(scene.entries))
         for _ in range(self.iterations):
@@ -120,8 +122,15 @@ class Ekf(GaussianFilter):
         for observation in observations:
             table = self._atlas.table(observation.kind)
             new = self._initialise(table, observation)
-            noise = new.m_D_z @ observation.R @ new.m_D_z.T + new.slack
-            offset = self._belief.extend(new.m, new.m_D_pose, noise)
+            R, on, J = observation.R, np.arange(POSE), new.m_D_pose
+            if observation.shared is not None:
+                R = R - np.outer(observation.shared, observation.shared)
+                on = np.append(on, self._belief.error(observation.sensor))
+                J = np.column_stack(
+                    [J, -new.m_D_z @ observation.shared]
+                )  # it lies at z less the error
+            noise = new.m_D_z @ R @ new.m_D_z.T + new.slack
+            offset = self._belief.append(new.m, on, J, noise)
             ids.append(self._atlas.add(self.pose, observation, offset, new.m, stamp))
         return tuple(ids)
 
@@ -133,8 +142,8 @@ class Ekf(GaussianFilter):
             residuals.append(sight.table.model.residual(sight.z, prediction.z).reshape(-1))
             h_pose.append(prediction.z_D_pose.reshape(-1, POSE))
             h_m.append(prediction.z_D_m.reshape(len(h_pose[-1]), -1))
-        rows = Rows(scene.slots, scene.blocks, scene.noise, stacked(h_pose), stacked(h_m))
-        return rows, np.concatenate(residuals)
+        H = stacked(h_pose), stacked(h_m), scene.errors, scene.h_error
+        return Rows(scene.slots, scene.blocks, scene.noise, *H), np.concatenate(residuals)
 
     def _expect(self, sight: Sight, pose: Array, states: Array) -> Prediction:
         """Return how landmarks are seen from estimates of a correction; Jacobians at the same."""

@@ -82,8 +82,8 @@ class GaussianFilter(Filter):
 
     @property
     def state_size(self) -> int:
-        """Number of scalars in the belief."""
-        return self._belief.n
+        """Number of scalars that are estimated."""
+        return self._belief.n - len(self._belief.errors)
 
     def _doubt(self, matches: Sequence[Match]) -> Array | None:
         """Return how many times R counts (matches,) for repetition and innovations; None: once.

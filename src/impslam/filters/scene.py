@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,15 +53,25 @@ class Scene:
     ----------
     sights : one for each kind
     entries : (q,) indices into the state: the pose, then each matched landmark
-    slots, blocks, noise : see `Rows`
+    slots, blocks, noise, errors, h_error : see `Rows`
     order : (rows,) indices of the rows that put them in the order of the matches
     """
 
-    def __init__(self, mean: Array, pairs: Iterable[Pairs], doubt: Array | None = None) -> None:
-        """Look at pairs from a mean; R counts `doubt` (matches,) times."""
+    def __init__(
+        self,
+        mean: Array,
+        pairs: Iterable[Pairs],
+        known: Mapping[str, int],
+        doubt: Array | None = None,
+    ) -> None:
+        """Look at pairs from a mean; R counts `doubt` (matches,) times.
+
+        `known` is where in the state the error stands that a sensor's observations share.
+        """
         self.pose = mean[:POSE].copy()
         self.sights: list[Sight] = []
         entries, noise, shapes = [_POSE], [], []
+        errors, shared = [], []
         self._which: list[list[int]] = []
         for table, places, seen, rows, which in pairs:
             columns, z, R = (
@@ -69,14 +79,25 @@ class Scene:
                 seen.z.take(rows, 0),
                 seen.R.take(rows, 0),
             )
+            s, whose = seen.shared.take(rows, 0), [known.get(seen.sensors[row], -1) for row in rows]
+            s[np.array(whose) < 0] = 0.0
+            R -= s[:, :, None] * s[:, None]
             if doubt is not None:
                 R *= doubt[which, None, None]
+            errors.append(np.repeat(whose, z.shape[1]))
+            shared.append(s.ravel())
             noise.append(R.reshape(z.size, -1))
             self.sights.append(Sight(table, places, z, self.pose, mean.take(columns)))
             entries.append(columns.ravel())
             shapes.append((*z.shape, columns.shape[1]))
             self._which.append(which)
-        self.entries = np.concatenate(entries)
+        seen_entries = np.concatenate(entries)
+        offsets = np.array(sorted(known.values()), np.int64)
+        self.entries = np.concatenate([seen_entries, offsets])
+        of_rows = np.concatenate(errors)
+        number = len(seen_entries) + np.searchsorted(offsets, of_rows)
+        self.errors: Ints = np.where(of_rows < 0, -1, number)
+        self.h_error = np.concatenate(shared)
         self.slots, self.blocks = _layout(np.array(shapes))
         self.noise = stacked(noise)
 

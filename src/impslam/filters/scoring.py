@@ -81,25 +81,46 @@ def _near(
 
 
 @kernel
-def _distances(
+def _across(P: Array, offset: int, error: int, z_D_pose: Array, z_D_m: Array, out: Array) -> None:
+    """Fill out (dz,) with the covariance of what is predicted of a landmark and a shared error."""
+    for a in range(len(out)):
+        out[a] = 0.0
+        for p in range(POSE):
+            out[a] += z_D_pose[a, p] * P[error, p]
+        for p in range(z_D_m.shape[1]):
+            entry = offset + p
+            out[a] += z_D_m[a, p] * P[max(entry, error), min(entry, error)]
+
+
+@kernel
+def _innovations(
     pairs: tuple[Ints, Ints], z: Array, known: Array, HPH: Array, R: Array, angles: Mask
-) -> tuple[Array, Array, Array, Array]:
-    """Return nu (p, dz), S (p, dz, dz), nu^T S^-1 nu (p,) and log det S (p,) of pairs, by Cholesky."""
+) -> tuple[Array, Array]:
+    """Return nu (p, dz) and S = H P H^T + R (p, dz, dz) of pairs."""
     count, dz = len(pairs[0]), z.shape[1]
     nu, S = np.empty((count, dz)), np.empty((count, dz, dz))
+    for n in range(count):
+        i, j = pairs[0][n], pairs[1][n]
+        for p in range(dz):
+            value = z[i, p] - known[j, p]
+            nu[n, p] = wrap_in_kernel(value) if angles[p] else value
+            for q in range(p + 1):
+                S[n, p, q] = S[n, q, p] = HPH[j, p, q] + R[i, p, q]
+    return nu, S
+
+
+@kernel
+def _distances(nu: Array, S: Array) -> tuple[Array, Array]:
+    """Return nu^T S^-1 nu (p,) and log det S (p,) of pairs, by Cholesky."""
+    count, dz = nu.shape
     distance2, log_det = np.empty(count), np.empty(count)
     L, y = np.zeros((dz, dz)), np.empty(dz)
     for n in range(count):
-        i, j = pairs[0][n], pairs[1][n]
         total, root = 0.0, 1.0  # root: that of det S
         for p in range(dz):
-            value = z[i, p] - known[j, p]
-            if angles[p]:
-                value = wrap_in_kernel(value)
-            nu[n, p] = value
+            value = nu[n, p]
             for q in range(p + 1):
-                entry = HPH[j, p, q] + R[i, p, q]
-                S[n, p, q] = S[n, q, p] = entry
+                entry = S[n, p, q]
                 for r in range(q):
                     entry -= L[p, r] * L[q, r]
                 L[p, q] = math.sqrt(max(entry, 1e-300)) if p == q else entry / L[q, q]
@@ -109,22 +130,49 @@ def _distances(
             total += y[p] * y[p]
             root *= L[p, p]
         distance2[n], log_det[n] = total, 2.0 * math.log(root)
-    return nu, S, distance2, log_det
+    return distance2, log_det
+
+
+@kernel
+def _inside(
+    pairs: tuple[Ints, Ints], nu: Array, S: Array, gate: float
+) -> tuple[Ints, Ints, tuple[Array, Array, Array, Array]]:
+    """Return the pairs in the gate and their scores."""
+    distance2, log_det = _distances(nu, S)
+    inside = ~(distance2 > gate)
+    scores = nu[inside], S[inside], distance2[inside], log_det[inside]
+    return pairs[0][inside], pairs[1][inside], scores
 
 
 @kernel
 def _scored(
-    P: Array, offsets: Ints, seen: tuple[Array, Array], known: Known, angles: Mask, gate: float
+    P: Array,
+    offsets: Ints,
+    seen: tuple[Array, Array, Array, Ints],
+    known: Known,
+    angles: Mask,
+    gate: float,
 ) -> tuple[Ints, Ints, tuple[Array, Array, Array, Array]]:
-    """Return observations (p,) and landmarks (p,) of the pairs in the gate, and their scores."""
-    (z, R), (predicted, z_D_pose, z_D_m) = seen, known
-    spread = _spread(P, offsets, z_D_pose, z_D_m)
-    a, k, places = _near(z, predicted, spread, R, angles, gate)
+    """Return observations (p,) and landmarks (p,) of the pairs in the gate, and their scores.
+
+    What is `seen` are z, R, what z is off by for the sensor's shared error, and where that stands (a,).
+    """
+    (z, R, shared, errors), (predicted, z_D_pose, z_D_m) = seen, known
+    spread, R_most = _spread(P, offsets, z_D_pose, z_D_m), R
+    if (errors >= 0).any():  # cov(a + b) is at most 2 cov(a) + 2 cov(b)
+        spread, R_most = 2.0 * spread, 2.0 * R
+    a, k, places = _near(z, predicted, spread, R_most, angles, gate)
     HPH = innovation_blocks(P, offsets[places], z_D_pose[places], z_D_m[places])
-    nu, S, distance2, log_det = _distances((a, k), z, predicted[places], HPH, R, angles)
-    inside = ~(distance2 > gate)
-    scores = nu[inside], S[inside], distance2[inside], log_det[inside]
-    return a[inside], places[k[inside]], scores
+    nu, S = _innovations((a, k), z, predicted[places], HPH, R, angles)
+    across = np.empty(z.shape[1])
+    for n in range(len(a)):
+        i, j = a[n], places[k[n]]
+        if errors[i] >= 0:
+            _across(P, offsets[j], errors[i], z_D_pose[j], z_D_m[j], across)
+            for p in range(len(across)):
+                for q in range(len(across)):
+                    S[n, p, q] += across[p] * shared[i, q] + across[q] * shared[i, p]
+    return _inside((a, places[k]), nu, S, gate)
 
 
 @kernel
@@ -138,10 +186,8 @@ def _compared(
         for p in range(len(row)):
             spread[i, p] = row[p, p]
     a, k, places = _near(z, predicted, spread, R, angles, gate)
-    nu, S, distance2, log_det = _distances((a, k), z, predicted[places], HPH[places], R, angles)
-    inside = ~(distance2 > gate)
-    scores = nu[inside], S[inside], distance2[inside], log_det[inside]
-    return a[inside], places[k[inside]], scores
+    nu, S = _innovations((a, k), z, predicted[places], HPH[places], R, angles)
+    return _inside((a, places[k]), nu, S, gate)
 
 
 def score(belief: GaussianBelief, table: Table, asked: Columns, gate: float) -> Hypotheses:
@@ -150,10 +196,12 @@ def score(belief: GaussianBelief, table: Table, asked: Columns, gate: float) -> 
     All landmarks are predicted, for that is cheap; P is read for those near enough.
     """
     model, pose = table.model, belief.mean[:POSE].copy()
-    seen = model.predict(pose, table.states(belief.mean))
-    known, angles = (seen.z, seen.z_D_pose, seen.z_D_m), angle_mask(type(model))
-    scored = _scored(belief.P, table.offsets, (asked.z, asked.R), known, angles, gate)
-    return _hypotheses(belief, table, asked, seen.z, scored)
+    found = model.predict(pose, table.states(belief.mean))
+    known, angles = (found.z, found.z_D_pose, found.z_D_m), angle_mask(type(model))
+    errors = np.array([belief.errors.get(sensor, -1) for sensor in asked.sensors])
+    seen = asked.z, asked.R, asked.shared, errors
+    scored = _scored(belief.P, table.offsets, seen, known, angles, gate)
+    return _hypotheses(belief, table, asked, found.z, scored)
 
 
 def score_predicted(
@@ -173,7 +221,7 @@ def _hypotheses(
     scored: tuple[Ints, Ints, tuple[Array, Array, Array, Array]],
 ) -> Hypotheses:
     """Return scored pairs with all that is told of them."""
-    (indices, z, _, ends), (a, rows, scores) = asked, scored
+    (indices, z, _, ends, _, _), (a, rows, scores) = asked, scored
     model, pose, m = table.model, belief.mean[:POSE].copy(), table.states(belief.mean, rows)
 
     def apart(from_robot: bool) -> tuple[Array, Array]:

@@ -145,7 +145,7 @@ class SquareRootBelief:
     """Mean and root of the covariance of [pose, landmark, landmark, ...]."""
 
     def __init__(self, pose: Array, covariance: Array) -> None:
-        self.n = POSE
+        self.n, self.errors = POSE, dict[str, int]()
         self.mean = np.array(pose, np.float64)
         self._axes = _axes(float(pose[2]))
         self.S = np.asfortranarray(self._axes.T @ _triangular(self._axes @ root(covariance)))

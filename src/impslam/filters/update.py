@@ -24,6 +24,8 @@ class Rows(NamedTuple):
     """The measurement Jacobian H of a scan by rows, see the module, and the innovations' noise.
 
     `noise` (rows, largest dim_z) are the rows of R's blocks, which begin at row `blocks` (rows,).
+    `h_error` (rows,) measures the error that the sensor's observations share, which is number `errors`
+    (rows,) of the q entries; -1: none.
     """
 
     slots: Ints
@@ -31,6 +33,8 @@ class Rows(NamedTuple):
     noise: Array
     h_pose: Array
     h_m: Array
+    errors: Ints
+    h_error: Array
 
 
 @kernel
@@ -59,7 +63,7 @@ def _rows_of(P: Array, entries: Ints, begin: int, end: int, out: Array) -> None:
 @kernel
 def _measure(rows: Rows, P: Array, out: Array) -> None:
     """Fill out (rows, n) with H P for the q rows (q, >= n) of P."""
-    slots, _, _, h_pose, h_m = rows
+    slots, _, _, h_pose, h_m, errors, h_error = rows
     for r in range(len(slots)):
         measured, x, y, theta = out[r], P[0], P[1], P[2]
         for i in range(out.shape[1]):
@@ -69,12 +73,16 @@ def _measure(rows: Rows, P: Array, out: Array) -> None:
                 row = P[slots[r] + c]
                 for i in range(out.shape[1]):
                     measured[i] += h_m[r, c] * row[i]
+        if errors[r] >= 0:
+            row = P[errors[r]]
+            for i in range(out.shape[1]):
+                measured[i] += h_error[r] * row[i]
 
 
 @kernel
 def _seen(rows: Rows, step: Array) -> Array:
-    """Return H d (rows,) of a step d (q,)."""
-    slots, _, _, h_pose, h_m = rows
+    """Return H d (rows,) of a step d (q,); shared errors are considered, not moved."""
+    slots, _, _, h_pose, h_m, _, _ = rows
     out = np.zeros(len(slots))
     for r in range(len(slots)):
         for c in range(POSE):
@@ -88,7 +96,7 @@ def _seen(rows: Rows, step: Array) -> Array:
 @kernel
 def innovation_covariance(rows: Rows, P: Array, entries: Ints) -> tuple[Array, Array]:
     """Return S = H P H^T + R (rows, rows) and H P (rows, q) for P among the q entries."""
-    slots, blocks, noise, h_pose, h_m = rows
+    slots, blocks, noise, h_pose, h_m, errors, h_error = rows
     count, width = len(slots), h_m.shape[1]
     HP, S = np.empty((count, len(entries))), np.empty((count, count))
     _measure(rows, among(P, entries), HP)
@@ -100,6 +108,8 @@ def innovation_covariance(rows: Rows, P: Array, entries: Ints) -> tuple[Array, A
             for c in range(width):
                 if h_m[a, c] != 0.0:
                     total += h_m[a, c] * HP[b, slots[a] + c]
+            if errors[a] >= 0:
+                total += h_error[a] * HP[b, errors[a]]
             S[a, b] = S[b, a] = total
     return S, HP
 

@@ -149,7 +149,10 @@ class Lidar2D(Sensor):
         assert scan is not None
         middle = 0.5 * self._sweep(offsets)
         return tuple(
-            o.with_delay(float(offsets[o.beams].mean()) - middle) if middle and len(o.beams) else o
+            o.of_sensor(
+                sweeps.sensor,
+                float(offsets[o.beams].mean()) - middle if middle and len(o.beams) else 0.0,
+            )
             for extractor in self.extractors.values()
             for o in extractor.extract(scan, rng)
         )

@@ -11,13 +11,17 @@ from impslam.diagnosis.finding import SIGMAS, Finding, certainty, is_off
 from impslam.diagnosis.handedness import handedness
 from impslam.diagnosis.odometry import unsigned
 from impslam.noise import MotionNoise
+from impslam.odometry.base import Odometry
 from impslam.odometry.encoders import Encoders
+from impslam.odometry.odometry_pose import OdometryPoses
 
 COPES = 3.0
 """Times its declared noise that odometry may be off by where scans are matched: it is then a guess only."""
 GROSS = 3.0
 """Times the way beyond which a reading is no turn of another wheel, but another unit."""
-RANGES = "ranges scale"
+RANGES, HALF = "ranges scale", 0.5
+"""A kind that odometry's own lengths explain as well."""
+UNMENDED = "no setting mends it"
 
 
 def scales(e: Evidence) -> Iterator[Finding]:
@@ -57,7 +61,7 @@ def _scales(e: Evidence, agreed: Agreement) -> Iterator[Finding]:
         f"odometry logs {a:.3f} ± {max(way.sigma[0], 1e-3):.3f} times the way and {d:.3f} ± "
         f"{max(turn.sigma[1], 1e-3):.3f} times the turns of the laser",
         fix,
-        max(certainty(*test) for test in tests),
+        HALF if kind == RANGES else max(certainty(*test) for test in tests),
         advice,
         any(abs(off) > copes * limit for off, _, limit in tests),
     )
@@ -92,16 +96,36 @@ def _mended(e: Evidence, agreed: Agreement) -> tuple[str, tuple[str, ...], str]:
     kind = min(misfits, key=misfits.__getitem__)
     ranges = f"{e.place}.range_scale={e.lidar.range_scale * a:.4f}"
     if not isinstance(e.odometry, Encoders):
+        way_fix, turn_fix = _pose_settings(e.odometry, a, d)
         if kind == RANGES:
-            return kind, (ranges,), "or odometry's ways are off by as much, which no setting mends"
-        return "odometry scale", (), "no setting mends it; calibrate the odometry"
+            return kind, (ranges,), _or(way_fix, "odometry's ways are off by as much")
+        fix = turn_fix if kind == "track" else way_fix + turn_fix
+        return "odometry scale", fix, "" if fix else UNMENDED
     track = e.odometry.track * d / a
     wheels = _way_setting(e.odometry, a), f"odometry.track={track:.4g}"
     if kind == RANGES:
-        return kind, (ranges,), f"or --set {wheels[0]} --set {wheels[1]}"
+        return kind, (ranges,), _or(wheels, "")
     if kind == "track":
         return kind, (f"odometry.track={e.odometry.track * d:.4g}",), ""
     return kind, wheels[:1] if misfits[kind] < SIGMAS else wheels, ""
+
+
+def _or(settings: tuple[str, ...], otherwise: str) -> str:
+    """Return the words for other settings that may be meant."""
+    return f"or {' '.join(f'--set {one}' for one in settings) or otherwise}"
+
+
+def _pose_settings(
+    odometry: Odometry, a: float, d: float
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the settings for scales of ways and of turns of odometry without wheels, if it has any."""
+    names = type(odometry).model_fields
+    ways = [name for name in ("distance_scale", "speed_scale") if name in names]
+    turns = [name for name in ("turn_scale",) if name in names]
+    return (
+        tuple(f"odometry.{name}={getattr(odometry, name) / a:.4g}" for name in ways),
+        tuple(f"odometry.{name}={getattr(odometry, name) / d:.4g}" for name in turns),
+    )
 
 
 def _way_setting(odometry: Encoders, scale: float) -> str:
@@ -122,11 +146,14 @@ def _unequal(e: Evidence, agreed: Agreement) -> Iterator[Finding]:
         half, a = 0.5 * e.odometry.track * pull, float(agreed.way.p[0])
         ratio = e.odometry.right_left_ratio * (a - half) / (a + half)
         fix = (f"odometry.right_left_ratio={ratio:.4f}",)
+    elif isinstance(e.odometry, OdometryPoses):
+        turn = e.odometry.turn_per_metre - pull * e.odometry.distance_scale
+        fix = (f"odometry.turn_per_metre={turn:.4f}",)
     yield Finding(
         "wheels unequal",
         f"odometry turns by {pull:+.3f} ± {max(sigma, 1e-3):.3f} rad per metre of straight way",
         fix,
         certainty(pull, sigma, noise),
-        "" if fix else "no setting mends it; calibrate the odometry",
+        "" if fix else UNMENDED,
         abs(pull) > (COPES if e.matches_scans else 1.0) * noise,
     )

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 
+import numpy as np
 import pytest
 from tests import log_faults as faults
 
@@ -10,6 +11,7 @@ from impslam.config import load
 from impslam.diagnosis.diagnose import diagnose
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
+from impslam.types import LaserScan, Stamped, WheelAngles
 
 
 @pytest.fixture(scope="module")
@@ -88,3 +90,22 @@ def test_mirrored_or_exchanged_without_a_gyro(drive) -> None:
     problems = harm(faults.faulty(quiet, faults.exchanged()))
     assert problems["scan mirrored"].sure == 0.5
     assert "odometry.exchanged=true" in problems["scan mirrored"].advice
+
+
+def test_logs_that_tell_nothing(drive) -> None:
+    """Nothing of these can be compared, and nothing is made up."""
+    scans = [{name: c for name, c in batch.items() if name == "LaserScan"} for batch in drive]
+    wheels = [{name: c for name, c in batch.items() if name == "WheelAngles"} for batch in drive]
+    stopped = faults.of(Stamped, lambda c: faults.with_values(c, stamp=0.0 * c["stamp"]))
+    blind = faults.of(LaserScan, lambda c: faults.with_values(c, ranges=np.nan * c["ranges"]))
+    rare = faults.of(WheelAngles, lambda c: faults.with_values(c, left=_with_one(c["left"], 1e300)))
+    cases = [[], scans, wheels, drive[:1], scans[:2] + wheels[:1]]
+    cases += [list(faults.faulty(drive[:8], change)) for change in (stopped, blind, rare)]
+    for case in cases:
+        assert not [one for one in found(case) if one.harmful]
+
+
+def _with_one(column, value: float):
+    out = column.copy()
+    out[len(out) // 2] = value
+    return out

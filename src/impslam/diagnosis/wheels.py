@@ -14,6 +14,8 @@ from impslam.types import Array
 
 JUMP = 0.5
 """Share of all values of a wheel that a step is across where its reading wraps."""
+FILLED = 0.2
+"""Share of all values that four fifths of the readings take up: they come round, or lie at both ends."""
 USUAL = 5.0
 """Times a step's size in the rest of the log that a jump is larger."""
 NEAR = 0.02
@@ -41,12 +43,16 @@ def wheels(e: Evidence) -> Iterator[Finding]:
 
 def _wrap(readings: Array, wrap: float) -> float:
     """Return by how much readings (n,) jump where they wrap, beyond `wrap`; 0 if they do not."""
-    steps = np.diff(readings[np.isfinite(readings)])
+    readings = readings[np.isfinite(readings)]
+    steps = np.diff(readings)
     if wrap:
         steps = steps - wrap * np.rint(steps / wrap)
-    span = float(np.ptp(readings[np.isfinite(readings)])) if len(steps) else 0.0
+    span = float(np.ptp(readings)) if len(steps) else 0.0
     jumps = np.abs(steps) > JUMP * span
     if not span or not jumps.any() or jumps.mean() > 0.1:
+        return 0.0
+    low, high = np.percentile(readings, [10.0, 90.0])
+    if high - low < FILLED * span:  # single readings that are wrong, and back again
         return 0.0
     rest = steps[~jumps]
     if not len(rest) or np.abs(steps[jumps]).min() < USUAL * np.abs(rest).max(initial=0.0):

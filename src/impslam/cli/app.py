@@ -72,7 +72,7 @@ COMMANDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "map": (
         "map:app",
-        "Look into maps, straighten, compare, join and export them.",
+        "Inspect, straighten, compare, merge and export maps.",
         ("info office.imp", "merge one.imp two.imp -o all.imp"),
     ),
     "inspect": (

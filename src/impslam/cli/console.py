@@ -54,7 +54,7 @@ Topics: TypeAlias = Annotated[
         name="--topic",
         negative="",
         show_default=False,
-        help="Which topic plays a role: --topic scan=/scan.",
+        help="Use a topic for a role: --topic scan=/scan.",
     ),
 ]
 Columns: TypeAlias = Annotated[
@@ -63,7 +63,7 @@ Columns: TypeAlias = Annotated[
         name="--columns",
         negative="",
         show_default=False,
-        help="Which column of a CSV log is what: --columns stamp=t,ranges=r0:r359*0.001.",
+        help="Name the columns of a CSV log: --columns stamp=t,ranges=r0:r359*0.001.",
     ),
 ]
 Seed: TypeAlias = Annotated[int | None, Parameter(help="Seed of everything that is random.")]
@@ -77,11 +77,11 @@ class Common:
     Parameters
     ----------
     quiet
-        Say nothing but errors.
+        Print errors only.
     verbose
-        Say more on the way.
+        Print more while running.
     debug
-        Show where in the program an error happened.
+        Print the traceback of an error.
     """
 
     quiet: Flag = False

@@ -27,11 +27,11 @@ class Against:
     relations
         A relation file of the SLAM benchmarking suite.
     align
-        Compare where the path fits the truth best, laid on its true start, or as given.
+        Align the path with the truth by the best fit, at its start, or not at all.
     delta
-        Stretch of the relative pose error, m.
+        Length over which the relative pose error is taken, m.
     gate
-        How far off a landmark may be, m.
+        Largest distance of a landmark from the true one, m.
     """
 
     truth: Path | None = None

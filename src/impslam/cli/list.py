@@ -23,7 +23,7 @@ Row: TypeAlias = tuple[str, ...]
 
 
 def list_components(role: str | None = None, /, *, common: Common | None = None) -> None:
-    """Print what each role can be played by, with the parameters: name, default, unit, meaning.
+    """Print the components of each role with their parameters: name, default, unit, meaning.
 
     Parameters
     ----------

@@ -13,15 +13,15 @@ COMMANDS = {
         "office.imp -o straight.imp",
     ),
     "diff": (
-        "Show what has changed between two maps of a place: walls gone, and new ones.",
+        "Show what has changed between two maps of a place: walls that are gone, and new ones.",
         "monday.imp friday.imp -o changes.png",
     ),
     "merge": (
-        "Merge maps of one building, of any number of robots; how they lie is found, or told not to be.",
+        "Merge maps of one building, from several drives or robots; how they are aligned is found.",
         "one.imp two.imp three.imp -o all.imp",
     ),
     "localise": (
-        "Find where in a map each scan of a log was taken, each by itself.",
+        "Locate each scan of a log in a map, independently of the others.",
         "office.imp drive.mcap --every 10 -o places",
     ),
     "export": (

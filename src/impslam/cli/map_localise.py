@@ -31,7 +31,7 @@ def localise(  # noqa: PLR0913  # each is an option that a user may give
     topics: Topics = (),
     common: Common | None = None,
 ) -> None:
-    """Find where in a map each scan of a log was taken, each by itself.
+    """Locate each scan of a log in a map, independently of the others.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def localise(  # noqa: PLR0913  # each is an option that a user may give
     log
         A file or folder; its format is recognised from its content.
     every
-        Only each so many-th scan is sought.
+        Locate every so many-th scan only: 10 for every tenth.
     output
         The folder to write to: places.csv, summary.json and places.png. Default:
         runs/LOG-places-DATE-TIME.

@@ -48,7 +48,7 @@ def reproduce(
         Parameter(help="Simulated runs of each experiment. Default: enough for a first look."),
     ] = None,
     full: Annotated[
-        bool, Parameter(negative="", help="As many runs as the documented figures rest on.")
+        bool, Parameter(negative="", help="As many runs as for the documented figures.")
     ] = False,
     jobs: Annotated[
         int | None, Parameter(name=["--jobs", "-j"], help="Processes. Default: all cores.")

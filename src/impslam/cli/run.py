@@ -42,17 +42,17 @@ class Page:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
 class Begin:
-    """Options of a run that goes on with a map.
+    """Options of a run that continues a map.
 
     Parameters
     ----------
     map
-        Go on with this map (map.imp; with --frozen also a grid, map.yaml). Where in it the log begins
-        is found; a log that was stopped in the middle goes on where the map ends.
+        Continue this map (map.imp; with --frozen also a grid, map.yaml). The place where the log begins
+        is found; a log that was stopped in the middle continues where the map ends.
     frozen
-        Localise in the map, and change nothing of it.
+        Localise in the map without changing it.
     start
-        About where in the map the log begins: x,y or x,y,theta in m and rad. Default: it is found.
+        Roughly where in the map the log begins: x,y or x,y,theta in m and rad. Default: it is found.
     """
 
     map: Path | None = None

@@ -29,7 +29,6 @@ def write_picture(calibration: Calibration, file: Path, title: str) -> None:
     for axes, part, what in zip(panels, (0, 2), ("way in mm", "turn in mrad"), strict=True):
         _draw_residuals(axes, calibration, part, what)
     panels[1].set_xlabel("motion of the lidar, in the order of the logs")
-    panels[0].legend(fontsize=8, frameon=False, loc="upper right")
     file.write_bytes(as_png(figure, **TIGHT))
 
 
@@ -71,5 +70,6 @@ def _draw_residuals(axes: Axes, calibration: Calibration, part: int, what: str) 
             1000.0 * off, ".", color=colour, ms=size, alpha=0.7, label=f"{name}: rms {rms:.1f}"
         )
     axes.set_ylabel(f"odometry minus scans, {what}")
-    axes.legend(fontsize=8, frameon=False, loc="upper right")
+    above = (1.0, 1.0)
+    axes.legend(fontsize=8, frameon=False, ncols=2, loc="lower right", bbox_to_anchor=above)
     quiet(axes)

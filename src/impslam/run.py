@@ -52,16 +52,16 @@ def run(  # noqa: PLR0913  # each is a choice that a user may make
     observers: Iterable[Observer] = (),
     progress: Progress | None = None,
 ) -> Map:
-    """Map a log, or go on with a map.
+    """Map a log, or continue a map with it.
 
     Parameters
     ----------
     log : a file or folder; its format is recognised from its content
     config : a preset's name, a file, or a config; by default the preset that fits the log
     settings : overrides of the config, each as "key=value"
-    known : a map to go on with, or its file; where in it the log begins is found
-    frozen : localise in that map, and change nothing of it
-    hint : (2,) or (3,) m, m, rad, about where in the map the log begins
+    known : a map to continue, or its file; the place where the log begins is found
+    frozen : localise in that map without changing it
+    hint : (2,) or (3,) m, m, rad, roughly where in the map the log begins
     observers : additional observers of the run
     progress : called with the position in the log and its length, in the source's own unit
 

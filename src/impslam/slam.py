@@ -39,12 +39,12 @@ class Slam:
     Parameters
     ----------
     config : a preset's name, a file, or a config
-    settings : laid over it, each as "key=value"
-    observers : what else is to see the run
+    settings : overrides of the config, each as "key=value"
+    observers : additional observers of the run
     progress : called with the number of scans used so far, after each call that used some
-    known : a map to go on with, or its file; where in it the robot begins is found
-    frozen : localise in that map, and change nothing of it
-    hint : (2,) or (3,) m, m, rad, about where in the map the robot begins
+    known : a map to continue, or its file; the place where the robot begins is found
+    frozen : localise in that map without changing it
+    hint : (2,) or (3,) m, m, rad, roughly where in the map the robot begins
 
     Examples
     --------

@@ -31,7 +31,7 @@ def watch():
 
 
 def test_a_robot_whose_landmarks_are_gone_at_once_is_displaced_until_they_are_seen_again(watch):
-    assert keyframes(watch, (), count=3) == [NONE, NONE, DISPLACED]
+    assert keyframes(watch, (), count=2) == [NONE, DISPLACED]
     keyframes(watch, (), born=range(5, 10))
     assert keyframes(watch, range(5, 10), count=50) == [DISPLACED] * 50  # the same things once more
     assert keyframes(watch, [0, 1, 5, 6, 7], count=50) == [DISPLACED] * 50
@@ -56,4 +56,9 @@ def test_a_tracker_that_is_lost_is_displaced(watch):
 def test_innovations_that_are_too_large_are_told_and_modest_ones_not(watch):
     assert keyframes(watch, range(5), ratio=0.2, count=40) == [NONE] * 40
     assert keyframes(watch, range(5), ratio=1.1 * MOST, count=100)[-1] == INCONSISTENT
+    assert keyframes(watch, range(5, 9), born=range(5, 9), count=100)[-1] == DISPLACED
     assert keyframes(watch, range(5), ratio=1.0, count=100)[-1] == NONE
+
+
+def test_a_slip_after_which_the_walls_along_the_way_still_match_is_found(watch):
+    assert keyframes(watch, [0, 1], count=3) == [NONE, NONE, DISPLACED]

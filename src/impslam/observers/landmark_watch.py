@@ -23,14 +23,15 @@ SHORT = 5.0
 """Keyframes over which the usual number of matches is averaged."""
 FEWEST = 3
 """Matches that are usual at least, to say that they are missing."""
-MISSING = 0.5
-"""Share of the usual number of matches that is missing, while as much is seen."""
+MISSING = 0.4
+"""Share of the usual number of matches that is missing, while as much is seen: the two walls along which a
+robot slips are still matched."""
 SEEN = 0.7
 """Share of the usual number of observations that is still as much."""
 KNOWN = 0.75
 """Share of matches that are with landmarks from before, of a robot that is where it is estimated."""
 PERSISTS = 3
-"""Keyframes in a row that have to say so, either way."""
+"""Keyframes in a row that have to say so, either way; one without any match counts for two."""
 
 
 class LandmarkWatch:
@@ -46,30 +47,33 @@ class LandmarkWatch:
     def revise(self, keyframe: Keyframe, revision: Revision) -> tuple[int, float]:
         """Take in a keyframe; return what is wrong, `NONE` if nothing is, and the amount with it."""
         self._average(revision)
-        self._displace(keyframe, revision)
-        self._newest = max((self._newest, *revision.born))
         ratio = self._squares / self._freedoms
-        if self._before is not None:
-            return DISPLACED, 0.0
-        return (INCONSISTENT, math.sqrt(ratio)) if ratio > MOST else (NONE, 0.0)
+        self._displace(keyframe, revision, off=ratio > MOST)
+        self._newest = max((self._newest, *revision.born))
+        if ratio > MOST:
+            return INCONSISTENT, math.sqrt(ratio)
+        return (NONE, 0.0) if self._before is None else (DISPLACED, 0.0)
 
     def _average(self, revision: Revision) -> None:
         keep = 1.0 - 1.0 / MEMORY
         self._squares = keep * self._squares + sum(m.distance2 for m in revision.matches)
         self._freedoms = keep * self._freedoms + sum(len(m.innovation) for m in revision.matches)
 
-    def _displace(self, keyframe: Keyframe, revision: Revision) -> None:
+    def _displace(self, keyframe: Keyframe, revision: Revision, *, off: bool) -> None:
+        """Find out whether the robot is displaced; `off` tells that landmarks are not where they were."""
         found, seen = len(revision.matches), len(keyframe.observations)
         if (keyframe.lost or keyframe.reason == SKIPPED) and self._newest >= 0:
             self._before, self._again = self._newest, 0
         elif self._before is None:
-            missing = found <= MISSING * self._matches and seen >= SEEN * self._seen
-            self._missing = self._missing + 1 if missing and self._matches >= FEWEST else 0
-            if self._missing >= PERSISTS:
+            missing = found <= (1.0 - MISSING) * self._matches and seen >= SEEN * self._seen
+            missing &= self._matches >= FEWEST
+            self._missing = self._missing + (1 if found else 2) if missing else 0
+            if off or self._missing >= PERSISTS:
                 self._before, self._again = self._newest, 0
         else:
             known = sum(match.landmark <= self._before for match in revision.matches)
-            self._again = self._again + 1 if known >= max(FEWEST, KNOWN * found) else 0
+            again = known >= max(FEWEST, KNOWN * found) and not off
+            self._again = self._again + 1 if again else 0
             if self._again >= PERSISTS:
                 self._before, self._missing = None, 0
         if not self._missing:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.diagnosis.diagnose import first_look
 from impslam.errors import ImpError, in_a_line
 from impslam.evaluation.consistency import nees, pose_errors
 from impslam.fitting import fitted
@@ -18,6 +19,8 @@ from impslam.studies.drives import Drive, DriveSource
 from impslam.sweeps.rows import Row
 from impslam.types import Array, Ints, Mask
 
+LONG = 1.0
+"""s of scans that are silent within which a fault is to be noticed."""
 OFF, TIMES = 0.5, 5.0
 """m, and times the worst error of the clean run: a pose that is further off is wrong."""
 INSIDE, OUTSIDE = 11.34, 16.27
@@ -28,7 +31,7 @@ LEAST = 0.05
 """m: a limit is no less, since a settled path is known no better."""
 VERDICTS = ("harmless", "said", "honest", "noted", "silent")
 """harmless: no pose was wrong. said: no wrong pose was called TRACKING, or the run refused the log. honest:
-all that were are within their ellipse. noted: some were not, and a note at the end of the run names a
+all that were are within their ellipse. noted: some were not, and a note before or after the run names a
 problem. silent: nothing does."""
 
 
@@ -113,7 +116,8 @@ def mapped(drive: Drive) -> Mapped:
     outcome = live.outcome
     assert outcome is not None
     rows = np.searchsorted(source.drive.scans.order, live.places)
-    notes = frozenset(outcome.dropped)
+    found = frozenset(finding.kind for finding in first_look(config, source))
+    notes = frozenset(outcome.dropped) | found
     settled = np.full((len(rows), 3), np.nan)
     settled[known.placed()] = known.path()[:, 1:]
     return Mapped(rows, live.poses, live.covariances, settled, outcome.health, notes, seconds)
@@ -160,6 +164,7 @@ def score(drive: Drive, limit: float, usual: frozenset[str], *, exact: bool) -> 
         "inside": int((tracking & (squares < INSIDE)).sum()),
         "wrong": int(wrong.sum()),
         "silent": int(silent.sum()),
+        "silent_seconds": float(silent.sum() * drive.period),
         "lost": int((run.health.states > 1).sum()),
         "said": run.health.summary,
         "notes": sorted(notes),

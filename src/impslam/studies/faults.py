@@ -13,7 +13,7 @@ import numpy as np
 
 from impslam.studies.drives import Drive, recorded, simulated
 from impslam.studies.fault_kinds import FAULTS
-from impslam.studies.fault_scores import VERDICTS, limit_of, mapped, score, with_truth
+from impslam.studies.fault_scores import LONG, VERDICTS, limit_of, mapped, score, with_truth
 from impslam.studies.report import Picture, ResultTable, Section, load_text, make_table
 from impslam.sweeps.job import Job
 from impslam.sweeps.rows import Row
@@ -98,6 +98,9 @@ def _off(rows: Sequence[Row]) -> str:
 COLUMNS: dict[str, Callable[[Sequence[Row]], str]] = {
     "runs": lambda rows: str(len(rows)),
     **{verdict: _count(verdict) for verdict in VERDICTS},
+    "unsaid over 1 s": lambda rows: str(
+        sum(row.get("silent_seconds", 0.0) > LONG for row in rows) or ""
+    ),
     "off at worst [m]": _off,
     "TRACKING [%]": _percent("tracking", "scans"),
     "of these inside 99 % [%]": _percent("inside", "tracking"),
@@ -145,4 +148,6 @@ def numbers(rows: Sequence[Row]) -> Mapping[str, Any]:
     calibration = {
         name: _share(some, "inside", "tracking") for name, some in _by(faulty, "drive").items()
     }
-    return {"runs": len(faulty), "verdicts": counts, "tracking_inside_99": calibration}
+    long = sum(row.get("silent_seconds", 0.0) > LONG for row in faulty)
+    shares = {"tracking_inside_99": calibration, "all": _share(faulty, "inside", "tracking")}
+    return {"runs": len(faulty), "verdicts": counts, "unsaid_over_1_s": long, **shares}

@@ -37,11 +37,10 @@ class Columns(NamedTuple):
         some, k = [observations[i] for i in indices], len(indices)
         z = np.concatenate([o.z for o in some]).reshape(k, -1)
         R = np.concatenate([o.R for o in some]).reshape(*z.shape, -1)
-        sensors = ["" if o.shared is None else o.sensor for o in some]
-        shared = np.zeros_like(z)
-        for row, o in zip(shared, some, strict=True):
+        sensors, shared = ["" if o.shared is None else o.sensor for o in some], np.zeros_like(z)
+        for row, o in enumerate(some):
             if o.shared is not None:
-                row[:] = o.shared
+                shared[row] = o.shared
         return cls(np.array(indices), z, R, end_points(some), shared, sensors)
 
 

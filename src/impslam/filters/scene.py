@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from impslam.filters.atlas import Pairs, Table
 from impslam.filters.belief import POSE
+from impslam.filters.columns import Columns
 from impslam.geometry.angles import wrap
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
@@ -79,26 +80,26 @@ class Scene:
                 seen.z.take(rows, 0),
                 seen.R.take(rows, 0),
             )
-            s, whose = seen.shared.take(rows, 0), [known.get(seen.sensors[row], -1) for row in rows]
-            s[np.array(whose) < 0] = 0.0
-            R -= s[:, :, None] * s[:, None]
+            if known:
+                s, whose = _taken_out(R, seen, rows, known)
+                errors.append(whose)
+                shared.append(s)
             if doubt is not None:
                 R *= doubt[which, None, None]
-            errors.append(np.repeat(whose, z.shape[1]))
-            shared.append(s.ravel())
             noise.append(R.reshape(z.size, -1))
             self.sights.append(Sight(table, places, z, self.pose, mean.take(columns)))
             entries.append(columns.ravel())
             shapes.append((*z.shape, columns.shape[1]))
             self._which.append(which)
-        seen_entries = np.concatenate(entries)
-        offsets = np.array(sorted(known.values()), np.int64)
-        self.entries = np.concatenate([seen_entries, offsets])
-        of_rows = np.concatenate(errors)
-        number = len(seen_entries) + np.searchsorted(offsets, of_rows)
-        self.errors: Ints = np.where(of_rows < 0, -1, number)
-        self.h_error = np.concatenate(shared)
+        self.entries = np.concatenate(entries)
         self.slots, self.blocks = _layout(np.array(shapes))
+        self.errors: Ints = np.full(len(self.slots), -1)
+        self.h_error = np.zeros(len(self.slots))
+        if known:
+            offsets, whose = np.array(sorted(known.values())), np.concatenate(errors)
+            numbers = len(self.entries) + np.searchsorted(offsets, whose)
+            self.entries = np.concatenate([self.entries, offsets])
+            self.errors, self.h_error = np.where(whose < 0, -1, numbers), np.concatenate(shared)
         self.noise = stacked(noise)
 
     @property
@@ -123,6 +124,19 @@ class Scene:
             states.append(sight.table.model.retract(sight.states, delta))
             begin += sight.states.size
         return pose, states
+
+
+def _taken_out(
+    R: Array, seen: Columns, rows: Sequence[int], known: Mapping[str, int]
+) -> tuple[Array, Ints]:
+    """Take the part out of R (k, dz, dz) that a known shared error makes.
+
+    Return what each scalar is off by for it (k dz,), and where the error stands (k dz,); -1: none.
+    """
+    s, whose = seen.shared.take(rows, 0), np.array([known.get(seen.sensors[r], -1) for r in rows])
+    s[whose < 0] = 0.0
+    R -= s[:, :, None] * s[:, None]
+    return s.ravel(), np.repeat(whose, s.shape[1])
 
 
 def stacked(parts: list[Array]) -> Array:

@@ -211,6 +211,7 @@ def running_station(
     with ExitStack() as stack:
         if simulated.virtual:
             from impslam.platform.virtual.process import VirtualRobot  # needs the extra
+            from impslam.platform.virtual.truth import TruthFollower
 
             imp = stack.enter_context(VirtualRobot(simulated.world, simulated.seed))
             chosen = chosen.model_copy(update={"devices": imp.devices()})
@@ -224,6 +225,10 @@ def running_station(
         )
         stack.callback(station.stop)
         station.start()
+        if simulated.virtual:
+            follower = TruthFollower(imp.truth, station.recorder.put)
+            stack.callback(follower.stop)
+            follower.start()
         yield station, chosen.name, fault
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import PrivateAttr
 from tests.recorded import Played, perfect
 
 from impslam.config import load
@@ -178,6 +179,43 @@ def test_a_late_scan_is_caught_up_with():
 
 
 # --------------------------------------------------------------------------- halt and step
+
+
+class Counted(Played):
+    """Messages that tell how many there are, and how many were read."""
+
+    _read: int = PrivateAttr(default=0)
+    total = property(lambda self: len(self._list))
+    position = property(lambda self: self._read)
+
+    def _messages(self):
+        for self._read, located in enumerate(super()._messages()):
+            yield located
+
+
+def test_a_replay_goes_on_to_a_place_as_fast_as_it_can_and_halts_there(room, tmp_path):
+    playing = Player(load("imp"), Counted.of(room, tmp_path), (), LiveView(), lambda _: None)
+    with pytest.raises(ImpError, match="not known yet"):
+        playing.seek(0.5)
+    playing.set_speed(0.1)
+    playing.start()
+    wait_until(lambda: playing.status().steps > 0)
+    playing.pause()
+    playing.seek(0.5)
+
+    def share():
+        status = playing.status()
+        return status.position / status.total
+
+    wait_until(lambda: share() >= 0.5)
+    time.sleep(0.1)
+    assert share() < 0.55
+    assert playing.status().state == "paused"
+    with pytest.raises(ImpError, match="cannot go back"):
+        playing.seek(0.2)
+    playing.seek(1.0)
+    playing.resume()
+    assert len(playing.wait(20.0).path()) > 50
 
 
 def test_a_halt_is_at_once_and_a_step_is_one_scan(room, tmp_path):

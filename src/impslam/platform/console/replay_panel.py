@@ -20,6 +20,7 @@ SPEEDS = {
     "10": "10×",
     "inf": "as fast as possible",
 }
+SEEK = "(e) => emit(e.offsetX / e.currentTarget.clientWidth)"
 OVER = {"ended", "stopped", "failed", "writing"}
 SAID = {
     "ready": "Ready to play",
@@ -47,7 +48,9 @@ class ReplayPanel:
                 self._speed.props["aria-label"] = "Speed"
                 self._speed.on("change", self._on_speed, js_handler="(e) => emit(e.target.value)")
             self._bar = tagged(html.progress(max=1, value=0), "replay-position")
-            self._bar.props["aria-label"] = "Position in the log"
+            self._bar.props["aria-label"] = "Position in the log; a click goes on to there"
+            if self._may:
+                self._bar.classes("seek").on("click", self._on_seek, js_handler=SEEK)
             self._said = text("replay", "", "soft")
             self._detail = text("replay-detail", "", "soft")
         self.update()
@@ -79,6 +82,10 @@ class ReplayPanel:
     def _on_speed(self, event: Any) -> None:
         if event.args in SPEEDS:
             self._do(lambda: self._player.set_speed(float(event.args)))
+
+    def _on_seek(self, event: Any) -> None:
+        if isinstance(event.args, int | float) and 0.0 <= event.args <= 1.0:
+            self._do(lambda: self._player.seek(float(event.args)))
 
     def _do(self, work: Any) -> None:
         self._viewer.do(work)

@@ -28,6 +28,7 @@ class Pace:
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._paused, self._told, self._owed, self._stopped = False, False, 0, False
+        self._rushing = False
         self._speed = 1.0
         # Played time counts the log's seconds without gaps: it was `_at` at the moment `_since`.
         self._at, self._since = 0.0, time.monotonic()
@@ -69,6 +70,13 @@ class Pace:
             self._owed += 1
             self._changed.notify()
 
+    def rush(self, on: bool) -> None:
+        """Let all through at once, whatever pause and speed say, until it is off."""
+        with self._changed:
+            self._rushing = on
+            self._anchor()
+            self._changed.notify()
+
     def stop(self) -> None:
         """Let nothing through any more."""
         with self._changed:
@@ -106,6 +114,8 @@ class Pace:
 
     def _left(self, target: float) -> float:
         """Return the seconds until a played time, inf at a halt."""
+        if self._rushing:
+            return 0.0
         if self._paused:
             return 0.0 if self._owed else math.inf
         if self._speed == math.inf:

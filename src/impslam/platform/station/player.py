@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from typing import Literal, TypeAlias
 
 from impslam.columns import Batch
 from impslam.config import Config
-from impslam.errors import LeftError, in_a_line
+from impslam.errors import ImpError, LeftError, in_a_line
 from impslam.map import Map
 from impslam.observers.base import Observer
 from impslam.observers.live_view import LiveView
@@ -86,6 +87,7 @@ class Player:
         self._pace = Pace()
         self._phase: State = "ready"
         self._position: tuple[int, int | None] = 0, None
+        self._goal = math.inf  # position to which it plays as fast as possible, inf: nowhere
         self._map: Map | None = None
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._work, name="player", daemon=True)
@@ -116,6 +118,22 @@ class Player:
             If it is another number.
         """
         self._pace.set_speed(speed)
+
+    def seek(self, share: float) -> None:
+        """Play as fast as possible to a share of the log, 0 to 1, then on, or halt, as before.
+
+        Raises
+        ------
+        ImpError
+            If it lies behind, or the log does not tell how long it is.
+        """
+        position, total = self._position
+        if not total:
+            raise ImpError("how long this log is, is not known yet; play it as fast as possible")
+        if share * total < position:
+            raise ImpError("a replay cannot go back, for a map does not forget; start it again")
+        self._goal = share * total
+        self._pace.rush(True)
 
     def stop(self) -> None:
         """End early; observers are told what is known by then, so a run folder holds it."""
@@ -193,6 +211,9 @@ class Player:
             return True
         stamp = float(columns.stamps[0])
         self._position = self._source.position, self._source.total
+        if self._source.position >= self._goal:
+            self._goal = math.inf
+            self._pace.rush(False)
         verdict = self._pace.wait(stamp)
         while verdict == "halted":
             self._view.refresh()

@@ -121,15 +121,15 @@ def bound_of(drives: list[Drive], true: Array, noise: float) -> Array:
 
 def published(data: Path) -> None:
     """Print what is found for each mount beside the published result, whole and by thirds."""
-    names = ("l radius", "r radius", "axle", "x", "y", "yaw")
+    names = ("l diameter", "r diameter", "axle", "x", "y", "yaw")
     for mount in ("lstraight", "l90", "lmov"):
-        reference = data / f"{mount}_results.json"
-        if not reference.is_file():
+        result = data / f"{mount}_results.json"
+        if not result.is_file():
             continue
-        theirs = _reference(reference)
-        found, sigmas = _of_tuples(data / f"{mount}.tuple")
-        parts = [_of_tuples(part)[0] for part in sorted(data.glob(f"{mount}_?.tuple"))]
-        others = [_reference(part) for part in sorted(data.glob(f"{mount}_?_results.json"))]
+        theirs = reference(result)
+        found, sigmas = of_tuples(data / f"{mount}.tuple")
+        parts = [of_tuples(part)[0] for part in sorted(data.glob(f"{mount}_?.tuple"))]
+        others = [reference(part) for part in sorted(data.glob(f"{mount}_?_results.json"))]
         print(f"{mount}: {len(parts)} thirds")
         for k, name in enumerate(names):
             spread = np.std([part[k] for part in parts], ddof=1) if len(parts) > 1 else np.nan
@@ -137,13 +137,13 @@ def published(data: Path) -> None:
                 np.std([part[k] for part in others], ddof=1) if len(others) > 1 else np.nan
             )
             print(
-                f"  {name:9} found {found[k]:9.5f} +- {sigmas[k]:.5f} (thirds {spread:.5f})"
+                f"  {name:10} found {found[k]:9.5f} +- {sigmas[k]:.5f} (thirds {spread:.5f})"
                 f"  published {theirs[k]:9.5f} (thirds {spread_theirs:.5f})"
                 f"  difference {found[k] - theirs[k]:9.5f}"
             )
 
 
-def _reference(file: Path) -> Array:
+def reference(file: Path) -> Array:
     told = json.loads(file.read_text())
     return np.array([told[key] for key in ("l_diam", "r_diam", "axle", "l_x", "l_y", "l_theta")])
 
@@ -155,8 +155,8 @@ def _tuples(file: Path) -> Iterator[tuple[float, float, float, list[float]]]:
         yield one["T"], one["phi_l"], one["phi_r"], one["sm"]
 
 
-def _of_tuples(file: Path) -> tuple[Array, Array]:
-    """Return left and right radius, axle, x, y, yaw, and their standard deviations."""
+def of_tuples(file: Path) -> tuple[Array, Array]:
+    """Return left and right diameter, axle, x, y, yaw, and their standard deviations."""
     seconds, left, right, moved = (np.array(column) for column in zip(*_tuples(file), strict=True))
     stamps = np.concatenate(([0.0], np.cumsum(seconds)))
     model = DifferentialDrive(stamps, np.zeros(len(left), bool), left * seconds, right * seconds)
@@ -171,8 +171,11 @@ def _of_tuples(file: Path) -> tuple[Array, Array]:
     values, sigmas = found.parameters, np.sqrt(np.diag(found.covariance))
     J = np.array([values[1], values[0]])  # of the right radius, by the left one and the ratio
     right_sigma = float(np.sqrt(J @ found.covariance[:2, :2] @ J))
-    radii = (values[0], values[0] * values[1])
-    return np.array([*radii, *values[2:6]]), np.array([sigmas[0], right_sigma, *sigmas[2:6]])
+    diameters = (2.0 * values[0], 2.0 * values[0] * values[1])
+    return (
+        np.array([*diameters, *values[2:6]]),
+        np.array([2.0 * sigmas[0], 2.0 * right_sigma, *sigmas[2:6]]),
+    )
 
 
 def exact_motions(begins: Array, ends: Array, moved: Array) -> LidarMotions:

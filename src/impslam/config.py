@@ -100,9 +100,19 @@ class Config(Parameters):
         """Return the estimator, ready for its first keyframe, or for the next one of a known map."""
         estimator: Estimator = build("estimator", self.estimator)
         parts = {role: build(role, getattr(self, role)) for role in estimator.parts}
+        self._check_unique(estimator)
         start, models = np.array(self.start), self.make_models()
         estimator.start(start, known, frozen, hint, models=models, **parts)
         return estimator
+
+    def _check_unique(self, estimator: Estimator) -> None:
+        for name, table in self.sensors.items():
+            sensor = build("sensor", table, f"sensors.{name}")
+            if sensor.tells_unique and not estimator.takes_unique:
+                raise ConfigError(
+                    f"sensors.{name}: the estimator {estimator.name!r} cannot use a {sensor.name}; "
+                    "choose --set estimator.kind=landmarks"
+                )
 
     def make_models(self) -> dict[str, LandmarkModel]:
         """Return every known landmark model by the kind it is for."""

@@ -161,6 +161,14 @@ class TruePose(Stamped):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Fix(Stamped):
+    """A GPS fix: (2,) m east and north of a point near by, and its covariance (2, 2), NaN if not told."""
+
+    position: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class EncoderVoltages(Stamped):
     """What the left and the right absolute encoder give, in V: 0 to 5 V over a turn, wrapping."""
 

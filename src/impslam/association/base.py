@@ -35,6 +35,7 @@ class Hypotheses:
     log_det : (p,), log determinant of S
     apart : returns `LandmarkModel.distance` of the pairings, in base_link if True, else in map
     possible : (p,), false where extents rule the pairing out
+    unique : whether there is one landmark of the kind, so that nothing else can have been seen
     """
 
     kind: str
@@ -48,6 +49,7 @@ class Hypotheses:
     log_det: Array
     apart: Callable[[bool], tuple[Array, Array]]
     possible: Mask
+    unique: bool = False
 
     def matches(self, pairs: Sequence[int]) -> list[Match]:
         """Return some of the p pairings."""

@@ -58,7 +58,8 @@ class Mahalanobis(Association):
         # -2 log of the odds that this is the landmark, against that it is another like it.
         odds = dim * math.log(2.0 * math.pi) + 2.0 * math.log(self.density)
         distance2, cost = group.distance2, group.distance2 + group.log_det + odds
-        allowed = (distance2 < quantile(self.gate, dim)) & group.possible & (cost < 0.0)
+        allowed = (distance2 < quantile(self.gate, dim)) & group.possible
+        allowed &= (cost < 0.0) | group.unique
         near = (distance2 < quantile(self.new_gate, dim)) & group.possible & (cost < _DOUBT)
         pairs = allowed.nonzero()[0]
         best = one_to_one(group.observations[pairs], group.landmarks[pairs], cost[pairs])

@@ -29,6 +29,7 @@ EXPERIMENTS = {
     "corridor": ("corridor:corridor", 100),
     "figures": ("chapter4:figures", 1),
     "drawings": ("drawings:drawings", 1),
+    "overhead": ("overhead:overhead", 20),
     "extractors": ("extractors:extractors", 10),
     "consistency": ("consistency:consistency", 1000),
     "faults": ("faults:faults", 3),
@@ -68,8 +69,8 @@ def reproduce(
     Parameters
     ----------
     experiments
-        Any of points, lines, both, corridor, figures, drawings, extractors, consistency, faults,
-        filters. Default: all.
+        Any of points, lines, both, corridor, figures, drawings, overhead, extractors, consistency,
+        faults, filters. Default: all.
     output
         The folder to write to, a new one. Default: runs/reproduce-DATE-TIME.
     """

@@ -39,6 +39,8 @@ class Estimator(Component):
     """Whether it can begin with a map that is known."""
     tells_landmarks: ClassVar[bool] = True
     """Whether revisions tell of each landmark when it is matched, comes and goes."""
+    takes_unique: ClassVar[bool] = False
+    """Whether it estimates landmarks of which there is one, such as the frame of a GPS."""
     keyframes: ClassVar[KeyframeGate] = KeyframeGate()
     """Which scans it takes in, unless the config says otherwise."""
 

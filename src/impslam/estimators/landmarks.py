@@ -17,7 +17,7 @@ from impslam.filters.base import Filter
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
 from impslam.map import Keyframe, Map, Revision
-from impslam.types import Array, Landmark
+from impslam.types import Array, Landmark, Observation
 
 START_SIGMA = 1e-4
 """m and rad: the start is the map's origin by definition; this only keeps P positive definite."""
@@ -28,11 +28,13 @@ class Landmarks(Estimator):
     """A filter over the robot's pose and the landmarks, with association and lifecycle (the thesis)."""
 
     parts: ClassVar[tuple[str, ...]] = ("filter", "association", "lifecycle")
+    takes_unique: ClassVar[bool] = True
 
     _filter: Filter = PrivateAttr()
     _association: Association = PrivateAttr()
     _lifecycle: Lifecycle = PrivateAttr()
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
+    _met: set[str] = PrivateAttr(default_factory=set)
 
     def start(
         self,
@@ -82,9 +84,12 @@ class Landmarks(Estimator):
         self._lifecycle.move(keyframe.motion)
         self._filter.note(observations, choice.matches, stamp)
 
-        unmatched = [observations[i] for i in choice.new]
+        single = [i for i in choice.new if self._models[observations[i].kind].unique]
+        others = [i for i in choice.new if i not in single]
+        unmatched = [observations[i] for i in others]
         alone = self._filter.state_size == len(self._filter.pose)
-        chosen = [choice.new[i] for i in self._lifecycle.promote(unmatched, now, alone)]
+        chosen = [others[i] for i in self._lifecycle.promote(unmatched, now, alone)]
+        chosen += self._first(observations, single)
         born = self._filter.extend([observations[i] for i in chosen], stamp)
 
         gone: list[int] = []
@@ -97,6 +102,16 @@ class Landmarks(Estimator):
 
         facts = {"matches": choice.matches, "born": born, "origins": tuple(chosen)}
         return self._revision(keyframe, **facts, gone=tuple(gone), innovation=told)
+
+    def _first(self, observations: tuple[Observation, ...], single: list[int]) -> list[int]:
+        """Return which of some observations are the first of a landmark of which there is one."""
+        first = {
+            observations[i].kind: i
+            for i in reversed(single)
+            if observations[i].kind not in self._met
+        }
+        self._met |= set(first)
+        return list(first.values())
 
     def _revision(self, keyframe: Keyframe, **facts: Any) -> Revision:
         pose, covariance = self._filter.pose[None], self._filter.covariance[None]

@@ -234,7 +234,8 @@ def _hypotheses(
     if model.has_extent and len(a):
         possible = _possible(belief, table, ends[a], rows, m)
     ids, labels = table.ids[rows], table.labels[rows]
-    return Hypotheses(table.kind, indices, indices[a], ids, labels, *scores, apart, possible)
+    asked_of = indices, indices[a], ids, labels
+    return Hypotheses(table.kind, *asked_of, *scores, apart, possible, model.unique)
 
 
 @cache

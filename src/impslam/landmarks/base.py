@@ -21,6 +21,9 @@ from impslam.component import Component
 from impslam.geometry.angles import wrap
 from impslam.types import Array, Observation
 
+COURSE, COURSE_SIGMA = "course", "course sigma"
+"""Attributes of a GPS fix: direction of travel in its frame and its standard deviation, rad."""
+
 _STEP = 1e-5  # m, rad: of central differences; their error is then some 1e-10 of the values
 
 
@@ -80,6 +83,8 @@ class LandmarkModel(Component):
     """Which components of z are angles."""
     is_place: ClassVar[bool] = True
     """m begins with a place [x, y] in map, perturbed by addition: it swings as a heading errs."""
+    unique: ClassVar[bool] = False
+    """There is one of it: it enters at once, and what does not fit it is an outlier, no other one."""
     has_extent: ClassVar[bool] = False
     """It is seen in pieces, which must overlap to be one: `extents` and `overlap` say where."""
     values: ClassVar[tuple[str, ...]] = ()

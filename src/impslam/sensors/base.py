@@ -19,6 +19,9 @@ class Sensor(Component):
     consumes: ClassVar[type[Message]]
     """The type of message that it reads."""
 
+    tells_unique: ClassVar[bool] = False
+    """Whether it observes a landmark of which there is one, which not every estimator takes."""
+
     stream: str = parameter(
         "", "", "name of the stream that it reads; empty: the default stream of its kind"
     )

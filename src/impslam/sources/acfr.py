@@ -23,7 +23,7 @@ import numpy.typing as npt
 from pydantic import PrivateAttr
 
 from impslam.columns import Columns
-from impslam.component import register
+from impslam.component import parameter, register
 from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Stream
 from impslam.sources.matlab import MatlabSource, column, read_variables, same_length
@@ -32,8 +32,10 @@ from impslam.sources.text import beam_angles, beam_times, finite
 from impslam.types import (
     Array,
     Detections,
+    Fix,
     Ints,
     LaserScan,
+    Mask,
     Message,
     Steering,
     TrueLandmark,
@@ -41,6 +43,9 @@ from impslam.types import (
 )
 
 STEP = math.radians(0.5)  # between beams, from right to left
+FIXES = "GPS fixes"
+SCORED = "positions, for scoring; source.use_fix gives some to a sensor"
+WHICH_FIXES = "every so many-th fix of the GPS is read by a sensor, the others score it; 0: none"
 RIGHT = math.radians(-90.0)  # the first beam
 GPS = 1
 NAMES = {GPS: "GPS", 2: "wheels", 3: "laser"}  # of the carpark's sensors, by number
@@ -51,6 +56,7 @@ RANGE_MAX = 81.0  # m; a SICK LMS says 81.91 for no echo, and other codes from 8
 class Carpark(MatlabSource):
     """ACFR car with scans: Time, Sensor, Index and what they list."""
 
+    use_fix: int = parameter(0, "1", WHICH_FIXES, ge=0)
     default_preset: ClassVar[str] = "carpark"
     needs: ClassVar[frozenset[str]] = frozenset(
         {"Time", "Sensor", "Index", "TimeGPS", "GPSLon", "GPSLat"}
@@ -71,7 +77,7 @@ class Carpark(MatlabSource):
         gps = np.column_stack([columns[n] for n in ("TimeGPS", "GPSLon", "GPSLat")])
         wheels = np.column_stack([columns[n] for n in ("Time_VS", "Velocity", "Steering")])
         self._makers = {
-            1: lambda i: _fix(*gps[i]),
+            1: lambda i: _fix(gps[i], bool(_used(np.array(i), self.use_fix))),
             2: lambda i: _steering(*wheels[i]),
             3: lambda i: _scan(columns["TimeLaser"][i], ranges[i], echoes[i]),
         }
@@ -88,7 +94,8 @@ class Carpark(MatlabSource):
                 self._problems.add("malformed event", f"{self.path}:{number}: {error}; dropped")
             else:
                 # A GPS falls silent under trees and says so; its clock is no one's business.
-                yield Located(message, number, NAMES[sensor], checked=sensor != GPS)
+                stream = FIXES if isinstance(message, Fix) else NAMES[sensor]
+                yield Located(message, number, stream, checked=sensor != GPS)
 
     def _message(self, sensor: int, index: int) -> Message:
         if sensor not in self._makers or index < 0:
@@ -114,7 +121,13 @@ class Carpark(MatlabSource):
         """Return GPS, wheels and laser, and the survey where it is there."""
         counts = {s: sum(sensor == s for sensor, _ in self._events) for s in self._makers}
         found = [
-            Stream("GPS", "TruePose", counts[1], used=False, note="positions, for scoring only"),
+            Stream(
+                "GPS",
+                "TruePose",
+                counts[1],
+                used=False,
+                note=SCORED,
+            ),
             Stream("wheels", "Steering", counts[2], True, "speed and steering", default=True),
             Stream(
                 "laser", "LaserScan", counts[3], True, "SICK LMS, with brightness", default=True
@@ -130,6 +143,8 @@ class Carpark(MatlabSource):
 @register("acfr_park")
 class Park(MatlabSource):
     """ACFR car among trees (Victoria Park): u, zt and their times."""
+
+    use_fix: int = parameter(0, "1", WHICH_FIXES, ge=0)
 
     default_preset: ClassVar[str] = "victoria-park"
     needs: ClassVar[frozenset[str]] = frozenset({"time", "u", "TLsr", "zt"})
@@ -169,9 +184,15 @@ class Park(MatlabSource):
         places = self._fixes[fixes]
         poses = np.column_stack((places[:, 1:], np.full(len(places), math.nan)))
         fix = {"stamp": places[:, 0].copy(), "pose": poses}
+        used = _used(np.arange(len(fixes)), self.use_fix)
+        unknown = np.full((len(fixes), 2, 2), math.nan)
+        told = {"stamp": fix["stamp"], "position": poses[:, :2].copy(), "covariance": unknown}
         part = [
             Piece.of(Columns("wheels", Steering, orders[0], motion, {}), wheels + 1),
-            Piece.of(Columns("GPS", TruePose, orders[1], fix, {}), fixes + 1, checked=False),
+            Piece.of(
+                Columns("GPS", TruePose, orders[1], fix, {}).take(~used), fixes[~used] + 1, False
+            ),
+            Piece.of(Columns(FIXES, Fix, orders[1], told, {}).take(used), fixes[used] + 1, False),
             *(single(*tree) for tree in zip(trees, orders[2].tolist(), strict=True)),
         ]
         yield [piece for piece in part if len(piece.columns)]
@@ -206,7 +227,7 @@ class Park(MatlabSource):
             Stream("trees", "Detections", len(self._trees), True, "zt", default=True),
         ]
         if fixes:
-            note = "Lo_m, La_m: positions, for scoring only"
+            note = f"Lo_m, La_m: {SCORED}"
             found.append(Stream("GPS", "TruePose", fixes, used=False, note=note))
         return found
 
@@ -222,8 +243,16 @@ def _table(path: Path, values: Any, name: str) -> Array:
     return array.astype(np.float64)
 
 
-def _fix(stamp: float, x: float, y: float) -> TruePose:
+def _used(numbers: Ints, every: int) -> Mask:
+    """Return which fixes, by their numbers, a sensor reads: every so many-th."""
+    return np.asarray((numbers % every == 0) if every else np.zeros(numbers.shape, np.bool_))
+
+
+def _fix(row: Array, used: bool) -> TruePose | Fix:
+    stamp, x, y = row.tolist()
     finite("stamp or position", stamp, x, y)
+    if used:
+        return Fix(float(stamp), np.array([x, y]), np.full((2, 2), math.nan))
     return TruePose(float(stamp), np.array([x, y, math.nan]))
 
 

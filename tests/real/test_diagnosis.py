@@ -1,0 +1,30 @@
+"""What real logs show to be wrong: nothing that harms a run, and what is known of each."""
+
+import pytest
+
+from impslam.diagnosis.diagnose import first_look
+from impslam.open_log import open_log
+
+pytestmark = [pytest.mark.real]
+
+
+def looked_at(folder, log, preset=None):
+    config, source = open_log(folder / log, preset)
+    with source:
+        return first_look(config, source)
+
+
+@pytest.mark.parametrize(
+    "log",
+    ["turtlebot3/turtlebot3.bag", "lego-robot4", "urg04lx-encoders/exp1.dat", "intel/intel.log",
+     "fr079/fr079.log", "fr101/fr101.recovered.log", "carpark", "mrclam6"],
+)  # fmt: skip
+def test_silent_on_sound_logs(data_folder, log):
+    assert looked_at(data_folder, log) == []
+
+
+@pytest.mark.parametrize("preset", ["imp", "mines-rover", "lego-robot4"])
+def test_another_robots_preset(data_folder, preset):
+    (only,) = looked_at(data_folder, "turtlebot3/turtlebot3.bag", preset)
+    assert only.kind == "wrong preset"
+    assert only.advice.endswith("-c turtlebot3-waffle")

@@ -190,7 +190,7 @@ def test_a_write_goes_on_where_the_port_took_part_of_it(tcp):
 
 def test_a_missing_extra_is_told_with_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "serial", None)
-    with pytest.raises(DeviceError, match=r'pip install "impslam\[robot\]"'):
+    with pytest.raises(DeviceError, match=r"pip install .*(pyserial|impslam\[robot\])"):
         open_port("/dev/ttyUSB0", 115200)
     with pytest.raises(DeviceError, match=r"cobs\.nothing is not installed"):
         extra("cobs.nothing")

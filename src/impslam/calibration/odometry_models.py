@@ -173,8 +173,8 @@ def model_of(odometry: Odometry, readings: Columns) -> OdometryModel:
         stamps = stamps + odometry.latency
     else:
         raise ConfigError(
-            f"odometry.kind = {odometry.name!r}: is not calibrated; encoders, odometry_pose and "
-            "velocity are"
+            f"odometry.kind = {odometry.name!r}: cannot be calibrated; choose encoders, odometry_pose "
+            "or velocity with --set odometry.kind="
         )
     return ScaledTwists(names, stamps, unknown, np.where(unknown[:, None], 0.0, told))
 

@@ -46,7 +46,9 @@ def lidar_of(config: Config) -> tuple[str, Lidar2D]:
     for name, sensor in config.make_robot().sensors.items():
         if isinstance(sensor, Lidar2D):
             return name, sensor
-    raise ConfigError("sensors: no lidar2d; calibration compares odometry with a lidar's motion")
+    raise ConfigError(
+        "sensors: no lidar2d to compare odometry with; add one with --set sensors.lidar.kind=lidar2d"
+    )
 
 
 def record(config: Config, source: Source, seen: Callable[[], object] = lambda: None) -> Recording:

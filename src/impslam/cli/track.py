@@ -48,6 +48,8 @@ def track(
     quiet = common is not None and common.quiet
     if output.suffix.lower() != ".tum":
         raise ConfigError(f"{output}: is written as a TUM file; give -o NAME.tum")
+    if not video.is_file():
+        raise ConfigError(f"{video}: no such video; check the path")
     place = setup or video.with_suffix(".toml")
     known = load_setup(place)
     if start is not None:

@@ -29,8 +29,9 @@ def draw_nees(cells: Mapping[str, Mapping[str, Sequence[float]]]) -> Figure:
             axes.plot([value], [row], "o", color=INK, ms=4)
         axes.set_xscale("log")
         low, high = axes.get_xlim()
-        axes.set_xticks([n for n in (1, 2, 3, 5, 10, 20, 50, 100, 200, 500) if low <= n <= high])
-        axes.xaxis.set_major_formatter("{x:g}")
+        if high < 100.0 * low:
+            axes.set_xticks([n for n in (1, 2, 3, 5, 10, 20, 50, 100) if low <= n <= high])
+            axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_locator(NullLocator())
         axes.set_title(data, fontsize="medium", loc="left")
         axes.set_xlabel("pose NEES")

@@ -32,6 +32,8 @@ KNOWN = ("estimator.kind=landmarks", "association.kind=known", "lifecycle.kind=i
 """What is set beforehand on simulated landmarks: they are no question there."""
 SETTINGS: Mapping[str, Setting] = {"circle": HUANG, "long loop": LONG_LOOP}
 ARENA = "arena"
+BEYOND = 1000.0
+"""From such a NEES on its order of magnitude is told."""
 RUNS = 8
 """By default; 95 % intervals say how little that is."""
 
@@ -172,7 +174,7 @@ def _table(data: str, standings: Mapping[str, Standing]) -> ResultTable:
 
     columns = {
         "runs": lambda s: str(s.runs),
-        "pose NEES": lambda s: f"{s.nees:.2f}",
+        "pose NEES": lambda s: f"{s.nees:{'.2f' if s.nees.value < BEYOND else '.1e'}}",
         "position [m]": lambda s: f"{s.position:{'.4f' if data == ARENA else '.3f'}}",
         "over the optimum": lambda s: number(s.over_optimum, ".3f"),
         "ms a step": lambda s: number(s.milliseconds, ".2f"),

@@ -27,6 +27,9 @@ SCANS = 4000
 FIRST_SCANS = 600
 """The same before a run: a minute or two, and tenths of a second."""
 
+LEAST_SCANS = 50
+"""Fewer scans do not show enough motion to tell anything; following them takes longer than such a run."""
+
 ROOTS = (overlap, wheels, preset)
 """What these find makes others find much that follows from it."""
 CHECKS = (handedness, stamps, odometry, scales, mount, beams)
@@ -56,6 +59,8 @@ def first_look(config: Config, source: Source) -> list[Finding]:
     head = Head(FIRST_SCANS)
     for _ in head.read(source.batches()):
         pass
+    if head.scans < LEAST_SCANS:
+        return []
     return [one for one in diagnose(config, head.batches, source.defaults()) if one.harmful]
 
 

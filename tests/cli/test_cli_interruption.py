@@ -26,7 +26,7 @@ from impslam.cli import bar, main
 from impslam.observers import recorder, trajectory
 trajectory.FLUSH = 1
 {more}
-bar.Bar._move = lambda self: time.sleep(0.03)
+bar.Bar._move = lambda self, scans: time.sleep(0.03 * scans)
 sys.exit(main(sys.argv[1:]))
 """
 STUCK = "recorder.write_end = lambda *_: (print('writing', flush=True), time.sleep(60))"
@@ -42,11 +42,12 @@ def started(*words: object, more: str = "") -> subprocess.Popen[str]:
     )
 
 
-def wait_for_scans(folder: Path, scans: int = 20) -> None:
+def wait_for_scans(process: subprocess.Popen[str], folder: Path, scans: int = 20) -> None:
     """Wait until the run has written so many scans of its path."""
     end = time.monotonic() + 120.0
     path = folder / "trajectory.live.tum"
     while not (path.exists() and path.read_text().count("\n") >= scans):
+        assert process.poll() is None
         assert time.monotonic() < end
         time.sleep(0.01)
 
@@ -80,7 +81,7 @@ def check_partial(folder: Path, log: Path, reason: str) -> Map:
 def test_a_signal_leaves_a_whole_folder_of_a_part(room, tmp_path, number, reason, code) -> None:
     folder = tmp_path / "run"
     with started("run", room, "-o", folder) as process:
-        wait_for_scans(folder)
+        wait_for_scans(process, folder)
         process.send_signal(number)
         _, err = process.communicate()
     assert process.returncode == code
@@ -91,7 +92,7 @@ def test_a_signal_leaves_a_whole_folder_of_a_part(room, tmp_path, number, reason
 def test_a_part_is_the_begin_of_the_whole_and_enough_to_go_on(imp, room, tmp_path) -> None:
     folder, graph = tmp_path / "run", ("--set", "estimator.kind=graph")
     with started("run", room, "-o", folder, *graph) as process:
-        wait_for_scans(folder)
+        wait_for_scans(process, folder)
         process.send_signal(signal.SIGINT)
         process.communicate()
     assert imp("run", room, "-o", tmp_path / "whole", *graph).code == 0
@@ -108,7 +109,7 @@ def test_a_part_is_the_begin_of_the_whole_and_enough_to_go_on(imp, room, tmp_pat
 def test_a_second_signal_ends_it_at_once(room, tmp_path) -> None:
     folder = tmp_path / "run"
     with started("run", room, "-o", folder, more=STUCK) as process:
-        wait_for_scans(folder)
+        wait_for_scans(process, folder)
         process.send_signal(signal.SIGINT)
         assert "writing\n" in process.stdout
         begin = time.monotonic()
@@ -192,7 +193,7 @@ def test_a_run_is_replaced_by_a_whole_one_only(imp, room, tmp_path) -> None:
 
     beside = tmp_path / "run-partial"
     with started("run", room, "-o", folder, "--force", "--seed", "4") as process:
-        wait_for_scans(beside)
+        wait_for_scans(process, beside)
         process.send_signal(signal.SIGINT)
         _, err = process.communicate()
     assert process.returncode == 130

@@ -69,13 +69,13 @@ def calibrate(  # noqa: PLR0913  # each is an option that a user may give
     json
         Write all numbers: a JSON file.
     """
-    from impslam.cli.job import column_settings, topic_settings
+    from impslam.cli.job import settings_of
 
     if not logs:
         raise ConfigError("no log given; name one or more logs of one robot")
     if output is not None and output.suffix.lower() != ".toml":
         raise ConfigError(f"{output}: is written as TOML; give -o NAME.toml")
-    every = [*settings, *topic_settings(topics), *column_settings(columns)]
+    every = settings_of(settings, topics, columns)
     quiet = common is not None and common.quiet
     if square is not None:
         from impslam.cli.umbmark import show_squares

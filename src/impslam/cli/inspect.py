@@ -37,14 +37,12 @@ def inspect(
     json
         Print all of it as JSON.
     """
-    from impslam.cli.job import column_settings, topic_settings
+    from impslam.cli.job import settings_of
     from impslam.cli.survey import Survey
     from impslam.fitting import choices
     from impslam.open_log import open_log
 
-    chosen, source = open_log(
-        log, config, [*settings, *topic_settings(topics), *column_settings(columns)]
-    )
+    chosen, source = open_log(log, config, settings_of(settings, topics, columns))
     survey = Survey(chosen)
     with source, display(common is not None and common.quiet) as shown:
         streams, preset = source.streams(), source.preset

@@ -22,6 +22,17 @@ from impslam.sources.base import Source
 from impslam.types import TrueLandmark
 
 
+def settings_of(
+    settings: Sequence[str],
+    topics: Sequence[str] = (),
+    columns: Sequence[str] = (),
+    seed: int | None = None,
+) -> list[str]:
+    """Return the settings, with those that other options abbreviate."""
+    seeds = [] if seed is None else [f"seed={seed}"]
+    return [*settings, *topic_settings(topics), *column_settings(columns), *seeds]
+
+
 def topic_settings(topics: Sequence[str]) -> list[str]:
     """Turn "scan=/front/scan" into the setting that it abbreviates."""
     for topic in topics:

@@ -46,7 +46,7 @@ def localise(  # noqa: PLR0913  # each is an option that a user may give
         runs/LOG-places-DATE-TIME.
     """
     from impslam.cli.comparison_json import write_json
-    from impslam.cli.job import topic_settings
+    from impslam.cli.job import settings_of
     from impslam.cli.map_work import result_folder, working, write_bytes
     from impslam.localisation import localise as located
     from impslam.map import Map
@@ -54,7 +54,7 @@ def localise(  # noqa: PLR0913  # each is an option that a user may give
     from impslam.observers.places_picture import places_png
 
     quiet = common is not None and common.quiet
-    changes = [*settings, *topic_settings(topics)]
+    changes = settings_of(settings, topics)
     known = Map.load(file)
     with working("localising", quiet) as progress:
         found = list(

@@ -79,13 +79,7 @@ def reproduce(
     from impslam.sweeps.job import Job
 
     names = _chosen(experiments)
-    if full and seeds is not None:
-        raise ConfigError("--full and --seeds: give one of them")
-    for what, number in (("--seeds", seeds), ("--jobs", jobs)):
-        if number is not None and number < 1:
-            raise ConfigError(f"{what} {number}: must be at least 1")
-    if data is not None and not data.is_dir():
-        raise ConfigError(f"--data {data}: no such folder")
+    _check(seeds, jobs, data, full=full)
     quiet = common is not None and common.quiet
     said = ["imp", "reproduce", *experiments, *(["--seeds", str(seeds)] if seeds else [])]
     said += ["--full"] if full else []
@@ -100,10 +94,20 @@ def reproduce(
             if parts:  # hours of work, where a later one is interrupted
                 missing = names[len(parts) :]
                 write(folder, parts, shlex.join(said), missing)
-    folder = output or folder
     if not quiet:
         _show(parts)
-        console.say(f"report: {folder / PAGE}")
+        console.say(f"report: {(output or folder) / PAGE}")
+
+
+def _check(seeds: int | None, jobs: int | None, data: Path | None, *, full: bool) -> None:
+    """Refuse options that contradict each other, or name nothing."""
+    if full and seeds is not None:
+        raise ConfigError("--full and --seeds: give one of them")
+    for what, number in (("--seeds", seeds), ("--jobs", jobs)):
+        if number is not None and number < 1:
+            raise ConfigError(f"{what} {number}: must be at least 1")
+    if data is not None and not data.is_dir():
+        raise ConfigError(f"--data {data}: no such folder")
 
 
 def _folder(wanted: Path | None, *, force: bool) -> AbstractContextManager[Path]:

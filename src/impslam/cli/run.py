@@ -17,6 +17,7 @@ from impslam.cli.exports import Exports
 from impslam.errors import ConfigError
 
 if TYPE_CHECKING:
+    from impslam.config import Config
     from impslam.continuing import Known
     from impslam.map import Map
     from impslam.observers.base import Outcome
@@ -59,10 +60,12 @@ class Begin:
     frozen: Flag = False
     start: str | None = None
 
-    def known(self) -> Known | None:
-        """Return what the run begins with."""
+    def known(self, *, live: bool) -> Known | None:
+        """Return what a run begins with, which is not `live`."""
         from impslam.continuing import begin_with
 
+        if self.map is not None and live:
+            raise ConfigError("--live shows a log from its start; leave out --live or --map")
         hint = None if self.start is None else place(self.start)
         if self.map is None and (self.frozen or hint is not None):
             raise ConfigError("--frozen and --start are about a map; give one with --map FILE")
@@ -106,46 +109,40 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
         The folder to write to, a new one. Default: runs/LOG-DATE-TIME.
     """
     from impslam.cli.first_look import show_first_look
-    from impslam.cli.job import column_settings, execute, topic_settings
+    from impslam.cli.job import execute, settings_of
     from impslam.cli.replay import replay
     from impslam.cli.run_folder import run_folder
     from impslam.observers.ending import EndOfRun
-    from impslam.open_log import going_on, open_log
+    from impslam.open_log import open_log
 
-    changes = [
-        *settings,
-        *topic_settings(topics),
-        *column_settings(columns),
-        *(() if seed is None else (f"seed={seed}",)),
-    ]
-    known_map = None if begin is None else begin.known()
-    if known_map is not None and page is not None and page.live:
-        raise ConfigError("--live shows a log from its start; leave out --live or --map")
-    chosen, source = open_log(log, config, changes)
+    changes, page, end = settings_of(settings, topics, columns, seed), page or Page(), EndOfRun()
     quiet = common is not None and common.quiet
-    if known_map is not None and (able := going_on(chosen, changes)) is not chosen:
-        if not quiet:
-            own = chosen.estimator["kind"]
-            console.say(f"estimator: graph, for {own} cannot go on with a map")
-        chosen = able
-    end = EndOfRun()
-    page = page or Page()
+    known_map = None if begin is None else begin.known(live=page.live)
+    chosen, source = open_log(log, config, changes)
+    if known_map is not None:
+        chosen = _going_on(chosen, changes, quiet=quiet)
     player = partial(replay, port=page.port, quiet=quiet) if page.live else None
-    name = log.resolve().name.split(".")[0] or "log"
-    with run_folder(output, name, force=force) as folder:
+    with run_folder(output, log.resolve().name.split(".")[0] or "log", force=force) as folder:
         if not quiet:
             show_first_look(chosen, source, config)
         known = execute(
-            *(chosen, source, folder, quiet or page.live),
-            more=[end],
-            player=player,
-            begin=known_map,
-            exports=exports,
-        )
+            chosen, source, folder, quiet or page.live,
+            more=[end], player=player, begin=known_map, exports=exports,
+        )  # fmt: skip
     if not quiet and end.outcome is not None:
         show(known, end.outcome, output or folder, at_once=not page.live)
         for line in () if exports is None else exports.lines():
             console.say(line)
+
+
+def _going_on(config: Config, changes: list[str], *, quiet: bool) -> Config:
+    """Return the config with an estimator that can go on with a map; say so if it is another one."""
+    from impslam.open_log import going_on
+
+    able = going_on(config, changes)
+    if able is not config and not quiet:
+        console.say(f"estimator: graph, for {config.estimator['kind']} cannot go on with a map")
+    return able
 
 
 def show(known: Map, outcome: Outcome, folder: Path, *, at_once: bool = True) -> None:

@@ -51,6 +51,7 @@ def gaps(scans: Scans) -> Array:
     ranges, seen = np.sort(np.where(scans.valid, scans.ranges, np.inf), axis=1), scans.valid.sum(1)
     row, some = np.arange(m), np.maximum(seen, 1)
     median = 0.5 * (ranges[row, (some - 1) // 2] + ranges[row, some // 2])
+    median[seen == 0] = 0.0
     return np.where(seen > 0, 0.05 + 3.0 * spacing * median, 0.0)
 
 

@@ -38,6 +38,9 @@ Base: TypeAlias = Annotated[
         help="A preset (`imp list presets`) or a TOML file. Default: the preset that fits the log.",
     ),
 ]
+Jobs: TypeAlias = Annotated[
+    int | None, Parameter(name=["--jobs", "-j"], help="Processes. Default: all cores.")
+]
 Target: TypeAlias = Annotated[Path, Parameter(name=["--output", "-o"])]
 Output: TypeAlias = Annotated[Path | None, Parameter(name=["--output", "-o"])]
 Force: TypeAlias = Annotated[

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common, Force, Output
+from impslam.cli.console import Common, Force, Jobs, Output
 from impslam.cli.progress import StageBars, display
 from impslam.cli.run_folder import run_folder
 from impslam.component import near_miss
@@ -51,9 +51,7 @@ def reproduce(
     full: Annotated[
         bool, Parameter(negative="", help="As many runs as for the documented figures.")
     ] = False,
-    jobs: Annotated[
-        int | None, Parameter(name=["--jobs", "-j"], help="Processes. Default: all cores.")
-    ] = None,
+    jobs: Jobs = None,
     data: Annotated[
         Path | None, Parameter(help="Folder of the public logs. Default: simulated drives alone.")
     ] = None,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common, Output
+from impslam.cli.console import Common, Jobs, Output
 from impslam.errors import ConfigError
 from impslam.paths import make_folder
 
@@ -45,9 +45,6 @@ Alternatives = Annotated[
     ),
 ]
 Files = Annotated[tuple[str, ...], Parameter(negative="", show_default=False)]
-Jobs = Annotated[
-    int | None, Parameter(name=["--jobs", "-j"], help="Processes. Default: all cores.")
-]
 Scheduler = Annotated[
     str | None,
     Parameter(help="Work on a Dask cluster: the address of its scheduler, tcp://HOST:8786."),

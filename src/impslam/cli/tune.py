@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Base, Common, Output, Settings
-from impslam.cli.sweep import Files, Jobs, Scheduler, find_logs, make_pool
+from impslam.cli.console import Base, Common, Jobs, Output, Settings
+from impslam.cli.sweep import Files, Scheduler, find_logs, make_pool
 from impslam.errors import ConfigError
 from impslam.paths import make_folder
 
@@ -49,7 +49,7 @@ class Search:
 
     search: Files = ()
     score: Score = "best"
-    holdout: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = ()
+    holdout: Files = ()
     trials: int = 50
     seeds: int = 1
 

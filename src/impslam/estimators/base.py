@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.component import Component
-from impslam.errors import NumericalError
+from impslam.errors import ConfigError, NumericalError
 from impslam.map import Keyframe, Map, Revision
 from impslam.tracking.base import KeyframeGate
 from impslam.types import NO_EDGES, Array, Edges, Increment, Landmark, Observation
@@ -61,6 +61,14 @@ class Estimator(Component):
         `parts` are the components named in the class's `parts`, by role, and `models`, the landmark
         models by kind.
         """
+
+    def _refuse(self, known: Map | None) -> None:
+        """Raise `ConfigError` if a map is given, for an estimator that cannot go on with one."""
+        if known is not None:
+            raise ConfigError(
+                f"estimator {self.name!r} cannot go on with a map; choose another one "
+                "with --set estimator.kind=graph"
+            )
 
     @abstractmethod
     def add(self, keyframe: Keyframe) -> Revision:

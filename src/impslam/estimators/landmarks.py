@@ -10,7 +10,7 @@ from pydantic import PrivateAttr
 
 from impslam.association.base import Association
 from impslam.component import register
-from impslam.errors import ConfigError, NumericalError
+from impslam.errors import NumericalError
 from impslam.estimators.base import Estimator, check_keyframe, is_known
 from impslam.estimators.blur import blurred
 from impslam.filters.base import Filter
@@ -45,11 +45,7 @@ class Landmarks(Estimator):
         **parts: Any,
     ) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
-        if known is not None:
-            raise ConfigError(
-                "estimator 'landmarks' cannot go on with a map; choose another one "
-                "with --set estimator.kind=graph"
-            )
+        self._refuse(known)
         self._filter, self._association = parts["filter"], parts["association"]
         self._lifecycle, self._models = parts["lifecycle"], parts["models"]
         self._filter.start(pose, START_SIGMA**2 * np.eye(3), self._models)

@@ -86,11 +86,7 @@ class Particles(Estimator):
         **parts: Any,
     ) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
-        if known is not None:
-            raise ConfigError(
-                "estimator 'particles' cannot go on with a map; choose another one "
-                "with --set estimator.kind=graph"
-            )
+        self._refuse(known)
         self._association, self._lifecycle = parts["association"], parts["lifecycle"]
         if self._association.judges_jointly:
             raise ConfigError(

@@ -17,12 +17,11 @@ import numpy as np
 from impslam.columns import Scans
 from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel, plain
+from impslam.tracking.reference_scan import Geometry, changed_beam, geometry_of
 from impslam.types import Array, Ints, Mask
 
 TOLD = (0.2, 0.15)
 """m, rad: motion that odometry tells of before scans are compared; ranges change by more than noise."""
-CHANGE = 0.1
-"""m: a range that is to change by more says something: ten times a lidar's noise."""
 SAME = (0.04, 0.005)
 """m, and share of the range: a range that changed by less is the same: 3 sigma of the noise of both."""
 NEAR = 1.0
@@ -71,25 +70,29 @@ def no_cover(beams: int) -> Cover:
 
 def hidden_beams(d_pose: Array, scans: Scans, cover: Cover) -> Mask:
     """Return which beams (m, n) of scans to leave out; `d_pose` (m, 3) is by odometry, before each."""
-    angles = scans.angles
-    spacing = float(angles[-1] - angles[0]) / max(len(angles) - 1, 1)
-    beams = np.array([*scans.laser, float(angles[0]), spacing])
+    geometry = geometry_of(scans)
     out = np.zeros(scans.valid.shape, np.bool_)
     valid = np.ascontiguousarray(scans.valid)
-    _hide(d_pose, plain(scans.points), plain(scans.ranges), valid, beams, cover, out)
+    _hide(d_pose, plain(scans.points), plain(scans.ranges), valid, geometry, cover, out)
     return out
 
 
 @kernel
 def _hide(
-    d_pose: Array, points: Array, ranges: Array, valid: Mask, beams: Array, cover: Cover, out: Mask
+    d_pose: Array,
+    points: Array,
+    ranges: Array,
+    valid: Mask,
+    geometry: Geometry,
+    cover: Cover,
+    out: Mask,
 ) -> None:
     for k in range(len(d_pose)):
         advance_pose(cover.told, d_pose[k])
         far = math.hypot(cover.told[0], cover.told[1]) >= TOLD[0] or abs(cover.told[2]) >= TOLD[1]
         if far or not cover.known[0]:
             if cover.known[0]:
-                _compare(ranges[k], valid[k], beams, cover)
+                _compare(ranges[k], valid[k], geometry, cover)
             cover.known[0], cover.told[:], cover.points[:] = True, 0.0, points[k]
             for i in range(len(cover.ranges)):
                 cover.ranges[i] = ranges[k, i] if valid[k, i] else 0.0
@@ -98,10 +101,13 @@ def _hide(
 
 
 @kernel
-def _compare(ranges: Array, valid: Mask, beams: Array, cover: Cover) -> None:
+def _compare(ranges: Array, valid: Mask, geometry: Geometry, cover: Cover) -> None:
     """Hold a scan against the beams that measure the same, and find the hidden ones."""
     n, should = len(ranges), np.zeros(len(ranges), np.bool_)
-    _expect(beams, cover, should)
+    for j in range(n):
+        k = changed_beam(j, cover.told, cover.points, cover.ranges, geometry)
+        if k >= 0:
+            should[k] = True
     changed = others = 0
     for i in range(n):
         r = cover.ranges[i]
@@ -130,30 +136,3 @@ def _spread(first: int, step: int, ranges: Array, cover: Cover) -> None:
             break
         cover.hidden[i] = True
         i += step
-
-
-@kernel
-def _expect(beams: Array, cover: Cover, should: Mask) -> None:
-    """Tell which beams (n,) the motion should have changed.
-
-    `beams` (5,) is the laser's pose in base_link, the first angle, and the spacing.
-    """
-    n, c, s = len(should), math.cos(cover.told[2]), math.sin(cover.told[2])
-    for j in range(n):
-        if cover.ranges[j] <= 0.0:
-            continue
-        x, y = cover.points[j, 0] - cover.told[0], cover.points[j, 1] - cover.told[1]
-        dx, dy = c * x + s * y - beams[0], c * y - s * x - beams[1]
-        angle = math.atan2(dy, dx) - beams[2] - beams[3]
-        angle -= 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
-        if beams[4] * angle < 0.0:
-            angle += math.copysign(2.0 * math.pi, beams[4])
-        k = int(angle / beams[4] + 0.5)
-        if k >= n or cover.ranges[k] <= 0.0:
-            continue
-        least = most = cover.ranges[k]
-        for i in range(max(k - 1, 0), min(k + 2, n)):
-            least, most = min(least, cover.ranges[i]), max(most, cover.ranges[i])
-        expected = math.hypot(dx, dy)
-        if expected < least - CHANGE or expected > most + CHANGE:
-            should[k] = True

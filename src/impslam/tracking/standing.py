@@ -20,12 +20,11 @@ from impslam.geometry.algebra import between
 from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel, plain
 from impslam.health import STALLED, Reasons
+from impslam.tracking.reference_scan import Geometry, changed_beam, geometry_of
 from impslam.types import Array, Mask
 
 TOLD = (0.2, 0.15)
 """m, rad: motion that odometry tells of before scans are compared; ranges change by more than noise."""
-CHANGE = 0.1
-"""m: a range that is to change by more says something: ten times a lidar's noise."""
 SAME = (0.03, 0.005)
 """m, and share of the range: a range that changed by less is the same: 3 sigma of the noise."""
 FEWEST = 10
@@ -53,14 +52,6 @@ class Standing(NamedTuple):
     stands: Mask
 
 
-class Geometry(NamedTuple):
-    """Where beams point: the pose (3,) of the laser in base_link, the first angle, and the spacing."""
-
-    laser: Array
-    first: float
-    spacing: float
-
-
 class Rows(NamedTuple):
     """Columns of m sweeps of n beams: points (m, n, 2) in base_link, ranges and valid (m, n)."""
 
@@ -81,11 +72,8 @@ def hold(told: Array, used: Motions, scans: Scans, standing: Standing, reasons: 
 
     `told` (m, 3) are the motions by odometry, `used` those handed on; both are of the sweeps in `scans`.
     """
-    angles = scans.angles
-    spacing = (angles[-1] - angles[0]) / max(len(angles) - 1, 1)
-    geometry = Geometry(plain(scans.laser), float(angles[0]), float(spacing))
     rows = Rows(plain(scans.points), plain(scans.ranges), np.ascontiguousarray(scans.valid))
-    _hold(told, used, rows, geometry, standing, reasons)
+    _hold(told, used, rows, geometry_of(scans), standing, reasons)
 
 
 @kernel
@@ -140,26 +128,13 @@ def _compare(
 
     A shorter motion is taken for one of `TOLD` m, which tells apart what it would change.
     """
-    n, laser, changed, same = len(ranges), geometry.laser, 0, 0
     way = math.hypot(supposed[0], supposed[1])
     scale = max(TOLD[0] / way, 1.0) if way > 0.0 else 1.0
-    for j in range(n):
-        if standing.ranges[j] <= 0.0:
-            continue
-        dx = standing.points[j, 0] - scale * supposed[0] - laser[0]
-        dy = standing.points[j, 1] - scale * supposed[1] - laser[1]
-        angle = math.atan2(dy, dx) - laser[2] - geometry.first
-        angle -= 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
-        if geometry.spacing * angle < 0.0:
-            angle += math.copysign(2.0 * math.pi, geometry.spacing)
-        k = int(angle / geometry.spacing + 0.5)
-        if k >= n or not valid[k] or standing.ranges[k] <= 0.0:
-            continue
-        least = most = standing.ranges[k]  # where a wall is grazed, neighbours measure much else
-        for i in range(max(k - 1, 0), min(k + 2, n)):
-            least, most = min(least, standing.ranges[i]), max(most, standing.ranges[i])
-        expected = math.hypot(dx, dy)
-        if expected < least - CHANGE or expected > most + CHANGE:
+    motion = np.array([scale * supposed[0], scale * supposed[1], 0.0])
+    changed = same = 0
+    for j in range(len(ranges)):
+        k = changed_beam(j, motion, standing.points, standing.ranges, geometry)
+        if k >= 0 and valid[k]:
             changed += 1
             same += abs(ranges[k] - standing.ranges[k]) < SAME[0] + SAME[1] * standing.ranges[k]
     return changed, same

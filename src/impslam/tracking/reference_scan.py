@@ -1,0 +1,54 @@
+"""Which beams a motion would have changed: a reference scan as it would be seen after the motion."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from impslam.columns import Scans
+from impslam.geometry.kernels import kernel, plain
+from impslam.types import Array
+
+CHANGE = 0.1
+"""m: a range that is to change by more says something: ten times a lidar's noise."""
+
+
+class Geometry(NamedTuple):
+    """Where beams point: the pose (3,) of the laser in base_link, the first angle, and the spacing."""
+
+    laser: Array
+    first: float
+    spacing: float
+
+
+def geometry_of(scans: Scans) -> Geometry:
+    """Return where the beams of scans point."""
+    angles = scans.angles
+    spacing = (angles[-1] - angles[0]) / max(len(angles) - 1, 1)
+    return Geometry(plain(scans.laser), float(angles[0]), float(spacing))
+
+
+@kernel
+def changed_beam(j: int, motion: Array, points: Array, ranges: Array, geometry: Geometry) -> int:
+    """Return the beam that hits point j of a reference scan after a motion (3,), if its range changes.
+
+    -1 if it does not, or if there is no such beam. `points` (n, 2) are in base_link; `ranges` (n,), m,
+    are 0 where invalid.
+    """
+    if ranges[j] <= 0.0:
+        return -1
+    n, laser, c, s = len(ranges), geometry.laser, math.cos(motion[2]), math.sin(motion[2])
+    x, y = points[j, 0] - motion[0], points[j, 1] - motion[1]
+    dx, dy = c * x + s * y - laser[0], c * y - s * x - laser[1]
+    angle = math.atan2(dy, dx) - laser[2] - geometry.first
+    angle -= 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+    if geometry.spacing * angle < 0.0:
+        angle += math.copysign(2.0 * math.pi, geometry.spacing)
+    k = int(angle / geometry.spacing + 0.5)
+    if k >= n or ranges[k] <= 0.0:
+        return -1
+    least = most = ranges[k]  # where a wall is grazed, neighbours measure much else
+    for i in range(max(k - 1, 0), min(k + 2, n)):
+        least, most = min(least, ranges[i]), max(most, ranges[i])
+    expected = math.hypot(dx, dy)
+    return k if expected < least - CHANGE or expected > most + CHANGE else -1

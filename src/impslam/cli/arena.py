@@ -50,7 +50,7 @@ def map_arena(
         with clock("simulate the arena"), display(quiet) as shown:
             scans = write_log(world, log, seed, shown)
         if not quiet:
-            console.say(f"recorded {scans} scans and the wheel encoders in {OWN}; mapping ...")
+            console.say(f"recorded {scans} scans, wheel encoders and gyro in {OWN}; mapping ...")
         with clock("map and report"):
             chosen, source = open_log(log, config, [f"start={start}", f"seed={seed}", *settings])
             known = execute(chosen, source, folder, quiet, more=[end], known=world.landmarks())

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from impslam import ffmpeg
 from impslam.errors import ImpError
 from impslam.evaluation import colours
 from impslam.evaluation.colours import INK, PATH, POINT, WALL
@@ -82,6 +83,7 @@ def _rows(stamps: Array) -> Ints:
 
 def _writer(path: Path, size: tuple[int, int]) -> cv2.VideoWriter:
     """Return what writes frames of a size (columns, rows)."""
+    ffmpeg.silence()
     for codec in CODECS:
         writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), RATE, size)
         if writer.isOpened():

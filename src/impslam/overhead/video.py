@@ -10,6 +10,7 @@ from typing import Any, Self
 import cv2
 import numpy as np
 
+from impslam import ffmpeg
 from impslam.errors import ImpError
 
 PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
@@ -29,6 +30,7 @@ class Video:
         self._path = path
         if not path.is_file():
             raise ImpError(f"{path}: no such video; check the path")
+        ffmpeg.silence()
         self._capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
         if not self._capture.isOpened():
             raise ImpError(

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import tomli_w
 
+from impslam import ffmpeg
 from impslam.errors import ConfigError
 from impslam.overhead.camera import Camera
 from impslam.overhead.setup import Board, Discs, Floor, FloorPoint, Marker, Setup
@@ -75,6 +76,7 @@ def _write_video(
         raise ConfigError(f"{path}: a video is written as {', '.join(CODECS)}; name it so")
     codec = cv2.VideoWriter.fourcc(*CODECS[path.suffix.lower()])
     size = device.width, device.height
+    ffmpeg.silence()
     writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, codec, device.rate, size)
     if not writer.isOpened():
         raise ConfigError(f"{path}: cannot be written as {CODECS[path.suffix.lower()]}; try .avi")

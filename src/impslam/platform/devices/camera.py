@@ -12,6 +12,7 @@ from pathlib import Path
 
 import cv2
 
+from impslam import ffmpeg
 from impslam.component import parameter, register
 from impslam.platform.devices.base import Device, DeviceError, now
 from impslam.types import Image
@@ -19,14 +20,6 @@ from impslam.types import Image
 OPEN_TIMEOUT = 2.0  # s, a network camera on the same Wi-Fi answers within one
 READ_TIMEOUT = 1.0  # s without a picture: 15 of a slow camera in the dark; it has died or hangs
 EARLY = 0.25  # of a period: a picture so much before its turn is taken, lest it waits for the next
-
-# Read by OpenCV where it first needs them; a user's own settings win.
-_SETTINGS = {
-    "OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT": f"{READ_TIMEOUT:.0f}",  # s; its own is 10
-    # No look ahead into the stream for its format, and nothing kept back: a second of delay less.
-    "OPENCV_FFMPEG_CAPTURE_OPTIONS": "fflags;nobuffer|flags;low_delay",
-    "OPENCV_FFMPEG_LOGLEVEL": "-8",  # its lines on stderr are told by `DeviceError` instead
-}
 
 
 @register("camera")
@@ -50,10 +43,12 @@ class Camera(Device):
             capture.release()
 
     def _open(self) -> cv2.VideoCapture:
-        for name, value in _SETTINGS.items():
-            os.environ.setdefault(name, value)
+        # Read by OpenCV where it first needs it, s; its own is 10. A user's own setting wins.
+        os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", f"{READ_TIMEOUT:.0f}")
+        ffmpeg.silence()
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-        capture = cv2.VideoCapture(self._place, self._way, self._options)
+        with ffmpeg.without_delay():
+            capture = cv2.VideoCapture(self._place, self._way, self._options)
         if not capture.isOpened():
             raise DeviceError(f"{self.source}: {self._reason()}")
         return capture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -256,15 +257,31 @@ def test_small_matrices_get_one_thread_unless_more_are_asked_for(
     assert python(code).stdout == f"{threads}\n"
 
 
-def test_closed_pipe_is_quiet() -> None:
-    code = "from impslam.cli import main; raise SystemExit(main(['list']))"
-    with subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        process.stdout.close()
-        assert process.stderr.read() == ""
+def ended_without_reader(*words: object, err: bool = False) -> tuple[int, str]:
+    """Return the exit code and the messages of a command whose output nobody reads any more."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    code = "from impslam.cli import main; raise SystemExit(main())"
+    command = [sys.executable, "-c", code, *map(str, words)]
+    errors = writer if err else subprocess.PIPE
+    done = subprocess.run(command, stdout=writer, stderr=errors, text=True, check=False)
+    os.close(writer)
+    return done.returncode, done.stderr or ""
+
+
+@pytest.mark.parametrize("words", [["list"], ["--help"], ["run", "--help"], ["--version"]])
+def test_closed_pipe_is_quiet(words) -> None:
+    assert ended_without_reader(*words) == (0, "")
+
+
+@pytest.mark.parametrize("err", [False, True])
+def test_a_command_whose_reader_has_left_does_all_of_its_work(room, tmp_path, err) -> None:
+    assert ended_without_reader("run", room, "-v", "-o", tmp_path / "run", err=err) == (0, "")
+    assert (tmp_path / "run" / "map.imp").exists()
+
+
+def test_an_error_keeps_its_exit_code_without_a_reader(tmp_path) -> None:
+    assert ended_without_reader("run", tmp_path / "nope.mcap", err=True) == (2, "")
 
 
 def test_log_lines(imp, monkeypatch) -> None:

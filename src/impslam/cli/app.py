@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
@@ -10,7 +9,7 @@ from collections.abc import Callable, Sequence
 from cyclopts import App, CycloptsError
 
 import impslam
-from impslam.cli import waiting
+from impslam.cli import pipes, waiting
 from impslam.cli.console import configure, described
 from impslam.errors import ImpError, Interrupted, LeftError
 
@@ -130,15 +129,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0: done; 1: a fault of the program; 2: input that cannot be used; 130: interrupted; 143:
     terminated; 129: the terminal was closed.
     """
+    if arguments is None:
+        pipes.outlive_readers()
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
     try:
         _check(words)
         _call(words)
         sys.stdout.flush()
-    except BrokenPipeError:
-        # The reader has seen enough (`imp list | head`). Python flushes stdout once more on exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt as error:
         code = error.code if isinstance(error, Interrupted) else INTERRUPTED
         said = str(error) or "interrupted; what is written so far is valid"

@@ -228,6 +228,13 @@ def test_mistakes_are_told_in_one_line(setting, said):
     assert said in refuse(setting)
 
 
+def test_a_tracker_that_follows_odometry_is_not_run_without_odometry():
+    said = refuse("odometry.kind=lidar_only", base="imp")
+    assert "the tracker 'odometry' needs odometry" in said
+    assert "--set tracker.kind=scan_to_map" in said
+    load("imp", ["odometry.kind=lidar_only", "tracker.kind=scan_to_map"])
+
+
 def test_missing_and_broken_files(tmp_path: Path):
     assert "did you mean 'default'?" in refuse(base="defualt")
     broken = tmp_path / "broken.toml"

@@ -293,8 +293,12 @@ def load(base: str | Path | Table = "default", settings: Sequence[str] = ()) -> 
         config = Config(**table)
     except ValidationError as error:
         raise ConfigError(explain(error, "", Config.model_fields)) from None
-    config.make_robot()
-    config.make_tracker()
+    robot, tracker = config.make_robot(), config.make_tracker()
+    if not robot.odometry.tells_motion and not tracker.matches_scans:
+        raise ConfigError(
+            f"odometry.kind = {robot.odometry.name!r}: the tracker {tracker.name!r} needs odometry; "
+            "match scans instead: --set tracker.kind=scan_to_map"
+        )
     config.make_estimator()
     for role in (
         "association",

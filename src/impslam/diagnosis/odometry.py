@@ -36,7 +36,10 @@ def _stands_still(e: Evidence) -> Finding | None:
     return Finding(
         "odometry stands still",
         f"odometry stands still while the laser goes {way:.1f} m and turns {math.degrees(turn):.0f} deg",
-        ("odometry.kind=lidar_only",),
+        (
+            "odometry.kind=lidar_only",
+            *(() if e.matches_scans else ("tracker.kind=scan_to_map",)),
+        ),
     )
 
 

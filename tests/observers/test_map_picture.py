@@ -12,6 +12,7 @@ from impslam.evaluation.colours import INK, PATH, POINT, SEEN, TRUTH, UNSEEN, WA
 from impslam.maps.files import FREE, OCCUPIED, UNKNOWN, MapImage
 from impslam.observers.canvas import Canvas, colour
 from impslam.observers.map_picture import Scene, bounds, drawn_path, map_png, pieces
+from impslam.observers.summary import length
 from impslam.types import Landmark
 
 NOTHING = np.zeros((0, 2))
@@ -112,3 +113,14 @@ def test_the_path_is_parted_between_drives_and_ends_where_the_robot_was_lost():
     rows = replace(known.keyframes, sessions=sessions, placed=sessions < 2)
     path = drawn_path(replace(known, keyframes=rows))
     assert np.isnan(path).any(axis=1).tolist() == [False] * 4 + [True] + [False] * 4
+
+
+def test_the_gap_between_two_drives_is_no_way():
+    known = mapped(OFFICE, way(-6.0, 0.0, 6.0, 0.0, 6))
+    path, anchors = known.path(), known.anchors
+    steps = np.hypot(*np.diff(path[:, 1:3], axis=0).T)
+    assert length(known, path) == pytest.approx(steps.sum())
+    rows = replace(known.keyframes, sessions=np.repeat([0, 1], 3))
+    joined, second = replace(known, keyframes=rows), int(np.searchsorted(anchors, 3))
+    assert length(joined, path) == pytest.approx(steps.sum() - steps[second - 1])
+    assert length(joined, path, second) == pytest.approx(steps[second:].sum())

@@ -153,12 +153,16 @@ def show(known: Map, outcome: Outcome, folder: Path, *, at_once: bool = True) ->
     kinds = Counter(landmark.kind for landmark in known.landmarks)
     found = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())) or "none"
     closed = loops(counts)
+    before = len(known.stamps) - len(
+        outcome.health.stamps
+    )  # sweeps of the map that the run went on with
+    way = length(known, known.path(), before)
     console.show_facts(
         {
             "log": str(outcome.log),
             **({"odometry": "none, mapped by the lidar alone"} if outcome.lidar_alone else {}),
             "scans": f"{counts['steps']} used",
-            "path": f"{length(known.path()):.2f} m in {seconds:.1f} s",
+            "path": f"{way:.2f} m in {seconds:.1f} s",
             "landmarks": found,
             **({"loops": closed} if closed else {}),
             "time": f"{outcome.wall_seconds:.1f} s"

@@ -41,7 +41,7 @@ def heading(outcome: Outcome, history: History) -> str:
     facts = {
         "Scans": (f"{scans:,}", f"{lost:,} problems in the log" if lost else "none dropped"),
         "Duration": (duration(seconds), f"{scans / seconds:.1f} scans/s" if seconds > 0 else ""),
-        "Path": (f"{length(history.path):.1f} m", "estimated"),
+        "Path": (f"{length(history.known, history.path):.1f} m", "estimated"),
         "Landmarks": (str(len(landmarks)), found),
         **_loops(outcome),
         "Speed": (f"{speed:,.0f}×", f"real time, {per_scan:.2f} ms a scan{once}"),

@@ -12,6 +12,7 @@ import numpy as np
 import tomli_w
 
 from impslam.health import STATES, TRACKING, Health, state_of
+from impslam.map import Map
 from impslam.observers.base import Outcome
 from impslam.observers.history import History
 from impslam.provenance import versions
@@ -35,8 +36,8 @@ def summarise(outcome: Outcome, history: History, refused: int) -> dict[str, Any
         "lidar_alone": outcome.lidar_alone,
         "state_size": outcome.state_size,
         "path_length_m": {
-            "slam": _round(length(history.path), 6),
-            "odometry": _round(length(history.odometry), 6),
+            "slam": _round(length(history.known, history.path), 6),
+            "odometry": _round(length(history.known, history.odometry), 6),
         },
         "quality": {name: _round(value, 6) for name, value in history.quality.figures().items()},
         "health": _health(outcome.health),
@@ -104,9 +105,16 @@ def stage_times(seconds: Array) -> dict[str, float | None]:
     return {name: _round(1e3 * value, 4) for name, value in values.items()}
 
 
-def length(path: Array) -> float:
-    """Return the length in m of a path (n, 4) of stamp, x, y, theta."""
-    return float(np.hypot(*np.diff(path[:, 1:3], axis=0).T).sum())
+def length(known: Map, path: Array, begin: int = 0) -> float:
+    """Return the length in m of a path of a map, (n, 4) stamp, x, y, theta of its placed sweeps.
+
+    It begins with sweep `begin` of the map. The gap between two sessions does not count: nobody
+    drove it.
+    """
+    sweeps = np.flatnonzero(known.placed())
+    sessions = known.keyframes.sessions[known.anchors[sweeps]]
+    driven = (np.diff(sessions) == 0) & (sweeps[:-1] >= begin)
+    return float(np.hypot(*np.diff(path[:, 1:3], axis=0)[driven].T).sum())
 
 
 def config_toml(config: Mapping[str, Any]) -> str:

@@ -122,7 +122,7 @@ def _facts(known: Map, outcome: Outcome) -> Row:
         "scans": len(known.stamps),
         "keyframes": len(known.keyframes),
         "landmarks": len(known.landmarks),
-        "path_m": length(known.path()),
+        "path_m": length(known, known.path()),
         "log_s": outcome.log_seconds,
         "loops_closed": outcome.counts.get("loops closed"),
         **{name.lower(): count / total for name, count in states.items()},

@@ -59,10 +59,10 @@ def test_what_the_robot_is(eight):
         "latency": 0.0,
     }
     for name, value in true.items():
-        assert got[name].told
+        assert got[name].observable
         assert abs(got[name].value - value) < max(4.0 * got[name].sigma, 1e-3 * abs(value))
         assert got[name].sigma < 0.01
-    assert not got["range_scale"].told
+    assert not got["range_scale"].observable
     config = load(merge(WRONG.model_dump(exclude_none=True), table(found)))
     assert config.odometry["track"] == got["track"].value
     assert config.sensors["lidar"]["mount"] == [got[name].value for name in ("x", "y", "yaw")]
@@ -75,7 +75,7 @@ def test_a_length_that_is_kept_tells_the_scale_of_the_ranges(eight):
         one.name: one
         for one in calibrate(config, drives_of(config, eight, "log"), ["track"]).parameters
     }
-    assert not got["track"].told
+    assert not got["track"].observable
     assert got["range_scale"].value == pytest.approx(0.44 / 0.41, rel=0.02)
     assert got["wheel_radius"].value == pytest.approx(0.064 * 0.44 / 0.41, rel=0.02)
 
@@ -86,7 +86,7 @@ def test_several_logs_are_one(eight):
     ratio = {
         a.name: a.sigma / b.sigma
         for a, b in zip(one.parameters, two.parameters, strict=True)
-        if a.told
+        if a.observable
     }
     assert ratio.pop("range_offset") < 1.2  # it errs alike in all drives
     np.testing.assert_allclose(list(ratio.values()), np.sqrt(2.0), rtol=0.15)
@@ -98,9 +98,9 @@ def test_straight_on_tells_no_track():
     )
     drives = drives_of(WRONG, recorded([(0.0, 1.2), (0.0, 4.9)], robot, world="arena"), "log")
     got = {one.name: one for one in calibrate(WRONG, drives).parameters}
-    assert got["wheel_radius"].told
+    assert got["wheel_radius"].observable
     for name, before in (("track", 0.44), ("x", 0.1), ("y", 0.03)):
-        assert not got[name].told
+        assert not got[name].observable
         assert got[name].value == before
 
 

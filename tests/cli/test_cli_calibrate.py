@@ -30,6 +30,7 @@ def test_files(imp, eight, tmp_path):
     said = imp("calibrate", eight, *SETTINGS, "-o", config, "--json", numbers)
     assert said.code == 0
     words = " ".join(said.out.split())
+    assert "parameter unit observable config found std" in words
     assert "track m yes 0.4" in words
     assert "range_scale 1 no" in words
     assert "gyro: bias" in words

@@ -25,7 +25,8 @@ from impslam.types import Array, Mask
 FEWEST = 10
 """Motions of a log, below which nothing is calibrated: 3 m or a turn."""
 LOOSE = 10.0
-"""The prior is so many times wider than what counts as told: it changes nothing that the drive tells."""
+"""The prior is so many times wider than the limit of what counts as observable: it changes nothing that the
+drive determines."""
 
 
 class Kind(NamedTuple):
@@ -67,7 +68,7 @@ class Parameter(NamedTuple):
     name, unit : as in `KINDS`
     before, value : as the config has it, and as found; the same where the drive does not tell
     sigma : standard deviation of what was found; infinite if it was kept
-    told : whether the drive tells it
+    observable : whether the drive determines it
     """
 
     name: str
@@ -75,7 +76,7 @@ class Parameter(NamedTuple):
     before: float
     value: float
     sigma: float
-    told: bool
+    observable: bool
 
 
 class Spread(NamedTuple):
@@ -93,7 +94,7 @@ class Calibration(NamedTuple):
     Attributes
     ----------
     lidar : name of the lidar in the config
-    parameters, covariance : (n,) of odometry and lidar, and (n, n), 0 where not told
+    parameters, covariance : (n,) of odometry and lidar, and (n, n), 0 where not observable
     spreads : of odometry and of matches
     drives, solution : what it rests on
     start : (n,) the parameters by the config, as `residuals` takes them
@@ -164,15 +165,20 @@ def calibrate(config: Config, drives: Sequence[Drive], keep: Sequence[str] = ())
     prior = Prior(start, LOOSE * limits)
     solution = solve(drives, _begin(drives, prior, free), free, prior)
     sigmas = np.sqrt(np.diag(solution.covariance))
-    told = free & (sigmas <= limits)
-    if (told != free).any():
-        solution = solve(drives, np.where(told, solution.parameters, start), told, prior)
-    sigmas = np.where(told, np.sqrt(np.diag(solution.covariance)), np.where(free, sigmas, np.inf))
+    observable = free & (sigmas <= limits)
+    if (observable != free).any():
+        solution = solve(
+            drives, np.where(observable, solution.parameters, start), observable, prior
+        )
+    sigmas = np.where(
+        observable, np.sqrt(np.diag(solution.covariance)), np.where(free, sigmas, np.inf)
+    )
     after = _in_config(solution.parameters, lidar)
     parameters = tuple(
         Parameter(*row)
         for row in zip(names, [KINDS[one].unit for one in names], before.tolist(),
-                       np.where(told, after, before).tolist(), sigmas.tolist(), told.tolist(), strict=True)
+                       np.where(observable, after, before).tolist(), sigmas.tolist(),
+                       observable.tolist(), strict=True)
     )  # fmt: skip
     spreads = _spreads(drives[0], solution)
     return Calibration(
@@ -238,15 +244,15 @@ def _roots(found: noise.Noise) -> tuple[list[float], list[float]]:
 
 
 def table(calibration: Calibration) -> dict[str, Any]:
-    """Return what was found as a config's tables: what the drives told, and the noise of odometry."""
-    told = {one.name: one.value for one in calibration.parameters if one.told}
+    """Return what was found as a config's tables: what the drives determined, and the noise of odometry."""
+    found = {one.name: one.value for one in calibration.parameters if one.observable}
     every = {one.name: one.value for one in calibration.parameters}
     lidar: dict[str, Any] = {
-        name: told[name] for name in ("latency", "range_offset", "range_scale") if name in told
+        name: found[name] for name in ("latency", "range_offset", "range_scale") if name in found
     }
-    if told.keys() & {"x", "y", "yaw"}:
+    if found.keys() & {"x", "y", "yaw"}:
         lidar["mount"] = [every["x"], every["y"], every["yaw"]]
-    odometry: dict[str, Any] = {name: told[name] for name in told if name not in SENSOR}
+    odometry: dict[str, Any] = {name: found[name] for name in found if name not in SENSOR}
     for spread in calibration.spreads:
         if spread.name in noise.MATCHING:
             continue

@@ -32,9 +32,9 @@ ADVICE = {
     "turn_scale": "drive turns to both sides",
     "latency": "change speed and turn rate often",
     "range_offset": "pass walls at an angle",
-    "range_scale": "one with the robot's lengths: --keep wheel_radius or --keep track tells it",
+    "range_scale": "not separable from the robot's lengths: --keep wheel_radius or --keep track",
 }
-"""What a drive lacks that does not tell a parameter."""
+"""How to drive so that a parameter becomes observable."""
 
 
 def calibrate(  # noqa: PLR0913  # each is an option that a user may give
@@ -51,8 +51,8 @@ def calibrate(  # noqa: PLR0913  # each is an option that a user may give
 ) -> None:
     """Find wheels, laser pose, latency and noise of a robot from logs in which it turns.
 
-    The lidar's motions, by its scans alone, are held against odometry. Each parameter comes with its
-    standard deviation; what the drives do not tell stays as it is.
+    The motion of the lidar, from its scans alone, is compared with odometry. Each parameter comes with
+    its standard deviation. A parameter that the drives do not make observable stays as it is.
 
     Parameters
     ----------
@@ -114,7 +114,9 @@ def _solved(  # see `calibrate`
         output.parent.mkdir(parents=True, exist_ok=True)
         names = ", ".join(log.name for log in logs)
         write_picture(found, output.with_suffix(".png"), f"Calibration from {names}")
-    told = [f"{one.name}: +- {one.sigma:.2g} {one.unit}" for one in found.parameters if one.told]
+    told = [
+        f"{one.name}: +- {one.sigma:.2g} {one.unit}" for one in found.parameters if one.observable
+    ]
     return chosen, table(found), told
 
 
@@ -156,7 +158,7 @@ def _show(found: Calibration, keep: Sequence[str]) -> None:
             "the others do not: wheels slip, or stamps jitter; what you have measured is better kept, "
             "e.g. --keep x --keep y --keep yaw --keep latency"
         )
-    header = ("parameter", "unit", "told", "config", "found", "std")
+    header = ("parameter", "unit", "observable", "config", "found", "std")
     console.show_table(header, list(_rows(found, keep)), numbers=3)
     noise = [(s.name, s.unit, *_rounded(s.sigma, s.value, s.sigma)) for s in found.spreads]
     console.show_table(("random error", "unit", "found", "std"), noise, numbers=2)
@@ -168,7 +170,7 @@ def _show(found: Calibration, keep: Sequence[str]) -> None:
 
 def _rows(found: Calibration, keep: Sequence[str]) -> Iterator[tuple[str, ...]]:
     for one in found.parameters:
-        if one.told:
+        if one.observable:
             yield one.name, one.unit, "yes", *_rounded(one.sigma, one.before, one.value, one.sigma)
         else:
             why = "kept" if one.name in keep else f"no: {ADVICE.get(one.name, 'drive more')}"

@@ -209,7 +209,7 @@ class Robot:
         if not usable.all():
             first = int(np.argmin(usable))
             example, count = sensor.fault(columns.row(first)), int(np.sum(~usable))
-            self._faults.append((int(columns.order[first]), "scan", example, count))
+            self._faults.append((int(columns.order[first]), sensor.row_name, example, count))
         return PendingRows(
             name, sensor, columns, begins + shift, ends + shift, columns.stamps + shift, usable
         )

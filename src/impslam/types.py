@@ -169,6 +169,25 @@ class Fix(Stamped):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SatelliteFix(Stamped):
+    """What a satellite receiver says: WGS 84 latitude and longitude in degrees, altitude in m.
+
+    `altitude` is above the ellipsoid. `covariance` (3, 3) m^2 is of east, north, up, NaN if not told.
+    `status` is that of `sensor_msgs/NavSatStatus`: -1 no fix (the position means nothing), 0 a fix,
+    1 and 2 one with corrections from satellites and from the ground.
+    """
+
+    latitude: float
+    longitude: float
+    altitude: float
+    covariance: Array
+    status: int = 0
+
+    def __post_init__(self) -> None:
+        check_shape("SatelliteFix.covariance", self.covariance, 3, 3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class EncoderVoltages(Stamped):
     """What the left and the right absolute encoder give, in V: 0 to 5 V over a turn, wrapping."""
 

@@ -28,6 +28,7 @@ from impslam.types import (
     MagneticField,
     Message,
     OdometryPose,
+    SatelliteFix,
     Steering,
     TruePose,
     Velocity,
@@ -206,6 +207,35 @@ def test_what_the_robot_says_is_there_for_other_tools(
         stamp = found[topic].stamp if topic == "/rosout" else found[topic].header.stamp
         assert (stamp.sec, stamp.nanosec) == (1, 500_000_000)
     assert not read(path)[0]  # of no use to mapping
+
+
+def fix(covariance: np.ndarray, status: int = 0) -> SatelliteFix:
+    return SatelliteFix(1.5, 52.123456789, -13.25, 80.5, covariance, status)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_fixes_of_a_receiver_survive(tmp_path: Path, known: bool) -> None:
+    covariance = np.array([[4.0, 1.0, 0.0], [1.0, 9.0, 0.0], [0.0, 0.0, 16.0]])
+    covariance = covariance if known else np.full((3, 3), math.nan)
+    path = record(tmp_path / "a.mcap", fix(covariance), fix(covariance, -1))
+    (back, none), _ = read(path)
+    assert isinstance(back, SatelliteFix)
+    assert isinstance(none, SatelliteFix)
+    assert (back.stamp, back.latitude, back.longitude, back.altitude) == (
+        1.5,
+        52.123456789,
+        -13.25,
+        80.5,
+    )
+    np.testing.assert_array_equal(back.covariance, covariance)
+    assert (back.status, none.status) == (0, -1)
+
+
+def test_a_covariance_of_zeros_is_none(tmp_path: Path) -> None:
+    """Drivers leave zeros where they know nothing, whatever type they claim."""
+    (back,), _ = read(record(tmp_path / "a.mcap", fix(np.zeros((3, 3)))))
+    assert isinstance(back, SatelliteFix)
+    assert np.isnan(back.covariance).all()
 
 
 def test_brightness_is_recorded_where_it_is_known(tmp_path: Path) -> None:

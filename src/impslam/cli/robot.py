@@ -66,11 +66,14 @@ class Simulated:
         The virtual robot's world (arena, corridor, room) or a TOML file.
     seed
         Seed of the virtual robot's noise.
+    gps
+        The virtual robot has a GNSS receiver, as under open sky.
     """
 
     virtual: Flag = False
     world: str = "arena"
     seed: int = 0
+    gps: Flag = False
 
 
 @app.default
@@ -213,7 +216,9 @@ def running_station(
             from impslam.platform.virtual.process import VirtualRobot  # needs the extra
             from impslam.platform.virtual.truth import TruthFollower
 
-            imp = stack.enter_context(VirtualRobot(simulated.world, simulated.seed))
+            imp = stack.enter_context(
+                VirtualRobot(simulated.world, simulated.seed, gps=simulated.gps)
+            )
             chosen = chosen.model_copy(update={"devices": imp.devices()})
             fault = imp.fault
         station = Station(

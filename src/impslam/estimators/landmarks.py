@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,11 +14,12 @@ from impslam.component import register
 from impslam.errors import NumericalError
 from impslam.estimators.base import Estimator, check_keyframe, is_known
 from impslam.estimators.blur import blurred
+from impslam.estimators.refused_fixes import RefusedFixes
 from impslam.filters.base import Filter
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
 from impslam.map import Keyframe, Map, Revision
-from impslam.types import Array, Landmark, Observation
+from impslam.types import Array, Increment, Landmark, Match, Observation
 
 START_SIGMA = 1e-4
 """m and rad: the start is the map's origin by definition; this only keeps P positive definite."""
@@ -35,6 +37,8 @@ class Landmarks(Estimator):
     _lifecycle: Lifecycle = PrivateAttr()
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
     _met: set[str] = PrivateAttr(default_factory=set)
+    _refused: RefusedFixes = PrivateAttr(default_factory=RefusedFixes)
+    _counts: Counter[str] = PrivateAttr(default_factory=Counter)
 
     def start(
         self,
@@ -87,6 +91,7 @@ class Landmarks(Estimator):
         chosen = [others[i] for i in self._lifecycle.promote(unmatched, now, alone)]
         chosen += self._first(observations, single)
         born = self._filter.extend([observations[i] for i in chosen], stamp)
+        self._watch_refused(observations, choice.matches, chosen, now)
 
         gone: list[int] = []
         ids, outlines = self._filter.outlines()
@@ -108,6 +113,37 @@ class Landmarks(Estimator):
         }
         self._met |= set(first)
         return list(first.values())
+
+    def _watch_refused(
+        self,
+        observations: tuple[Observation, ...],
+        matches: Sequence[Match],
+        born: list[int],
+        now: float,
+    ) -> None:
+        """Doubt the pose, or the frame, where refused fixes of a GPS agree with each other."""
+        used = {match.observation for match in matches}
+        for i, fix in enumerate(observations):
+            if not self._models[fix.kind].unique or fix.kind not in self._met:
+                continue
+            if i in used or i in born:
+                self._refused.accept()
+                continue
+            frame = next(mark for mark in self._filter.landmarks() if mark.kind == fix.kind)
+            found = self._refused.refuse(self._filter.pose, fix, frame)
+            if found is None:
+                continue
+            if found.frame_is_wrong:
+                self._filter.remove([frame.id])
+                self._met.discard(fix.kind)
+                self._counts["GPS frames begun anew"] += 1
+            else:
+                self._filter.predict(Increment(now, np.zeros(3), found.covariance))
+                self._counts["poses doubted as refused GPS fixes agree"] += 1
+
+    def counts(self) -> Mapping[str, int]:
+        """Return how often refused fixes of a GPS changed the belief."""
+        return dict(self._counts)
 
     def _revision(self, keyframe: Keyframe, **facts: Any) -> Revision:
         pose, covariance = self._filter.pose[None], self._filter.covariance[None]

@@ -22,6 +22,9 @@ class Sensor(Component):
     tells_unique: ClassVar[bool] = False
     """Whether it observes a landmark of which there is one, which not every estimator takes."""
 
+    row_name: ClassVar[str] = "scan"
+    """What one of its rows is called where it is told that some cannot be used."""
+
     stream: str = parameter(
         "", "", "name of the stream that it reads; empty: the default stream of its kind"
     )

@@ -23,6 +23,7 @@ class Gps(Sensor):
 
     consumes: ClassVar[type[Message]] = Fix
     tells_unique: ClassVar[bool] = True
+    row_name: ClassVar[str] = "fix"
 
     sigma: float = parameter(
         1.5,
@@ -37,14 +38,15 @@ class Gps(Sensor):
 
     def spans(self, columns: Columns) -> tuple[Array, Array]:
         """Return the times of the fixes, (m,) s on the odometry's clock, as start and end."""
-        rows = np.column_stack([columns.stamps, columns["position"]])
-        self._track += map(tuple, rows[self.usable(columns)].tolist())
+        usable = self.usable(columns)
+        rows = np.column_stack([columns.stamps, self._places(columns)])
+        self._track += map(tuple, rows[usable].tolist())
         moments = columns.stamps - self.latency
         return moments, moments
 
     def usable(self, columns: Columns) -> Mask:
         """Return (m,) which fixes are finite."""
-        return np.asarray(np.isfinite(columns["position"]).all(axis=1))
+        return np.asarray(np.isfinite(self._places(columns)).all(axis=1))
 
     def fault(self, message: Message) -> str:
         """Describe the fault of a fix that is not finite."""
@@ -56,21 +58,25 @@ class Gps(Sensor):
     def look(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
         """Return the fix once the way since an earlier one tells the course; see `Sensor.look`."""
         del rng
-        message = sweeps.columns.row(k)
-        assert isinstance(message, Fix)
-        told = np.where(np.isfinite(message.covariance), message.covariance, 0.0)
+        row = sweeps.columns.take(slice(k, k + 1))
+        place, told = self._places(row)[0], row["covariance"][0, :2, :2]
+        told = np.where(np.isfinite(told), told, 0.0)
         R = np.diag(np.maximum(np.diag(told), self.sigma**2)) + told - np.diag(np.diag(told))
-        course = self._course(message)
+        course = self._course(float(row.stamps[0]), place)
         if course is None:
             return ()
-        return (Observation("gps", message.position, R, attributes=course),)
+        return (Observation("gps", place, R, attributes=course),)
 
-    def _course(self, fix: Fix) -> dict[str, float] | None:
+    def _places(self, columns: Columns) -> Array:
+        """Return (m, 2) m east and north, NaN where there is no fix."""
+        return np.asarray(columns["position"])
+
+    def _course(self, moment: float, place: Array) -> dict[str, float] | None:
         """Return the direction from the newest fix that is far enough, None where there is none."""
-        x, y = fix.position
+        x, y = place
         for stamp, x0, y0 in reversed(self._track):
             way = math.hypot(x - x0, y - y0)
-            if stamp < fix.stamp and way >= FAR * self.sigma:
+            if stamp < moment and way >= FAR * self.sigma:
                 course = math.atan2(y - y0, x - x0)
                 # Of both ends' errors; and that the way between them may be an arc of this angle.
                 return {COURSE: course, COURSE_SIGMA: math.hypot(math.sqrt(2.0) / FAR, 0.3)}

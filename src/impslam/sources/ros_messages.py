@@ -16,7 +16,7 @@ from impslam.errors import MessageError
 from impslam.sources.ros_storage import RosMessage
 from impslam.sources.text import beam_angles, beam_times, finite
 from impslam.sources.transforms import rigid
-from impslam.types import Array, Image, Imu, LaserScan, OdometryPose, TruePose
+from impslam.types import Array, Image, Imu, LaserScan, OdometryPose, SatelliteFix, TruePose
 
 Joints: TypeAlias = tuple[int, int]
 
@@ -68,6 +68,16 @@ def read_imu(message: RosMessage, stamp: float) -> Imu:
     known = message.orientation_covariance[0] != -1.0
     turn = _vector(message.orientation, "xyzw") if known else None
     return Imu(stamp, rate, force, turn)
+
+
+def read_fix(message: RosMessage, stamp: float) -> SatelliteFix:
+    """Read a `sensor_msgs/NavSatFix`; its covariance of type 0 is unknown, and so is one of zeros."""
+    known = int(message.position_covariance_type) > 0
+    told = np.asarray(message.position_covariance, np.float64).reshape(3, 3)
+    covariance = told if known and (np.diag(told) > 0.0).all() else np.full((3, 3), math.nan)
+    status = int(message.status.status)
+    place = (float(message.latitude), float(message.longitude), float(message.altitude))
+    return SatelliteFix(stamp, *place, covariance.copy(), status)
 
 
 def read_odometry(message: RosMessage, stamp: float) -> OdometryPose:

@@ -28,6 +28,7 @@ READERS: dict[Use, Callable[[RosMessage, float], Message]] = {
     "scan": ros.read_scan,
     "odometry": ros.read_odometry,
     "imu": ros.read_imu,
+    "fix": ros.read_fix,
     "image": ros.read_image,
 }
 FEW = 4  # messages that are read one by one in the time that a table takes

@@ -11,9 +11,18 @@ from rosbags.interfaces import Connection
 
 from impslam.component import near_miss
 from impslam.errors import SourceError
-from impslam.types import Image, Imu, LaserScan, Message, OdometryPose, TruePose, WheelAngles
+from impslam.types import (
+    Image,
+    Imu,
+    LaserScan,
+    Message,
+    OdometryPose,
+    SatelliteFix,
+    TruePose,
+    WheelAngles,
+)
 
-Use: TypeAlias = Literal["scan", "wheels", "odometry", "imu", "image", "truth"]
+Use: TypeAlias = Literal["scan", "wheels", "odometry", "imu", "fix", "image", "truth"]
 
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 TYPES: dict[Use, tuple[str, ...]] = {
@@ -22,6 +31,7 @@ TYPES: dict[Use, tuple[str, ...]] = {
     "wheels": ("sensor_msgs/msg/JointState",),
     "odometry": ("nav_msgs/msg/Odometry", *TF_TYPES),
     "imu": ("sensor_msgs/msg/Imu",),
+    "fix": ("sensor_msgs/msg/NavSatFix",),
     "image": ("sensor_msgs/msg/CompressedImage",),
 }
 """The types of message that each use may come from, the best first."""
@@ -31,6 +41,7 @@ KINDS: dict[Use, type[Message]] = {
     "wheels": WheelAngles,
     "odometry": OdometryPose,
     "imu": Imu,
+    "fix": SatelliteFix,
     "image": Image,
 }
 TRUTH_TOPIC = "ground_truth"  # in its name; Stage has /base_pose_ground_truth

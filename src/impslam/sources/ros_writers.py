@@ -29,6 +29,7 @@ from impslam.types import (
     MagneticField,
     Message,
     OdometryPose,
+    SatelliteFix,
     TruePose,
     Velocity,
     WheelAngles,
@@ -126,6 +127,16 @@ def _imu(message: Imu) -> RosMessage:
     )
 
 
+def _fix(message: SatelliteFix) -> RosMessage:
+    """Return a fix of GPS with the covariance of east, north and up; type 0 (unknown) or 3 (known)."""
+    known = bool(np.isfinite(message.covariance).all())
+    status = new("sensor_msgs/msg/NavSatStatus", message.status, 1)
+    covariance = message.covariance.ravel() if known else np.zeros(9)
+    place = (message.latitude, message.longitude, message.altitude)
+    header = header_of(message.stamp, "base_link")
+    return new("sensor_msgs/msg/NavSatFix", header, status, *place, covariance, 3 if known else 0)
+
+
 def _acceleration(message: Acceleration) -> RosMessage:
     linear, angular = xyz("Vector3", message.linear_acceleration), xyz("Vector3", np.zeros(3))
     both = new("geometry_msgs/msg/Accel", linear, angular)
@@ -221,6 +232,7 @@ CHANNELS: dict[type[Message], tuple[Channel, ...]] = {
     WheelAngles: (Channel("/joint_states", "sensor_msgs/msg/JointState", _wheels),),
     OdometryPose: (Channel("/odom", "nav_msgs/msg/Odometry", pose),),
     Imu: (Channel("/imu", "sensor_msgs/msg/Imu", _imu),),
+    SatelliteFix: (Channel("/fix", "sensor_msgs/msg/NavSatFix", _fix),),
     Image: (Channel("/camera/image/compressed", "sensor_msgs/msg/CompressedImage", _image),),
     TruePose: (Channel("/ground_truth", "nav_msgs/msg/Odometry", pose),),
     EncoderVoltages: (Channel("/encoders/voltage", "geometry_msgs/msg/Vector3Stamped", _voltages),),

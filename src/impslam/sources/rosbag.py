@@ -51,7 +51,9 @@ class RosBag(Source):
     describes_robot: ClassVar[bool] = True
 
     topics: dict[Use, str] = parameter(
-        {}, "1", "topic for scan, wheels, odometry, imu, image or truth; an empty name takes none"
+        {},
+        "1",
+        "topic for scan, wheels, odometry, imu, fix, image or truth; an empty name takes none",
     )
     left_joint: str = parameter("", "1", "left wheel in JointState; empty: a name with left in it")
     right_joint: str = parameter("", "1", "right wheel in JointState; empty: with right in it")

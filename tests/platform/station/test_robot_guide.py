@@ -23,7 +23,7 @@ def test_the_robot_file_makes_its_devices(tmp_path):
     file = tmp_path / "robot.toml"
     file.write_text(blocks("toml")[0], "utf-8")
     devices = load_robot(file).make_devices()
-    assert set(devices) == {"autopilot", "lidar", "camera"}
+    assert set(devices) == {"autopilot", "lidar", "camera", "gps"}
     assert isinstance(devices["autopilot"], DriveDevice)
 
 

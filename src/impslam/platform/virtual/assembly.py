@@ -12,6 +12,7 @@ from impslam.parameters import Parameters, parameter
 from impslam.platform.virtual.autopilot import AutopilotEmulator
 from impslam.platform.virtual.base import Emulator
 from impslam.platform.virtual.camera import CameraEmulator
+from impslam.platform.virtual.gps import GpsEmulator
 from impslam.platform.virtual.imp import VirtualImp
 from impslam.platform.virtual.line import Line, PtyLine, TcpLine
 from impslam.platform.virtual.rplidar import A1, RPLidarEmulator
@@ -21,6 +22,7 @@ from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.world import World
 
 DRIFT = 30e-6  # 1, standard deviation of a quartz's rate: parts are sold with 20 to 50 ppm
+GPS_BAUD = 9600  # bit/s, of most receivers
 BAUD = 460800  # bit/s, as docs/autopilot-protocol.md sets the autopilot's UART
 
 
@@ -37,6 +39,7 @@ class Setup(Parameters):
         "tcp" if sys.platform == "win32" else "pty", "", "what the autopilot is connected by"
     )
     camera: bool = parameter(True, "", "whether it has a camera")
+    gps: bool = parameter(False, "", "whether it has a GNSS receiver, as under open sky")
 
 
 def assemble(setup: Setup) -> VirtualImp:
@@ -47,7 +50,7 @@ def assemble(setup: Setup) -> VirtualImp:
     ConfigError
         If the world cannot be driven in.
     """
-    streams = np.random.SeedSequence(setup.seed).spawn(6)
+    streams = np.random.SeedSequence(setup.seed).spawn(8)
     seeds = [int(stream.generate_state(1)[0]) for stream in streams]
     body = Body(setup.world, setup.robot, setup.seed)
     drifts = DRIFT * np.random.default_rng(seeds[0]).standard_normal(2)
@@ -59,6 +62,9 @@ def assemble(setup: Setup) -> VirtualImp:
         "autopilot": _line(setup.autopilot_line, setup.folder / "autopilot", seeds[4], BAUD),
         "lidar": _line(setup.lidar_line, setup.folder / "lidar", seeds[5]),
     }
+    if setup.gps:
+        emulators["gps"] = GpsEmulator(lambda: body.pose, seed=seeds[6])
+        lines["gps"] = TcpLine(seed=seeds[7], baud=GPS_BAUD)
     imp = VirtualImp(body, emulators, lines)
     if setup.camera:
         imp.add_camera(CameraEmulator(body.scene, imp.pose, lambda: body.time))

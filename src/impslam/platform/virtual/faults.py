@@ -27,7 +27,7 @@ class Noise(_Fault):
     """Bytes spoilt on a line, in both directions."""
 
     fault: Literal["noise"] = "noise"
-    device: Literal["autopilot", "lidar"]
+    device: Literal["autopilot", "lidar", "gps"]
     rate: float = parameter(..., "1/byte", "share of the bytes that are spoilt", gt=0.0, le=1.0)
     seconds: float = parameter(..., "s", "how long", gt=0.0)
     kind: Kind = parameter(
@@ -39,7 +39,7 @@ class Delay(_Fault):
     """Bytes held back, in both directions, and delivered at once when it ends."""
 
     fault: Literal["delay"] = "delay"
-    device: Literal["autopilot", "lidar", "camera"]
+    device: Literal["autopilot", "lidar", "gps", "camera"]
     seconds: float = parameter(..., "s", "how long", gt=0.0)
 
 
@@ -47,7 +47,7 @@ class Unplug(_Fault):
     """A port that is gone and comes back under the same name."""
 
     fault: Literal["unplug"] = "unplug"
-    device: Literal["autopilot", "lidar", "camera"]
+    device: Literal["autopilot", "lidar", "gps", "camera"]
     seconds: float = parameter(..., "s", "how long", gt=0.0)
 
 
@@ -55,7 +55,7 @@ class Reboot(_Fault):
     """A device whose supply fails for a moment."""
 
     fault: Literal["reboot"] = "reboot"
-    device: Literal["autopilot", "lidar"]
+    device: Literal["autopilot", "lidar", "gps"]
 
 
 class Malfunction(_Fault):

@@ -113,6 +113,7 @@ class VirtualRobot:
         tables: dict[str, dict[str, Any]] = {
             "autopilot": {"kind": "autopilot", "port": self.ports.get("autopilot")},
             "lidar": {"kind": self._setup.lidar, "port": self.ports.get("lidar")},
+            "gps": {"kind": "nmea", "port": self.ports.get("gps")},
             "camera": {"kind": "camera", "source": self.ports.get("camera")},
         }
         if self._setup.lidar == "rplidar":

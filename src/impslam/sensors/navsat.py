@@ -1,0 +1,61 @@
+"""A satellite receiver: latitude and longitude, taken as metres east and north of its first fix.
+
+The antenna is taken to be at base_link. Fixes correct the pose as those of `sensors.gps` do.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from pydantic import PrivateAttr
+
+from impslam.columns import Columns
+from impslam.component import register
+from impslam.geometry.geodesy import LocalPlane
+from impslam.sensors.gps import Gps
+from impslam.types import Array, Mask, Message, SatelliteFix
+
+NO_FIX = -1
+
+
+@register("navsat")
+class NavSat(Gps):
+    """A GNSS receiver on the robot, or `sensor_msgs/NavSatFix` in a log."""
+
+    consumes: ClassVar[type[Message]] = SatelliteFix
+
+    _plane: LocalPlane | None = PrivateAttr(default=None)
+
+    def spans(self, columns: Columns) -> tuple[Array, Array]:
+        """Return the times of the fixes; the first usable one becomes the origin."""
+        usable = self.usable(columns)
+        if self._plane is None and usable.any():
+            first = columns.row(int(usable.argmax()))
+            assert isinstance(first, SatelliteFix)
+            altitude = first.altitude if np.isfinite(first.altitude) else 0.0
+            self._plane = LocalPlane(first.latitude, first.longitude, altitude)
+        return super().spans(columns)
+
+    def usable(self, columns: Columns) -> Mask:
+        """Return (m,) which rows are fixes with a finite place on the earth."""
+        north, east = np.abs(columns["latitude"]), np.abs(columns["longitude"])
+        return np.asarray((columns["status"] > NO_FIX) & (north <= 90.0) & (east <= 360.0))
+
+    def fault(self, message: Message) -> str:
+        """Say that a receiver has no fix, or what is wrong with one."""
+        assert isinstance(message, SatelliteFix)
+        if message.status <= NO_FIX:
+            return f"the receiver has no fix at {message.stamp:.3f} s; it is not used there"
+        place = f"{message.latitude} deg, {message.longitude} deg"
+        return f"the fix at {message.stamp:.3f} s is no place ({place}); it is dropped"
+
+    def _places(self, columns: Columns) -> Array:
+        places = np.full((len(columns), 2), np.nan)
+        usable = self.usable(columns)
+        if self._plane is not None:
+            rows = columns.take(usable)
+            height = np.full(len(rows), self._plane.altitude)  # robots do not fly
+            points = self._plane.points(rows["latitude"], rows["longitude"], height)
+            places[usable] = points[:, :2]
+        return places

@@ -8,7 +8,7 @@ from tests.odometry_steps import stacked
 
 from impslam.columns import Sweeps
 from impslam.component import components
-from impslam.types import Detections, Fix, LaserScan
+from impslam.types import Detections, Fix, LaserScan, SatelliteFix
 
 TWISTS = np.array([[0.5, 0.0, 0.8], [0.4, 0.1, -1.0], [0.0, 0.0, 0.0], [-0.3, 0.0, 0.1]])
 SETTINGS = {"lidar2d": {"period": 0.1, "latency": 0.02, "mount": (0.1, 0.0, 0.3)}}
@@ -25,6 +25,9 @@ def message(consumes, k):
     if consumes is Fix:
         place = np.full(2, math.nan) if bad else np.array([20.0 * k, 3.0])
         return Fix(stamp, place, 4.0 * np.eye(2))
+    if consumes is SatelliteFix:
+        place = (math.nan, math.nan, math.nan) if bad else (50.0 + 2e-4 * k, 8.0, 100.0)
+        return SatelliteFix(stamp, *place, 4.0 * np.eye(3), -1 if bad else 0)
     ranges = np.full(3, math.nan) if bad else rng.uniform(1.0, 3.0, 3)
     labels, unknown = np.arange(3), np.full(3, math.nan)
     return Detections(stamp, ranges, rng.normal(0.0, 0.3, 3), labels, unknown)

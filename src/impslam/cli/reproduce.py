@@ -30,6 +30,7 @@ EXPERIMENTS = {
     "figures": ("chapter4:figures", 1),
     "drawings": ("drawings:drawings", 1),
     "overhead": ("overhead:overhead", 20),
+    "wheels": ("speed_control:speed_control", 1),
     "extractors": ("extractors:extractors", 10),
     "consistency": ("consistency:consistency", 1000),
     "faults": ("faults:faults", 3),
@@ -67,8 +68,8 @@ def reproduce(
     Parameters
     ----------
     experiments
-        Any of points, lines, both, corridor, figures, drawings, overhead, extractors, consistency,
-        faults, filters. Default: all.
+        Any of points, lines, both, corridor, figures, drawings, overhead, wheels, extractors,
+        consistency, faults, filters. Default: all.
     output
         The folder to write to, a new one. Default: runs/reproduce-DATE-TIME.
     """

@@ -78,6 +78,7 @@ class Body:
         self._history = np.tile(self._state, (round(MEMORY / STEP), 1))
         self._told, self._stalled = np.zeros(2), np.zeros(2, np.bool_)
         self._motors = self._motor_constants()
+        self.load = self.drivetrain.load  # may change as it drives
         self._doors_seen = -math.inf
 
     def _check(self) -> None:
@@ -115,7 +116,7 @@ class Body:
 
     def _run(self, steps: int) -> None:
         self._look_at_doors()
-        told = np.where(self._stalled, 0.0, self._told)
+        told = np.where(self._stalled, 0.0, self._told * (1.0 - self.load))
         driven = run(
             self._state, self._history, self._steps, steps, told, self._motors, self._things
         )

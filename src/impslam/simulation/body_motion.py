@@ -36,6 +36,9 @@ class Drivetrain(Device):
     )
     acceleration: float = parameter(5.0, "m/s^2", "rated force / mass; the driver's limit", gt=0.0)
     top_speed: float = parameter(1.0, "m/s", "150 rpm of a 5 in wheel, usual for this gear", gt=0.0)
+    load: float = parameter(
+        0.0, "1", "share of the speed that load takes: a slope, a carpet, a low battery", ge=0, lt=1
+    )
     track: float = parameter(0.40, "m", "distance of the sides, that of the passive wheels", gt=0.0)
     wheelbase: float = parameter(
         0.30, "m", "front to rear axle: three 5 in wheels in a row with gaps of 23 mm", ge=0.0

@@ -17,6 +17,7 @@ from impslam.platform.virtual.imp import VirtualImp
 from impslam.platform.virtual.line import Line, PtyLine, TcpLine
 from impslam.platform.virtual.rplidar import A1, RPLidarEmulator
 from impslam.platform.virtual.urg import UrgEmulator
+from impslam.platform.virtual.wheel_speed import SpeedControl, SpeedController
 from impslam.simulation.body import Body, Sweeps
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.world import World
@@ -38,6 +39,11 @@ class Setup(Parameters):
     autopilot_line: Literal["tcp", "pty"] = parameter(
         "tcp" if sys.platform == "win32" else "pty", "", "what the autopilot is connected by"
     )
+    speed_control: bool = parameter(
+        False,
+        "",
+        "whether the autopilot controls the wheels' speed, or motor drivers do by themselves",
+    )
     camera: bool = parameter(True, "", "whether it has a camera")
     gps: bool = parameter(False, "", "whether it has a GNSS receiver, as under open sky")
 
@@ -55,7 +61,9 @@ def assemble(setup: Setup) -> VirtualImp:
     body = Body(setup.world, setup.robot, setup.seed)
     drifts = DRIFT * np.random.default_rng(seeds[0]).standard_normal(2)
     emulators: dict[str, Emulator] = {
-        "autopilot": AutopilotEmulator(body, drift=float(drifts[0]), seed=seeds[1]),
+        "autopilot": AutopilotEmulator(
+            body, drift=float(drifts[0]), seed=seeds[1], control=_controller(setup, body)
+        ),
         "lidar": _lidar(setup, body, float(drifts[1]), seeds[2], seeds[3]),
     }
     lines: dict[str, Line] = {
@@ -69,6 +77,23 @@ def assemble(setup: Setup) -> VirtualImp:
     if setup.camera:
         imp.add_camera(CameraEmulator(body.scene, imp.pose, lambda: body.time))
     return imp
+
+
+def _controller(setup: Setup, body: Body) -> SpeedController | None:
+    """Return a controller that knows the body's motors."""
+    if not setup.speed_control:
+        return None
+    train = body.drivetrain
+    return SpeedController(
+        SpeedControl(
+            time_constant=train.time_constant,
+            closed=0.5 * train.time_constant,
+            feedback=2.0 * train.time_constant,
+            top_speed=train.top_speed,
+            acceleration=train.acceleration,
+            skid=1.0 / train.kept,
+        )
+    )
 
 
 def _lidar(setup: Setup, body: Body, drift: float, seed: int, noise: int) -> Emulator:

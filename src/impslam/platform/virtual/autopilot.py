@@ -25,6 +25,7 @@ from impslam.platform.devices.autopilot_messages import (
 from impslam.platform.devices.framing import Decoder, Encoder, Frame
 from impslam.platform.virtual.base import Vehicle
 from impslam.platform.virtual.wheel_encoders import AbsoluteEncoder, Accumulator
+from impslam.platform.virtual.wheel_speed import SpeedController
 from impslam.types import Array
 
 PERIOD = 0.01  # s between SENSORS
@@ -52,10 +53,22 @@ class AutopilotEmulator:
         stalls where there is one
     drift : 1, device seconds per true second, less 1: e.g. 30e-6
     seed : of all noise
+    control : of the wheels' speed; None: motor drivers do as they are told by themselves
+
+    Attributes
+    ----------
+    asked : surface speeds (m/s) that the host wants now, left first
     """
 
-    def __init__(self, vehicle: Vehicle, *, drift: float = 30e-6, seed: int = 0) -> None:
-        self.vehicle, self.drift = vehicle, drift
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        *,
+        drift: float = 30e-6,
+        seed: int = 0,
+        control: SpeedController | None = None,
+    ) -> None:
+        self.vehicle, self.drift, self._control = vehicle, drift, control
         self.low_supply = False
         self.counts: Counter[str] = Counter()  # what was wrong with what the host sent
         self._boots = 0
@@ -67,14 +80,14 @@ class AutopilotEmulator:
 
     def reboot(self, time: float, reason: Reset = Reset.BROWN_OUT) -> None:
         """Forget everything but the number of boots; motors off."""
-        self.vehicle.drive(0.0, 0.0)
+        self._move(0.0, 0.0)
         self._boots += 1
         self._reason = reason
         self._encoder = Encoder(self._boots)
         self._decoder = Decoder(COMMANDS, lambda what, n: self.counts.update({what: n}))
         self._accumulators = Accumulator(), Accumulator()
         self._ready_at = time + BOOTING
-        self._sensors_at = self._hello_at = self._ready_at
+        self._sensors_at = self._hello_at = self._control_at = self._ready_at
         self._out = bytearray()
         self._state = Flag.DEAD_MAN  # one of STOPPED, DEAD_MAN, and none: driving
         self._drive_until = -math.inf
@@ -93,6 +106,7 @@ class AutopilotEmulator:
             return b""
         self._sample_encoders(time)
         self._watch_dead_man(time)
+        self._control_wheels(time)
         if time >= self._hello_at:
             self._hello_at = max(self._hello_at + HELLO_EVERY, time)
             self._say_hello(time)
@@ -191,13 +205,13 @@ class AutopilotEmulator:
         if self._state & Flag.STOPPED:
             return Result.STOPPED
         self._state, self._drive_until = Flag(0), time + DEAD_MAN
-        self.vehicle.drive(1e-3 * command.left, 1e-3 * command.right)
+        self._move(1e-3 * command.left, 1e-3 * command.right)
         return Result.DONE
 
     def _on_stop(self, payload: bytes, time: float) -> Result:
         # A stop with a payload is no stop that was ever sent, but standing is never wrong.
         self._state = Flag.STOPPED
-        self.vehicle.drive(0.0, 0.0)
+        self._move(0.0, 0.0)
         parse_empty("STOP", payload)
         return Result.DONE
 
@@ -214,7 +228,27 @@ class AutopilotEmulator:
     def _watch_dead_man(self, time: float) -> None:
         if not self._state and time >= self._drive_until:
             self._state = Flag.DEAD_MAN
-            self.vehicle.drive(0.0, 0.0)
+            self._move(0.0, 0.0)
+
+    def _move(self, left: float, right: float) -> None:
+        """Want speeds of the driven wheels; off means off at once, and forgets what was held."""
+        self.asked = left, right
+        if self._control is None or left == right == 0.0:
+            self.vehicle.drive(left, right)
+        if self._control is not None:
+            if left == right == 0.0:
+                self._control.reset()
+            self._control.asked = np.array(self.asked)
+
+    def _control_wheels(self, time: float) -> None:
+        """Tell the motor drivers what keeps the wheels at their speeds, once a period."""
+        if self._control is None or time < self._control_at:
+            return
+        self._control_at = max(self._control_at + self._control.settings.period, time)
+        left, right = self._accumulators
+        told = self._control.step((left.count, right.count))
+        if any(self.asked):
+            self.vehicle.drive(*told.tolist())
 
     def _say(self, kind: Kind, payload: bytes) -> None:
         self._out += self._encoder.encode(kind, payload)[1]

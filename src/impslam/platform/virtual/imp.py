@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from impslam.errors import ConfigError
+from impslam.platform.virtual.autopilot import AutopilotEmulator
 from impslam.platform.virtual.base import Emulator
 from impslam.platform.virtual.camera import CameraEmulator
 from impslam.platform.virtual.faults import Delay, Fault, Malfunction, Noise, Reboot, Stall, Unplug
@@ -108,10 +109,17 @@ class VirtualImp:
 
     def _watch(self) -> None:
         """Note when the motors are told something new; they obey from now on."""
-        told = self.body.told
+        told = self._asked()
         if told[0] != self._told[0] or told[1] != self._told[1]:
             self._told = told
             self._commands.append((time.monotonic(), float(told[0]), float(told[1])))
+
+    def _asked(self) -> Array:
+        """Return the speeds (2,) m/s that the host has asked the motors for."""
+        autopilot = self._emulators.get("autopilot")
+        if isinstance(autopilot, AutopilotEmulator):
+            return np.array(autopilot.asked)
+        return self.body.told
 
     def _note(self, lateness: float) -> None:
         self._lateness[self._passes % KEPT] = lateness
@@ -192,7 +200,7 @@ class VirtualImp:
             "pose": body.pose.tolist(),
             "twist": body.twist.tolist(),
             "motors": body.motors.tolist(),
-            "told": body.told.tolist(),
+            "told": self._asked().tolist(),
             "stalled": sorted(self._blocked),
             "commands": [entry for entry in self._commands if entry[0] > since],
         }

@@ -23,6 +23,9 @@ on has failed. LOST: it may be anywhere; the map takes in nothing.
 """
 (
     NONE,
+    MISALIGNED,
+    MISSCALED,
+    MISTIMED,
     OPEN,
     BLIND,
     COVERED,
@@ -40,11 +43,14 @@ on has failed. LOST: it may be anywhere; the map takes in nothing.
     ELSEWHERE,
     UNPLACED,
     NOT_FINITE,
-) = range(18)
-"""The reasons. `OPEN` and `GROWN` come with a way in m, `SKIPPED` with s, `INCONSISTENT` with a ratio,
-`COVERED`, `UNEXPLAINED` and `ELSEWHERE` with a share."""
+) = range(21)
+"""The reasons. `OPEN` and `GROWN` come with a way in m, `MISTIMED` and `SKIPPED` with s, `MISALIGNED` with
+degrees, `INCONSISTENT` with a ratio, `MISSCALED`, `COVERED`, `UNEXPLAINED` and `ELSEWHERE` with a share."""
 _WORDS = (
     "",
+    "the lidar is turned by {0:.1f} deg against what its mount says; the heading is off by as much",
+    "odometry and ranges differ by {1:.1f} % in scale; distances are uncertain by as much",
+    "scans are stamped {0:.2f} s late or early on the clock of odometry; the pose is that of another time",
     "nothing to see along the corridor for {0:.1f} m",
     "the lidar sees nothing; the pose is dead-reckoned",
     "{1:.0f} % of the beams show what moves along with the robot; they are left out",
@@ -64,6 +70,17 @@ _WORDS = (
     "the estimate is not finite; start a new map",
 )
 _SHARES = (UNEXPLAINED, ELSEWHERE)
+
+
+class Standing(NamedTuple):
+    """What is wrong throughout a run: a reason, `NONE` if nothing is, and the amount that goes with it."""
+
+    reason: int = NONE
+    amount: float = 0.0
+
+
+SOUND = Standing()
+"""Nothing is wrong throughout."""
 
 
 class Span(NamedTuple):

@@ -23,10 +23,11 @@ from impslam.bookkeeping import Stopwatch, about, dropped
 from impslam.columns import Batch, Motions, Sweeps, batches
 from impslam.config import Config
 from impslam.continuing import Continuation, Known, begin_with, logs_of
+from impslam.diagnosis.diagnose import first_health
 from impslam.errors import SourceError, in_a_line
 from impslam.estimators.base import Draft
 from impslam.geometry.se2 import compose, compose_uncertain
-from impslam.health import UNEXPLAINED
+from impslam.health import SOUND, UNEXPLAINED, Standing
 from impslam.map import Keyframe, Keyframes, Map, PathRows, T_map_odom, Track
 from impslam.map_builder import MapBuilder, blended
 from impslam.observers.base import Dropped, Observer, Outcome
@@ -97,7 +98,7 @@ def run(  # noqa: PLR0913  # each is a choice that a user may make
     chosen, source = open_log(log, config, settings)
     if begin is not None:
         chosen = going_on(chosen, settings)
-    return map_log(chosen, source, observers, progress, begin)
+    return map_log(chosen, source, observers, progress, begin, first_health(chosen, source))
 
 
 def map_log(
@@ -106,9 +107,10 @@ def map_log(
     observers: Iterable[Observer] = (),
     progress: Progress | None = None,
     begin: Known | None = None,
+    health: Standing = SOUND,
 ) -> Map:
-    """Map the log that a source reads; see `run`."""
-    course = Run(config, observers, begin)
+    """Map the log that a source reads; see `run`. `health` is what is wrong with the log throughout."""
+    course = Run(config, observers, begin, health)
     with source, course.keeping(source):
         course.robot.choose(source.defaults())
         for batch in source.batches():
@@ -123,13 +125,18 @@ class Run:
     """A run in progress: takes batches, returns the current map at any time.
 
     Logs, replays and live robots share this class and differ only in the source of the batches. Only one
-    thread at a time may use it. `begin` is a map that it goes on with.
+    thread at a time may use it. `begin` is a map that it goes on with, `health` what is known beforehand
+    to be wrong with all poses.
     """
 
     def __init__(
-        self, config: Config, observers: Iterable[Observer] = (), begin: Known | None = None
+        self,
+        config: Config,
+        observers: Iterable[Observer] = (),
+        begin: Known | None = None,
+        health: Standing = SOUND,
     ) -> None:
-        self.config, self._health = config, HealthMonitor()
+        self.config, self._health = config, HealthMonitor(health)
         self._observers = [self._health, *observers]
         self.robot, self.tracker = config.make_robot(), config.make_tracker()
         if begin is None:

@@ -9,6 +9,8 @@ from tests import log_faults as faults
 from impslam.columns import Batch, batches
 from impslam.config import load
 from impslam.diagnosis.diagnose import diagnose
+from impslam.diagnosis.finding import standing
+from impslam.health import MISALIGNED, MISSCALED, MISTIMED, OPPOSED, SOUND
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.types import LaserScan, Stamped, WheelAngles
@@ -55,6 +57,30 @@ CASES = {
     "stops": (faults.stopping(20.0, 10.0), (), "odometry stops"),
     "mount": (faults.nothing(), ("sensors.lidar.mount=[-0.1,0,0]",), "laser elsewhere"),
 }
+
+
+SPOILED = {
+    "exchanged, a gyro tells": (OPPOSED, 0.0, 0.0),
+    "left reversed": (OPPOSED, 0.0, 0.0),
+    "turned by 20 degrees": (MISALIGNED, 20.0, 1.0),
+    "ranges 10 % short": (MISSCALED, 0.11, 0.02),
+    "late": (MISTIMED, 0.2, 0.03),
+    "radius": (MISSCALED, 0.26, 0.03),
+    "body": (SOUND.reason, 0.0, 0.0),
+}
+
+
+@pytest.mark.parametrize("name", SPOILED)
+def test_a_fault_that_spoils_every_pose_is_said_of_the_run(drive, name) -> None:
+    change, settings, _ = CASES[name]
+    told = standing(found(list(faults.faulty(drive, change)), *settings))
+    reason, amount, within = SPOILED[name]
+    assert told.reason == reason
+    assert told.amount == pytest.approx(amount, abs=within)
+
+
+def test_nothing_is_said_of_a_sound_run(drive) -> None:
+    assert standing(found(drive)) == SOUND
 
 
 @pytest.mark.parametrize("name", CASES)

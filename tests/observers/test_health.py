@@ -5,7 +5,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from impslam.health import ELSEWHERE, NONE, OPEN, STALLED, UNEXPLAINED, UNPLACED, Health, words
+from impslam.health import (
+    ELSEWHERE,
+    MISTIMED,
+    NONE,
+    OPEN,
+    STALLED,
+    UNEXPLAINED,
+    UNPLACED,
+    Health,
+    Standing,
+    words,
+)
 from impslam.map import PathRows
 from impslam.observers.health import HealthMonitor
 
@@ -56,6 +67,15 @@ def test_the_most_severe_reason_is_told():
     assert "the lidar sees nothing" in why(watch([0.0, 0.0, 0.0], (), valid=blind))
     assert "40 % of the scan" not in why(watch([0.0, 9.0], (), reasons=[NONE, OPEN]))
     assert watch([0.0, 0.0, 0.0], ()).summary == "TRACKING throughout"
+
+
+@pytest.mark.parametrize("cuts", [(), (1,), (1, 2)])
+def test_what_was_wrong_before_the_run_is_told_of_every_scan_that_nothing_worse_is_told_of(cuts):
+    monitor = HealthMonitor(Standing(MISTIMED, 0.3))
+    health = watch([0.0] * 3, cuts, reasons=[NONE, STALLED, NONE], monitor=monitor)
+    assert health.reasons.tolist() == [MISTIMED, STALLED, MISTIMED]
+    assert health.counts() == {"TRACKING": 0, "DEGRADED": 3, "LOST": 0}
+    assert "0.30 s late" in why(health)
 
 
 @pytest.mark.parametrize("cuts", [(), (2,), (1, 2, 3, 4)])

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from impslam.cli import console
 from impslam.config import Config
-from impslam.diagnosis.diagnose import first_look
+from impslam.diagnosis.diagnose import first_look, fresh
+from impslam.diagnosis.finding import standing
 from impslam.fitting import choices
+from impslam.health import Standing
 from impslam.sources.base import Source
 
 
-def show_first_look(config: Config, source: Source, preset: str | None) -> None:
+def show_first_look(config: Config, source: Source, preset: str | None) -> Standing:
     """Print which preset, streams and mounts a run uses, and what harms it.
 
-    `preset` is the one that was asked for.
+    `preset` is the one that was asked for. Returned is what that says of all poses of the run.
     """
-    own = type(source)(**{name: getattr(source, name) for name in type(source).model_fields})
-    with own as log:
+    with fresh(source) as log:
         found = log.preset
         harm = first_look(config, log)
         chosen = choices(config, log)
@@ -23,3 +24,4 @@ def show_first_look(config: Config, source: Source, preset: str | None) -> None:
     console.say(f"reads: preset {named}; {chosen}")
     for finding in harm:
         console.show_finding(finding.kind, str(finding), harmful=True)
+    return standing(harm)

@@ -14,6 +14,7 @@ from impslam.config import Config
 from impslam.continuing import Known
 from impslam.errors import ConfigError
 from impslam.evaluation.landmark_files import surveyed
+from impslam.health import SOUND, Standing
 from impslam.map import Map
 from impslam.observers.base import Observer
 from impslam.observers.recorder import Recorder
@@ -61,15 +62,17 @@ def execute(  # noqa: PLR0913  # all that a run consists of
     *,
     more: Iterable[Observer] = (),
     known: Sequence[TrueLandmark] = (),
-    player: Callable[[Config, Source, list[Observer]], Map] | None = None,
+    player: Callable[[Config, Source, list[Observer], Standing], Map] | None = None,
     begin: Known | None = None,
     exports: Exports | None = None,
+    health: Standing = SOUND,
 ) -> Map:
     """Run a log, write its files into a folder, and show how far it has come.
 
     A run that an error or a signal ends early writes what it knows, marked as partial. `known` are the
     true landmarks, for scoring alone, where neither the source nor a file beside it tells them.
-    `begin` is a map to go on with, `exports` tells what else to write at the end. `player` takes the log
+    `begin` is a map to go on with, `exports` tells what else to write at the end, `health` what is wrong
+    with the log throughout. `player` takes the log
     through the estimator in another way than at once.
     """
     if folder.resolve().is_relative_to(source.path.resolve()):
@@ -80,6 +83,7 @@ def execute(  # noqa: PLR0913  # all that a run consists of
         files = [] if exports is None else exports.observers(bar.show)
         observers = [bar, Recorder(folder, known), *more, *files]
         if player is not None:
-            return player(config, source, observers)
+            return player(config, source, observers, health)
         with Interruption(bar.interrupted) as interruption:
-            return map_log(config, source, [*observers, interruption], interruption.check, begin)
+            seen = [*observers, interruption]
+            return map_log(config, source, seen, interruption.check, begin, health)

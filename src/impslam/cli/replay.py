@@ -12,6 +12,7 @@ from impslam.extras import install
 
 if TYPE_CHECKING:
     from impslam.config import Config
+    from impslam.health import Standing
     from impslam.map import Map
     from impslam.observers.base import Observer
     from impslam.sources.base import Source
@@ -29,9 +30,17 @@ def need_web() -> None:
 
 
 def replay(
-    config: Config, source: Source, observers: Iterable[Observer], *, port: int, quiet: bool
+    config: Config,
+    source: Source,
+    observers: Iterable[Observer],
+    health: Standing,
+    *,
+    port: int,
+    quiet: bool,
 ) -> Map:
     """Play a log on the page until it is left with Ctrl-C; return the map.
+
+    `health` is what is wrong with the log throughout.
 
     Raises
     ------
@@ -46,7 +55,7 @@ def replay(
 
     view, settings = LiveView(), ServerSettings(port=port)
     with listening(settings) as listener:
-        player = play_live(config, source, observers, view)
+        player = play_live(config, source, observers, view, health)
         try:
             serve(
                 Model(source.path.name, view, player=player),

@@ -112,6 +112,7 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     from impslam.cli.job import execute, settings_of
     from impslam.cli.replay import replay
     from impslam.cli.run_folder import run_folder
+    from impslam.diagnosis.diagnose import first_health
     from impslam.observers.ending import EndOfRun
     from impslam.open_log import open_log
 
@@ -123,11 +124,11 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
         chosen = _going_on(chosen, changes, quiet=quiet)
     player = partial(replay, port=page.port, quiet=quiet) if page.live else None
     with run_folder(output, log.resolve().name.split(".")[0] or "log", force=force) as folder:
-        if not quiet:
-            show_first_look(chosen, source, config)
+        look = first_health if quiet else partial(show_first_look, preset=config)
+        health = look(chosen, source)
         known = execute(
             chosen, source, folder, quiet or page.live,
-            more=[end], player=player, begin=known_map, exports=exports,
+            more=[end], player=player, begin=known_map, exports=exports, health=health,
         )  # fmt: skip
     if not quiet and end.outcome is not None:
         show(known, end.outcome, output or folder, at_once=not page.live)

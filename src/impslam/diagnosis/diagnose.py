@@ -9,7 +9,7 @@ from impslam.columns import Batch
 from impslam.config import Config
 from impslam.diagnosis.beams import beams
 from impslam.diagnosis.evidence import evidence
-from impslam.diagnosis.finding import Finding
+from impslam.diagnosis.finding import Finding, standing
 from impslam.diagnosis.handedness import handedness
 from impslam.diagnosis.head import Head
 from impslam.diagnosis.mount import mount
@@ -18,6 +18,7 @@ from impslam.diagnosis.presets import preset
 from impslam.diagnosis.scales import scales
 from impslam.diagnosis.stamps import overlap, stamps
 from impslam.diagnosis.wheels import wheels
+from impslam.health import Standing
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Source
 from impslam.types import Message
@@ -62,6 +63,17 @@ def first_look(config: Config, source: Source) -> list[Finding]:
     if head.scans < LEAST_SCANS:
         return []
     return [one for one in diagnose(config, head.batches, source.defaults()) if one.harmful]
+
+
+def first_health(config: Config, source: Source) -> Standing:
+    """Return what `first_look` says of all poses of a run; the source is opened anew."""
+    with fresh(source) as own:
+        return standing(first_look(config, own))
+
+
+def fresh(source: Source) -> Source:
+    """Return another source of the same log, with the same settings, that nobody has read yet."""
+    return type(source)(**{name: getattr(source, name) for name in type(source).model_fields})
 
 
 def _has_lidar(config: Config) -> bool:

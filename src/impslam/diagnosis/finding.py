@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
+
+from impslam.health import SOUND, Standing
 
 ERROR_RATE = 1e-3
 """Share of tests that may find what is not there: some twenty tests make 2 % of sound logs."""
@@ -25,6 +28,7 @@ class Finding:
     sure : probability that it is so
     advice : what to do where no setting mends it, or what else it may be
     harmful : whether a run suffers; otherwise it copes, and the finding is for information
+    health : the reason, with its amount, why no pose of such a run can be trusted
     """
 
     kind: str
@@ -33,12 +37,19 @@ class Finding:
     sure: float = SUREST
     advice: str = ""
     harmful: bool = True
+    health: Standing = SOUND
 
     def __str__(self) -> str:
         """Return the finding as one line."""
         mended = " ".join(f"--set '{one}'" if "[" in one else f"--set {one}" for one in self.fix)
         ends = "; ".join(part for part in (mended, self.advice) if part)
         return f"{self.what} ({100.0 * self.sure:.4g} % sure)" + (f": {ends}" if ends else "")
+
+
+def standing(findings: Iterable[Finding]) -> Standing:
+    """Return the worst reason that harmful findings give for not trusting the poses of a run."""
+    harm = (one.health for one in findings if one.harmful)
+    return max(harm, key=lambda one: one.reason, default=SOUND)
 
 
 def certainty(off: float, sigma: float, allowed: float) -> float:

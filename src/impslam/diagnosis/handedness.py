@@ -21,10 +21,13 @@ from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import SUREST, Finding
 from impslam.diagnosis.robust import CLEAR
 from impslam.geometry.angles import wrap
+from impslam.health import OPPOSED, Standing
 from impslam.odometry.encoders import Encoders
 from impslam.types import Array
 
 HALF = 0.5
+WRONG = Standing(OPPOSED)
+"""What follows for every pose of such a run."""
 
 
 def handedness(e: Evidence) -> list[Finding]:
@@ -54,6 +57,7 @@ def _one_wheel(e: Evidence) -> Finding | None:
         f"the {side} wheel counts backward: on straight ways the robot seems to turn by "
         f"{abs(turn.p[0]):.2g} rad/m",
         (f"odometry.reversed={side}",),
+        health=WRONG,
     )
 
 
@@ -66,11 +70,13 @@ def _opposite_turns(e: Evidence) -> list[Finding]:
         unmirrored(e),
         SUREST if voice > 0 else HALF,
         "" if voice > 0 else f"or {_exchange_words(e)}, which a gyro would tell",
+        health=WRONG,
     )
     exchanged = Finding(
         "wheels exchanged",
         f"{what}, and the gyro turns as the scans do: {_exchange_words(e)}",
         ("odometry.exchanged=true",) if isinstance(e.odometry, Encoders) else (),
+        health=WRONG,
     )
     return [exchanged if voice < 0 else mirrored]
 
@@ -85,7 +91,8 @@ def _all_opposite(e: Evidence) -> list[Finding]:
     what = "scans and odometry go and turn opposite ways"
     hangs = unmirrored(e, turned=True)
     if not isinstance(e.odometry, Encoders):
-        return [Finding("scan mirrored", f"{what}: the laser hangs head over heels", hangs)]
+        words = f"{what}: the laser hangs head over heels"
+        return [Finding("scan mirrored", words, hangs, health=WRONG)]
     other = " ".join(f"--set '{one}'" for one in hangs)
     return [
         Finding(
@@ -94,6 +101,7 @@ def _all_opposite(e: Evidence) -> list[Finding]:
             ("odometry.reversed=both",),
             HALF,
             f"or the laser hangs head over heels ({other})",
+            health=WRONG,
         )
     ]
 

@@ -12,6 +12,7 @@ from impslam.diagnosis.handedness import handedness
 from impslam.diagnosis.robust import fit
 from impslam.diagnosis.scales import RANGES, scales
 from impslam.geometry.angles import wrap
+from impslam.health import MISALIGNED, Standing
 
 ASKEW = math.radians(2.0)
 """What a laser mounted by eye is askew by: 3.5 cm per metre, as much as odometry strays sideways."""
@@ -48,6 +49,7 @@ def _turned(e: Evidence, yaw: float, off: float, sigma: float) -> Finding:
         (f"{e.place}.mount=[{x:.3f},{y:.3f},{yaw:.4f}]",),
         certainty(off, sigma, ASKEW),
         "if the mount is right, odometry logs ways forward as backward" if astern else "",
+        health=Standing(MISALIGNED, abs(math.degrees(off))),
     )
 
 

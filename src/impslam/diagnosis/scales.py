@@ -10,6 +10,7 @@ from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import SIGMAS, Finding, certainty, is_off
 from impslam.diagnosis.handedness import handedness
 from impslam.diagnosis.odometry import unsigned
+from impslam.health import MISSCALED, Standing
 from impslam.noise import MotionNoise
 from impslam.odometry.base import Odometry
 from impslam.odometry.encoders import Encoders
@@ -64,6 +65,7 @@ def _scales(e: Evidence, agreed: Agreement) -> Iterator[Finding]:
         HALF if kind == RANGES else max(certainty(*test) for test in tests),
         advice,
         any(abs(off) > copes * limit for off, _, limit in tests),
+        Standing(MISSCALED, max(abs(off) for off, *_ in tests)),
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import Finding, certainty
 from impslam.diagnosis.timing import LATE
+from impslam.health import MISTIMED, Standing
 
 OVERLAP = 1.1
 """Times the median time between scans that a sweep takes at most; drivers round."""
@@ -43,6 +44,7 @@ def _jitter(e: Evidence) -> Finding:
         f"{period:.4g} s turns fit odometry {raw.rms / smooth.rms:.1f} times as well",
         (f"{e.place}.period={period:.4g}", f"{e.place}.latency={smooth.seconds:.3f}"),
         harmful=not e.matches_scans,
+        health=Standing(MISTIMED, e.timing.jitter),
     )
 
 
@@ -58,4 +60,5 @@ def _late(e: Evidence) -> Finding:
         (f"{e.place}.latency={late.seconds:.3f}",),
         certainty(late.seconds - e.lidar.latency, late.sigma, LATE),
         harmful=not e.matches_scans,
+        health=Standing(MISTIMED, abs(late.seconds - e.lidar.latency)),
     )

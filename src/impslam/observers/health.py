@@ -14,9 +14,11 @@ from impslam.health import (
     GROWN,
     NONE,
     NOT_FINITE,
+    SOUND,
     UNPLACED,
     Health,
     Reasons,
+    Standing,
     words,
 )
 from impslam.map import Keyframe, PathRows, Revision, Track
@@ -37,10 +39,12 @@ class HealthMonitor(Observer):
     has no valid beam. The growth counts, not the uncertainty itself, which is large far from the start;
     a robot that stands still may see no landmark for long. A robot that is lost stays so until a place
     is recognised, and so does one of which it is not known yet where in the map it is. What
-    `LandmarkWatch` tells of a keyframe holds until the next one.
+    `LandmarkWatch` tells of a keyframe holds until the next one. `standing` is what was found to be wrong
+    with all of the run before it began; it is told where nothing worse is.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, standing: Standing = SOUND) -> None:
+        self._standing = standing
         # x, y of the last pose, way since a match, variance there; reason and amount that last
         self._carried = np.zeros(6)
         self._fresh = True  # no pose yet, or landmarks were recognised
@@ -97,6 +101,8 @@ class HealthMonitor(Observer):
         fresh[:1] |= self._fresh
         self._fresh = False
         _judge(self._carried, fresh, path.poses, path.covariances, seen, reasons, amounts)
+        better = reasons < self._standing.reason
+        reasons[better], amounts[better] = self._standing
         m = len(reasons)
         self._stamps.append(path.stamps, m)
         self._reasons.append(reasons, m)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.diagnosis.diagnose import first_look
+from impslam.diagnosis.finding import standing
 from impslam.errors import ImpError, in_a_line
 from impslam.evaluation.consistency import nees, pose_errors
 from impslam.fitting import fitted
@@ -111,13 +112,13 @@ def mapped(drive: Drive) -> Mapped:
     source, live = DriveSource.of(drive), Live()
     begin = time.process_time()
     config = fitted(drive.config, source, odometry_is_free=True)
-    known = map_log(config, source, [live])
+    findings = first_look(config, source)
+    known = map_log(config, source, [live], health=standing(findings))
     seconds = time.process_time() - begin
     outcome = live.outcome
     assert outcome is not None
     rows = np.searchsorted(source.drive.scans.order, live.places)
-    found = frozenset(finding.kind for finding in first_look(config, source))
-    notes = frozenset(outcome.dropped) | found
+    notes = frozenset(outcome.dropped) | {finding.kind for finding in findings}
     settled = np.full((len(rows), 3), np.nan)
     settled[known.placed()] = known.path()[:, 1:]
     return Mapped(rows, live.poses, live.covariances, settled, outcome.health, notes, seconds)

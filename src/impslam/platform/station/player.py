@@ -11,6 +11,7 @@ from typing import Literal, TypeAlias
 from impslam.columns import Batch
 from impslam.config import Config
 from impslam.errors import ImpError, LeftError, in_a_line
+from impslam.health import SOUND, Standing
 from impslam.map import Map
 from impslam.observers.base import Observer
 from impslam.observers.live_view import LiveView
@@ -70,6 +71,7 @@ class Player:
     observers : what else looks at the run, e.g. what writes the run folder
     view : what shows the map
     prepare : compiles the estimator of a config
+    health : what is wrong with the log throughout
     """
 
     def __init__(
@@ -79,9 +81,10 @@ class Player:
         observers: Iterable[Observer],
         view: LiveView,
         prepare: Callable[[Config], None] = warm_up,
+        health: Standing = SOUND,
     ) -> None:
         self._config, self._source, self._view, self._prepare = config, source, view, prepare
-        self._run = Run(config, [view, *observers])
+        self._run = Run(config, [view, *observers], health=health)
         sensors = self._run.robot.sensors.values()
         self._scans = tuple(sensor.consumes for sensor in sensors)
         self._pace = Pace()
@@ -223,9 +226,13 @@ class Player:
 
 
 def play_live(
-    config: Config, source: Source, observers: Iterable[Observer], view: LiveView
+    config: Config,
+    source: Source,
+    observers: Iterable[Observer],
+    view: LiveView,
+    health: Standing = SOUND,
 ) -> Player:
-    """Start to replay a log and return its player."""
-    player = Player(config, source, observers, view)
+    """Start to replay a log and return its player; see `Player`."""
+    player = Player(config, source, observers, view, health=health)
     player.start()
     return player

@@ -11,7 +11,7 @@ from tests.sources.logs import write_acfr_park
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.sources.recording import McapWriter
-from impslam.types import LaserScan, OdometryPose, WheelAngles
+from impslam.types import Climate, LaserScan, OdometryPose, WheelAngles
 
 
 def test_room(imp, room) -> None:
@@ -40,6 +40,18 @@ def write(tmp_path):
         return tmp_path / "log.mcap"
 
     return to_log
+
+
+def test_temperature_and_humidity_are_shown(imp, write) -> None:
+    air = [Climate(1.0, 21.5, 0.375), Climate(2.0, 24.25, 0.41)]
+    log = write([scan(1.0), *air, WheelAngles(1.0, 0, 0)])
+    words = " ".join(imp("inspect", log).out.split())
+    assert "temperature 21.5 to 24.2 deg C" in words
+    assert "humidity 37.5 to 41.0 %" in words
+    told = json.loads(imp("inspect", log, "--json").out)["air"]
+    assert told == {"temperature_celsius": [21.5, 24.25], "humidity_share": [0.375, 0.41]}
+    without = write([scan(1.0), WheelAngles(1.0, 0, 0)])
+    assert "deg C" not in imp("inspect", without).out
 
 
 def test_clocks(imp, write) -> None:

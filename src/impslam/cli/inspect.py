@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,20 +46,21 @@ def inspect(
     chosen, source = open_log(log, config, settings_of(settings, topics, columns))
     survey = Survey(chosen)
     with source, display(common is not None and common.quiet) as shown:
-        streams, preset = source.streams(), source.preset
+        streams, preset, air = source.streams(), source.preset, source.surroundings()
         for _ in follow(survey.read(source), source, shown, "reading"):
             pass
     named = config or ("stored in the log" if "\n" in preset else preset)
     if json:
         from impslam.cli.inspect_json import as_json
 
-        console.say(as_json(log, source, named, streams, survey))
+        console.say(as_json(log, source, named, streams, survey, air))
         return
     console.say(f"{log}: {source.name}, preset {named}")
     _show_streams(streams, survey.reads)
     console.say(f"reads: {choices(chosen, source)}")
     _show_clocks(survey)
-    console.show_facts(_scan_facts(survey.beams) | _motion_facts(survey, chosen))
+    facts = _scan_facts(survey.beams) | _motion_facts(survey, chosen) | _air_facts(air)
+    console.show_facts(facts)
     _show_problems(source.problems, survey.unused, survey.problems, findings=survey.findings)
 
 
@@ -117,6 +119,14 @@ def _scan_facts(beams: Beams) -> dict[str, str]:
 def _motion_facts(survey: Survey, config: Config) -> dict[str, str]:
     way, turns = f"{survey.way:.2f} m", f"{math.degrees(survey.rotation):.0f} deg of turns"
     return {"odometry": f"{config.odometry['kind']}, {way}, {turns}"}
+
+
+def _air_facts(air: Mapping[str, tuple[float, float]]) -> dict[str, str]:
+    units = {"temperature": (1.0, "deg C"), "humidity": (100.0, "%")}
+    return {
+        name: f"{units[name][0] * low:.1f} to {units[name][0] * high:.1f} {units[name][1]}"
+        for name, (low, high) in air.items()
+    }
 
 
 def _show_problems(*found: Problems, findings: list[Finding]) -> None:

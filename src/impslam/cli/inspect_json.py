@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,17 @@ from impslam.cli.survey import Beams, Clock, Survey
 from impslam.evaluation.json_values import json_values
 from impslam.sources.base import Problems, Source, Stream
 
+UNITS = {"temperature": "celsius", "humidity": "share"}
 
-def as_json(log: Path, source: Source, preset: str, streams: list[Stream], survey: Survey) -> str:
+
+def as_json(
+    log: Path,
+    source: Source,
+    preset: str,
+    streams: list[Stream],
+    survey: Survey,
+    air: Mapping[str, tuple[float, float]],
+) -> str:
     """Return the facts, problems and findings of a log as JSON; what is not known is null."""
     facts = {
         "log": str(log),
@@ -22,6 +32,7 @@ def as_json(log: Path, source: Source, preset: str, streams: list[Stream], surve
         "clocks": {name: _clock(clock) for name, clock in sorted(survey.clocks.items())},
         "scans": _beams(survey.beams),
         "odometry": {"way_m": survey.way, "turns_rad": survey.rotation},
+        "air": {f"{name}_{unit}": air.get(name) for name, unit in UNITS.items()},
         "problems": [
             one for part in (source.problems, survey.unused, survey.problems) for one in _list(part)
         ],

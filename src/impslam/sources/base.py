@@ -173,6 +173,13 @@ class Source(Component):
     def hold_mounts(self, streams: Collection[str]) -> None:
         """Drop scans of these streams that are taken while their mount is not that of `mounts`."""
 
+    def surroundings(self) -> Mapping[str, tuple[float, float]]:
+        """Return the least and the greatest "temperature" (degrees Celsius) and "humidity" (0 to 1).
+
+        They are for people; mapping does not use them.
+        """
+        return {}
+
     def true_landmarks(self) -> list[TrueLandmark]:
         """Return the surveyed landmarks that come with the log, in its own frame; for scoring."""
         return []

@@ -6,6 +6,7 @@ their headers. Only the messages of topics in use are deserialised.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -41,6 +42,11 @@ from impslam.types import Message
 PART = 1 << 23  # bytes of messages held at once, and the one that exceeds them
 PRESET_TOPIC, PRESET_TYPE = "/impslam/preset", "std_msgs/msg/String"
 NO_WHEELS = "no wheels among the joints: name them by source.left_joint and source.right_joint"
+CLIMATE_TYPES = {
+    "temperature": ("sensor_msgs/msg/Temperature", "temperature"),
+    "humidity": ("sensor_msgs/msg/RelativeHumidity", "relative_humidity"),
+}
+"""What `surroundings` tells of: type and field."""
 WARNING, ERROR = 30, 40  # levels of rcl_interfaces/Log
 
 
@@ -135,6 +141,19 @@ class RosBag(Source):
             )
             for (topic, kind), count in sorted(counts.items())
         ]
+
+    def surroundings(self) -> Mapping[str, tuple[float, float]]:
+        """Return the extremes of `Temperature` and `RelativeHumidity` over all their topics."""
+        bag, found = self._open(), dict[str, tuple[float, float]]()
+        for name, (kind, field) in CLIMATE_TYPES.items():
+            topics = [c for c in bag.connections if c.msgtype == kind]
+            values: list[float] = []
+            with suppress(Exception):  # of a damaged log, as far as it goes; reading it tells so
+                for connection, _, data in bag.messages(topics) if topics else ():
+                    values.append(float(getattr(bag.decoder(connection)(data), field)))
+            if sound := [value for value in values if math.isfinite(value)]:
+                found[name] = min(sound), max(sound)
+        return found
 
     def defaults(self) -> Mapping[type[Message], str]:
         """Return the topic to use of each kind."""

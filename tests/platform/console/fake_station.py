@@ -38,7 +38,7 @@ from impslam.platform.station.recorder import RecordingStatus
 from impslam.platform.station.shelf import Binned
 from impslam.platform.station.station import StationHealth
 from impslam.platform.station.store import StoredLog
-from impslam.types import Array, Event, Image, Landmark
+from impslam.types import Array, Climate, Event, Image, Landmark
 
 LIMITS = (0.6, 1.5)
 CORNERS = np.array([[-1.5, -1.0], [7.0, -1.0], [7.0, 4.5], [-1.5, 4.5]])
@@ -307,7 +307,8 @@ class FakeStation:
         if self.picture is not None:
             camera = Health("ok", "video0, 640 x 480", {"Image": 5.0}, {}, now())
         devices = {"autopilot": autopilot, "lidar": lidar, "camera": camera}
-        return StationHealth(devices, self.recorder.status(), self.mapper.status())
+        climate = Climate(now(), 23.14, 0.448)
+        return StationHealth(devices, self.recorder.status(), self.mapper.status(), climate)
 
     def start_mapping(self) -> None:
         self.mapper.state = "running"

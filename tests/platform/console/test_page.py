@@ -9,11 +9,11 @@ from tests.platform.console import browsing
 from tests.platform.console.browsing import until, visit
 
 from impslam.platform.console.fault_panel import FAULTS
-from impslam.platform.console.health_panel import device_row, event_row, page_row
+from impslam.platform.console.health_panel import climate_row, device_row, event_row, page_row
 from impslam.platform.console.widgets import duration, size
 from impslam.platform.devices.base import Health
 from impslam.platform.virtual.faults import parse_fault
-from impslam.types import Event
+from impslam.types import Climate, Event
 
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
 
@@ -29,6 +29,14 @@ def test_what_a_device_says_is_text_and_never_markup():
     for made in (device_row(evil, health), event_row(Event(0.0, evil, evil, evil))):
         assert "<img" not in made
         assert "&lt;img" in made
+
+
+def test_the_air_is_shown_and_its_age_noticed():
+    row = climate_row(Climate(100.0, 23.14, 0.448), 101.0)
+    assert "23.1 °C" in row
+    assert "45 % humidity" in row
+    assert 'data-state="ok"' in row
+    assert 'data-state="silent"' in climate_row(Climate(100.0, 23.14, 0.448), 120.0)
 
 
 def test_a_state_is_told_in_words_icon_and_colour_and_only_troubles_are_counted():

@@ -12,13 +12,14 @@ from nicegui import ui
 
 from impslam.platform.console.feed import Feed
 from impslam.platform.console.widgets import card, milliseconds, size, tagged
-from impslam.platform.devices.base import Health
+from impslam.platform.devices.base import Health, now
 from impslam.platform.station.mapper_status import MapperStatus
 from impslam.platform.station.recorder import RecordingStatus
 from impslam.platform.station.station import StationHealth
-from impslam.types import Event
+from impslam.types import Climate, Event
 
 SHOWN = 40  # events
+CLIMATE_OLD = 10.0  # s: ten of its readings
 LOOKS = {
     "ok": ("check_circle", "ok"),
     "silent": ("hourglass_empty", "warning"),
@@ -48,7 +49,7 @@ class HealthPanel:
         self._feed = feed
         self._rows: dict[str, ui.html] = {}
         with card("Health", "monitor_heart", "health"):
-            for name in (*health.devices, "recorder", "mapper", "page"):
+            for name in (*health.devices, "recorder", "mapper", "page", "climate"):
                 self._rows[name] = ui.html("", sanitize=False)
                 tagged(self._rows[name], f"health-{name}").classes("health")
         self.update(health)
@@ -60,6 +61,8 @@ class HealthPanel:
         self._rows["recorder"].content = recorder_row(health.recording)
         self._rows["mapper"].content = mapper_row(health.mapping)
         self._rows["page"].content = page_row(self._feed.latencies())
+        if health.climate is not None:
+            self._rows["climate"].content = climate_row(health.climate, now())
 
 
 class EventPanel:
@@ -113,6 +116,12 @@ def mapper_row(status: MapperStatus) -> str:
     if behind:
         dropped.append(f"newest scan is {status.behind:.1f} s old")
     return _row("mapper", status.state, facts if status.steps else [], dropped, status.detail)
+
+
+def climate_row(climate: Climate, moment: float) -> str:
+    """Return temperature and humidity about the autopilot as HTML; silent if they are old."""
+    facts = [f"{climate.temperature:.1f} °C", f"{100.0 * climate.humidity:.0f} % humidity"]
+    return _row("climate", "ok" if moment - climate.stamp < CLIMATE_OLD else "silent", facts, [])
 
 
 def page_row(latencies: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:

@@ -21,7 +21,7 @@ from impslam.platform.station.mapper import LiveMapper
 from impslam.platform.station.mapper_status import MapperStatus
 from impslam.platform.station.recorder import LogRecorder, RecordingStatus
 from impslam.platform.station.store import LogStore
-from impslam.types import Event, Image, Velocity
+from impslam.types import Climate, Event, Image, Velocity
 
 EVENTS = 200  # kept for the page; the log has all
 
@@ -33,6 +33,7 @@ class StationHealth:
     devices: Mapping[str, Health]
     recording: RecordingStatus
     mapping: MapperStatus
+    climate: Climate | None = None
 
 
 class Station:
@@ -68,6 +69,7 @@ class Station:
         self.maps = MapStore(maps, lambda: self.keeper.name)
         self.events: list[Event] = []
         self.picture: Image | None = None
+        self.climate: Climate | None = None
 
     def start(self) -> None:
         """Start everything but recording and mapping."""
@@ -125,7 +127,7 @@ class Station:
     def health(self) -> StationHealth:
         """Return how everything is doing."""
         devices = {name: device.health() for name, device in self.devices.items()}
-        return StationHealth(devices, self.recorder.status(), self.mapper.status())
+        return StationHealth(devices, self.recorder.status(), self.mapper.status(), self.climate)
 
     def _receive(self, reading: Reading) -> None:
         """Take one reading; called from the devices' threads, and must not make them wait."""
@@ -135,6 +137,8 @@ class Station:
             self._note(message)
         elif isinstance(message, Image):
             self.picture = message
+        elif isinstance(message, Climate):
+            self.climate = message
         else:
             self.mapper.put(message, reading.arrived)
 

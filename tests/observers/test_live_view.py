@@ -3,6 +3,7 @@
 import threading
 import time
 from dataclasses import replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ from impslam.observers.base import Observer
 from impslam.observers.health import HealthMonitor
 from impslam.observers.live_view import LiveView
 from impslam.observers.thin_path import ThinPath
+from impslam.observers.true_pose import TruthInMap
 from impslam.run import Run
 from impslam.types import LaserScan, TruePose
 
@@ -144,6 +146,36 @@ def test_readers_see_whole_snapshots_only():
         thread.join()
     assert not torn
     assert len(seen) > 1
+
+
+def test_a_truth_with_a_frame_of_its_own_is_shown_in_map():
+    """The simulator's world begins elsewhere, and its poses are of other times than the scans."""
+    view, run = begun()
+    results, T_truth_map = list(make_results(20)), np.array([3.0, -2.0, 0.7])
+    for before, result in pairwise(results):
+        for at in (before, result):
+            view.truth(TruePose(at.stamp, compose(T_truth_map, at.pose)))
+        run.step(result)
+        np.testing.assert_allclose(view.snapshot().truth, result.pose, atol=1e-9)
+
+
+def test_a_truth_between_two_scans_is_interpolated_where_its_frame_is_fixed():
+    frame, T_truth_map = TruthInMap(), np.array([3.0, -2.0, 0.7])
+    frame.align(0.0, np.zeros(3))
+    assert frame.pose is None
+    for stamp in (0.0, 1.0):
+        frame.add(TruePose(stamp, compose(T_truth_map, np.array([stamp, 0.0, 0.0]))))
+    frame.align(2.0, np.zeros(3))  # the truth does not reach there
+    assert frame.pose is None
+    frame.align(0.25, np.array([0.25, 0.0, 0.0]))
+    np.testing.assert_allclose(frame.pose, [1.0, 0.0, 0.0], atol=1e-12)
+
+
+def test_a_truth_without_headings_is_shown_as_it_is():
+    frame = TruthInMap()
+    frame.add(TruePose(0.0, np.array([5.0, 5.0, np.nan])))
+    frame.align(0.0, np.zeros(3))
+    np.testing.assert_array_equal(frame.pose, [5.0, 5.0, np.nan])
 
 
 # --------------------------------------------------------------------------- landmarks

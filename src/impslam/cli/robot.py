@@ -48,7 +48,9 @@ class Serving:
 
     host: Address = "127.0.0.1"
     port: Port = 8080
-    names: Annotated[tuple[str, ...], Parameter(name="--name", negative="")] = ()
+    names: Annotated[
+        tuple[str, ...], Parameter(name="--name", negative="", show_default=False)
+    ] = ()
     certificate: Path | None = None
     key: Path | None = None
 
@@ -231,7 +233,7 @@ def running_station(
         stack.callback(station.stop)
         station.start()
         if simulated.virtual:
-            follower = TruthFollower(imp.truth, station.recorder.put)
+            follower = TruthFollower(imp.truth, station.receive)
             stack.callback(follower.stop)
             follower.start()
         yield station, chosen.name, fault

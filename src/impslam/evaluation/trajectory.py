@@ -13,11 +13,13 @@ import numpy as np
 
 from impslam.errors import ImpError
 from impslam.geometry.angles import wrap
-from impslam.geometry.se2 import compose, inverse, transform
+from impslam.geometry.se2 import between, compose, inverse, transform
 from impslam.types import Array
 
 AT_START = 1.0
 """s: a heading that is first known so soon after the first pose is known at the start."""
+SAME_POSE = (0.05, math.radians(3.0))
+"""m and rad: two poses closer than this are given in one frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +127,12 @@ def align(points: Array, target: Array) -> Array:
     theta = math.atan2(cross, dot)
     shift = wanted - transform(np.array([0.0, 0.0, theta]), centre[None])[0]
     return np.array([shift[0], shift[1], theta])
+
+
+def is_same_pose(a: Array, b: Array) -> bool:
+    """Tell whether two poses (3,) are so close that their frames are taken to be one; see `SAME_POSE`."""
+    x, y, turn = between(a, b)
+    return bool(math.hypot(x, y) < SAME_POSE[0] and abs(turn) < SAME_POSE[1])
 
 
 def start_frame(pairs: Pairs, begin: float) -> Array | None:

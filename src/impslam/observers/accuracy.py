@@ -19,12 +19,13 @@ from impslam.evaluation.trajectory import (
     ate,
     heading_errors,
     interpolate,
+    is_same_pose,
     move,
     position_errors,
     start_frame,
     statistics,
 )
-from impslam.geometry.se2 import between, inverse
+from impslam.geometry.se2 import inverse
 from impslam.observers.history import History
 from impslam.observers.page import Line, chart, escape, section, table, tiles
 from impslam.types import Array, Landmark, TrueLandmark
@@ -35,9 +36,6 @@ SHOWN = (
     ("Heading error in degrees", "c", math.degrees(1.0)),
 )
 """Charts of the pose's errors: title, look, and the unit's size."""
-SAME_PLACE = (0.05, math.radians(3.0))
-"""m and rad: a truth whose first pose is closer to the estimate's is taken to be in map."""
-
 
 NOTES = {
     "map": "It is given in map.",
@@ -68,8 +66,7 @@ def laid_in_map(history: History) -> Laid | None:
         pairs = associate(history.path, history.true_path)
     except ImpError:
         return None
-    first = between(pairs.estimate[0], pairs.truth[0])
-    if math.hypot(first[0], first[1]) < SAME_PLACE[0] and abs(first[2]) < SAME_PLACE[1]:
+    if is_same_pose(pairs.estimate[0], pairs.truth[0]):
         return Laid(pairs, np.zeros(3), "map")
     T_truth_map = start_frame(pairs, float(history.path[0, 0]))
     fitted = T_truth_map is None

@@ -20,6 +20,7 @@ from impslam.observers.base import Observer, Outcome
 from impslam.observers.grid_picture import GridPicture, paint
 from impslam.observers.health import HealthMonitor
 from impslam.observers.thin_path import Points, ThinPath
+from impslam.observers.true_pose import TruthInMap
 from impslam.types import Array, Landmark, Scan, TruePose
 
 __all__ = ["GridPicture", "LiveView", "Snapshot"]
@@ -61,7 +62,7 @@ class Snapshot:
     state : TRACKING, DEGRADED or LOST
     why : why the pose cannot be trusted, "" if it can
     arrived : host time (`devices.base.now`) at which the newest scan arrived, NaN if unknown
-    truth : (3,) the newest true pose from a log or a simulator, else None
+    truth : (3,) the newest true pose in map from a log or a simulator, else None; see `TruthInMap`
     finished : whether the run is over
     placed : whether it is known where in the map the robot is; if not, the pose is in a frame of its
         own, and path and points are empty
@@ -125,7 +126,7 @@ class LiveView(Observer):
         self._run, self._grid = run, OccupancyGrid(resolution)
         self._path, self._health = ThinPath(), HealthMonitor()
         self._expected: deque[tuple[float, float]] = deque(maxlen=EXPECTED)
-        self._truth: Array | None = None
+        self._truth = TruthInMap()
         self._placed = True
         self._stale, self._marks_due, self._grid_due = False, 0.0, 0.0
 
@@ -178,6 +179,8 @@ class LiveView(Observer):
     def _show(self, path: PathRows, points: Points) -> None:
         before, stamp = self._shown, float(path.stamps[-1])
         self._look_after()
+        if self._placed:
+            self._truth.align(stamp, path.poses[-1])
         self._shown = Snapshot(
             before.version + 1,
             before.run,
@@ -192,7 +195,7 @@ class LiveView(Observer):
             self._painted(),
             *self._state(),
             self._arrival(stamp),
-            self._truth,
+            self._truth.pose,
             finished=False,
             placed=self._placed,
         )
@@ -211,6 +214,7 @@ class LiveView(Observer):
             pose=path.poses[-1],
             covariance=path.covariances[-1],
             odometry=path.odometry[-1],
+            truth=self._truth.pose,
             points=NOTHING,
             state=STATES[DEGRADED],
             why=f"lidar silent for {max(silent, 1.0):.0f} s; the pose is dead-reckoned",
@@ -218,8 +222,8 @@ class LiveView(Observer):
         )
 
     def truth(self, pose: TruePose) -> None:
-        """Remember the true pose; it shows with the next scan."""
-        self._truth = pose.pose
+        """Keep the true pose; it shows with the next scan."""
+        self._truth.add(pose)
 
     def refresh(self) -> None:
         """Show landmarks and grid as they are by now, for a run that pauses."""

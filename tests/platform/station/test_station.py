@@ -5,8 +5,10 @@ import threading
 import time
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from tests.platform.station.test_mapper import drain
+from tests.recorded import perfect
 from tests.rings import GRAPH, ring
 
 from impslam.errors import ImpError
@@ -14,6 +16,7 @@ from impslam.map import Map
 from impslam.platform.devices.base import Device, Reading, now
 from impslam.platform.station.recorder import RecordingError
 from impslam.platform.station.station import Station
+from impslam.simulation.world import load_world
 from impslam.types import Climate, TruePose
 
 NO_DISK = 10**18  # bytes that no disk has free
@@ -85,7 +88,7 @@ def test_readings_of_many_threads_leave_the_events_bounded_and_readable(folder):
     def tell():
         while not ended.is_set():
             robot._announce("info", "news")
-            robot._receive(Reading(Climate(now(), 20.0, 0.5), now(), "toy"))
+            robot.receive(Reading(Climate(now(), 20.0, 0.5), now(), "toy"))
 
     threads = [threading.Thread(target=tell) for _ in range(4)]
     for thread in threads:
@@ -169,3 +172,21 @@ def test_a_map_that_cannot_be_read_leaves_the_present_one(folder):
         with pytest.raises(ImpError, match=name):
             robot.go_on(name)
     assert robot.mapper.status().state == "off"
+
+
+def test_the_true_pose_of_a_simulated_robot_is_shown_beside_the_estimate(folder, monkeypatch):
+    robot = station(folder)
+    monkeypatch.setattr(robot.mapper, "_prepare", lambda config: None)
+    robot.start_mapping()
+    while robot.mapper.status().state == "compiling":
+        time.sleep(0.01)
+    for message in perfect(load_world("room")):
+        robot.receive(Reading(message, now(), "simulator"))
+        while robot.mapper.status().waiting > 1:
+            time.sleep(0.001)
+    drain(robot.mapper)
+    shown = robot.view.snapshot()
+    assert np.linalg.norm(shown.pose[:2]) > 0.5
+    assert shown.truth is not None
+    np.testing.assert_allclose(shown.truth, shown.pose, atol=0.02)
+    robot.stop()

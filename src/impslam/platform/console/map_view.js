@@ -3,7 +3,7 @@ import { paint, decode16, decode32, recolour, bounds, distance, told } from "imp
 
 const LAYERS = [
   ["grid", "Grid map", true], ["path", "Path", true], ["scan", "Scan", true], ["marks", "Landmarks", true],
-  ["labels", "Labels", true], ["dead", "Wheels alone", false], ["truth", "Truth", true],
+  ["labels", "Labels", true], ["dead", "Odometry alone", false], ["truth", "Truth", true],
 ];
 
 export default {

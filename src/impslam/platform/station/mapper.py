@@ -23,7 +23,7 @@ from impslam.platform.station.map_store import FILE
 from impslam.platform.station.mapper_status import OFF, MapperStatus, State
 from impslam.platform.station.warm_up import warm_up
 from impslam.run import Run
-from impslam.types import Array, Message
+from impslam.types import Array, Message, TruePose
 
 log = logging.getLogger(__name__)
 
@@ -159,7 +159,7 @@ class _Mapping:
         self.run = Run(self._config, [self._truth, view], known)
         robot = self.run.robot
         self._scans = tuple(sensor.consumes for sensor in robot.sensors.values())
-        self._wanted = robot.consumes
+        self._wanted = (*robot.consumes, TruePose)
         self._inbox = Inbox()
         # Who copies the map takes the door first, so that the estimator lets them in.
         self._door, self._between = threading.Lock(), threading.Lock()

@@ -77,7 +77,7 @@ class Station:
         self.mapper.warm_up()
         self.keeper.start()
         for device in self.devices.values():
-            device.start(self._receive)
+            device.start(self.receive)
 
     def begin(self, *, record: bool, map_: bool) -> None:
         """Record and map from the start; what cannot is told, and the robot goes on without."""
@@ -129,8 +129,8 @@ class Station:
         devices = {name: device.health() for name, device in self.devices.items()}
         return StationHealth(devices, self.recorder.status(), self.mapper.status(), self.climate)
 
-    def _receive(self, reading: Reading) -> None:
-        """Take one reading; called from the devices' threads, and must not make them wait."""
+    def receive(self, reading: Reading) -> None:
+        """Take one reading, from any thread; never blocks, because devices call it."""
         message = reading.message
         self.recorder.put(reading)
         if isinstance(message, Event):
@@ -149,7 +149,7 @@ class Station:
 
     def _announce(self, level: str, text: str) -> None:
         """Note what happened to the robot as a whole, in the log and on the page."""
-        self._receive(event("robot", level, text))
+        self.receive(event("robot", level, text))
 
     def _note(self, told: Event) -> None:
         self.events.append(told)

@@ -1,4 +1,4 @@
-"""The truth of a virtual robot, put into its recordings as if a tracking system looked on."""
+"""The truth of a virtual robot, recorded and shown as if a tracking system measured it."""
 
 from __future__ import annotations
 

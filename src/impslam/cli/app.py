@@ -33,7 +33,7 @@ COMMANDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "simulate": (
         "simulate:simulate",
-        "Write what the robot would have recorded in a world.",
+        "Simulate a drive in a world, and write its log and truth.",
         ("office -o office.mcap", "hall.toml -o hall.mcap --seed 1 --set lidar.range_max=10"),
     ),
     "evaluate": (
@@ -117,9 +117,9 @@ def make_app() -> App:
         ),
         version=lambda: impslam.__version__,  # 25 ms, for --version alone
     )
-    for name, (place, sentence, examples) in COMMANDS.items():
+    for number, (name, (place, sentence, examples)) in enumerate(COMMANDS.items()):
         shown = described(sentence, name, *examples)
-        app.command(f"impslam.cli.{place}", name=name, help=shown)
+        app.command(f"impslam.cli.{place}", name=name, help=shown, sort_key=number)
     return app
 
 

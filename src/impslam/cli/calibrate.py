@@ -1,4 +1,4 @@
-"""`imp calibrate`: wheels, laser and latency of a robot, from any logs in which it turns."""
+"""`imp calibrate`: wheels, laser pose and latency of a robot, from logs in which it turns."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def calibrate(  # noqa: PLR0913  # each is an option that a user may give
     Parameters
     ----------
     logs
-        Logs of one robot; no two lengths of it may have changed in between.
+        Logs of one robot, whose wheels and mounts are the same in all of them.
     keep
         A parameter that stays as it is: --keep wheel_radius. The scale of the ranges is found if a
         length of the robot is kept.

@@ -21,7 +21,7 @@ def demo(
     seed
         Seed of all noise.
     output
-        The folder to write to, a new one. Default: runs/arena-DATE-TIME.
+        A new folder to write to. Default: runs/arena-DATE-TIME.
     """
     from impslam.cli.arena import map_arena
 

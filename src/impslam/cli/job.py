@@ -71,7 +71,7 @@ def execute(  # noqa: PLR0913  # all that a run consists of
 
     A run that an error or a signal ends early writes what it knows, marked as partial. `known` are the
     true landmarks, for scoring alone, where neither the source nor a file beside it tells them.
-    `begin` is a map to go on with, `exports` tells what else to write at the end, `health` what is wrong
+    `begin` is a map to continue, `exports` lists what else to write at the end, `health` what is wrong
     with the log throughout. `player` takes the log
     through the estimator in another way than at once.
     """

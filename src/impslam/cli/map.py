@@ -17,7 +17,7 @@ COMMANDS = {
         "monday.imp friday.imp -o changes.png",
     ),
     "merge": (
-        "Merge maps of one building, from several drives or robots; how they are aligned is found.",
+        "Merge maps of one building, from several drives or robots; their relative poses are found.",
         "one.imp two.imp three.imp -o all.imp",
     ),
     "localise": (

@@ -27,11 +27,11 @@ def diff(
     Parameters
     ----------
     before
-        The earlier map; places are told in its frame.
+        The earlier map; positions are given in its frame.
     after
         The later map.
     aligned
-        The maps share a frame already; else it is found how they lie to each other.
+        The maps share a frame. Default: the later map is aligned with the earlier one.
     output
         The picture, a PNG file.
     json

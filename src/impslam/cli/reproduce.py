@@ -71,7 +71,7 @@ def reproduce(
         Any of points, lines, both, corridor, figures, drawings, overhead, wheels, extractors,
         consistency, faults, filters. Default: all.
     output
-        The folder to write to, a new one. Default: runs/reproduce-DATE-TIME.
+        A new folder to write to. Default: runs/reproduce-DATE-TIME.
     """
     # A run of anything else neither imports nor needs the studies.
     from impslam.studies.report import PAGE, write

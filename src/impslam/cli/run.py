@@ -106,7 +106,7 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     log
         A file or folder; its format is recognised from its content.
     output
-        The folder to write to, a new one. Default: runs/LOG-DATE-TIME.
+        A new folder to write to. Default: runs/LOG-DATE-TIME.
     """
     from impslam.cli.first_look import show_first_look
     from impslam.cli.job import execute, settings_of

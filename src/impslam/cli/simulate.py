@@ -1,4 +1,4 @@
-"""`imp simulate`: what the robot would have recorded in a world, and the truth."""
+"""`imp simulate`: the log of a simulated drive in a world, and the truth."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def sweep(  # noqa: PLR0913  # each is an option that a user may give
     relations
         A relation file of the SLAM benchmarking suite: --relations FILE, or LOG=FILE.
     output
-        The folder to write to, or of a sweep to go on with. Default: runs/sweep-DATE-TIME.
+        The folder to write to, or that of a sweep to continue. Default: runs/sweep-DATE-TIME.
     """
     from impslam.sweeps.cases import alternatives, cases
     from impslam.sweeps.table import Journal

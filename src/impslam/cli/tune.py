@@ -37,12 +37,13 @@ class Search:
         --search odometry.noise.forward=0.01:0.3. Default: all noise of odometry and sensors,
         from a tenth to ten times its value in the config.
     score
-        Errors against the truth or relations, the scans' disagreement (quality), or the likelihood
-        of the innovations, which finds noise. best: of the first three the first that is known.
+        Errors against the truth or relations, disagreement of the scans (quality), or the likelihood
+        of the innovations, which finds noise. best: the first of truth, relations and quality that is
+        available.
     holdout
-        Logs that are kept apart: the result is scored on them, and not chosen by them.
+        Held-out logs: the result is scored on them, but the search does not use them.
     trials
-        How many settings are tried, those of earlier calls with the same -o included.
+        Number of settings to try, including those of earlier calls with the same -o.
     seeds
         Seeds 0, 1, ... of each run.
     """
@@ -80,7 +81,7 @@ def tune(  # noqa: PLR0913  # each is an option that a user may give
     relations
         A relation file of the SLAM benchmarking suite: --relations FILE, or LOG=FILE.
     output
-        The folder to write to, or of a search to go on with. Default: runs/tune-DATE-TIME.
+        The folder to write to, or that of a search to continue. Default: runs/tune-DATE-TIME.
     """
     from impslam.sweeps.task import Task
 
@@ -117,7 +118,7 @@ def _search(task: Task, space: Space, search: Search, pool: Pool, folder: Path, 
 def _finish(
     task: Task, space: Space, study: Any, score: Score, pool: Pool, folder: Path, quiet: bool
 ) -> None:
-    """Run all logs before and after, those that were kept apart included; write what was found."""
+    """Run all logs, held-out ones included, with the old and the new config; write the result."""
     from impslam.cli.sweep import show_errors, write
     from impslam.sweeps.tuning import best, suggest
     from impslam.sweeps.tuning_plot import draw_search

@@ -8,16 +8,26 @@ import pytest
 from impslam.health import DISPLACED, INCONSISTENT, NONE
 from impslam.observers.landmark_watch import MOST, LandmarkWatch
 
+ALONG = np.array([[0.0, 1.0], [4.0, 1.0]])
+ACROSS = np.array([[4.0, -1.0], [4.2, 1.0]])
 
-def keyframes(watch, matched, seen=5, born=(), ratio=1.0, count=1, lost=False):
-    """Return the reasons that keyframes give in which these landmarks are matched."""
+
+def keyframes(watch, matched, seen=5, born=(), ratio=1.0, count=1, lost=False, *, walls=()):
+    """Return the reasons that keyframes give in which these landmarks are matched.
+
+    Of them the first are `walls`, by their end points, and the others points.
+    """
     out = []
     for _ in range(count):
         matches = [
-            SimpleNamespace(landmark=k, distance2=2.0 * ratio, innovation=np.zeros(2))
-            for k in matched
+            SimpleNamespace(
+                landmark=k, distance2=2.0 * ratio, innovation=np.zeros(2), observation=i
+            )
+            for i, k in enumerate(matched)
         ]
-        keyframe = SimpleNamespace(observations=[None] * seen, lost=lost, reason=NONE)
+        ends = [*walls, *[None] * (seen - len(walls))]
+        observations = [SimpleNamespace(end_points=one) for one in ends]
+        keyframe = SimpleNamespace(observations=observations, lost=lost, reason=NONE)
         out.append(watch.revise(keyframe, SimpleNamespace(matches=matches, born=born))[0])
     return out
 
@@ -62,3 +72,10 @@ def test_innovations_that_are_too_large_are_told_and_modest_ones_not(watch):
 
 def test_a_slip_after_which_the_walls_along_the_way_still_match_is_found(watch):
     assert keyframes(watch, [0, 1], count=3) == [NONE, NONE, DISPLACED]
+
+
+def test_walls_along_the_way_do_not_tell_where_along_it_the_robot_is(watch):
+    keyframes(watch, (), count=2)
+    assert keyframes(watch, range(5), walls=[ALONG] * 5, count=50) == [DISPLACED] * 50
+    told = keyframes(watch, range(5), walls=[*[ALONG] * 4, ACROSS], count=4)
+    assert told == [DISPLACED, DISPLACED, NONE, NONE]

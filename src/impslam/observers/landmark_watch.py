@@ -4,16 +4,21 @@ Two tests of what a filter says of itself. The squared innovations, over their d
 average if it is consistent (Bar-Shalom et al. 2001, ch. 5.4); odometry that slips on and on, scans that are
 late, or a lidar that has turned on its mount make them larger. And what was recognised at the last
 keyframe is in view at the next one: where most of it fits no landmark all at once, the robot is
-elsewhere than estimated. It is so until landmarks from before are recognised: those that are new since may
-be the same things once more.
+elsewhere than estimated. It is so until landmarks from before are recognised that tell the position along
+both axes: those that are new since may be the same things once more, and along a corridor its two walls are
+the same everywhere.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+
+import numpy as np
 
 from impslam.health import DISPLACED, INCONSISTENT, NONE, SKIPPED
 from impslam.map import Keyframe, Revision
+from impslam.types import Observation
 
 MEMORY = 20.0
 """Keyframes (2 m of way) over which innovations are averaged: some 150 degrees of freedom."""
@@ -30,6 +35,9 @@ SEEN = 0.7
 """Share of the usual number of observations that is still as much."""
 KNOWN = 0.75
 """Share of matches that are with landmarks from before, of a robot that is where it is estimated."""
+ACROSS = 0.5
+"""Of one landmark's worth, what those from before tell at least along the axis that they tell less of: a
+wall tells nothing along itself, and one at 45 degrees to the others half."""
 PERSISTS = 3
 """Keyframes in a row that have to say so, either way; one without any match counts for two."""
 
@@ -71,11 +79,26 @@ class LandmarkWatch:
             if off or self._missing >= PERSISTS:
                 self._before, self._again = self._newest, 0
         else:
-            known = sum(match.landmark <= self._before for match in revision.matches)
-            again = known >= max(FEWEST, KNOWN * found) and not off
+            known = [match for match in revision.matches if match.landmark <= self._before]
+            again = len(known) >= max(FEWEST, KNOWN * found) and not off
+            again = again and _is_located([keyframe.observations[m.observation] for m in known])
             self._again = self._again + 1 if again else 0
             if self._again >= PERSISTS:
                 self._before, self._missing = None, 0
         if not self._missing:
             self._matches += (found - self._matches) / SHORT
             self._seen += (seen - self._seen) / SHORT
+
+
+def _is_located(seen: Iterable[Observation]) -> bool:
+    """Tell whether observations of known landmarks tell the position along both axes."""
+    information = np.zeros((2, 2))
+    for one in seen:
+        if one.end_points is None:
+            information += np.eye(2)
+            continue
+        along = one.end_points[1] - one.end_points[0]
+        length2 = float(along @ along)
+        if length2 > 0.0:
+            information += np.eye(2) - np.outer(along, along) / length2
+    return bool(np.linalg.eigvalsh(information)[0] >= ACROSS)

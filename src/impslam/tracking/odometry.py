@@ -11,6 +11,7 @@ from impslam.tracking.base import Gate, Steps, Tracker, count
 from impslam.tracking.check import OdometryCheck
 from impslam.tracking.standing import Standing, hold, no_reference
 from impslam.tracking.surfels import prepare
+from impslam.tracking.traction import Traction
 
 
 @register("odometry")
@@ -18,15 +19,19 @@ class OdometryTracker(Tracker):
     """Follows odometry alone, as the thesis does, unless the scans contradict it."""
 
     _check: OdometryCheck = PrivateAttr(default_factory=OdometryCheck)
+    _traction: Traction = PrivateAttr(default_factory=Traction)
     _standing: dict[str, Standing] = PrivateAttr(default_factory=dict)
 
     def steps(self, motions: Motions, sweeps: Sweeps, gate: Gate) -> Steps:
         """Follow odometry; see `Tracker.steps`."""
         scans, m = sweeps.scans, len(sweeps)
+        motions = motions._replace(covariance=motions.covariance.copy())
+        slipped = self._traction.widen(motions.duration, motions.d_pose, motions.covariance)
         surfels = None if scans is None else prepare(scans, OdometryCheck.spacing)
         checked, reasons = self._check.check(motions, surfels)
         if scans is not None:
             hold(motions.d_pose, checked, scans, self._reference_of(sweeps.sensor, scans), reasons)
+        reasons = np.maximum(reasons, slipped)
         ends = count(checked.d_pose, motions.duration, gate)
         return Steps(
             checked.d_pose, checked.covariance, checked.d_pose, np.ones(m, np.bool_), ends,

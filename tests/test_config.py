@@ -159,6 +159,7 @@ def test_every_preset_names_its_robot_and_begins_with_a_sentence(preset):
 
 def test_all_presets_of_the_project_are_there():
     wanted = {"imp", "thesis-points", "thesis-lines", "thesis-both", "default"}
+    wanted |= {"thesis-printed-noise", "thesis-constant-noise", "thesis-dropping"}
     assert wanted | {"turtlebot3-waffle", "mines-rover", "lego-robot4"} <= set(presets())
 
 

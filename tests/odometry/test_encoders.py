@@ -129,3 +129,18 @@ def test_not_finite_is_refused_and_forgotten():
         encoders.update(WheelAngles(0.1, math.nan, 0.0))
     increment = encoders.update(WheelAngles(0.2, 1.0, 1.0))
     np.testing.assert_allclose(increment.d_pose, [0.05, 0, 0], atol=1e-12)
+
+
+def test_constant_noise_is_that_of_a_drive_at_its_speed_whatever_the_wheels_do():
+    """Thesis Eq. 2.23: the same Q in each step, here of 0.1 s; 0.3 m/s of a wheel of 0.05 m: 6 rad/s."""
+    make = {"wheel_radius": 0.05, "track": 0.4}
+    driven = [[0.6 * k, 0.6 * k] for k in range(11)]
+    turning = [[-0.1 * k, 0.4 * k] for k in range(11)]
+    standing = [[1.0, 1.0] for _ in range(11)]
+    _, wanted = drive(StepwiseOdometry(Encoders(**make)), driven)
+    for readings in (driven, turning, standing):
+        constant = StepwiseOdometry(Encoders(**make, constant_speed=0.3))
+        way, told = drive(constant, readings)
+        np.testing.assert_allclose(told, wanted, atol=1e-15)
+    assert not way.any()  # it stands, and is less and less sure of it
+    assert wanted[2, 2] > 0.0

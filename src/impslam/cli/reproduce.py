@@ -26,6 +26,7 @@ EXPERIMENTS = {
     "points": ("arena:points", 100),
     "lines": ("arena:lines", 100),
     "both": ("arena:both", 100),
+    "features": ("features:features", 100),
     "corridor": ("corridor:corridor", 100),
     "figures": ("chapter4:figures", 1),
     "drawings": ("drawings:drawings", 1),
@@ -68,7 +69,7 @@ def reproduce(
     Parameters
     ----------
     experiments
-        Any of points, lines, both, corridor, figures, drawings, overhead, wheels, extractors,
+        Any of points, lines, both, features, corridor, figures, drawings, overhead, wheels, extractors,
         consistency, faults, filters. Default: all.
     output
         A new folder to write to. Default: runs/reproduce-DATE-TIME.

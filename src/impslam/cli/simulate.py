@@ -47,9 +47,11 @@ def simulate(
     seed
         Seed of all noise; the same seed gives the same bytes.
     robot
-        A TOML file with what differs from the thesis's robot: tables encoders, lidar, imu, overhead.
+        A TOML file with what differs from the thesis's robot: tables encoders, lidar, imu, camera,
+        overhead.
     settings
-        A parameter of the robot: --set lidar.rate=5, --set encoders.track=0.3, --set imu=none;
+        A parameter of the robot: --set lidar.rate=5, --set encoders.track=0.3, --set imu=none; pictures
+        of its own camera with --set camera.rate=5, in 5 MP with camera.width=3648 and camera.height=1368;
         `imp list simulated-robot` shows them all.
     camera
         The video to write (.mp4, .avi, .mkv) of a camera over the world.

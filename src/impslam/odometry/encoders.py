@@ -76,6 +76,13 @@ class Encoders(Odometry):
         "",
         "errors that the encoders do not measure: slip, sideways motion, a wrong track",
     )
+    constant_speed: float = parameter(
+        0.0,
+        "m/s",
+        "above 0, each motion has the noise of a straight drive at this speed, whatever the robot "
+        "does: the constant Q of thesis Eq. 2.23; 0: the noise of its own way",
+        ge=0,
+    )
     max_speed: float = parameter(
         5.0, "m/s", "a faster wheel is an encoder jump; its motion is ignored", gt=0
     )
@@ -101,8 +108,12 @@ class Encoders(Odometry):
         """Return the motions between the readings; see `Odometry.motions`."""
         left, right, seconds = *self._travels(readings), durations(readings)
         d_pose, covariance = wheel_motions(left, right, self.track, self.wheel_noise**2)
-        slip = self.slip.variances(0.5 * (left + right), d_pose[:, 2])
-        covariance[DIAGONAL] += slip
+        if self.constant_speed:
+            way = self.constant_speed * seconds
+            _, covariance = wheel_motions(way, way, self.track, self.wheel_noise**2)
+            covariance[DIAGONAL] += self.slip.variances(way, np.zeros(len(way)))
+        else:
+            covariance[DIAGONAL] += self.slip.variances(0.5 * (left + right), d_pose[:, 2])
         motions = Motions(readings.stamps[1:], d_pose, covariance, seconds)
         # Stamps jitter by tens of milliseconds on real robots, so short intervals overestimate the speed.
         limits = self.max_speed * np.maximum(seconds, 0.2)

@@ -35,6 +35,9 @@ class WheelEncoders(Device):
     track: float = parameter(0.40, "m", "nominal distance of the wheels (not in the thesis)", gt=0)
     rate: float = parameter(100.0, "Hz", "rows sent to the computer", gt=0.0)
     counts: int = parameter(4096, "1", "readings per turn (MA3, 12 bit); 0: continuous", ge=0)
+    voltages: bool = parameter(
+        False, "1", "also record what the absolute encoders give: 0 to 5 V a turn, wrapping"
+    )
     radius_sigma: float = parameter(
         0.001, "1", "relative error of each radius: 0.06 mm, left by calibration", ge=0.0
     )
@@ -114,6 +117,21 @@ class InertialUnit(Device):
         return cls(**{**dict.fromkeys(faults, 0), **other})
 
 
+class OnboardCamera(Device):
+    """The camera on the robot (thesis 3.3.1: 5 MP, 72 deg by 30 deg, logged at 5 Hz).
+
+    The default shows the same field in less: 5 MP are width = 3648 and height = 1368.
+    """
+
+    rate: float = parameter(5.0, "Hz", "pictures", gt=0.0)
+    width: int = parameter(640, "px", "of the picture", ge=16, le=8192)
+    height: int = parameter(240, "px", "of the picture", ge=16, le=8192)
+    field: float = parameter(math.radians(72.0), "rad", "seen across", gt=0.1, lt=3.0)
+    above_floor: float = parameter(0.35, "m", "height of the lens", gt=0.0)
+    forward: float = parameter(0.15, "m", "of base_link", ge=-2.0, le=2.0)
+    quality: int = parameter(85, "1", "of the JPEG", ge=1, le=100)
+
+
 class OverheadCamera(Device):
     """A camera under the ceiling that films the run: the ground truth of the thesis (5.2)."""
 
@@ -141,6 +159,7 @@ class SimulatedRobot(Device):
     encoders: WheelEncoders | None = WheelEncoders()
     lidar: Lidar | None = Lidar()
     imu: InertialUnit | None = InertialUnit()
+    camera: OnboardCamera | None = None
     overhead: OverheadCamera = OverheadCamera()
     start_time: float = parameter(1000.0, "s", "stamp of the first message", ge=0.0)
     truth_rate: float = parameter(100.0, "Hz", "true poses, besides those at scan stamps", gt=0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -10,11 +11,21 @@ import numpy as np
 from impslam.simulation.drive import Trajectory, drive
 from impslam.simulation.lidar import LidarSimulator
 from impslam.simulation.noise import inertial, wheel_angles
-from impslam.simulation.robot import InertialUnit, SimulatedRobot, WheelEncoders
+from impslam.simulation.robot import InertialUnit, OnboardCamera, SimulatedRobot, WheelEncoders
 from impslam.simulation.scene import Scene
 from impslam.simulation.world import World
-from impslam.types import Array, Imu, LaserScan, Message, TruePose, WheelAngles
+from impslam.types import (
+    Array,
+    EncoderVoltages,
+    Image,
+    Imu,
+    LaserScan,
+    Message,
+    TruePose,
+    WheelAngles,
+)
 
+VOLTS = 5.0  # V, of a turn of an MA3 (thesis 3.3.1)
 Timed = tuple[float, Message]
 
 
@@ -43,6 +54,8 @@ def simulate(world: World, robot: SimulatedRobot | None = None, seed: int = 0) -
     if robot.lidar is not None:
         lidar = LidarSimulator(robot.lidar, Scene(world), trajectory, streams[2])
         sources.append(_scans(lidar, sweep_times(robot, trajectory), start))
+    if robot.camera is not None:
+        sources.append(_pictures(robot.camera, Scene(world), trajectory, start))
     for _, message in heapq.merge(*sources, key=lambda timed: timed[0]):
         yield message
 
@@ -77,6 +90,9 @@ def _wheels(
     angles = wheel_angles(encoders, trajectory, times, rng)
     for time, (left, right) in zip(times.tolist(), angles.tolist(), strict=True):
         yield time, WheelAngles(start + time, left, right)
+        if encoders.voltages:
+            volts = [VOLTS * (angle / (2.0 * math.pi) % 1.0) for angle in (left, right)]
+            yield time, EncoderVoltages(start + time, *volts)
 
 
 def _imu(
@@ -86,6 +102,19 @@ def _imu(
     rates, forces = inertial(unit, trajectory, times, rng)
     for time, rate, force in zip(times.tolist(), rates, forces, strict=True):
         yield time, Imu(start + time, rate, force)
+
+
+def _pictures(
+    camera: OnboardCamera, scene: Scene, trajectory: Trajectory, start: float
+) -> Iterator[Timed]:
+    from impslam.simulation.camera import Lens, SceneCamera  # noqa: PLC0415  OpenCV, for few
+
+    focal = 0.5 * camera.width / math.tan(0.5 * camera.field)
+    lens = Lens(camera.width, camera.height, focal, camera.above_floor, camera.forward)
+    seen = SceneCamera(scene, lens, camera.quality)
+    times = ticks(camera.rate, trajectory.duration)
+    for time, pose in zip(times.tolist(), trajectory.at(times), strict=True):
+        yield time, Image(start + time, "jpeg", seen.jpeg(pose, time))
 
 
 def _scans(lidar: LidarSimulator, times: Array, start: float) -> Iterator[Timed]:

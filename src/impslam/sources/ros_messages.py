@@ -16,7 +16,16 @@ from impslam.errors import MessageError
 from impslam.sources.ros_storage import RosMessage
 from impslam.sources.text import beam_angles, beam_times, finite
 from impslam.sources.transforms import rigid
-from impslam.types import Array, Image, Imu, LaserScan, OdometryPose, SatelliteFix, TruePose
+from impslam.types import (
+    Array,
+    Image,
+    Imu,
+    LaserScan,
+    OdometryPose,
+    SatelliteFix,
+    TruePose,
+    WheelAngles,
+)
 
 Joints: TypeAlias = tuple[int, int]
 
@@ -68,6 +77,12 @@ def read_imu(message: RosMessage, stamp: float) -> Imu:
     known = message.orientation_covariance[0] != -1.0
     turn = _vector(message.orientation, "xyzw") if known else None
     return Imu(stamp, rate, force, turn)
+
+
+def read_voltages(message: RosMessage, stamp: float) -> WheelAngles:
+    """Read absolute encoders from a `geometry_msgs/Vector3Stamped`: x left, y right, V; they wrap."""
+    left, right = _vector(message.vector, "xy").tolist()
+    return WheelAngles(stamp, left, right)
 
 
 def read_fix(message: RosMessage, stamp: float) -> SatelliteFix:

@@ -26,6 +26,7 @@ from impslam.types import Ints, Mask, Message, WheelAngles
 READERS: dict[Use, Callable[[RosMessage, float], Message]] = {
     "truth": ros.read_truth,
     "scan": ros.read_scan,
+    "voltages": ros.read_voltages,
     "odometry": ros.read_odometry,
     "imu": ros.read_imu,
     "fix": ros.read_fix,

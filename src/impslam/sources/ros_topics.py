@@ -22,13 +22,14 @@ from impslam.types import (
     WheelAngles,
 )
 
-Use: TypeAlias = Literal["scan", "wheels", "odometry", "imu", "fix", "image", "truth"]
+Use: TypeAlias = Literal["scan", "wheels", "voltages", "odometry", "imu", "fix", "image", "truth"]
 
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 TYPES: dict[Use, tuple[str, ...]] = {
     "truth": ("nav_msgs/msg/Odometry",),
     "scan": ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan"),
     "wheels": ("sensor_msgs/msg/JointState",),
+    "voltages": ("geometry_msgs/msg/Vector3Stamped",),
     "odometry": ("nav_msgs/msg/Odometry", *TF_TYPES),
     "imu": ("sensor_msgs/msg/Imu",),
     "fix": ("sensor_msgs/msg/NavSatFix",),
@@ -39,12 +40,15 @@ KINDS: dict[Use, type[Message]] = {
     "truth": TruePose,
     "scan": LaserScan,
     "wheels": WheelAngles,
+    "voltages": WheelAngles,
     "odometry": OdometryPose,
     "imu": Imu,
     "fix": SatelliteFix,
     "image": Image,
 }
 TRUTH_TOPIC = "ground_truth"  # in its name; Stage has /base_pose_ground_truth
+ASKED: tuple[Use, ...] = ("voltages",)
+"""Uses whose type holds anything: a topic has one only if it is asked for by name."""
 EVENT_TYPE = "rcl_interfaces/msg/Log"
 
 KEPT = {
@@ -75,7 +79,7 @@ def choose(log: Path, asked: Mapping[Use, str], counts: Counts) -> dict[str, Use
             _check(log, use, topic, counts)
             uses[topic] = use
     for use, kinds in TYPES.items():
-        if use in asked:
+        if use in asked or use in ASKED:
             continue
         scan = next((topic for topic, name in uses.items() if name == "scan"), "")
         free = [(kinds.index(k), t, n) for (t, k), n in counts.items() if k in kinds and n]

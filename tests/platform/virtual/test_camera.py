@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from impslam.platform.virtual.camera import BOUNDARY, HEIGHT, CameraEmulator, Lens
+from impslam.platform.virtual.camera import BOUNDARY, CameraEmulator
+from impslam.simulation.camera import HEIGHT, Lens
 from impslam.simulation.scene import Scene
 from impslam.simulation.world import load_world, parse_world
 

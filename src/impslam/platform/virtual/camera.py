@@ -1,55 +1,23 @@
 """The virtual camera: what a camera on the robot would see of the world, served as MJPEG.
 
-One ray a column meets the nearest wall and the nearest cylinder (`simulation.raycast.trace`); rows
-follow from the pinhole: a point h above the floor at depth z is seen (h - h_camera) f / z above the
-horizon. Network cameras speak the same protocol (JPEG parts of one endless HTTP answer), so that
-the host reads this one like theirs.
+Network cameras speak the same protocol (JPEG parts of one endless HTTP answer), so that the host
+reads this one like theirs.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
 import threading
 import time
 from collections.abc import Callable
-from functools import cached_property
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import NamedTuple
 
-import cv2
-import numpy as np
-import numpy.typing as npt
-
-from impslam.platform.virtual.paint import Pixels, paint
-from impslam.simulation.raycast import trace
-from impslam.simulation.scene import Scene, Thing
+from impslam.simulation.camera import Lens, SceneCamera
+from impslam.simulation.paint import Pixels
+from impslam.simulation.scene import Scene
 from impslam.types import Array
 
 BOUNDARY = "impslam-frame"
-REACH = 60.0  # m; beyond it the world is haze
-HEIGHTS = {"cylinder": 0.7, "person": 0.8}  # m; a column shows one thing of each layer
-HEIGHT = 0.9  # m, of all that is straight: boards in a hall
-# Red, green, blue. Neighbouring walls differ, so that a picture tells where the robot looks.
-WALLS = ((196, 176, 150), (150, 178, 190), (178, 190, 154), (192, 158, 158), (168, 160, 190))
-COLOURS = {
-    "cylinder": (232, 110, 40),
-    "person": (60, 70, 110),
-    "box": (170, 130, 80),
-    "door": (140, 96, 60),
-    "room": (120, 118, 112),
-    "doorway": (110, 106, 100),
-}
-
-
-class Lens(NamedTuple):
-    """Size of the picture in px, focal length in px, and where the camera is on the robot, in m."""
-
-    width: int = 640
-    height: int = 240
-    focal: float = 440.4  # 640 px across 72 deg; 240 px are then 30.5 deg
-    above_floor: float = 0.35
-    forward: float = 0.15
 
 
 class CameraEmulator:
@@ -74,27 +42,19 @@ class CameraEmulator:
         lens: Lens | None = None,
         quality: int = 85,
     ) -> None:
-        self._scene, self._pose, self._clock = scene, pose, clock
-        self._rate, self._lens, self._quality = rate, lens or Lens(), quality
+        self._camera = SceneCamera(scene, lens, quality)
+        self._pose, self._clock, self._rate = pose, clock, rate
         self._server: ThreadingHTTPServer | None = None
         self._closing = threading.Event()
         self._dead_until = self._frozen_until = 0.0
 
     def picture(self) -> Pixels:
         """Return what the camera sees now, (height, width, 3) in OpenCV's order blue, green, red."""
-        lens, pose, time_ = self._lens, self._pose(), self._clock()
-        heading = float(pose[2])
-        eye = np.array(pose, dtype=np.float64)
-        eye[:2] += lens.forward * np.array([math.cos(heading), math.sin(heading)])
-        image = np.empty((lens.height, lens.width, 3), np.uint8)
-        straight, round_ = self._straight(eye, time_), self._round(eye, time_)
-        paint(image, eye, lens.focal, lens.above_floor, straight, round_)
-        return image
+        return self._camera.picture(self._pose(), self._clock())
 
     def jpeg(self) -> bytes:
         """Return what the camera sees now as a JPEG file."""
-        _, data = cv2.imencode(".jpg", self.picture(), [cv2.IMWRITE_JPEG_QUALITY, self._quality])
-        return data.tobytes()
+        return self._camera.jpeg(self._pose(), self._clock())
 
     def serve(self, port: int = 0) -> str:
         """Begin to serve on loopback and return the URL; port 0 takes a free one."""
@@ -132,73 +92,6 @@ class CameraEmulator:
         while self.plugged and time.monotonic() < self._frozen_until:
             self._closing.wait(0.02)
         return self.plugged
-
-    @cached_property
-    def _columns(self) -> Array:
-        """Angle of each column's ray in the camera, (width,) rad; the left one is positive."""
-        middle = 0.5 * (self._lens.width - 1)
-        side = middle - np.arange(self._lens.width, dtype=np.float64)
-        return np.asarray(np.arctan(side / self._lens.focal), dtype=np.float64)
-
-    @cached_property
-    def _looks(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Heights (k,) and colours (k, 3) of what is straight and of what is round."""
-        scene = self._scene
-        standing, circles = len(scene.segments), len(scene.circles)
-        leaves = len(scene.leaves(0.0))
-        things = scene.things
-        first, second = standing + circles, standing + circles + leaves
-        straight = (*things[:standing], *things[first:second])
-        return _looks(straight), _looks((*things[standing:first], *things[second:]))
-
-    def _straight(self, eye: Array, time_: float) -> Array:
-        segments = np.vstack([self._scene.segments, self._scene.leaves(time_)])
-        depth, light, hits, points = self._cast(eye, segments, np.empty((0, 3)))
-        chosen = segments[hits] if len(segments) else np.zeros((len(hits), 4))
-        way = chosen[:, 2:] - chosen[:, :2]
-        length = np.maximum(np.hypot(*way.T), np.finfo(float).tiny)
-        along = ((points - chosen[:, :2]) * way).sum(1) / length
-        return _layer(depth, along, light, self._looks[0], hits)
-
-    def _round(self, eye: Array, time_: float) -> Array:
-        circles = np.vstack([self._scene.circles, self._scene.legs(time_)])
-        depth, light, hits, _ = self._cast(eye, np.empty((0, 4)), circles)
-        return _layer(depth, np.full(len(hits), -1.0), light, self._looks[1], hits)
-
-    def _cast(
-        self, eye: Array, segments: Array, circles: Array
-    ) -> tuple[Array, Array, npt.NDArray[np.int64], Array]:
-        """Return depth, light, what was hit and where, for each column; depth is inf for nothing."""
-        rays, nothing = self._columns, (np.empty((2, 0, 4)), np.empty((2, 0, 3)))
-        lasers = np.tile(eye, (len(rays), 1))
-        fractions = np.zeros(len(rays))
-        ranges, cosines, hits = trace(lasers, rays, fractions, (segments, circles), nothing, REACH)
-        near = np.where(hits >= 0, ranges, 0.0)
-        directions = eye[2] + rays
-        points = eye[:2] + near[:, None] * np.column_stack([np.cos(directions), np.sin(directions)])
-        # Brightest where seen squarely, and dimmer with the way.
-        light = (0.55 + 0.45 * cosines) / (1.0 + 0.06 * near)
-        return ranges * np.cos(rays), light, hits, points
-
-
-def _looks(things: tuple[Thing, ...]) -> tuple[Array, Array]:
-    heights = [HEIGHTS.get(thing.kind, HEIGHT) for thing in things]
-    colours = [COLOURS.get(thing.kind, WALLS[thing.part % len(WALLS)]) for thing in things]
-    return np.array(heights, dtype=np.float64), np.array(colours, dtype=np.float64).reshape(-1, 3)
-
-
-def _layer(
-    depth: Array,
-    along: Array,
-    light: Array,
-    looks: tuple[Array, Array],
-    hits: npt.NDArray[np.int64],
-) -> Array:
-    """Return [depth, height, place along it, light, blue, green, red] of the columns, (n, 7)."""
-    heights, colours = looks
-    if not len(heights):
-        return np.full((len(depth), 7), np.inf)
-    return np.column_stack([depth, heights[hits], along, light, colours[hits, ::-1]])
 
 
 def _handler(camera: CameraEmulator) -> type[BaseHTTPRequestHandler]:

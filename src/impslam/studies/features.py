@@ -1,0 +1,125 @@
+"""Points, lines, or both: the thesis's comparison across its Tables 1 to 3 (5.2.3), seed by seed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.studies.arena_experiment import (
+    END,
+    MIN_DRIFT,
+    TEXT,
+    Experiment,
+    drifting_seeds,
+    landmark_metrics,
+)
+from impslam.studies.arena_tables import actual
+from impslam.studies.report import ResultTable, Section, load_text
+from impslam.studies.sweep import Variant, sweep
+from impslam.sweeps.job import Job
+from impslam.sweeps.rows import Row, by_variant, failures
+from impslam.types import Array
+
+SEEDS = 10
+"""Enough for a first look; the claims are for 100."""
+DRAWS = 10_000
+"""Of the bootstrap: 250 lie beyond each end of the interval."""
+KINDS = ("points", "lines", "both")
+
+
+class Comparison(NamedTuple):
+    """What the thesis compares: landmarks or the end, with both features and with one kind."""
+
+    what: str
+    names: tuple[str, ...]
+    with_one: str
+    as_printed: float  # %, from the squares of the tables
+
+
+class Gain(NamedTuple):
+    """How much smaller errors are with both kinds: a share, its 95 % interval, and in how many seeds."""
+
+    share: float
+    low: float
+    high: float
+    better: float
+
+
+def features(job: Job) -> Section:
+    """Compare the three ways to map on the same drives."""
+    text = load_text("features")
+    seeds = drifting_seeds(job, job.seeds or SEEDS)
+    variants = [Variant(kind, f"thesis-{kind}") for kind in KINDS]
+    rows = sweep(variants, seeds, measure=landmark_metrics, job=job)
+    runs = {kind: {row["seed"]: row for row in found} for kind, found in by_variant(rows).items()}
+    gains = {comparison: _gain(comparison, runs) for comparison in _comparisons(text)}
+    cells = [
+        [
+            c.what,
+            f"{c.as_printed:+.1f}",
+            f"{100.0 * _printed(c):+.0f}",
+            _said(gain),
+            f"{100 * gain.better:.0f}",
+        ]
+        for c, gain in gains.items()
+    ]
+    table = ResultTable(text["table"], text["header"], cells, 1, text["note"])
+    numbers = {c.what: [*gain] for c, gain in gains.items()} | {"seeds": list(seeds)}
+    words = text["text"].format(count=len(seeds), off=MIN_DRIFT)
+    words = "\n\n".join(filter(None, (words, failures(rows), text["conclusion"])))
+    return Section("features", text["title"], words, [table], (), numbers, rows)
+
+
+def _comparisons(text: Mapping[str, Mapping[str, float]]) -> list[Comparison]:
+    cylinders, walls = (Experiment.load(kind).names for kind in ("points", "lines"))
+    printed = text["printed"]
+    return [
+        Comparison("cylinders, against points", cylinders, "points", printed["cylinders"]),
+        Comparison("walls, against lines", walls, "lines", printed["walls"]),
+        Comparison("end, against points", (END,), "points", printed["end_points"]),
+        Comparison("end, against lines", (END,), "lines", printed["end_lines"]),
+    ]
+
+
+def _printed(comparison: Comparison) -> float:
+    """Return by what share the print's own distances, not their squares, are smaller with both."""
+
+    def total(kind: str) -> float:
+        at: Mapping[str, Sequence[float]] = TEXT[kind]["printed"]
+        return sum(float(np.hypot(*(actual(n) - np.array(at[n])))) for n in comparison.names)
+
+    return 1.0 - total("both") / total(comparison.with_one)
+
+
+def _gain(comparison: Comparison, runs: Mapping[str, Mapping[int, Row]]) -> Gain:
+    """Return the gain in the mean over landmarks and seeds; a missing landmark counts as infinite."""
+    seeds = sorted(runs["both"].keys() & runs[comparison.with_one].keys())
+
+    def errors(kind: str) -> Array:
+        """Return (n,) m: the mean over the landmarks, as the thesis scores them (walls by feet)."""
+        return np.array([
+            np.mean([runs[kind][seed][f"foot {name}"] for name in comparison.names])
+            for seed in seeds
+        ])  # fmt: skip
+
+    one, both = errors(comparison.with_one), errors("both")
+    return Gain(*_bootstrapped(one, both, lambda a, b: 1.0 - b / a), float(np.mean(both < one)))
+
+
+def _bootstrapped(
+    one: Array, both: Array, share: Callable[[Array, Array], Array]
+) -> tuple[float, float, float]:
+    """Return a share of paired means and the percentiles of its bootstrap over seeds (Efron 1979)."""
+    picks = np.random.default_rng(0).integers(0, len(one), (DRAWS, len(one)))
+    with np.errstate(invalid="ignore"):  # a landmark that both miss is no gain, either
+        drawn = share(one[picks].mean(axis=1), both[picks].mean(axis=1))
+        whole = share(one.mean(), both.mean())
+    drawn, whole = (np.nan_to_num(x, nan=-np.inf, neginf=-np.inf) for x in (drawn, whole))
+    low, high = np.quantile(drawn, (0.025, 0.975), method="inverted_cdf").tolist()
+    return float(whole), low, high
+
+
+def _said(gain: Gain) -> str:
+    return f"{100 * gain.share:+.0f} [{100 * gain.low:+.0f}, {100 * gain.high:+.0f}]"

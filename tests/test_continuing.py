@@ -95,7 +95,7 @@ def test_an_estimator_that_cannot_go_on_gives_way_to_one_that_can(drive, whole):
         "odometry.kind=odometry_pose", "sensors.lidar.range_max=20",
     ])  # fmt: skip
     assert known.keyframes.placed.all()
-    with pytest.raises(ConfigError, match="cannot go on with a map"):
+    with pytest.raises(ConfigError, match="cannot continue a map"):
         impslam.Slam("imp", ["estimator.kind=landmarks"], known=whole)
 
 

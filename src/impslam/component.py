@@ -8,8 +8,8 @@ sentence; its methods are the role it plays. A role is a direct subclass of `Com
     class Hough(Extractor): ...
 
 Third parties register through the entry-point group `impslam.components`: each entry point names a
-module, and importing it runs its `@register` lines. What is not installed is named by the config's
-`plugins`, as a file or a module.
+module, and importing it runs its `@register` lines. Components that are not installed are named in
+`plugins` of the config, as a file or a module.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _PACKAGES = {
     "source": "impslam.sources",
     "tracker": "impslam.tracking",
 }
-"""Where the components of each role live: each is imported when it is first asked for."""
+"""The package of each role; a component is imported when it is first requested."""
 _REGISTRATION = re.compile(r'^@register\("([^"]+)"\)', re.MULTILINE)
 
 C = TypeVar("C", bound="Component")
@@ -128,8 +128,8 @@ def _place(cls: type) -> tuple[str, str]:
 def _index(role: str) -> dict[str, str]:
     """Return the module of each component of a role by its name, from the text of the package.
 
-    It spares importing a whole role, and all that its parts are built on, for one of them. Where
-    there is no text (a package in a zip file) the index is empty, and the role is imported.
+    This avoids importing a whole role, with its dependencies, for one of its components. Where the text
+    is not available (a package in a zip file) the index is empty, and the role is imported.
     """
     package = importlib.import_module(_PACKAGES[role])
     return {
@@ -194,7 +194,7 @@ def _import_file(name: str, path: Path) -> None:
 
 
 def _guarded(what: str, load: Callable[[], object]) -> None:
-    """Import something of others; whatever happens in it is told in one line."""
+    """Import third-party code; report any exception in one line."""
     try:
         load()
     except ConfigError:

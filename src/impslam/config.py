@@ -2,8 +2,8 @@
 
 A config starts from a preset, is overridden by a file, then by `--set key=value`. Its tables name
 components by `kind`; the other keys of a table are that component's parameters. Naming another kind
-drops the parameters of the kind before. `kind = "none"` takes a component out. `plugins` names files
-or modules whose components are to be known, too.
+drops the parameters of the previous kind. `kind = "none"` removes a component. `plugins` names files
+or modules with further components.
 """
 
 from __future__ import annotations
@@ -58,16 +58,18 @@ class Config(Parameters):
         (0.0, 0.0, 0.0), "m, m, rad", "pose in map at the start"
     )
     source: Table = parameter({}, "", "parameters of the log reader (topics by role)")
-    odometry: Table = parameter(..., "", "how motion is felt")
-    sensors: dict[str, Table] = parameter(..., "", "what sees, by name")
-    tracker: Table = parameter({"kind": "odometry"}, "", "how motion is followed between keyframes")
-    estimator: Table = parameter({"kind": "landmarks"}, "", "what makes the map")
+    odometry: Table = parameter(..., "", "the motion of the robot, from wheels or other odometry")
+    sensors: dict[str, Table] = parameter(..., "", "exteroceptive sensors, by name")
+    tracker: Table = parameter({"kind": "odometry"}, "", "the motion between keyframes")
+    estimator: Table = parameter(
+        {"kind": "landmarks"}, "", "the map and the poses of the keyframes"
+    )
     landmarks: dict[str, Table] = parameter({}, "", "parameters of landmark models, by kind")
-    association: Table = parameter(..., "", "which observation is which landmark")
-    lifecycle: Table = parameter(..., "", "when landmarks come and go")
-    filter: Table = parameter(..., "", "the belief")
+    association: Table = parameter(..., "", "the matching of observations with landmarks")
+    lifecycle: Table = parameter(..., "", "when landmarks are added and removed")
+    filter: Table = parameter(..., "", "the joint estimate of pose and landmarks")
     keyframes: Table = parameter(
-        {}, "", "which scans are keyframes; by default as the estimator asks"
+        {}, "", "which scans are keyframes; by default those of the estimator"
     )
     grid: Grid = parameter(Grid(), "", "the occupancy grid")
 
@@ -190,9 +192,9 @@ def read_table(name: str | Path, above: tuple[str, ...] = ()) -> Table:
 
 
 def carried(preset: str, log: Path) -> Table:
-    """Return the table of what a log asks to be mapped with: a shipped preset, or a whole config.
+    """Return the table that a log names for its mapping: a shipped preset, or a complete config.
 
-    A log is data: it chooses neither which code runs nor which files are read.
+    A log is data: it can choose neither the code that runs nor the files that are read.
 
     Raises
     ------
@@ -310,7 +312,7 @@ def load(base: str | Path | Table = "default", settings: Sequence[str] = ()) -> 
 
 
 def _refuse_former(table: Table) -> None:
-    """Say what has changed since a config was written."""
+    """Refuse keys of earlier versions, and name the present ones."""
     if "matcher" in table:
         raise ConfigError(
             'matcher is called tracker now: rename [matcher] to [tracker], and its kind = "none" '
@@ -327,7 +329,7 @@ def _refuse_former(table: Table) -> None:
 
 
 def load_plugins(base: str | Path = "default", settings: Sequence[str] = ()) -> None:
-    """Make the components known that a config brings along, for whoever needs them before `load`."""
+    """Register the components of the plug-ins of a config, for use before `load`."""
     _load_plugins(_merged(base, settings))
 
 

@@ -76,7 +76,7 @@ class Keyframe:
     sweeps, row : the sweep is this row of its sensor's data
     scan : the sweep in base_link at its middle, None for a sensor that has none
     observations : landmarks that the extractors found in the scan
-    located : whether the tracker's match of the scan tells where the robot is, along both axes
+    located : whether the tracker's match of the scan determines the position along both axes
     lost : whether the motion from the previous keyframe is unknown: the keyframe begins a session,
         which is no part of the map until it is found where it lies. `motion` is a guess, or NaN
     reason, amount : why the pose cannot be trusted, and the way or share that goes with it; see
@@ -111,7 +111,7 @@ class Track:
     covariance : (m, 3, 3) of that motion
     odometry : (m, 3) `T_odom_base` at these stamps
     sweeps, rows : the m sweeps are these rows of their sensor's data
-    located : (m,) whether the tracker's match of each tells where the robot is, along both axes
+    located : (m,) whether the tracker's match of each determines the position along both axes
     reasons, amounts : (m,) why each pose cannot be trusted, and the way or share that goes with it
     keyframe : the keyframe that ends the track, None if the track continues
     """
@@ -143,7 +143,7 @@ class Revision:
     gone : ids of removed landmarks
     refused : why the keyframe could not be used, "" if it was used
     placed : (r,) or one for all, whether it is known where they are in the map
-    dropped : keyframes whose scans are not kept, for they add nothing to those of others
+    dropped : keyframes whose scans are not kept, because they add nothing to those of others
     innovation : of all matches jointly, None where it is not known
     """
 
@@ -246,8 +246,8 @@ class Map:
     live_poses : (n, 3) `T_map_base` of each sweep as it was estimated at the time
     tracked : (n, 3) `T_anchor_base` as tracked; a settled map blends it with the keyframe after
     edges : the pose graph: motions and loop closures between keyframes i and j; none without one
-    observations : of landmarks, by keyframe, where the estimator goes on with them
-    belief : arrays by name that the estimator goes on with, in the map's frame; see its `belief`
+    observations : of landmarks, by keyframe, if the estimator needs them to continue the map
+    belief : arrays by name in the map's frame that the estimator needs to continue it; see its `belief`
     about : origin of the map: log, config, counts, versions, as JSON values
 
     Examples

@@ -125,7 +125,7 @@ class Run:
     """A run in progress: takes batches, returns the current map at any time.
 
     Logs, replays and live robots share this class and differ only in the source of the batches. Only one
-    thread at a time may use it. `begin` is a map that it goes on with, `health` what is known beforehand
+    thread at a time may use it. `begin` is a map to continue, `health` what is known beforehand
     to be wrong with all poses.
     """
 
@@ -232,7 +232,7 @@ class Run:
         jumps: a controller that must not jump works in odom, and takes its goals there by the
         inverse. odom is map at the start of the run. For a robot whose own odometry begins
         elsewhere, use `compose(pose, inverse(own))` of the same stamp. Without odometry
-        (`lidar_only`) dead reckoning stays at the start, and nothing is smooth.
+        (`lidar_only`) dead reckoning stays at the start, so no pose is smooth.
         """
         path = self._path
         return np.zeros(3) if path is None else T_map_odom(path.poses[-1], path.odometry[-1])
@@ -321,7 +321,7 @@ class Run:
                     scans = self._continuation.repeated + self.scans
                     partial = f"{in_a_line(error)}; it holds the first {scans} scans of the log"
                     self._tell_end(source, self._salvaged(), partial)
-                except Exception as another:  # the first error is the one to tell
+                except Exception as another:  # the first error is the one to report
                     error.add_note(in_a_line(another))
             raise
 
@@ -397,7 +397,7 @@ class Run:
 
 _PENDING = (
     "it was not found where in the map the robot was; what it saw is kept apart in map.imp, and is no "
-    "part of the map: go on with a log that drives from known places into it"
+    "part of the map: continue it with a log that drives from known places into this one"
 )
 
 

@@ -1,6 +1,6 @@
-"""The values that flow: messages in, observations and matches through, step results out.
+"""The values that are passed between parts: messages, increments, scans, observations, matches, landmarks.
 
-All are frozen; arrays in them are float64 (or bool, int64 where said) and must not be written to.
+All are frozen; their arrays are float64 (bool or int64 where stated) and must not be written to.
 Metres, radians, seconds; x forward, y left, yaw counter-clockwise (REP 103); frames map, odom,
 base_link and laser (REP 105).
 """
@@ -105,9 +105,9 @@ class LaserScan(Stamped):
     `angles` (n,) are in the laser frame, counter-clockwise about its +z, 0 along its +x;
     `time_offsets` (n,) is when each beam was fired after `stamp`, which is that of beam 0;
     `ranges` (n,) are as received: 0, NaN, inf, negative and error codes included.
-    `range_min` and `range_max` are what the message itself says, NaN where it says nothing.
-    `intensities` (n,) in the device's own unit tell how bright the echoes were, None where it
-    does not say.
+    `range_min` and `range_max` are those of the message, NaN where it has none.
+    `intensities` (n,) are the brightness of the echoes in the device's own unit, None where it gives
+    none.
     """
 
     layout_fields: ClassVar[tuple[str, ...]] = ("angles", "time_offsets", "range_min", "range_max")
@@ -162,7 +162,7 @@ class TruePose(Stamped):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fix(Stamped):
-    """A GPS fix: (2,) m east and north of a point near by, and its covariance (2, 2), NaN if not told."""
+    """A GPS fix: (2,) m east and north of a point near by, and its covariance (2, 2), NaN if unknown."""
 
     position: Array
     covariance: Array
@@ -229,7 +229,7 @@ class DeviceTime(Stamped):
 class Event(Stamped):
     """Something that happened and is no measurement: a device lost, a fault, an emergency stop.
 
-    `level` is "info", "warning" or "error"; `source` is the device or part that tells.
+    `level` is "info", "warning" or "error"; `source` is the device or part that reports it.
     """
 
     level: str
@@ -309,7 +309,7 @@ class Scan:
     origins : (n, 2) m, where the beam started (differs between beams of a moving robot)
     sigmas : (n,) m, standard deviation of the range noise, independent between beams
     bias : m, standard deviation of the error that all beams of this sensor share
-    range_max : m, beyond it the sensor sees nothing
+    range_max : m, the largest range that the sensor measures
     laser : (3,) `T_base_laser`
     intensities : (n,) how bright the echoes were, in the device's unit, or None
     derived : what `derive` has computed of this scan; a scan made by `replace` begins without
@@ -332,8 +332,8 @@ class Scan:
     def derive(self, compute: Callable[[Scan, Unpack[Ts]], T], *parameters: *Ts) -> T:
         """Return `compute(self, *parameters)`; several extractors share one result.
 
-        `compute` must be pure and nobody may write to what it returns, so that sharing saves time and
-        changes nothing. The results live as long as the scan.
+        `compute` must be pure, and its result must not be written to, so that sharing saves time without
+        changing results. Results are kept as long as the scan.
         """
         key = compute, parameters
         if key not in self.derived:
@@ -421,7 +421,7 @@ class Match:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landmark:
-    """A landmark as it is reported: position in map, parameters, covariance and life story.
+    """A landmark as it is reported: position in map, parameters, covariance and history.
 
     `position` (2,) is a point's centre or a wall's foot of the normal from the map origin (thesis
     Fig. 20). `covariance` (2, 2) is that of the reported `parameters` that are estimated: x, y of a

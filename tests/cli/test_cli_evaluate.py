@@ -141,11 +141,11 @@ def test_a_truth_of_positions_says_so(imp, tmp_path, monkeypatch) -> None:
     said = imp("evaluate", "mine", "--json", "a.json")
     assert said.code == 0, said.err
     assert row(said.out, "mine")[2:] == ["0.0000", "0.0000", *"------"]
-    assert "the truth tells positions only" in said.out
+    assert "the truth has positions only" in said.out
     assert json.loads((tmp_path / "a.json").read_text())["runs"]["mine"]["path"]["nees"] is None
     given = imp("evaluate", "mine", "--align", "none")
     assert "(2: of the position alone)" in given.out
-    one_line(imp("evaluate", "mine", "--align", "start"), "no heading at the run's start")
+    one_line(imp("evaluate", "mine", "--align", "start"), "no heading at the start of the run")
 
 
 def test_one_run_says_what_another_cannot(imp, tmp_path, monkeypatch) -> None:

@@ -39,13 +39,13 @@ def test_a_log_that_is_not_found_in_a_frozen_map_is_an_error(imp, room, done, tm
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--frozen"], "--frozen and --start are about a map; give one with --map FILE"),
+        (["--frozen"], "--frozen and --start need a map; give one with --map FILE"),
         (["--start", "1,2"], "give one with --map FILE"),
         (["--map", "gone.imp"], "gone.imp: no such file"),
         (["--map", "MAP", "--start", "1"], "--start 1: is no place; give x,y in m"),
         (["--map", "MAP", "--start", "1,nan"], "--start 1,nan: is no place"),
         (["--map", "MAP", "--live"], "leave out --live or --map"),
-        (["--map", "MAP", "--set", "estimator.kind=landmarks"], "cannot go on with a map"),
+        (["--map", "MAP", "--set", "estimator.kind=landmarks"], "cannot continue a map"),
     ],
 )
 def test_what_cannot_be_begun_with_is_told(imp, room, done, tmp_path, words, said) -> None:

@@ -134,5 +134,5 @@ def _normalised(log_weights):
 def test_what_it_cannot_do_is_refused():
     with pytest.raises(ConfigError, match="estimator 'particles' cannot ask"):
         started("jcbb")
-    with pytest.raises(ConfigError, match="cannot go on with a map"):
+    with pytest.raises(ConfigError, match="cannot continue a map"):
         Particles().start(np.zeros(3), Map.__new__(Map), models=MODELS, **parts())

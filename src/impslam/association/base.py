@@ -1,4 +1,4 @@
-"""The role of association: score (a filter's hypotheses) and choose (an association) apart."""
+"""The role of association: it selects among the hypotheses that a filter has scored."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from impslam.component import Component
 from impslam.types import Array, Ints, Mask, Match, Observation
 
 Joint: TypeAlias = Callable[[Sequence[Observation], Sequence[Match]], tuple[Array, Array]]
-"""Gives the joint innovation and covariance of pairs: `Filter.joint` of whoever asks."""
+"""Returns the joint innovation and covariance of pairs: `Filter.joint` of the calling filter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypotheses:
-    """The p pairings of a observations with landmarks of one kind that are worth judging, scored.
+    """The p scored pairings of a observations with landmarks of one kind.
 
-    They stand in the order of the observations, then of the landmarks. Left out are only pairings
-    beyond the gate that the association asked for.
+    They are in the order of the observations, then of the landmarks. Only pairings beyond the gate of
+    the association are left out.
 
     Attributes
     ----------
     kind : of landmark
-    asked : (a,) indices of all observations of the kind into the list that was asked about
+    asked : (a,) indices of all observations of the kind in the given list
     observations : (p,) such an index
     landmarks : (p,) ids
     labels : (p,) labels that sensors read off the landmarks, -1 where there is none
@@ -35,7 +35,7 @@ class Hypotheses:
     log_det : (p,), log determinant of S
     apart : returns `LandmarkModel.distance` of the pairings, in base_link if True, else in map
     possible : (p,), false where extents rule the pairing out
-    unique : whether there is one landmark of the kind, so that nothing else can have been seen
+    unique : whether a landmark of the kind exists once, so that no other one can have been observed
     """
 
     kind: str
@@ -61,9 +61,9 @@ class Hypotheses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Assignment:
-    """Matches, and observations (indices) that belong to no landmark and may begin one.
+    """Matches, and observations (indices) that match no landmark and may become a new one.
 
-    An observation in neither is ambiguous: too near a landmark to be new, too far to be it.
+    An observation in neither is ambiguous: too near a landmark to be new, and too far to match it.
     """
 
     matches: tuple[Match, ...]
@@ -71,11 +71,11 @@ class Assignment:
 
 
 class Association(Component):
-    """Chooses among hypotheses."""
+    """Selects among hypotheses."""
 
     role: ClassVar[str] = "association"
     judges_jointly: ClassVar[bool] = False
-    """Whether a pairing's fate depends on others than those of the same observation or landmark."""
+    """Whether the choice of a pairing depends on pairings of other observations and landmarks."""
 
     def reach(self, dof: int) -> float:
         """Return the squared Mahalanobis distance beyond which no pairing matters here."""
@@ -86,7 +86,7 @@ class Association(Component):
     def assign(
         self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
     ) -> Assignment:
-        """Return which observation is which landmark; each landmark at most once.
+        """Match observations with landmarks, each landmark at most once.
 
-        `joint` is for those that judge pairs together; the others do not call it.
+        `joint` is used by associations that test pairs jointly.
         """

@@ -92,7 +92,7 @@ def show_paths(scores: Mapping[str, PathScore], align_by: Alignment, delta: floa
             "NEES -: needs covariances (a run folder) and a true heading within 1 s of the start"
         )
     if not all(score.heading.count for score in scores.values()):
-        notes.append("heading, RPE -: the truth tells positions only")
+        notes.append("heading, RPE -: the truth has positions only")
     for note in notes:
         console.say(note)
 

@@ -26,6 +26,6 @@ def install_completion(*, shell: Shell | None = None, common: Common | None = No
     try:
         script = make_app().install_completion(shell=shell)
     except ShellDetectionError:
-        raise ImpError("which shell is in use cannot be told; name it with --shell bash") from None
+        raise ImpError("the shell in use is unknown; name it with --shell bash") from None
     if common is None or not common.quiet:
         console.say(f"{script}: written; open a new shell to use it")

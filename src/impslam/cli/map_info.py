@@ -74,7 +74,7 @@ def _rows(found: MapFacts) -> dict[str, str]:
     lost = f", {found.unplaced} of them not placed in the map" if found.unplaced else ""
     graph = f"{found.motions} motions, {found.closures} closures" if found.motions else "none"
     return {
-        "made from": ", ".join(filter(None, found.logs)) or "not told",
+        "made from": ", ".join(filter(None, found.logs)) or "unknown",
         "age": _age(found),
         "path": f"{found.path:.1f} m, {found.scans} scans, {found.keyframes} keyframes{lost}",
         "graph": graph,
@@ -88,7 +88,7 @@ def _rows(found: MapFacts) -> dict[str, str]:
 
 def _age(found: MapFacts) -> str:
     if math.isnan(found.age):
-        return "not told: the log's stamps are no Unix time"
+        return "unknown: the stamps of the log are not Unix time"
     last = datetime.fromtimestamp(found.last, UTC)
     days = found.age / 86400.0
     ago = f"{days:.0f} days" if days >= 2.0 else f"{24.0 * days:.1f} hours"
@@ -105,7 +105,7 @@ def _walls(found: MapFacts) -> str:
 
 def _quality(found: Quality) -> str:
     if math.isnan(found.disagreement):
-        return "not told: no two scans see the same surface"
+        return "unknown: no two scans see the same surface"
     return (
         f"scans disagree by {100 * found.disagreement:.1f} cm, free space contradicts "
         f"{100 * found.contradicted:.1f} % of their points, {100 * found.doubled:.1f} % on doubled "

@@ -61,14 +61,14 @@ class Begin:
     start: str | None = None
 
     def known(self, *, live: bool) -> Known | None:
-        """Return what a run begins with, which is not `live`."""
+        """Return the map to continue, or None; raise `ConfigError` for a run that is `live`."""
         from impslam.continuing import begin_with
 
         if self.map is not None and live:
             raise ConfigError("--live shows a log from its start; leave out --live or --map")
         hint = None if self.start is None else place(self.start)
         if self.map is None and (self.frozen or hint is not None):
-            raise ConfigError("--frozen and --start are about a map; give one with --map FILE")
+            raise ConfigError("--frozen and --start need a map; give one with --map FILE")
         return begin_with(self.map, frozen=self.frozen, hint=hint)
 
 
@@ -137,12 +137,12 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
 
 
 def _going_on(config: Config, changes: list[str], *, quiet: bool) -> Config:
-    """Return the config with an estimator that can go on with a map; say so if it is another one."""
+    """Return the config with an estimator that can continue a map; print it if it was replaced."""
     from impslam.open_log import going_on
 
     able = going_on(config, changes)
     if able is not config and not quiet:
-        console.say(f"estimator: graph, for {config.estimator['kind']} cannot go on with a map")
+        console.say(f"estimator: graph, because {config.estimator['kind']} cannot continue a map")
     return able
 
 

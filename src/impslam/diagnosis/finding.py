@@ -1,4 +1,4 @@
-"""What a diagnosis says: one line on what is wrong, the settings that mend it, and how sure it is."""
+"""A finding of the diagnosis: one line on what is wrong, the settings that fix it, and its certainty."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class Finding:
     ----------
     kind : its name, the same in every log
     what : what is measured, with its standard deviation
-    fix : settings for --set that mend it, as "key=value"; several go together
+    fix : settings for --set that fix it, as "key=value"; several go together
     sure : probability that it is so
-    advice : what to do where no setting mends it, or what else it may be
+    advice : what to do where no setting fixes it, or what else it may be
     harmful : whether a run suffers; otherwise it copes, and the finding is for information
     health : the reason, with its amount, why no pose of such a run can be trusted
     """

@@ -22,7 +22,7 @@ GROSS = 3.0
 """Times the way beyond which a reading is no turn of another wheel, but another unit."""
 RANGES, HALF = "ranges scale", 0.5
 """A kind that odometry's own lengths explain as well."""
-UNMENDED = "no setting mends it"
+UNMENDED = "no setting fixes it"
 
 
 def scales(e: Evidence) -> Iterator[Finding]:

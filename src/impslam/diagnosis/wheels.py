@@ -35,7 +35,7 @@ def wheels(e: Evidence) -> Iterator[Finding]:
         wrap = _usual(size, e.odometry.per_turn)
         yield Finding(
             "encoder wraps",
-            f"readings of the wheels jump by {size:.6g} and go on: they wrap",
+            f"readings of the wheels jump by {size:.6g} and continue: they wrap",
             (f"odometry.wrap={wrap:.9g}",),
             SUREST,
         )

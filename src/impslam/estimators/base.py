@@ -34,15 +34,15 @@ class Estimator(Component):
 
     role: ClassVar[str] = "estimator"
     parts: ClassVar[tuple[str, ...]] = ()
-    """Roles of the components that it is made of; `start` is given one of each."""
+    """Roles of the components that it uses; `start` receives one of each."""
     goes_on: ClassVar[bool] = False
-    """Whether it can begin with a map that is known."""
+    """Whether it can continue a known map."""
     tells_landmarks: ClassVar[bool] = True
-    """Whether revisions tell of each landmark when it is matched, comes and goes."""
+    """Whether revisions list the landmarks that are matched, added and removed."""
     takes_unique: ClassVar[bool] = False
-    """Whether it estimates landmarks of which there is one, such as the frame of a GPS."""
+    """Whether it estimates landmarks that exist once, such as the frame of a GPS."""
     keyframes: ClassVar[KeyframeGate] = KeyframeGate()
-    """Which scans it takes in, unless the config says otherwise."""
+    """Which scans are its keyframes, unless the config overrides them."""
 
     @abstractmethod
     def start(
@@ -53,39 +53,39 @@ class Estimator(Component):
         hint: Array | None = None,
         **parts: Any,
     ) -> None:
-        """Begin at a pose (3,) with an empty map, or go on with a map that is known.
+        """Begin at a pose (3,) with an empty map, or continue a known map.
 
-        Keyframes are numbered on from those of the map. With `frozen` its keyframes and landmarks stay
-        as they are. `hint` (3,) or (2,) is about where in the map the next session begins.
+        Keyframe ids continue those of the map. With `frozen` the keyframes and landmarks of the map do not
+        change. `hint` (3,) or (2,) is roughly where in the map the next session begins, m, m, rad.
 
         `parts` are the components named in the class's `parts`, by role, and `models`, the landmark
         models by kind.
         """
 
     def _refuse(self, known: Map | None) -> None:
-        """Raise `ConfigError` if a map is given, for an estimator that cannot go on with one."""
+        """Raise `ConfigError` if a map is given, for an estimator that cannot continue one."""
         if known is not None:
             raise ConfigError(
-                f"estimator {self.name!r} cannot go on with a map; choose another one "
+                f"estimator {self.name!r} cannot continue a map; choose another one "
                 "with --set estimator.kind=graph"
             )
 
     @abstractmethod
     def add(self, keyframe: Keyframe) -> Revision:
-        """Take in a keyframe: its motion since the one before, and what is seen in it.
+        """Process a keyframe: the motion since the previous one, and its observations.
 
-        A keyframe that is `lost` begins a session: it and those after it are not placed in the map
-        until it is found where they lie. An estimator that cannot do so takes its motion for a guess.
+        A keyframe that is `lost` begins a session: it and its successors are not placed in the map
+        until their place is found. An estimator without sessions uses the motion as a guess.
 
-        A keyframe that cannot be used is told in the revision, which then holds the pose by its
-        motion alone; it never leaves the estimator half changed.
+        A keyframe that cannot be used is reported in the revision, which then holds the pose by its
+        motion alone; the estimator is never left partly changed.
         """
 
     def settle(self) -> Revision | None:
-        """Return the poses of all keyframes as well as they can be told at the end, or None.
+        """Return the refined poses of all keyframes, or None if the estimator does not refine them.
 
-        It may take seconds. More keyframes may follow, as if it had not been asked for; until then
-        `landmarks` are those at these poses.
+        This may take seconds. More keyframes may follow, with the same result as without this call; until
+        then `landmarks` are those at these poses.
         """
         return None
 
@@ -96,8 +96,8 @@ class Estimator(Component):
     def draft(self) -> Draft:
         """Return the estimate as it is now; this takes at most milliseconds.
 
-        What takes longer is done when the draft's functions are called, in any one thread, while
-        this estimator goes on. By default the landmarks are those of now, and nothing is refined.
+        Longer work is done when the functions of the draft are called, in any one thread, while
+        this estimator continues. By default the landmarks are the present ones, and nothing is refined.
         """
         landmarks = self.landmarks()
         return Draft(lambda: None, lambda: landmarks)
@@ -107,15 +107,15 @@ class Estimator(Component):
         return NO_EDGES
 
     def observations(self) -> tuple[tuple[Observation, ...], ...]:
-        """Return what the keyframes saw of landmarks, if it is needed to go on with the map."""
+        """Return the observations of each keyframe, if they are needed to continue the map."""
         return ()
 
     def belief(self) -> Mapping[str, npt.NDArray[Any]]:
-        """Return arrays by name that are needed beside the `Map` to go on with it, in its frame."""
+        """Return further arrays, by name and in the frame of the map, that are needed to continue it."""
         return {}
 
     def counts(self) -> Mapping[str, int]:
-        """Return how often what has happened, by name: e.g. loops closed."""
+        """Return counts of events by name, e.g. of loops closed."""
         return {}
 
     @property

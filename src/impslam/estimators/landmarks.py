@@ -56,7 +56,7 @@ class Landmarks(Estimator):
         self._lifecycle.start(self._models, self._association, self._filter.fresh())
 
     def add(self, keyframe: Keyframe) -> Revision:
-        """Take in a keyframe; see `Estimator.add`."""
+        """Process a keyframe; see `Estimator.add`."""
         try:
             return self._add(keyframe)
         except NumericalError as error:
@@ -72,12 +72,12 @@ class Landmarks(Estimator):
             blurred(keyframe.observations, keyframe.motion, self._models),
             keyframe.stamp,
         )
-        now = keyframe.motion.stamp  # goes on where a clock is set
+        now = keyframe.motion.stamp  # continuous where a clock is set
 
         self._filter.predict(keyframe.motion)
         try:
             choice = self._filter.associate(observations, self._association)
-            told = self._filter.correct(observations, choice.matches)
+            innovation = self._filter.correct(observations, choice.matches)
         except NumericalError:
             self._filter.take_back()
             raise
@@ -102,10 +102,10 @@ class Landmarks(Estimator):
             self._filter.remove(gone)
 
         facts = {"matches": choice.matches, "born": born, "origins": tuple(chosen)}
-        return self._revision(keyframe, **facts, gone=tuple(gone), innovation=told)
+        return self._revision(keyframe, **facts, gone=tuple(gone), innovation=innovation)
 
     def _first(self, observations: tuple[Observation, ...], single: list[int]) -> list[int]:
-        """Return which of some observations are the first of a landmark of which there is one."""
+        """Return which of these observations are the first of a landmark that exists once."""
         first = {
             observations[i].kind: i
             for i in reversed(single)
@@ -155,5 +155,5 @@ class Landmarks(Estimator):
 
     @property
     def state_size(self) -> int:
-        """Number of scalars in the belief."""
+        """Number of scalars in the state."""
         return self._filter.state_size

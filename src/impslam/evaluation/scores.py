@@ -128,7 +128,7 @@ def score_path(run: RecordedRun, truth: Array, align_by: Alignment, delta: float
     if align_by == "fit":
         T_truth_map = align(pairs.estimate[:, :2], pairs.truth[:, :2])
     elif start is None:
-        raise ImpError("the truth tells no heading at the run's start; leave out --align start")
+        raise ImpError("the truth has no heading at the start of the run; leave out --align start")
     else:
         T_truth_map = start
     laid = pairs.moved(T_truth_map)

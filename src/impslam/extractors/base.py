@@ -12,7 +12,7 @@ from impslam.types import Observation, Scan
 
 
 class Extractor(Component):
-    """Finds landmarks of one kind in a scan. Stateless: same scan and seed, same answer."""
+    """Finds landmarks of one kind in a scan, without state: same scan and seed, same result."""
 
     role: ClassVar[str] = "extractor"
     landmark: ClassVar[str] = ""
@@ -20,7 +20,7 @@ class Extractor(Component):
 
     @abstractmethod
     def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:
-        """Return what the scan shows, in the order of the beams.
+        """Return the observations in a scan, in the order of the beams.
 
-        `rng` is the run's own generator, for extractors that sample; others ignore it.
+        `rng` is the random generator of the run, for extractors that sample.
         """

@@ -16,23 +16,26 @@ Reach: TypeAlias = Callable[[int], float]
 
 
 def everything(dof: int) -> float:
-    """Return no bound: the `Reach` that leaves nothing out."""
+    """Return no bound: the `Reach` that excludes no pairing."""
     del dof
     return math.inf
 
 
 class Filter(Component):
-    """The belief. Association is asked for through it, so that a filter may hold many."""
+    """The joint estimate of robot and landmarks.
+
+    Association is called through the filter, so that a filter may hold several hypotheses.
+    """
 
     role: ClassVar[str] = "filter"
 
     def fresh(self) -> Self:
-        """Return a filter with these parameters that has not begun yet."""
+        """Return a new filter with these parameters, not started."""
         return type(self)(**dict(self))
 
     @abstractmethod
     def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
-        """Begin with a pose (3,), its covariance (3, 3), and the models by kind; forget the rest."""
+        """Begin with a pose (3,), its covariance (3, 3), and the models by kind; discard other state."""
 
     @abstractmethod
     def predict(self, increment: Increment) -> None:
@@ -40,7 +43,7 @@ class Filter(Component):
 
     @abstractmethod
     def take_back(self) -> None:
-        """Undo the last `predict`, to the bit; nothing else may have changed the belief since."""
+        """Undo the last `predict` exactly; nothing else may have changed the state since."""
 
     @abstractmethod
     def hypothesise(
@@ -58,13 +61,13 @@ class Filter(Component):
         """Return the stacked innovation (rows,) of some pairs and its joint covariance (rows, rows).
 
         Rows stand in the order of the pairs. An observation or landmark may be in several pairs: the
-        block between two pairs of one observation is without meaning, for they exclude each other.
+        block between two pairs of one observation is meaningless, because they exclude each other.
         """
 
     def associate(
         self, observations: tuple[Observation, ...], association: Association
     ) -> Assignment:
-        """Return which observation is which landmark; a filter of many beliefs asks for each."""
+        """Match observations with landmarks; a filter with several hypotheses does so for each."""
         hypotheses = self.hypothesise(observations, association.reach)
         return association.assign(observations, hypotheses, self.joint)
 
@@ -72,14 +75,14 @@ class Filter(Component):
     def correct(
         self, observations: Sequence[Observation], matches: Sequence[Match]
     ) -> Innovation | None:
-        """Take all matches of a scan in, in one batch (thesis Eq. 2.27-2.29).
+        """Correct the state by all matches of a scan in one batch (thesis Eq. 2.27-2.29).
 
-        Return how far they were from what was expected, or None where the filter does not tell.
+        Return the joint innovation, or None if the filter does not compute it.
 
         Raises
         ------
         NumericalError
-            If the innovations' covariance is not positive definite; the belief stays as it was.
+            If the covariance of the innovations is not positive definite; the state is not changed.
         """
 
     @abstractmethod
@@ -88,13 +91,13 @@ class Filter(Component):
 
     @abstractmethod
     def remove(self, ids: Sequence[int]) -> None:
-        """Forget landmarks."""
+        """Remove landmarks from the state."""
 
     @abstractmethod
     def note(
         self, observations: Sequence[Observation], matches: Sequence[Match], stamp: float
     ) -> None:
-        """Keep the books of the matched landmarks: extents, counts, stamps."""
+        """Update extents, counts and stamps of the matched landmarks."""
 
     @property
     @abstractmethod
@@ -117,4 +120,4 @@ class Filter(Component):
     @property
     @abstractmethod
     def state_size(self) -> int:
-        """Number of scalars in the belief."""
+        """Number of scalars in the state."""

@@ -1,8 +1,8 @@
-"""The role of a landmark model: how one kind of landmark is seen, and where it lies.
+"""The role of a landmark model: the measurement model of one kind of landmark, and its inverse.
 
 A kind needs three methods: `observe`, its inverse `invert`, and `outline`. Everything else follows
-from them; a kind overrides what it knows better or faster (Jacobians in closed form, for example).
-Models give local blocks only; the filter alone knows where they go.
+from them; a kind may override it (Jacobians in closed form, for example).
+Models return local blocks; only the filter knows their place in the state.
 
 Shapes: poses are `T_map_base` (..., 3), perturbed by addition. k landmarks of the kind at once,
 m (..., k, dim), are perturbed by `retract`; every `m_D_...` and `..._D_m` is taken in that
@@ -82,27 +82,27 @@ class LandmarkModel(Component):
     z_angles: ClassVar[tuple[int, ...]] = ()
     """Which components of z are angles."""
     is_place: ClassVar[bool] = True
-    """m begins with a place [x, y] in map, perturbed by addition: it swings as a heading errs."""
+    """Whether m begins with a position [x, y] in map, perturbed by addition."""
     unique: ClassVar[bool] = False
-    """There is one of it: it enters at once, and what does not fit it is an outlier, no other one."""
+    """Whether it exists once: it is added at once, and observations that do not fit it are outliers."""
     has_extent: ClassVar[bool] = False
-    """It is seen in pieces, which must overlap to be one: `extents` and `overlap` say where."""
+    """Whether it is observed in pieces that must overlap to match; see `extents` and `overlap`."""
     values: ClassVar[tuple[str, ...]] = ()
-    """Names of what m holds after the place, for reports."""
+    """Names of the entries of m after the position, for reports."""
 
     @abstractmethod
     def observe(self, pose: Array, m: Array) -> Array:
-        """Return how landmarks m (..., k, dim) are seen from poses (..., 3): z (..., k, dim_z)."""
+        """Return the observations z (..., k, dim_z) of landmarks m (..., k, dim) from poses (..., 3)."""
 
     @abstractmethod
     def invert(self, pose: Array, z: Array) -> Array:
-        """Return the landmarks (..., k, dim) that are seen as z (..., k, dim_z) from poses (..., 3)."""
+        """Return the landmarks (..., k, dim) that are observed as z (..., k, dim_z) from poses (..., 3)."""
 
     @abstractmethod
     def outline(self, m: Array, extents: Array) -> Array:
         """Return the landmarks' visible ends in map, (..., k, 2, 2); twice the place of a point.
 
-        `extents` (..., k, 2), m, are where along itself each landmark has been seen.
+        `extents` (..., k, 2), m, are the extents along each landmark that have been observed.
         """
 
     def predict(self, pose: Array, m: Array) -> Prediction:
@@ -127,10 +127,10 @@ class LandmarkModel(Component):
         return difference
 
     def initialise(self, pose: Array, observation: Observation) -> Initial:
-        """Return the landmark that is seen like this from a pose (3,).
+        """Return the landmark that gives this observation from a pose (3,).
 
         With z = h(pose, m) and h's Jacobian by m square, dm = z_D_m^-1 (dz - z_D_pose dpose). A kind
-        that one observation does not fix (dim > dim_z) says here what remains open.
+        that one observation does not fix (dim > dim_z) overrides this with its `slack`.
         """
         m = self.invert(pose, observation.z[None])
         prediction = self.predict(pose, m)
@@ -157,8 +157,8 @@ class LandmarkModel(Component):
     def m_D_motion(self, m: Array) -> Array:
         """Return how landmarks m (k, dim) change as the whole map moves rigidly by a little.
 
-        (k, dim, 3), by a motion [x, y, theta] about the map origin. No observation tells anything of
-        such a motion of map and robot together; filters that care for consistency need to know it.
+        (k, dim, 3), by a motion [x, y, theta] about the map origin. Such a motion of map and
+        robot together is not observable; consistent filters need it.
         For a robot at the origin the motion is that of its pose, and z stays.
         """
         prediction = self.predict(np.zeros(3), m)

@@ -1,4 +1,4 @@
-"""The role of a lifecycle: when an observation becomes a landmark, and when a landmark goes."""
+"""The role of a lifecycle: when an observation becomes a landmark, and when one is removed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from impslam.types import Array, Increment, Ints, Match, Observation, Scan
 
 
 class Lifecycle(Component):
-    """Keeps what is not (yet, or any more) worth a place in the filter out of it."""
+    """Decides which observations become landmarks of the filter, and which landmarks are removed."""
 
     role: ClassVar[str] = "lifecycle"
 
@@ -32,11 +32,11 @@ class Lifecycle(Component):
     def promote(self, observations: Sequence[Observation], stamp: float, lost: bool) -> list[int]:
         """Return which of the unmatched observations (indices) are to become landmarks now.
 
-        `lost` says that the map is empty: there is nothing yet that ties the robot to its start.
+        `lost` is true while the map is empty: no landmark relates the robot to its start yet.
         """
 
     @abstractmethod
     def review(
         self, scan: Scan, pose: Array, ids: Ints, outlines: Array, matches: Sequence[Match]
     ) -> list[int]:
-        """Return the ids of landmarks to remove: they should be seen from the pose, and are not."""
+        """Return the ids of landmarks to remove: visible from the pose, but not observed."""

@@ -27,7 +27,7 @@ Progress = Callable[[str, float], None]
 
 
 class NotMergedError(ImpError):
-    """It cannot be told how a map lies to the others.
+    """The relative pose of a map and the others is not found.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ def merged(first: Map, *others: Map, progress: Progress = lambda what, share: No
     Raises
     ------
     NotMergedError
-        If it cannot be told how one of them lies to the others.
+        If the relative pose of one of them is not found.
 
     Examples
     --------

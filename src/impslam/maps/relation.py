@@ -1,4 +1,4 @@
-"""How two maps of the same place lie to each other, or that it cannot be told.
+"""The relative pose of two maps of the same place, or that it is ambiguous.
 
 Short ways of the one map are sought in the whole of the other (see `recognition.relocalisation`). Each that
 is found tells the relation by itself. One answer may be wrong, as places look alike; several that agree, of
@@ -81,12 +81,12 @@ class Alignment(NamedTuple):
     @property
     def words(self) -> str:
         """What is known, in words."""
-        ways = f"{len(self.links)} of {self.sought} ways agree on how they lie to each other"
+        ways = f"{len(self.links)} of {self.sought} stretches agree on their relative pose"
         if self.outcome is Outcome.FOUND:
             return ways
         if self.outcome is Outcome.AMBIGUOUS:
-            return f"it cannot be told how they lie to each other: only {ways}, {self.found} were found"
-        return f"they have no place in common that can be told ({self.sought} ways were sought)"
+            return f"their relative pose is ambiguous: only {ways}, {self.found} were found"
+        return f"they have no place in common ({self.sought} stretches were searched for)"
 
 
 def aligned_to(first: Map, second: Map, progress: Progress = lambda _: None) -> Map:
@@ -95,7 +95,7 @@ def aligned_to(first: Map, second: Map, progress: Progress = lambda _: None) -> 
     Raises
     ------
     ImpError
-        If it cannot be told how they lie to each other.
+        If their relative pose is not found.
     """
     found = align_maps(first.keyframes, second.keyframes, progress)
     if found.outcome is not Outcome.FOUND:

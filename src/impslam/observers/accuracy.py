@@ -39,8 +39,8 @@ SHOWN = (
 
 NOTES = {
     "map": "It is given in map.",
-    "start": "Its frame is laid on the first pose, from where the filter's covariance counts.",
-    "fit": "It tells no heading at the start, so its frame is laid where the path fits best.",
+    "start": "Its frame is aligned with the first pose, to which the covariances refer.",
+    "fit": "It has no heading at the start, so its frame is aligned by the best fit of the path.",
 }
 
 

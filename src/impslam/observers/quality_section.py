@@ -9,8 +9,8 @@ from impslam.observers.page import section, table
 
 NOTE = (
     "Needs no truth: scans of the same place are compared with each other. The less, the better; runs "
-    "of the same log are ranked by the disagreement. A map that is bent where no place was seen "
-    "twice is not told from a straight one."
+    "of the same log are ranked by the disagreement. A bend of the map where no place was seen "
+    "twice is not detected."
 )
 
 

@@ -29,7 +29,7 @@ class Odometry(Component):
     between its neighbours."""
 
     tells_motion: ClassVar[bool] = True
-    """Whether its readings tell of any motion."""
+    """Whether its readings contain motion."""
 
     stream: str = parameter(
         "", "", "the stream that it reads; empty: the first one of its kind in the log"
@@ -37,12 +37,12 @@ class Odometry(Component):
     gyro: Gyro = parameter(Gyro(), "", "the gyro that corrects its turns")
 
     def readings(self, rows: Columns) -> Columns:
-        """Return what odometry needs of the rows of its stream."""
+        """Return the columns that odometry needs of the rows of its stream."""
         return rows
 
     @property
     def standing(self) -> Band:
-        """How far the readings of a standing robot stray; see `odometry.standstill`."""
+        """The noise of the readings of a standing robot; see `odometry.standstill`."""
         return Band()
 
     @property

@@ -20,7 +20,7 @@ class Sensor(Component):
     """The type of message that it reads."""
 
     tells_unique: ClassVar[bool] = False
-    """Whether it observes a landmark of which there is one, which not every estimator takes."""
+    """Whether it observes a landmark that exists once, which not every estimator supports."""
 
     row_name: ClassVar[str] = "scan"
     """What one of its rows is called where it is told that some cannot be used."""

@@ -26,8 +26,8 @@ class Stream:
     ----------
     name : the name of its columns, if it is read
     type : what it is made of, in the log's own words
-    count : rows; None where only reading tells
-    used : whether it is of use for mapping, and read
+    count : rows; None if it is known only after reading
+    used : whether it is read, because mapping can use it
     note : what it is, and how to use it if it is not
     default : whether it is the one to use of its kind where none is named
     """
@@ -42,15 +42,15 @@ class Stream:
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """Where a log says that a laser is mounted.
+    """The mount of a laser according to a log.
 
     Attributes
     ----------
-    pose : (x, y, yaw) `T_base_laser` in the plane, m, m, rad; None where the log cannot tell
+    pose : (x, y, yaw) `T_base_laser` in the plane, m, m, rad; None if the log does not contain it
     upside_down : whether its z axis points down
     tilt : rad, between its plane and that of base
-    origin : which part of the log says so, or why none does
-    base : the log's name of base
+    origin : the part of the log that contains it, or why there is none
+    base : name of the base frame in the log
     """
 
     pose: tuple[float, float, float] | None
@@ -74,19 +74,19 @@ class Problems:
 
 
 class Source(Component):
-    """A context manager that gives a log's streams as columns, lazily: memory does not grow with it.
+    """A context manager that reads the streams of a log as columns, lazily: its memory is bounded.
 
     Rows come in file order; where a log's stamps run backwards they are not sorted. A row that
-    cannot be used is dropped and entered in `problems`. Of each kind of stream one is given; others
-    of the kind, such as a second lidar, are given where their names are `wanted`.
+    cannot be used is dropped and entered in `problems`. Of each kind of stream one is read; others
+    of the kind, such as a second lidar, are read if they are named in `wanted`.
 
-    A reader says what its rows are: either as messages (`_messages`), or, where they can be had
-    faster, as columns (`_parts`).
+    A reader yields its rows either as messages (`_messages`) or, if that is faster, as columns
+    (`_parts`).
     """
 
     role: ClassVar[str] = "source"
     describes_robot: ClassVar[bool] = False
-    """Whether `kinds` and `mounts` tell more than nothing, for which the log must be opened."""
+    """Whether `kinds` and `mounts` return something; the log must be opened for them."""
     default_preset: ClassVar[str] = "default"
     """The preset that fits logs of this format; a log that names its own overrides `preset`."""
 
@@ -157,14 +157,14 @@ class Source(Component):
         return {}
 
     def kinds(self) -> frozenset[type[Message]] | None:
-        """Return the types of messages in the log; None where only reading tells.
+        """Return the types of messages in the log; None if they are known only after reading.
 
         Ask while the source is open, or has been.
         """
         return None
 
     def mounts(self) -> Mapping[str, Mount]:
-        """Return where the log says that lasers are mounted, by the stream of their scans.
+        """Return the mounts of the lasers according to the log, by the stream of their scans.
 
         Ask while the source is open, or has been.
         """
@@ -200,7 +200,7 @@ class Source(Component):
 
     @property
     def total(self) -> int | None:
-        """Number of steps for a progress bar (messages or bytes), or None if only reading tells.
+        """Number of steps for a progress bar (messages or bytes), or None if unknown before reading.
 
         Ask while the source is open.
         """

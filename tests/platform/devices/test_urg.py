@@ -321,7 +321,7 @@ def test_an_error_that_the_sensor_verifies_itself_is_waited_for(monkeypatch):
     assert bench.counts["missed scans"] in range(9, 13)  # of a second
     assert bench.events[1:] == [
         "it has stopped to verify an error (status 21)",
-        "it goes on: the laser works normally",
+        "it resumes: the laser works normally",
     ]
 
 

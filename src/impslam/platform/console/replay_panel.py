@@ -48,7 +48,7 @@ class ReplayPanel:
                 self._speed.props["aria-label"] = "Speed"
                 self._speed.on("change", self._on_speed, js_handler="(e) => emit(e.target.value)")
             self._bar = tagged(html.progress(max=1, value=0), "replay-position")
-            self._bar.props["aria-label"] = "Position in the log; a click goes on to there"
+            self._bar.props["aria-label"] = "Position in the log; a click continues from there"
             if self._may:
                 self._bar.classes("seek").on("click", self._on_seek, js_handler=SEEK)
             self._said = text("replay", "", "soft")

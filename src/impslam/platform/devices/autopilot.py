@@ -79,7 +79,11 @@ class Autopilot(DriveDevice):
         ge=1,
     )
     top_speed: float = parameter(
-        1.0, "m/s", "no wheel is told more: 150 rpm of a 5 inch wheel; a turn is kept", gt=0, le=10
+        1.0,
+        "m/s",
+        "limit of a wheel command: 150 rpm of a 5 inch wheel; a turn is kept",
+        gt=0,
+        le=10,
     )
     counts_per_turn: int = parameter(4096, "1", "of the accumulators, in one turn of a wheel", gt=0)
     least_delay: float = parameter(

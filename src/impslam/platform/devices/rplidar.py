@@ -104,7 +104,7 @@ class RPLidar(Device):
         0.0, "s", "from a measurement until it is sent, besides its time on the line", ge=0
     )
     range_max: float = parameter(
-        0.0, "m", "beyond it nothing is believed; 0: by the model's data sheet", ge=0
+        0.0, "m", "longer ranges are invalid; 0: by the model's data sheet", ge=0
     )
 
     def _serve(self) -> None:

@@ -31,7 +31,7 @@ _STEPS = {
 _STREAM = _STEPS | {
     "06": "the scan interval is no number",
     "07": "the number of scans is no number",
-    RESUMED: "it goes on: the laser works normally",
+    RESUMED: "it resumes: the laser works normally",
     DATA: "a scan",
 }
 _POLL = _STEPS | {"10": "the laser is off"}
@@ -45,7 +45,7 @@ _WORDS: dict[str, dict[str, str]] = {
         "01": "there is no such control code",
         "02": "the adjust mode is on already",
         "03": "the adjust mode is off already",
-        "04": "the time is told in adjust mode only",
+        "04": "the time is given in adjust mode only",
     },
     "SS": {
         "01": "the bit rate is no number",

@@ -99,7 +99,7 @@ def notify(*lines: str) -> bool:
             link.setblocking(False)
             link.sendto(text.encode(), address)
     except OSError as error:
-        log.warning("systemd cannot be told %r: %s", text, error)
+        log.warning("systemd cannot be notified of %r: %s", text, error)
         return False
     return True
 

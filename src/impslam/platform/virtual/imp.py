@@ -164,7 +164,9 @@ class VirtualImp:
 
     def _fail(self, emulator: Emulator, status: int) -> None:
         if not isinstance(emulator, UrgEmulator):
-            raise ConfigError("fault malfunction: only a URG tells statuses; choose another fault")
+            raise ConfigError(
+                "fault malfunction: only a URG reports a status; choose another fault"
+            )
         emulator.fail(status)
 
     def _camera_fault(self, fault: Fault) -> None:

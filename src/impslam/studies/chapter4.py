@@ -103,6 +103,7 @@ def choose(found: Mapping[str, FoundByExtractor]) -> dict[str, Chosen]:
     hough = Chosen(arena["hough"][bad[0].snapshot.number])
     return {
         "fig11-jumps": Chosen(*clean),
+        "fig12-camera": Chosen(*low),
         "fig13-spurious-cylinders": Chosen(*low),
         "fig14-filtered-cylinders": Chosen(corridor["filtered"][low[0].snapshot.number]),
         "fig15-ransac": Chosen(*good),
@@ -140,6 +141,7 @@ def _pictures(
 
     draw: dict[str, Callable[[Detections], Figure]] = {
         "jumps": draw_jumps,
+        "camera": plot.camera_figure,
         "cylinders": lambda shown: plot.scan_figure(shown, jump.radius),
         "walls": plot.scan_figure,
         "accumulator": lambda shown: hough_figure(shown, thesis.hough),

@@ -19,6 +19,7 @@ from impslam.evaluation.colours import INK, PALE
 from impslam.evaluation.plots import new_figure, quiet
 from impslam.extractors.readings import usable
 from impslam.geometry.se2 import compose, transform
+from impslam.simulation.camera import SceneCamera
 from impslam.studies.chapter4_scans import Detections, Jumps, Snapshot
 from impslam.studies.map_plot import GROUND, draw_scene
 from impslam.types import Array, Observation
@@ -223,3 +224,14 @@ def _keys(detections: Detections) -> list[Any]:
 
 def _dot(label: str, face: str, edge: str) -> Line2D:
     return Line2D([], [], marker="o", ls="", ms=7, mfc=face, mec=edge, label=label)
+
+
+def camera_figure(shown: Detections) -> Figure:
+    """Return what the camera on the robot sees where the scan was taken."""
+    snapshot = shown.snapshot
+    picture = SceneCamera(snapshot.scene).picture(snapshot.pose, snapshot.time)
+    figure = new_figure(WIDTH, WIDTH * picture.shape[0] / picture.shape[1])
+    axes: Any = figure.subplots()
+    axes.imshow(picture[:, :, ::-1])  # OpenCV's order is blue, green, red
+    axes.set_axis_off()
+    return figure

@@ -190,3 +190,12 @@ def test_motion_without_sweeps_takes_bounded_memory():
     np.testing.assert_allclose(b.d_pose, a.d_pose, atol=1e-12)
     np.testing.assert_allclose(b.covariance, a.covariance, rtol=1e-9)
     assert b.duration == pytest.approx(a.duration)
+
+
+@pytest.mark.parametrize("begin", [1.0, 0.95, 1.03])
+def test_a_sweep_that_overlaps_the_last_one_is_carried_to_its_stamp_all_the_same(begin):
+    """The same scan twice, and the sweeps of a second lidar: their first half is used up."""
+    begins = [1.0, begin]
+    got = used(fed(np.linspace(0.0, 5.0, 26)), sweeps(begins, ends=[1.1, begin + 0.12]))
+    for k, half in enumerate((0.05, 0.06)):
+        np.testing.assert_allclose(got.T_middle_stamp[k], exp(-half * TWIST), atol=1e-12)

@@ -25,6 +25,7 @@ from impslam.odometry.timeline import (
     SQUARE,
     WIDTH,
     add_up,
+    advance,
     append,
     begin,
     consume,
@@ -39,6 +40,8 @@ MAX_WAIT = 25
 MOST = 20_000
 """Motions that are stored separately: 200 s of odometry at 100 Hz without a sweep. Beyond that the older
 half is merged into one, so that a lidar that is silent for hours does not fill the memory."""
+SHORTEST = 1e-6
+"""s that rounding may take from a motion: stamps of this century are exact to 2e-7 s."""
 END = np.iinfo(np.int64).max
 """A position after the end of any log."""
 
@@ -146,6 +149,13 @@ def _use(
     follow(motion, since)
     on = out[WIDTH + 3 :]
     on[:] = 0.0
+    # A sweep that overlaps the last one finds the motion up to that one's middle gone.
+    missing = middle - until - since[DURATION]
+    if missing > SHORTEST and marks[NEWEST] >= middle:
+        before = np.zeros(WIDTH)
+        advance(out[WIDTH : WIDTH + 3], missing, before)
+        follow(before, since)
+        since[:] = before
     if middle != stamp:
         consume(pending, ring, stamp, stamp == last, ahead, True)
         invert(since, on)

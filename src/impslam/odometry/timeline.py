@@ -204,6 +204,13 @@ def mean_twist(
 
 
 @kernel
+def advance(twist: Array, seconds: float, out: Array) -> None:
+    """Write the pose and the duration of so many s at a constant twist (3,) m/s, m/s, rad/s."""
+    out[DURATION] = seconds
+    _exp(twist, seconds, out[POSE:COVARIANCE])
+
+
+@kernel
 def invert(motion: Array, out: Array) -> None:
     """Write the inverse of a motion's pose."""
     c, s = math.cos(motion[THETA]), math.sin(motion[THETA])

@@ -79,6 +79,16 @@ def test_a_fault_that_spoils_every_pose_is_said_of_the_run(drive, name) -> None:
     assert told.amount == pytest.approx(amount, abs=within)
 
 
+@pytest.mark.parametrize(("seconds", "reason"), [(0.12, SOUND.reason), (0.3, MISTIMED)])
+def test_a_run_that_matches_scans_copes_with_a_sweep_s_lag_and_not_with_a_queue(
+    drive, seconds, reason
+) -> None:
+    wrong = list(faults.faulty(drive, faults.late(seconds)))
+    told = found(wrong, "tracker.kind=scan_to_map", "estimator.kind=graph")
+    assert [one.kind for one in told] == ["stamps late"]
+    assert standing(told).reason == reason
+
+
 def test_nothing_is_said_of_a_sound_run(drive) -> None:
     assert standing(found(drive)) == SOUND
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from impslam.diagnosis.evidence import Evidence
-from impslam.diagnosis.finding import Finding, certainty
+from impslam.diagnosis.finding import Finding, certainty, is_off
 from impslam.diagnosis.timing import LATE
 from impslam.health import MISTIMED, Standing
 
 OVERLAP = 1.1
 """Times the median time between scans that a sweep takes at most; drivers round."""
+QUEUED = 0.2
+"""s: where scans are matched the path is right but for the moment that it is stamped with. Drivers stamp a
+sweep or two late; more is a queue or another clock, and 10 cm at half a metre per second."""
 
 
 def overlap(e: Evidence) -> Iterator[Finding]:
@@ -51,6 +54,7 @@ def _jitter(e: Evidence) -> Finding:
 def _late(e: Evidence) -> Finding:
     late, said = e.timing.lag, ""
     assert late is not None
+    off = late.seconds - e.lidar.latency
     if e.lidar.latency:
         said = f"; {e.place}.latency says {e.lidar.latency:g} s"
     return Finding(
@@ -58,7 +62,7 @@ def _late(e: Evidence) -> Finding:
         f"scans are stamped {abs(late.seconds):.3f} ± {max(late.sigma, 1e-3):.3f} s "
         f"{'late' if late.seconds > 0.0 else 'early'} on the clock of odometry{said}",
         (f"{e.place}.latency={late.seconds:.3f}",),
-        certainty(late.seconds - e.lidar.latency, late.sigma, LATE),
-        harmful=not e.matches_scans,
-        health=Standing(MISTIMED, abs(late.seconds - e.lidar.latency)),
+        certainty(off, late.sigma, LATE),
+        harmful=not e.matches_scans or is_off(off, late.sigma, QUEUED),
+        health=Standing(MISTIMED, abs(off)),
     )

@@ -70,6 +70,10 @@ def choices(config: Config, source: Source) -> str:
         for other, mount in sorted(source.mounts().items())
         if other not in read and mount.pose is not None
     ]
+    for name, sensor in robot.sensors.items():
+        if sensor.consumes is not LaserScan:
+            read_as = sensor.stream or source.defaults().get(sensor.consumes)
+            parts.append(f"{name} {read_as or 'finds nothing in the log'}")
     stream = robot.odometry.stream or source.defaults().get(robot.odometry.consumes, "")
     if not robot.odometry.tells_motion:
         wheels = source.defaults().get(WheelAngles)

@@ -12,7 +12,9 @@ from rosbags.typesys import Stores, get_typestore
 from tests.sources.logs import assert_same, messages, read, write_mcap
 
 from impslam import columns
+from impslam.config import load
 from impslam.errors import MessageError, SourceError
+from impslam.fitting import choices
 from impslam.sources.base import recognise
 from impslam.sources.recording import McapWriter
 from impslam.sources.ros_messages import read_odometry, seconds
@@ -265,3 +267,14 @@ def test_what_has_no_ros_type_is_refused(tmp_path: Path) -> None:
         pytest.raises(MessageError, match="Steering has no ROS type"),
     ):
         writer.write(Steering(1.0, 0.5, 0.1))
+
+
+def test_what_a_receiver_is_read_from_is_said(tmp_path: Path) -> None:
+    config = load("imp", ['sensors.gps.kind="navsat"', 'estimator.kind="landmarks"'])
+    for what, said in (
+        (fix(np.eye(3)), "gps /fix"),
+        (Climate(1.5, 20.0, 0.5), "gps finds nothing"),
+    ):
+        path = record(tmp_path / f"{type(what).__name__}.mcap", what)
+        with recognise(path)(path=path) as source:
+            assert said in choices(config, source)

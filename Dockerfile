@@ -12,8 +12,13 @@ FROM python:3.12-slim
 COPY --from=build /venv /venv
 # Any user may keep accounts and compiled code there; -v keeps them beyond a container.
 ENV HOME=/home/imp NUMBA_CACHE_DIR=/home/imp/numba PATH=/venv/bin:$PATH
-# Compile once, for the processor that the image is built on: another one compiles again.
-RUN mkdir -m 777 /home/imp /data && imp demo -o /tmp/demo --quiet && rm -r /tmp/demo && chmod -R a+rwX /home/imp
+# Compile once, for the processor that the image is built on: another one compiles again. The demo compiles the
+# landmark filter, the run the pose graph, and the virtual robot its emulators.
+RUN mkdir -m 777 /home/imp /data /tmp/warm && cd /tmp/warm \
+    && imp demo -o demo --quiet \
+    && imp run demo/arena.mcap -o graph --set tracker.kind=scan_to_map --set estimator.kind=graph --quiet \
+    && python -c "from impslam.platform.virtual.process import VirtualRobot as V; v = V('arena'); v.start(); v.close()" \
+    && rm -r /tmp/warm && chmod -R a+rwX /home/imp
 USER 1000
 WORKDIR /data
 ENTRYPOINT ["imp"]

@@ -68,7 +68,7 @@ def features(job: Job) -> Section:
     table = ResultTable(text["table"], text["header"], cells, 1, text["note"])
     numbers = {c.what: [*gain] for c, gain in gains.items()} | {"seeds": list(seeds)}
     words = text["text"].format(count=len(seeds), off=MIN_DRIFT)
-    words = "\n\n".join(filter(None, (words, failures(rows), text["conclusion"])))
+    words = "\n\n".join(filter(None, (words, failures(rows))))
     return Section("features", text["title"], words, [table], (), numbers, rows)
 
 

@@ -109,12 +109,26 @@ def test_a_corner_is_no_surface_and_its_sides_are():
     assert (rows[(apart > 0.3) & (apart < 0.6), 4] > 0.0).all()
 
 
-def test_grazing_beams_tell_no_normal():
-    """Beyond 83 degrees of incidence."""
-    rows = features(cast(np.array([[[-0.5, 0.2], [5.0, 0.2]]])).scan, 0.0)
+def test_grazing_beams_have_no_features():
+    """Beyond 83 degrees of incidence, however far apart the beams then meet the wall."""
+    scan = cast(np.array([[[-0.5, 0.2], [5.0, 0.2]]])).scan
+    assert (scan.ranges[scan.valid] > 0.2 / 0.119).any()
+    rows = features(scan, 0.0)
     cosine = 0.2 / np.hypot(rows[:, 0], rows[:, 1])
-    assert (rows[cosine < 0.119, 4] == 0.0).all()
+    assert (cosine > 0.119).all()
     assert (rows[cosine > 0.3, 4] > 0.0).all()
+
+
+def test_sparse_beams_along_a_wall_are_no_posts():
+    """Beams of 1 degree meet a wall 1 m aside every 0.4 m at 5 m: the points go where the robot goes."""
+    angles = np.radians(np.arange(-90.0, 91.0))
+    wall = np.array([[[-30.0, 1.0], [30.0, 1.0]]])
+    rows = features(cast(wall, angles=angles, range_max=30.0).scan, 0.0)
+    assert (rows[:, 4] > 0.0).all()
+    post = np.array([[3.0, 0.0, 0.02]])
+    rows = features(cast(wall, post, angles=angles, range_max=30.0).scan, 0.0)
+    lone = rows[rows[:, 4] == 0.0]
+    np.testing.assert_allclose(lone[:, :2], [[2.98, 0.0]], atol=1e-3)
 
 
 @pytest.mark.parametrize("thin", [0.0, 0.04, 0.2])

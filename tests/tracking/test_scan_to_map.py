@@ -10,9 +10,10 @@ from tests.tracking.sweeps import motions_of, steps, sweeps_of
 
 from impslam.geometry.algebra import invert, solve
 from impslam.geometry.se2 import between, compose
-from impslam.health import SLIPPED
+from impslam.health import OPEN, SLIPPED
 from impslam.noise import UNKNOWN, MotionNoise
 from impslam.tracking.base import KeyframeGate
+from impslam.tracking.following import NORMALS, SPEED, _discount, _information
 from impslam.tracking.learned_odometry import START
 from impslam.tracking.scan_to_map import ScanToMap
 from impslam.types import Increment
@@ -534,6 +535,47 @@ def test_a_lidar_alone_claims_nothing_along_a_bare_corridor():
     _, out, _ = drive(poses, unknown(poses), seen(poses, CORRIDOR, **BARE))
     assert not out.located.any()
     assert (out.covariance[1:, 0, 0] > 0.02**2).all()
+
+
+def test_a_lidar_alone_covers_a_velocity_that_stays_wrong_along_a_bare_corridor():
+    """It has always seen the same, and hence believes to stand, while it goes at 0.25 m/s."""
+    poses = straight(60, step=0.025, start=(0.0, 0.1, 0.0))
+    _, out, off = drive(poses, unknown(poses), seen(poses, CORRIDOR, **BARE))
+    _, spread = ends(out)
+    assert abs(off[-1, 0]) > 1.0
+    assert off[-1, 0] ** 2 < 9.0 * spread[0, 0]
+    assert spread[0, 0] > 0.9 * (SPEED * 59 * PERIOD) ** 2
+    assert out.reasons[-1] == OPEN
+
+
+def test_a_lidar_alone_keeps_its_velocity_along_a_bare_corridor(rng):
+    """Normals of walls whose points scatter by 1 cm are off, which must not stop the robot.
+
+    The wall behind is out of sight after 2 m, the way from there is 2.8 m.
+    """
+    walls = np.concatenate((CORRIDOR, [[[-1.0, -1.0], [-1.0, 1.0]]]))
+    poses = straight(80, start=(0.0, 0.1, 0.0))
+    scans = [
+        with_ranges(s, np.where(s.valid, s.ranges + 0.01 * rng.standard_normal(360), 0.0))
+        for s in seen(poses, walls, **BARE)
+    ]
+    _, out, off = drive(poses, unknown(poses), scans)
+    assert out.located[:30].sum() > 25
+    assert not out.located[40:].any()
+    assert np.abs(off[:, 0]).max() < 1.4
+    assert off[-1, 0] ** 2 < 9.0 * ends(out)[1][0, 0]
+
+
+def test_spurious_information_is_subtracted_from_the_weakest_axis_alone(rng):
+    J = rng.standard_normal((40, 3)) * [0.02, 1.0, 2.0]
+    H = J.T @ J
+    before, after = _information(H), H.copy()
+    _discount(after)
+    weakest, strongest, axis = _information(after)
+    expected = before[0] - NORMALS**2 * before[1]
+    assert weakest == pytest.approx(max(expected, 0.0), abs=1e-9)
+    assert strongest == pytest.approx(before[1])
+    assert math.sin(axis - before[2]) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_lidar_alone_goes_on_after_blind_scans():

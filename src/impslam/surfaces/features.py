@@ -16,6 +16,9 @@ Features: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 
 The weight is 1 on a surface, 0.5 at its end, where neighbours lie on one side only, and 0 where there
 is no surface: the normal is then meaningless. Rows are in beam order.
+
+Points that move along with the robot have no row: those of grazing beams, and single ones behind what a
+neighbouring beam meets, as where sparse beams meet a long wall. Beams beside a table leg go past it.
 """
 
 REACH = (
@@ -79,9 +82,19 @@ def find_features(
         last = i
         out[count, 0], out[count, 1] = x, y
         nx, ny, weight = _normal(points, valid, ranges, origins, spacing, i)
+        if weight < 0.0:
+            continue
         out[count, 2], out[count, 3], out[count, 4] = nx, ny, weight
         count += 1
     return count
+
+
+@kernel
+def _is_in_front(valid: Mask, ranges: Array, i: int) -> bool:
+    """Tell whether the beams on both sides of beam i go past what it meets."""
+    before = i > 0 and valid[i - 1] and ranges[i - 1] < ranges[i]
+    after = i + 1 < len(ranges) and valid[i + 1] and ranges[i + 1] < ranges[i]
+    return not (before or after)
 
 
 @kernel
@@ -112,7 +125,7 @@ def _normal(
             before = j
         ends += before == i
     if n < 3.0:
-        return 0.0, 0.0, 0.0
+        return 0.0, 0.0, 0.0 if _is_in_front(valid, ranges, i) else -1.0
     xx, xy, yy = xx / n - (sx / n) ** 2, xy / n - sx * sy / n**2, yy / n - (sy / n) ** 2
     mean, half = 0.5 * (xx + yy), 0.5 * math.sqrt((xx - yy) ** 2 + 4.0 * xy * xy)
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
@@ -121,6 +134,8 @@ def _normal(
     if towards < 0.0:
         nx, ny, towards = -nx, -ny, -towards
     flat = mean - half < FLAT * (mean + half) + ROUGH
-    if not flat or towards <= GRAZING:
+    if flat and towards <= GRAZING:
+        return nx, ny, -1.0
+    if not flat:
         return nx, ny, 0.0
     return nx, ny, 0.5 if ends else 1.0

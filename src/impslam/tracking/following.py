@@ -50,6 +50,8 @@ LOCATED = 0.02
 DEGENERATE = 0.05
 """Share of the information along one axis that is at least along the other: a twentieth of the points
 face along a corridor's axis where it ends in view; fewer are lone points that may be anywhere."""
+NORMALS = 0.03
+"""rad, 1 sigma: error of a normal, of three points 0.25 m apart that scatter by 1 cm."""
 USUAL = 0.8
 """Inlier share of scans indoors; information falls with its fourth power below: people, bushes, a ramp."""
 RESIDUAL = 0.02
@@ -86,6 +88,7 @@ class State(NamedTuple):
     lengths : (3,) m, rad and s that are in it
     velocity : (3,) motion between the last two matches
     prior : (2,) variances of the prediction of the pose: m^2 along each axis, rad^2
+    unlocated : (1,) s since a scan determined the position of a robot without odometry
     means : (3,) running means of the inlier share, of the squared distance, m^2, and of the time
         between scans, s
     evidence : of the newest match
@@ -101,6 +104,7 @@ class State(NamedTuple):
     lengths: Array
     velocity: Array
     prior: Array
+    unlocated: Array
     means: Array
     evidence: Evidence
     doubt: Doubt
@@ -241,6 +245,8 @@ def _match(
     guess, means = state.pose.copy(), state.means.copy()
     usual, H, W = means[0], np.empty((3, 3)), np.empty(3)
     share = _find(features, state, how, H, W)
+    if alone:
+        _discount(H)
     off = np.empty(3)
     between(guess, state.pose, off)
     fit = Fit(state.evidence.sums[0], share, off)
@@ -251,7 +257,7 @@ def _match(
         return
     state.means[0] += MEMORY[0] * (share - usual)
     enough = LOCATED**-2 if alone else min(1.0 / state.prior[0], LOCATED**-2)
-    weakest, strongest = _information(H)
+    weakest, strongest, axis = _information(H)
     sure = weakest > enough and weakest > DEGENERATE * strongest
     out.located[k] = share >= FITS * usual and sure
     if not alone:
@@ -263,6 +269,8 @@ def _match(
     _fuse(state, how, guess, H, W, spread)
     between(state.matched, state.pose, state.velocity)
     far = W[0] * state.prior[0] < 0.1  # beyond three times what counts fully
+    if alone:
+        _coast(state, out.located[k], axis, spread)
     told = state.velocity if alone else state.since
     out.reasons[k], out.amounts[k] = compare(
         state.doubt, told, state.velocity, out.located[k], far, state.lengths[2]
@@ -277,14 +285,53 @@ def _match(
 
 
 @kernel
-def _information(H: Array) -> tuple[float, float]:
-    """Return the least and the most of H (3, 3) on a position whose heading is unknown, 1/m^2."""
+def _coast(state: State, located: bool, axis: float, spread: Array) -> None:
+    """Widen the covariance (3, 3) of a motion at constant velocity along the axis that scans leave open.
+
+    The velocity may be off by `SPEED` all the time, hence the position by `SPEED` times that time.
+    """
+    if located:
+        state.unlocated[0] = 0.0
+        return
+    seconds = min(state.lengths[2], LONGEST_COAST)
+    variance = 2.0 * SPEED**2 * state.unlocated[0] * seconds
+    state.unlocated[0] += seconds
+    state.doubt.bare[0] += SPEED * seconds
+    x, y = math.cos(axis), math.sin(axis)
+    spread[0, 0] += variance * x * x
+    spread[0, 1] += variance * x * y
+    spread[1, 0] += variance * x * y
+    spread[1, 1] += variance * y * y
+
+
+@kernel
+def _information(H: Array) -> tuple[float, float, float]:
+    """Return the least and the most of H (3, 3) on a position whose heading is unknown, 1/m^2.
+
+    The third value is the direction of the least, rad.
+    """
     if not H[2, 2] > 0.0:
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     xx, yy = H[0, 0] - H[0, 2] ** 2 / H[2, 2], H[1, 1] - H[1, 2] ** 2 / H[2, 2]
     xy = H[0, 1] - H[0, 2] * H[1, 2] / H[2, 2]
     mean, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
-    return mean - half, mean + half
+    return mean - half, mean + half, 0.5 * math.atan2(-2.0 * xy, yy - xx)
+
+
+@kernel
+def _discount(H: Array) -> None:
+    """Subtract from H (3, 3) the spurious information along walls that errors of normals cause.
+
+    Of a wall's information the share `NORMALS`^2 appears along the wall, which would hold a robot
+    without odometry in place: subtracted along the axis of the least, where it shows.
+    """
+    weakest, strongest, axis = _information(H)
+    spurious = max(min(NORMALS**2 * strongest, weakest), 0.0)
+    x, y = math.cos(axis), math.sin(axis)
+    H[0, 0] -= spurious * x * x
+    H[0, 1] -= spurious * x * y
+    H[1, 0] -= spurious * x * y
+    H[1, 1] -= spurious * y * y
 
 
 @kernel

@@ -72,6 +72,7 @@ class ScanToMap(Tracker):
             lengths=np.zeros(3),
             velocity=np.zeros(3),
             prior=np.zeros(2),
+            unlocated=np.zeros(1),
             means=np.array([USUAL, RESIDUAL**2, 0.1]),
             evidence=no_evidence(),
             doubt=no_doubt(),

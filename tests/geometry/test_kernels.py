@@ -134,6 +134,60 @@ def test_loaded_code_is_compiled_into_a_new_caller(tmp_path: Path) -> None:
         assert said.stdout == expected
 
 
+PARTS = """
+from impslam.geometry.kernels import kernel
+
+@kernel
+def root(x):
+    if x < 0.0:
+        raise ValueError("a negative number", x)
+    return x ** 0.5
+
+@kernel
+def length(x, y):
+    return root(x * x + y * y) if x > 0.0 else root(x)
+"""
+
+
+def test_only_what_python_calls_has_machine_code(tmp_path: Path) -> None:
+    """And an error of a part reaches Python, compiled or loaded."""
+    (tmp_path / "lengths.py").write_text(PARTS)
+    code = """
+from lengths import length, root
+print(length(3.0, 4.0), len(root.overloads), length.stats.cache_hits.total())
+try:
+    length(-1.0, 0.0)
+except ValueError as error:
+    print(*error.args)
+"""
+    for hits in (0, 1):
+        said = run(code, tmp_path)
+        assert said == f"5.0 0 {hits}\na negative number -1.0\n"
+    assert [p.name.split("-")[0] for p in tmp_path.rglob("*.nbc")] == ["lengths.length"]
+    assert run("from lengths import root; print(root(4.0))", tmp_path) == "2.0\n"
+    assert len(list(tmp_path.rglob("*.nbc"))) == 2
+
+
+def test_a_kernel_goes_to_another_process(tmp_path: Path) -> None:
+    (tmp_path / "lengths.py").write_text(PARTS)
+    code = "import pickle; from lengths import root; print(pickle.dumps(root).hex())"
+    there = f"import pickle; print(pickle.loads(bytes.fromhex({run(code, tmp_path)!r}))(4.0))"
+    assert run(there, tmp_path) == "2.0\n"
+
+
+def run(code: str, folder: Path) -> str:
+    """Return what a process prints that finds modules and keeps machine code in a folder."""
+    paths = os.pathsep.join([str(folder), *sys.path])
+    said = subprocess.run(
+        [sys.executable, "-B", "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(folder)},
+    )
+    return said.stdout
+
+
 def test_loaded_code_imports_no_compiler(tmp_path: Path) -> None:
     """And what is compiled after it can be kept all the same."""
     code = (

@@ -7,9 +7,9 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
-from numba.core import event
+from numba.core import config, event
 
+from impslam.geometry.dispatcher import Kernel
 from impslam.geometry.machine_code import MachineCode, warn_once
 
 _FLOAT64 = np.dtype(np.float64)
@@ -31,7 +31,9 @@ def kernel(function: F) -> F:
     No `fastmath`, so that results do not depend on how a compiler reorders sums, and no
     `parallel`, whose compile time (5 s) no kernel here earns back.
     """
-    dispatcher: Any = njit(nogil=True)(function)
+    if getattr(config, "DISABLE_JIT", False):  # set by numba's own name in the environment
+        return function
+    dispatcher: Any = Kernel(function)
     try:
         dispatcher._cache = MachineCode(function)  # what njit(cache=True) does with numba's own
     except RuntimeError:  # numba's word for: neither the package nor a cache folder can be written

@@ -1,8 +1,7 @@
 """Where the machine code of kernels is kept between runs, and how it is loaded in little time.
 
 numba's own cache knows the file of a function, not the kernels of other files that are compiled into
-it; and it loads machine code as if it were to compile: 0.3 s of imports, much of scipy among them, and
-3 ms a kernel for its bitcode, which only a kernel that calls it is compiled from.
+it; and it loads machine code as if it were to compile: 0.3 s of imports, much of scipy among them.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from llvmlite import binding
 from numba.core import environment
 from numba.core.caching import FunctionCache
-from numba.core.codegen import JITCodeLibrary
 from numba.core.runtime.nrt import rtsys
+
+from impslam.geometry import code_library
 
 
 class MachineCode(FunctionCache):
@@ -42,7 +41,6 @@ class MachineCode(FunctionCache):
         with (
             self._guard_against_spurious_io_errors(),
             _bare_environments(),
-            _ready_libraries(target_context.codegen()),
         ):
             return self._load_overload(sig, target_context)
 
@@ -59,7 +57,7 @@ def warn_once(problem: str) -> None:
     """Warn that this run's compiled code is lost."""
     if multiprocessing.parent_process() is None:  # a worker's parent has said so
         logging.getLogger(__name__).warning(
-            "%s, so every run compiles anew (20 s); set NUMBA_CACHE_DIR to a folder of yours",
+            "%s, so every run compiles anew (a minute or two); set NUMBA_CACHE_DIR to a folder of yours",
             problem,
         )
 
@@ -67,9 +65,10 @@ def warn_once(problem: str) -> None:
 def source_stamp(function: FunctionType) -> str:
     """Return a hash of all source that is compiled into a function.
 
-    That is its file, the files of the kernels that it calls, and the constants it takes from others.
+    That is its file, the files of the kernels that it calls, and the constants it takes from others;
+    and what makes machine code of them, and reads it again.
     """
-    digest, seen = hashlib.sha256(), {function}
+    digest, seen = hashlib.sha256(_file_hash(code_library.__file__)), {function}
     waiting = [function]
     for caller in waiting:
         digest.update(_file_hash(caller.__code__.co_filename))
@@ -115,40 +114,3 @@ def _rebuild_bare(module: str, constants: list[object], name: str) -> object:
     bare.env_name = name
     environment.Environment._memo[name] = bare
     return bare
-
-
-@contextmanager
-def _ready_libraries(codegen: Any) -> Iterator[None]:
-    """Load machine code as it was kept, and its bitcode when a kernel that calls it is compiled."""
-    codegen._library_class = _ReadyLibrary
-    try:
-        yield
-    finally:
-        del codegen._library_class  # that of the class again
-
-
-class _ReadyLibrary(JITCodeLibrary):
-    """The machine code of one kernel and of what it calls."""
-
-    _bitcode: bytes
-
-    @classmethod
-    def _unserialize(cls, codegen: Any, state: tuple[str, str, tuple[bytes, bytes]]) -> Any:
-        name, _, (machine_code, bitcode) = state
-        library = cls(codegen, name)
-        library._bitcode = bitcode
-        library.enable_object_caching()
-        library._set_compiled_object(machine_code)
-        library._finalize_final_module()
-        return library
-
-    def get_pointer_to_function(self, name: str) -> int:
-        """Return the address of a kernel or of its wrapper for Python, which are always there."""
-        address: int = self._codegen._engine.get_function_address(name)
-        return address
-
-    def _get_module_for_linking(self) -> Any:
-        if self._shared_module is None:
-            self._shared_module = binding.parse_bitcode(self._bitcode)
-            self._codegen._engine._load_defined_symbols(self._shared_module)
-        return self._shared_module

@@ -1,9 +1,9 @@
 """Compiles what the estimator needs before the first scan, without holding up the rest.
 
-Numba compiles a kernel when it is first called: on a fresh machine 20 s, mostly with Python's global
-lock held, in which devices and the helm would stall for tenths of a second again and again. So a
-process of its own, at low priority, maps a simulated drive with the same config; what it compiles
-stays on the disk, from where this process then loads it in less than a second.
+Numba compiles a kernel when it is first called: on a fresh machine a minute or two, mostly with
+Python's global lock held, in which devices and the helm would stall for tenths of a second again and
+again. So a process of its own, at low priority, maps a simulated drive with the same config; what it
+compiles stays on the disk, from where this process then loads it in less than a second.
 """
 
 from __future__ import annotations

@@ -19,8 +19,10 @@ from impslam.errors import ConfigError
 if TYPE_CHECKING:
     from impslam.config import Config
     from impslam.continuing import Known
+    from impslam.health import Standing
     from impslam.map import Map
     from impslam.observers.base import Outcome
+    from impslam.sources.base import Source
 
 
 @Parameter(name="*")
@@ -108,11 +110,9 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     output
         A new folder to write to. Default: runs/LOG-DATE-TIME.
     """
-    from impslam.cli.first_look import show_first_look
     from impslam.cli.job import execute, settings_of
     from impslam.cli.replay import replay
     from impslam.cli.run_folder import run_folder
-    from impslam.diagnosis.diagnose import first_health
     from impslam.observers.ending import EndOfRun
     from impslam.open_log import open_log
 
@@ -124,8 +124,7 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
         chosen = _going_on(chosen, changes, quiet=quiet)
     player = partial(replay, port=page.port, quiet=quiet) if page.live else None
     with run_folder(output, log.resolve().name.split(".")[0] or "log", force=force) as folder:
-        look = first_health if quiet else partial(show_first_look, preset=config)
-        health = look(chosen, source)
+        health = _first_look(chosen, source, config, quiet=quiet)
         known = execute(
             chosen, source, folder, quiet or page.live,
             more=[end], player=player, begin=known_map, exports=exports, health=health,
@@ -134,6 +133,14 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
         show(known, end.outcome, output or folder, at_once=not page.live)
         for line in () if exports is None else exports.lines():
             console.say(line)
+
+
+def _first_look(config: Config, source: Source, preset: str | None, *, quiet: bool) -> Standing:
+    """Return what the first look says of all poses; print what it finds unless `quiet`."""
+    from impslam.cli.first_look import show_first_look
+    from impslam.diagnosis.diagnose import first_health
+
+    return first_health(config, source) if quiet else show_first_look(config, source, preset)
 
 
 def _going_on(config: Config, changes: list[str], *, quiet: bool) -> Config:

@@ -109,6 +109,7 @@ def refine(
     done = Refinement(plain(poses).copy(), pairs, np.zeros((m, 3, 3)), np.zeros(m))
     if len(poses) > 1:
         lasers = plain(np.broadcast_to(scans.lasers, (len(poses), 2)))
+        edges = edges._replace(information=plain(edges.information))  # one kernel for all callers
         _refine(done, scans._replace(lasers=lasers), edges, held, Fit() if fit is None else fit)
     return done
 

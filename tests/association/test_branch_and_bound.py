@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from impslam.association.branch_and_bound import NONE, search
-from impslam.association.gates import quantile, quantiles
+from impslam.geometry.chi_square import quantile, quantiles
 
 
 def problem(rng):

@@ -18,8 +18,8 @@ import numpy.typing as npt
 from impslam.association.assignment import collect
 from impslam.association.base import Assignment, Association, Hypotheses, Joint
 from impslam.association.branch_and_bound import NONE, search
-from impslam.association.gates import quantile, quantiles
 from impslam.component import parameter, register
+from impslam.geometry.chi_square import quantile, quantiles
 from impslam.types import Ints, Mask, Observation
 
 T = TypeVar("T", np.int64, np.float64)

@@ -10,8 +10,8 @@ import numpy as np
 
 from impslam.association.assignment import collect
 from impslam.association.base import Assignment, Association, Hypotheses, Joint
-from impslam.association.gates import quantile
 from impslam.component import parameter, register
+from impslam.geometry.chi_square import quantile
 from impslam.types import Mask, Observation
 
 

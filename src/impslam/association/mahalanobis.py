@@ -6,8 +6,8 @@ import math
 
 from impslam.association.assignment import collect, one_to_one
 from impslam.association.base import Assignment, Association, Hypotheses, Joint
-from impslam.association.gates import quantile
 from impslam.component import parameter, register
+from impslam.geometry.chi_square import quantile
 from impslam.types import Mask, Observation
 
 _DOUBT = 2.0 * math.log(

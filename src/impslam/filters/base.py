@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Self, TypeAlias
+
+import numpy as np
 
 from impslam.association.base import Assignment, Association, Hypotheses
 from impslam.component import Component
@@ -32,6 +35,23 @@ class Filter(Component):
     def fresh(self) -> Self:
         """Return a new filter with these parameters, not started."""
         return type(self)(**dict(self))
+
+    def copied(self) -> Self:
+        """Return a filter of the same belief that goes on by itself; landmark models are shared."""
+        return copy.deepcopy(self)
+
+    def resembles(self, other: Filter, share: float) -> bool:
+        """Tell whether another belief is of the same landmarks and differs by a share of sigma at most.
+
+        A filter that cannot tell says no.
+        """
+        del other, share
+        return False
+
+    def log_densities(self, observations: Sequence[Observation], matches: Sequence[Match]) -> Array:
+        """Return the log density (matches,) of each match's innovation, with the noise of `correct`."""
+        del observations
+        return np.array([_log_normal(match.distance2, match.S) for match in matches])
 
     @abstractmethod
     def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
@@ -121,3 +141,8 @@ class Filter(Component):
     @abstractmethod
     def state_size(self) -> int:
         """Number of scalars in the state."""
+
+
+def _log_normal(distance2: float, S: Array) -> float:
+    log_det = float(np.linalg.slogdet(2.0 * math.pi * S)[1])
+    return -0.5 * (distance2 + log_det)

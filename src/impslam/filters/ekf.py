@@ -18,7 +18,7 @@ from impslam.association.base import Hypotheses
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
 from impslam.filters.atlas import Atlas, Table
-from impslam.filters.base import Reach, everything
+from impslam.filters.base import Filter, Reach, everything
 from impslam.filters.belief import POSE, GaussianBelief
 from impslam.filters.gaussian import INDEFINITE, GaussianFilter
 from impslam.filters.scene import Scene, Sight, stacked
@@ -47,6 +47,16 @@ class Ekf(GaussianFilter):
         """Begin anew; see `Filter.start`."""
         self._belief = GaussianBelief(pose, covariance)
         self._atlas = Atlas(models)
+
+    def resembles(self, other: Filter, share: float) -> bool:
+        """Compare means one by one, and the order of landmarks; see `Filter.resembles`."""
+        if not isinstance(other, Ekf) or self._belief.n != other._belief.n:
+            return False
+        n = self._belief.n
+        sigma = np.sqrt(self._belief.P.diagonal()[:n])
+        off = self._belief.mean[:n] - other._belief.mean[:n]
+        off[2] = wrap(float(off[2]))
+        return bool((np.abs(off) <= share * sigma).all())
 
     def predict(self, increment: Increment) -> None:
         """Move the robot: x' = x (+) u, P' = F P F^T + V Q V^T (thesis Eq. 2.23-2.26)."""

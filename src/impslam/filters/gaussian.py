@@ -13,6 +13,7 @@ judges each observation alone, uses R itself.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -56,6 +57,21 @@ class GaussianFilter(Filter):
     ) -> None:
         """Keep the books of the matched landmarks."""
         self._atlas.note(self.pose, self._belief.mean, observations, matches, stamp)
+
+    def log_densities(self, observations: Sequence[Observation], matches: Sequence[Match]) -> Array:
+        """Return those of Student's t with `tails`, else of the Gaussian; R counts `repeats` times."""
+        return np.array([self._log_density(observations, match) for match in matches])
+
+    def _log_density(self, observations: Sequence[Observation], match: Match) -> float:
+        S, k = match.S + (self.repeats - 1.0) * observations[match.observation].R, len(match.S)
+        distance2 = float(match.innovation @ np.linalg.solve(S, match.innovation))
+        log_det = float(np.linalg.slogdet(S)[1])
+        if not self.tails:
+            return -0.5 * (distance2 + log_det + k * math.log(2.0 * math.pi))
+        degrees, most = self.tails, 0.5 * (self.tails + k)
+        scale = math.lgamma(most) - math.lgamma(0.5 * degrees)
+        scale -= 0.5 * (k * math.log(degrees * math.pi) + log_det)
+        return scale - most * math.log1p(distance2 / degrees)
 
     @property
     def pose(self) -> Array:

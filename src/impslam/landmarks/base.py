@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -89,6 +89,11 @@ class LandmarkModel(Component):
     """Whether it is observed in pieces that must overlap to match; see `extents` and `overlap`."""
     values: ClassVar[tuple[str, ...]] = ()
     """Names of the entries of m after the position, for reports."""
+
+    def __deepcopy__(self, memo: dict[int, object] | None = None) -> Self:
+        """Return itself: a model holds parameters alone, which do not change."""
+        del memo
+        return self
 
     @abstractmethod
     def observe(self, pose: Array, m: Array) -> Array:

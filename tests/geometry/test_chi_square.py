@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from impslam.association.gates import quantile, quantiles
+from impslam.geometry.chi_square import quantile, quantiles
 
 
 @pytest.mark.parametrize("probability", [0.5, 0.99, 0.999, 1.0 - 1e-6, 1.0])

@@ -6,8 +6,7 @@ import math
 from functools import cache
 
 import numpy as np
-
-from impslam.types import Array
+import numpy.typing as npt
 
 
 @cache
@@ -21,7 +20,7 @@ def quantile(probability: float, dof: int) -> float:
 
 
 @cache
-def quantiles(probability: float, dof: int) -> Array:
+def quantiles(probability: float, dof: int) -> npt.NDArray[np.float64]:
     """Return the quantiles (dof + 1,) for 0, 1, ..., dof degrees of freedom; read only."""
     from scipy.special import chdtri  # noqa: PLC0415
 

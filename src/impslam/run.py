@@ -292,6 +292,7 @@ class Run:
             If the log contains no usable scan, or no odometry.
         """
         self._refuse_empty(source)
+        self.tracker.forget()
         known = self.settled()
         self._tell_pending(source, known)
         return self._tell_end(source, known)

@@ -19,13 +19,18 @@ FIT = (
     "p = np.array([[0.0, 1.0], [1.0, 0.0], [-1.0, 0.0]]);"
     "print(round(f(p)[2], 9), f.stats.cache_hits.total())"
 )
+PRODUCT = (
+    "import sys, numpy as np; from impslam.odometry.gyro import _update as f;"
+    "P = np.eye(3); f(np.zeros(3), P, 0.1, 1.0, 1.0);"
+    "print(round(P[2, 2], 9), 'scipy.linalg' in sys.modules)"
+)
 
 
-def fit(package: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+def fit(package: Path, code: str = FIT, **environment: str) -> subprocess.CompletedProcess[str]:
     """Call a kernel in a process of its own."""
     plain = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG", "COV"))}
     return subprocess.run(
-        [sys.executable, "-c", FIT],
+        [sys.executable, "-c", code],
         capture_output=True,
         text=True,
         check=True,
@@ -204,5 +209,10 @@ def test_loaded_code_imports_no_compiler(tmp_path: Path) -> None:
             check=True,
             env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
         )
-        assert said.stdout == f"1.0 {int(not first)}\n{first} {first}\n{int(not first)}\n"
+        assert said.stdout == f"1.0 {int(not first)}\n{first} False\n{int(not first)}\n"
         assert said.stderr == ""
+
+
+def test_a_product_of_matrices_does_not_import_scipys_linear_algebra() -> None:
+    """numba's runtime finds BLAS in an extension module that is loaded without its package."""
+    assert fit(Path(impslam.__file__).parents[1], PRODUCT).stdout == "0.5 False\n"

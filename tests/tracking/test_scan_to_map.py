@@ -299,6 +299,17 @@ def test_the_noise_of_odometry_is_learned_within_a_factor_of_2(rng, metres, radi
     assert_near(off, 0.1, 0.04)
 
 
+def test_it_forgets_its_submaps():
+    tracker, poses = ScanToMap(), circle(8)
+    out = steps(tracker, told(poses), seen(poses))
+    filled = tracker._state.submaps.first.size[0]
+    tracker.forget()
+    assert filled > 0
+    assert tracker._state.submaps.first.size[0] == 0
+    anew = steps(tracker, told(poses), seen(poses))
+    np.testing.assert_allclose(anew.d_pose, out.d_pose, atol=1e-9)
+
+
 # --------------------------------------------------------------------------- covariance
 
 

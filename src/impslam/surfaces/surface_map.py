@@ -17,6 +17,7 @@ import numpy as np
 
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
+from impslam.pages import zero_pages
 from impslam.surfaces.features import Features
 from impslam.types import Array, Ints
 
@@ -96,9 +97,9 @@ def empty_surface_map(width: float, height: float, surfels: int) -> SurfaceMap:
     """Return a map of width x height m around the origin, with room for so many surfels."""
     shape = math.ceil(height / CELL), math.ceil(width / CELL)
     return SurfaceMap(
-        np.zeros(shape, np.int32),
-        np.zeros(shape, np.uint8),
-        np.zeros((surfels, 8)),
+        zero_pages(shape, np.int32),
+        zero_pages(shape, np.uint8),
+        zero_pages((surfels, 8), np.float64),
         np.zeros(1, np.int64),
         np.array([-0.5 * width, -0.5 * height]),
     )

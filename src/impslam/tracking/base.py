@@ -146,6 +146,9 @@ class Tracker(Component):
         """`T_odom_base` (3,) at the middle of the newest sweep, by dead reckoning."""
         return self._odometry
 
+    def forget(self) -> None:
+        """Give back the memory of what scans are matched against: the log has ended."""
+
     @abstractmethod
     def steps(self, motions: Motions, sweeps: Sweeps, gate: Gate) -> Steps:
         """Follow the next sweeps of one sensor, and let them count for its keyframes.

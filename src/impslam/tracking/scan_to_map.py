@@ -78,6 +78,10 @@ class ScanToMap(Tracker):
             doubt=no_doubt(),
         )
 
+    def forget(self) -> None:
+        """Give back the memory of the submaps; a further scan would begin new ones."""
+        self.model_post_init(None)
+
     def settings(self) -> Settings:
         """Return the parameters as kernels take them."""
         d = self.drift

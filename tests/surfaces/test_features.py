@@ -7,7 +7,7 @@ import pytest
 from tests.extractors.scans import cast, room, with_ranges
 from tests.rooms import MOUNTS, Mount, features_at
 
-from impslam.surfaces.features import beam_spacing, features
+from impslam.surfaces.features import beam_spacing, features, leave_out_grazing
 
 ROOM = room(-2.0, 3.0, -1.5, 2.2)
 LASERS = [(0.0, 0.0, 0.0), (0.4, 0.2, 1.0), (-0.3, -0.25, math.pi)]
@@ -109,14 +109,25 @@ def test_a_corner_is_no_surface_and_its_sides_are():
     assert (rows[(apart > 0.3) & (apart < 0.6), 4] > 0.0).all()
 
 
-def test_grazing_beams_have_no_features():
-    """Beyond 83 degrees of incidence, however far apart the beams then meet the wall."""
-    scan = cast(np.array([[[-0.5, 0.2], [5.0, 0.2]]])).scan
-    assert (scan.ranges[scan.valid] > 0.2 / 0.119).any()
-    rows = features(scan, 0.0)
+def test_grazing_beams_tell_no_normal():
+    """Beyond 83 degrees of incidence."""
+    rows = features(cast(np.array([[[-0.5, 0.2], [5.0, 0.2]]])).scan, 0.0)
     cosine = 0.2 / np.hypot(rows[:, 0], rows[:, 1])
-    assert (cosine > 0.119).all()
+    assert (cosine < 0.119).any()
+    assert (rows[cosine < 0.119, 4] == 0.0).all()
     assert (rows[cosine > 0.3, 4] > 0.0).all()
+
+
+def test_features_of_grazing_beams_can_be_left_out():
+    """All others keep their order: surfaces and a post."""
+    wall = np.array([[[-0.5, 0.2], [5.0, 0.2]], [[-0.5, 0.2], [-0.5, -2.0]]])
+    rows = features(cast(wall, np.array([[1.5, -0.8, 0.01]])).scan, 0.0)
+    grazing = (rows[:, 4] == 0.0) & rows[:, 2:4].any(1)
+    assert grazing.any()
+    assert (0.2 / np.hypot(*rows[grazing, :2].T) < 0.121).all()
+    assert ((rows[:, 4] == 0.0) & ~grazing).any()  # the post
+    kept = rows.copy()
+    np.testing.assert_array_equal(kept[: leave_out_grazing(kept)], rows[~grazing])
 
 
 def test_sparse_beams_along_a_wall_are_no_posts():

@@ -15,10 +15,10 @@ Features: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 """(n, 5) x, y in m; the unit normal on the lidar's side; and the weight of that normal.
 
 The weight is 1 on a surface, 0.5 at its end, where neighbours lie on one side only, and 0 where there
-is no surface: the normal is then meaningless. Rows are in beam order.
+is no surface: the normal is then 0, or that of a surface at grazing incidence. Rows are in beam order.
 
-Points that move along with the robot have no row: those of grazing beams, and single ones behind what a
-neighbouring beam meets, as where sparse beams meet a long wall. Beams beside a table leg go past it.
+Single points behind what a neighbouring beam meets have no row, as where sparse beams meet a long wall:
+they move along with the robot. Beams beside a table leg go past it.
 """
 
 REACH = (
@@ -134,8 +134,22 @@ def _normal(
     if towards < 0.0:
         nx, ny, towards = -nx, -ny, -towards
     flat = mean - half < FLAT * (mean + half) + ROUGH
-    if flat and towards <= GRAZING:
-        return nx, ny, -1.0
     if not flat:
+        return 0.0, 0.0, 0.0
+    if towards <= GRAZING:
         return nx, ny, 0.0
     return nx, ny, 0.5 if ends else 1.0
+
+
+@kernel
+def leave_out_grazing(rows: Features) -> int:
+    """Move the features (n, 5) that no grazing beam made to the front; return how many there are.
+
+    Grazing beams, too, end where the robot goes. Without odometry nothing outweighs that in a corridor.
+    """
+    count = 0
+    for i in range(len(rows)):
+        if rows[i, 4] > 0.0 or (rows[i, 2] == 0.0 and rows[i, 3] == 0.0):
+            rows[count] = rows[i]
+            count += 1
+    return count

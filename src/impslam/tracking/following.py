@@ -20,7 +20,7 @@ from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.health import ELSEWHERE, NONE, UNEXPLAINED
 from impslam.noise import UNKNOWN
-from impslam.surfaces.features import Features, find_features
+from impslam.surfaces.features import Features, find_features, leave_out_grazing
 from impslam.surfaces.surface_map import Alignment, Evidence, align
 from impslam.tracking.base import Gate, Steps, go, passed
 from impslam.tracking.doubt import FITS, Doubt, Fit, compare, judge, lasting
@@ -88,7 +88,7 @@ class State(NamedTuple):
     lengths : (3,) m, rad and s that are in it
     velocity : (3,) motion between the last two matches
     prior : (2,) variances of the prediction of the pose: m^2 along each axis, rad^2
-    unlocated : (1,) s since a scan determined the position of a robot without odometry
+    unlocated : (1,) s for which no scan has told the velocity of a robot without odometry
     means : (3,) running means of the inlier share, of the squared distance, m^2, and of the time
         between scans, s
     evidence : of the newest match
@@ -157,6 +157,8 @@ def follow(
                 beams.points[k], beams.valid[k], beams.ranges[k], beams.origins[k],
                 beams.spacing, how.thin, features,
             )  # fmt: skip
+            if alone:
+                count = leave_out_grazing(features[:count])
             if count < FEWEST:
                 state.submaps.way[0] += state.lengths[0]
             else:
@@ -270,7 +272,7 @@ def _match(
     between(state.matched, state.pose, state.velocity)
     far = W[0] * state.prior[0] < 0.1  # beyond three times what counts fully
     if alone:
-        _coast(state, out.located[k], axis, spread)
+        _coast(state, out.located[k], weakest, axis, spread)
     told = state.velocity if alone else state.since
     out.reasons[k], out.amounts[k] = compare(
         state.doubt, told, state.velocity, out.located[k], far, state.lengths[2]
@@ -285,18 +287,18 @@ def _match(
 
 
 @kernel
-def _coast(state: State, located: bool, axis: float, spread: Array) -> None:
+def _coast(state: State, located: bool, weakest: float, axis: float, spread: Array) -> None:
     """Widen the covariance (3, 3) of a motion at constant velocity along the axis that scans leave open.
 
-    The velocity may be off by `SPEED` all the time, hence the position by `SPEED` times that time.
+    The velocity may be off by `SPEED`, for as long as no scan tells it, and the position by `SPEED` times
+    that time. A scan of information `weakest` along the axis shortens the time by its Kalman gain.
     """
-    if located:
-        state.unlocated[0] = 0.0
-        return
     seconds = min(state.lengths[2], LONGEST_COAST)
+    odds = max(weakest, 0.0) * (SPEED * seconds) ** 2
+    state.unlocated[0] = (state.unlocated[0] + seconds) / (1.0 + odds)
+    if not located:
+        state.doubt.bare[0] = max(state.doubt.bare[0], SPEED * state.unlocated[0])
     variance = 2.0 * SPEED**2 * state.unlocated[0] * seconds
-    state.unlocated[0] += seconds
-    state.doubt.bare[0] += SPEED * seconds
     x, y = math.cos(axis), math.sin(axis)
     spread[0, 0] += variance * x * x
     spread[0, 1] += variance * x * y

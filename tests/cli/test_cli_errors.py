@@ -296,3 +296,19 @@ def test_log_lines(imp, monkeypatch) -> None:
     assert imp("config", "--quiet").err == end
     assert imp("config", "-v").err == "imp: info: a word\n" + warning + end
     assert imp("config", "--debug").err.startswith("imp: debug: a word\n")
+
+
+@pytest.mark.timeout(60)
+def test_output_reaches_a_pipe_at_once_where_python_is_unbuffered() -> None:
+    """As a systemd unit asks for it, so that the journal shows it while the command goes on."""
+    code = "from impslam.cli import pipes; pipes.outlive_readers(); print('up'); input()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        assert process.stdout.readline().strip() == b"up"
+        process.stdin.close()

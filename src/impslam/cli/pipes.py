@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import io
 import sys
-from typing import Any, TextIO
+from typing import Any, BinaryIO, TextIO, cast
 
 GONE = frozenset({errno.EPIPE, errno.EINVAL})
 """What writing to a pipe without a reader fails with; on Windows it is EINVAL."""
@@ -30,13 +30,17 @@ def outlive_readers() -> None:
 
 
 def _outliving(stream: TextIO) -> TextIO:
-    """Return the stream of a pipe with that behaviour, any other one as it is."""
+    """Return the stream of a pipe with that behaviour, any other one as it is.
+
+    It is unbuffered if the stream is, as with `PYTHONUNBUFFERED` in a systemd unit.
+    """
     if not isinstance(stream, io.TextIOWrapper) or stream.isatty():
         return stream
     pipe = _Pipe(stream.fileno(), "w", closefd=False)
     return io.TextIOWrapper(
-        io.BufferedWriter(pipe),
+        cast("BinaryIO", pipe) if stream.write_through else io.BufferedWriter(pipe),
         encoding=stream.encoding,
         errors=stream.errors,
         line_buffering=stream.line_buffering,
+        write_through=stream.write_through,
     )

@@ -301,7 +301,7 @@ def test_log_lines(imp, monkeypatch) -> None:
 @pytest.mark.timeout(60)
 def test_output_reaches_a_pipe_at_once_where_python_is_unbuffered() -> None:
     """As a systemd unit asks for it, so that the journal shows it while the command goes on."""
-    code = "from impslam.cli import pipes; pipes.outlive_readers(); print('up'); input()"
+    code = "import sys; from impslam.cli import pipes; pipes.outlive_readers(); print('up'); sys.stdin.read()"
     with subprocess.Popen(
         [sys.executable, "-c", code],
         env={**os.environ, "PYTHONUNBUFFERED": "1"},

@@ -301,7 +301,8 @@ def test_log_lines(imp, monkeypatch) -> None:
 @pytest.mark.timeout(60)
 def test_output_reaches_a_pipe_at_once_where_python_is_unbuffered() -> None:
     """As a systemd unit asks for it, so that the journal shows it while the command goes on."""
-    code = "import sys; from impslam.cli import pipes; pipes.outlive_readers(); print('up'); sys.stdin.read()"
+    code = "import sys; from impslam.cli.pipes import outlive_readers as o; o(); print('up')"
+    code += "; sys.stdin.read()"
     with subprocess.Popen(
         [sys.executable, "-c", code],
         env={**os.environ, "PYTHONUNBUFFERED": "1"},

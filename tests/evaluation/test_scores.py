@@ -83,7 +83,7 @@ def test_positions_alone_tell_no_start_but_a_truth_in_map_needs_none(rng):
     assert score.heading.count == 0
     assert score.rpe_metres.count == 0
     assert 0.1 < score.aligned.rmse < 0.4
-    with pytest.raises(ImpError, match="no heading at the run's start"):
+    with pytest.raises(ImpError, match="no heading at the start of the run"):
         score_path(run, positions(truth), "start", 1.0)
     sure = score_path(run, positions(truth), "none", 1.0).consistency
     assert (sure.dof, round(sure.mean, 1)) == (2, 2.0)

@@ -168,7 +168,7 @@ def positions(**frame):
 
 def test_a_truth_of_positions_is_laid_where_it_fits_and_tells_no_nees(tmp_path):
     text = write(tmp_path, truth=positions(frame=(40.0, -7.0, 2.0)))
-    assert "where the path fits best" in text
+    assert "aligned by the best fit of the path" in text
     assert "x error in cm, band" not in text
     for words in ("NEES of the pose", "Heading error", "From the start", "nan cm", "nan°"):
         assert words not in text

@@ -17,8 +17,8 @@ Features: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 The weight is 1 on a surface, 0.5 at its end, where neighbours lie on one side only, and 0 where there
 is no surface: the normal is then 0, or that of a surface at grazing incidence. Rows are in beam order.
 
-Single points behind what a neighbouring beam meets have no row, as where sparse beams meet a long wall:
-they move along with the robot. Beams beside a table leg go past it.
+A single point is taken for grazing if a neighbouring beam ends nearer, as where sparse beams meet a long
+wall. Beams beside a table leg go past it.
 """
 
 REACH = (
@@ -82,19 +82,22 @@ def find_features(
         last = i
         out[count, 0], out[count, 1] = x, y
         nx, ny, weight = _normal(points, valid, ranges, origins, spacing, i)
-        if weight < 0.0:
-            continue
         out[count, 2], out[count, 3], out[count, 4] = nx, ny, weight
         count += 1
     return count
 
 
 @kernel
-def _is_in_front(valid: Mask, ranges: Array, i: int) -> bool:
-    """Tell whether the beams on both sides of beam i go past what it meets."""
+def _single(
+    points: Array, valid: Mask, ranges: Array, origins: Array, i: int
+) -> tuple[float, float, float]:
+    """Return the normal and weight of a point without neighbours; see `Features`."""
     before = i > 0 and valid[i - 1] and ranges[i - 1] < ranges[i]
     after = i + 1 < len(ranges) and valid[i + 1] and ranges[i + 1] < ranges[i]
-    return not (before or after)
+    if not (before or after):
+        return 0.0, 0.0, 0.0
+    x, y = points[i, 0] - origins[i, 0], points[i, 1] - origins[i, 1]
+    return y / ranges[i], -x / ranges[i], 0.0
 
 
 @kernel
@@ -125,7 +128,7 @@ def _normal(
             before = j
         ends += before == i
     if n < 3.0:
-        return 0.0, 0.0, 0.0 if _is_in_front(valid, ranges, i) else -1.0
+        return _single(points, valid, ranges, origins, i)
     xx, xy, yy = xx / n - (sx / n) ** 2, xy / n - sx * sy / n**2, yy / n - (sy / n) ** 2
     mean, half = 0.5 * (xx + yy), 0.5 * math.sqrt((xx - yy) ** 2 + 4.0 * xy * xy)
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
@@ -145,7 +148,7 @@ def _normal(
 def leave_out_grazing(rows: Features) -> int:
     """Move the features (n, 5) that no grazing beam made to the front; return how many there are.
 
-    Grazing beams, too, end where the robot goes. Without odometry nothing outweighs that in a corridor.
+    Their ends move along with the robot. Without odometry nothing outweighs that in a corridor.
     """
     count = 0
     for i in range(len(rows)):

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impslam.columns import single_row
-from impslam.geometry.se2 import compose, inverse, log
+from impslam.geometry.se2 import compose, exp, inverse, log
 from impslam.odometry.clocks import Clocks
 from impslam.odometry.stream import OdometryStream
-from impslam.odometry.synchroniser import MAX_WAIT
+from impslam.odometry.synchroniser import MAX_WAIT, SHORTEST
 from impslam.types import Increment
 
 
@@ -125,10 +125,15 @@ class Reference:
         timeline, middle = self.timeline, 0.5 * (row.begin + row.end)
         before = timeline.take(row.begin)
         row.twist = timeline.twist(row.begin, row.end)
-        before = before.then(timeline.take(min(max(row.begin, row.moment), middle)))
+        until = min(max(row.begin, row.moment), middle)
+        before = before.then(timeline.take(until))
         since = timeline.take(middle)
-        ahead = timeline.ahead(row.moment) if middle != row.moment else since
         row.motion = replace(before.then(since), stamp=middle)
+        missing = middle - until - since.duration
+        if missing > SHORTEST and timeline.newest >= middle:  # an overlapping sweep has used it
+            used = Increment(middle, exp(missing * row.twist), np.zeros((3, 3)), missing)
+            since = used.then(since)
+        ahead = timeline.ahead(row.moment) if middle != row.moment else since
         row.T_middle_stamp = compose(inverse(since.d_pose), ahead.d_pose)
         row.stamp_covariance = (since.covariance + ahead.covariance) * (middle != row.moment)
         self.used.append(row)

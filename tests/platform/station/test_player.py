@@ -111,6 +111,7 @@ def test_play_live_starts_at_once(room, tmp_path, monkeypatch):
 # --------------------------------------------------------------------------- pace
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("speed", [1.0, 8.0])
 def test_scans_come_at_the_pace_of_their_stamps(room, tmp_path, speed):
     kept = Moments()
@@ -123,7 +124,7 @@ def test_scans_come_at_the_pace_of_their_stamps(room, tmp_path, speed):
     due = (np.array(kept.stamps) - kept.stamps[0]) / speed
     lag = elapsed - due
     assert lag.min() > -0.3  # never early, but for when the first was late
-    assert np.median(lag) < 3.0  # s, on two busy cores
+    assert np.median(lag) < 0.3
     assert elapsed[-1] > 0.8 * due[-1]
 
 

@@ -18,9 +18,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from impslam.geometry.angles import wrap
+from impslam.geometry.chi_square import quantile
 from impslam.geometry.se2 import rotation
 from impslam.types import Array, Landmark, Observation
 
@@ -92,4 +92,4 @@ def _agree(fixes: Sequence[_Refused], turn: float, shift: Array) -> bool:
     for fix in fixes:
         off = fix.place - shift - R @ fix.z
         total += float(off @ np.linalg.solve(R @ fix.R @ R.T, off))
-    return bool(total < chi2.ppf(SURE, 2 * len(fixes) - 3))
+    return bool(total < quantile(SURE, 2 * len(fixes) - 3))

@@ -10,6 +10,7 @@ from tests.filters.worlds import MODELS, drive, observe
 from tests.numeric import wrapped
 
 from impslam.component import build
+from impslam.errors import NumericalError
 from impslam.estimators.hypotheses import MultipleHypotheses
 from impslam.filters.ekf import Ekf
 from impslam.geometry.se2 import compose
@@ -134,3 +135,16 @@ def test_a_copy_goes_on_by_itself_and_is_told_apart_once_it_differs():
     assert one.resembles(other, 10.0)
     other.extend(seen, 2.0)
     assert not one.resembles(other, 10.0)
+
+
+def test_a_scan_that_fails_on_the_way_moves_the_robot_once(monkeypatch):
+    made = started()
+    made.add(keyframe(0, [point(ORIGIN, FAR)]))
+
+    def fail(*_):
+        raise NumericalError("an innovation is not positive definite")
+
+    monkeypatch.setattr(Ekf, "hypothesise", fail)
+    told = made.add(keyframe(1, [point(ORIGIN, FAR)], moved=(0.5, 0.0, 0.1)))
+    assert "not positive definite" in told.refused
+    np.testing.assert_allclose(told.poses[0], [0.5, 0.0, 0.1], atol=1e-6)

@@ -15,6 +15,9 @@ from impslam.map import Keyframe, Map, Revision
 from impslam.tracking.base import KeyframeGate
 from impslam.types import NO_EDGES, Array, Edges, Increment, Landmark, Observation
 
+START_SIGMA = 1e-4
+"""m and rad: the start is the map's origin by definition; this only keeps P positive definite."""
+
 
 class Draft(NamedTuple):
     """What an estimator has estimated by a moment; later keyframes do not change it.

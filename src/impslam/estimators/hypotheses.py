@@ -29,7 +29,7 @@ from pydantic import PrivateAttr
 
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
-from impslam.estimators.base import Estimator, check_keyframe, is_known
+from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_known
 from impslam.estimators.blur import blurred
 from impslam.filters.base import Filter
 from impslam.geometry.angles import wrap
@@ -37,9 +37,6 @@ from impslam.geometry.chi_square import quantile
 from impslam.landmarks.base import LandmarkModel
 from impslam.map import Keyframe, Map, Revision
 from impslam.types import Array, Increment, Landmark, Match, Observation
-
-START_SIGMA = 1e-4
-"""m and rad: the start is the map's origin by definition; this only keeps P positive definite."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,16 +135,19 @@ class MultipleHypotheses(Estimator):
 
     def add(self, keyframe: Keyframe) -> Revision:
         """Take in a keyframe; see `Estimator.add`."""
-        why = ""
+        seen, why = tuple[Observation, ...](), ""
         try:
             check_keyframe(keyframe)
             _check_noise(keyframe.observations)
-            self._move(keyframe.motion)
-            self._see(keyframe)
+            seen = blurred(keyframe.observations, keyframe.motion, self._models)
         except NumericalError as error:
-            if is_known(keyframe.motion):
-                self._move(keyframe.motion)
             why = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {error}"
+        if is_known(keyframe.motion):
+            self._move(keyframe.motion)
+        try:
+            self._see(seen, keyframe.stamp)
+        except NumericalError as error:
+            why = f"the scan at {keyframe.stamp:.3f} s is not used to its end for the map: {error}"
         return self._revision(keyframe, why)
 
     def _move(self, motion: Increment) -> None:
@@ -155,14 +155,14 @@ class MultipleHypotheses(Estimator):
             hypothesis.filter.predict(motion)
             hypothesis.shown, hypothesis.matches = [], {}
 
-    def _see(self, keyframe: Keyframe) -> None:
-        for observation in blurred(keyframe.observations, keyframe.motion, self._models):
+    def _see(self, observations: tuple[Observation, ...], stamp: float) -> None:
+        for observation in observations:
             branches = [b for h in self._hypotheses for b in self._branches(h, observation)]
             branches.sort(key=lambda branch: -branch.log_weight)
             least = branches[0].log_weight + math.log(self.odds)
             kept = [b for b in branches[: self.most] if b.log_weight >= least]
             self._hypotheses = [
-                self._grown(branch, own, observation, keyframe.stamp)
+                self._grown(branch, own, observation, stamp)
                 for branch, own in zip(kept, _owned(kept), strict=True)
             ]
             self._observations += 1
@@ -270,11 +270,10 @@ class MultipleHypotheses(Estimator):
         return self._hypotheses[0].filter.state_size
 
 
-def _owned(branches: list[Branch]) -> Iterator[Hypothesis]:
-    """Yield for each branch a hypothesis of its own: copies, and the original for the last one."""
-    left = [id(branch.of) for branch in branches]
-    copies = [b.of.copy() if id(b.of) in left[i + 1 :] else b.of for i, b in enumerate(branches)]
-    yield from copies
+def _owned(branches: list[Branch]) -> list[Hypothesis]:
+    """Return for each branch a hypothesis of its own: copies, and the original for the last one."""
+    last = {id(branch.of): i for i, branch in enumerate(branches)}
+    return [b.of if last[id(b.of)] == i else b.of.copy() for i, b in enumerate(branches)]
 
 
 def _check_noise(observations: tuple[Observation, ...]) -> None:

@@ -12,7 +12,7 @@ from pydantic import PrivateAttr
 from impslam.association.base import Association
 from impslam.component import register
 from impslam.errors import NumericalError
-from impslam.estimators.base import Estimator, check_keyframe, is_known
+from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_known
 from impslam.estimators.blur import blurred
 from impslam.estimators.refused_fixes import RefusedFixes
 from impslam.filters.base import Filter
@@ -20,9 +20,6 @@ from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
 from impslam.map import Keyframe, Map, Revision
 from impslam.types import Array, Increment, Landmark, Match, Observation
-
-START_SIGMA = 1e-4
-"""m and rad: the start is the map's origin by definition; this only keeps P positive definite."""
 
 
 @register("landmarks")

@@ -31,7 +31,7 @@ from pydantic import PrivateAttr
 from impslam.association.base import Association
 from impslam.component import parameter, register
 from impslam.errors import ConfigError, NumericalError
-from impslam.estimators.base import Estimator, check_keyframe, is_known
+from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_known
 from impslam.estimators.blur import blurred
 from impslam.estimators.particle_book import Book
 from impslam.estimators.particle_kernels import axes, correct, inform, systematic
@@ -45,8 +45,6 @@ from impslam.lifecycle.base import Lifecycle
 from impslam.map import Keyframe, Map, Revision
 from impslam.types import Array, Increment, Ints, Landmark, Match, Observation
 
-START_SIGMA = 1e-4
-"""m and rad: the start is the map's origin by definition; this only keeps covariances positive."""
 OUTSIDE = 13.8
 """Squared Mahalanobis distance, 99.9 % of two dimensions: what matches nothing weighs as if so far off."""
 MOST = 0.5

@@ -168,20 +168,24 @@ class Fix(Stamped):
     covariance: Array
 
 
+NO_FIX, FIX, SATELLITES, GROUND = -1, 0, 1, 2
+"""Statuses of a `SatelliteFix`, as of `sensor_msgs/NavSatStatus`: none, one, one with corrections from
+satellites or from the ground."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SatelliteFix(Stamped):
     """What a satellite receiver says: WGS 84 latitude and longitude in degrees, altitude in m.
 
     `altitude` is above the ellipsoid. `covariance` (3, 3) m^2 is of east, north, up, NaN if not told.
-    `status` is that of `sensor_msgs/NavSatStatus`: -1 no fix (the position means nothing), 0 a fix,
-    1 and 2 one with corrections from satellites and from the ground.
+    `status` is one of the above; the position of `NO_FIX` means nothing.
     """
 
     latitude: float
     longitude: float
     altitude: float
     covariance: Array
-    status: int = 0
+    status: int = FIX
 
     def __post_init__(self) -> None:
         check_shape("SatelliteFix.covariance", self.covariance, 3, 3)

@@ -51,7 +51,7 @@ class Filter(Component):
     def log_densities(self, observations: Sequence[Observation], matches: Sequence[Match]) -> Array:
         """Return the log density (matches,) of each match's innovation, with the noise of `correct`."""
         del observations
-        return np.array([_log_normal(match.distance2, match.S) for match in matches])
+        return np.array([log_normal(match.distance2, match.S) for match in matches])
 
     @abstractmethod
     def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
@@ -143,6 +143,7 @@ class Filter(Component):
         """Number of scalars in the state."""
 
 
-def _log_normal(distance2: float, S: Array) -> float:
+def log_normal(distance2: float, S: Array) -> float:
+    """Return the log density of N(0, S) at a squared Mahalanobis distance."""
     log_det = float(np.linalg.slogdet(2.0 * math.pi * S)[1])
     return -0.5 * (distance2 + log_det)

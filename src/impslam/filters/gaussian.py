@@ -21,7 +21,7 @@ from pydantic import PrivateAttr
 
 from impslam.component import parameter
 from impslam.filters.atlas import Atlas
-from impslam.filters.base import Filter
+from impslam.filters.base import Filter, log_normal
 from impslam.filters.belief import POSE, Belief
 from impslam.types import Array, Ints, Landmark, Match, Observation
 
@@ -65,12 +65,11 @@ class GaussianFilter(Filter):
     def _log_density(self, observations: Sequence[Observation], match: Match) -> float:
         S, k = match.S + (self.repeats - 1.0) * observations[match.observation].R, len(match.S)
         distance2 = float(match.innovation @ np.linalg.solve(S, match.innovation))
-        log_det = float(np.linalg.slogdet(S)[1])
         if not self.tails:
-            return -0.5 * (distance2 + log_det + k * math.log(2.0 * math.pi))
+            return log_normal(distance2, S)
         degrees, most = self.tails, 0.5 * (self.tails + k)
         scale = math.lgamma(most) - math.lgamma(0.5 * degrees)
-        scale -= 0.5 * (k * math.log(degrees * math.pi) + log_det)
+        scale -= 0.5 * float(np.linalg.slogdet(degrees * math.pi * S)[1])
         return scale - most * math.log1p(distance2 / degrees)
 
     @property

@@ -14,9 +14,7 @@ from impslam.columns import Columns
 from impslam.component import register
 from impslam.geometry.geodesy import LocalPlane
 from impslam.sensors.gps import Gps
-from impslam.types import Array, Mask, Message, SatelliteFix
-
-NO_FIX = -1
+from impslam.types import NO_FIX, Array, Mask, Message, SatelliteFix
 
 
 @register("navsat")

@@ -7,9 +7,9 @@ import math
 from impslam.component import parameter, register
 from impslam.platform.devices.base import Device, DeviceError, now
 from impslam.platform.devices.clock import DeviceClock
-from impslam.platform.devices.nmea import NO_FIX, Epoch, Epochs, Sentences
+from impslam.platform.devices.nmea import Epoch, Epochs, Sentences
 from impslam.platform.devices.port import extra, opened, read_some
-from impslam.types import SatelliteFix
+from impslam.types import NO_FIX, SatelliteFix
 
 SILENT = 5.0  # s without a sentence: receivers send one a second at least
 

@@ -17,13 +17,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from impslam.types import Array
+from impslam.types import FIX, GROUND, NO_FIX, SATELLITES, Array
 
 LONGEST = 1024  # bytes without a line's end: not NMEA, whose sentences have 82
 KINDS = ("GGA", "RMC", "GST")
 DAY = 86400.0  # s
-
-NO_FIX, FIX, SATELLITES, GROUND = -1, 0, 1, 2  # sensor_msgs/NavSatStatus
 
 # m: error of one range, 1 sigma, by GGA's quality. 1: 3.6 m of signals (GPS SPS Performance Standard, 5th
 # ed., 2020: 7.0 m at 95 %) and 3.5 m of reflections and receiver. 2: the same reflections in the mean

@@ -153,12 +153,7 @@ def follow(
         ends = passed(gate, d_pose, motions.duration[k])
         doubted = state.doubt.poor[0] > 0.0
         if ends or alone or doubted or _due(beams.ranges[k], beams.valid[k], state, seen):
-            count = find_features(
-                beams.points[k], beams.valid[k], beams.ranges[k], beams.origins[k],
-                beams.spacing, how.thin, features,
-            )  # fmt: skip
-            if alone:
-                count = leave_out_grazing(features[:count])
+            count = _find_features(beams, k, alone, how, features)
             if count < FEWEST:
                 state.submaps.way[0] += state.lengths[0]
             else:
@@ -207,6 +202,18 @@ def _predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
     advance_pose(state.pose, d_pose)
     advance(state.since, state.covariance, d_pose, spread)
     return alone
+
+
+@kernel
+def _find_features(beams: Beams, k: int, alone: bool, how: Settings, out: Features) -> int:
+    """Fill `out` with the features of sweep k that are matched; return how many there are."""
+    count = find_features(
+        beams.points[k], beams.valid[k], beams.ranges[k], beams.origins[k],
+        beams.spacing, how.thin, out,
+    )  # fmt: skip
+    if alone:
+        count = leave_out_grazing(out[:count])
+    return count
 
 
 @kernel
@@ -263,10 +270,7 @@ def _match(
     sure = weakest > enough and weakest > DEGENERATE * strongest
     out.located[k] = share >= FITS * usual and sure
     if not alone:
-        plausible = share > 0.6 and abs(off[2]) < 4.0 * math.sqrt(state.prior[1])
-        plausible = plausible and abs(off[0]) < 4.0 * math.sqrt(state.prior[0])
-        quality = min(1.0, state.means[0] / USUAL) ** 4
-        learn(state.odometry, state.since, off, plausible, state.pose, quality, out.located[k])
+        _learn(state, fit, out.located[k])
     spread = turned(state.covariance, state.matched[2])
     _fuse(state, how, guess, H, W, spread)
     between(state.matched, state.pose, state.velocity)
@@ -278,12 +282,26 @@ def _match(
         state.doubt, told, state.velocity, out.located[k], far, state.lengths[2]
     )
     out.d_pose[k], out.covariance[k] = state.velocity, turned(spread, -state.matched[2])
-    # Errors have heavy tails, as on ramps: with D added their mean square is what is claimed.
-    way, turn = math.hypot(state.velocity[0], state.velocity[1]), abs(state.velocity[2])
-    state.submaps.way[0] += way
-    out.covariance[k, 0, 0] += how.drift[0] ** 2 * way
-    out.covariance[k, 1, 1] += how.drift[1] ** 2 * way
-    out.covariance[k, 2, 2] += how.drift[2] ** 2 * way + how.drift[3] ** 2 * turn
+    state.submaps.way[0] += math.hypot(state.velocity[0], state.velocity[1])
+    _add_drift(state.velocity, how.drift, out.covariance[k])
+
+
+@kernel
+def _learn(state: State, fit: Fit, located: bool) -> None:
+    """Learn what odometry is worth from a match."""
+    plausible = fit.share > 0.6 and abs(fit.off[2]) < 4.0 * math.sqrt(state.prior[1])
+    plausible = plausible and abs(fit.off[0]) < 4.0 * math.sqrt(state.prior[0])
+    quality = min(1.0, state.means[0] / USUAL) ** 4
+    learn(state.odometry, state.since, fit.off, plausible, state.pose, quality, located)
+
+
+@kernel
+def _add_drift(motion: Array, drift: Array, covariance: Array) -> None:
+    """Add what matched motion strays by, the mean square of errors with heavy tails, as on ramps."""
+    way, turn = math.hypot(motion[0], motion[1]), abs(motion[2])
+    covariance[0, 0] += drift[0] ** 2 * way
+    covariance[1, 1] += drift[1] ** 2 * way
+    covariance[2, 2] += drift[2] ** 2 * way + drift[3] ** 2 * turn
 
 
 @kernel
@@ -299,11 +317,17 @@ def _coast(state: State, located: bool, weakest: float, axis: float, spread: Arr
     if not located:
         state.doubt.bare[0] = max(state.doubt.bare[0], SPEED * state.unlocated[0])
     variance = 2.0 * SPEED**2 * state.unlocated[0] * seconds
+    _add_along(spread, axis, variance)
+
+
+@kernel
+def _add_along(M: Array, axis: float, amount: float) -> None:
+    """Add to the position's part of M (3, 3) an amount along an axis (rad)."""
     x, y = math.cos(axis), math.sin(axis)
-    spread[0, 0] += variance * x * x
-    spread[0, 1] += variance * x * y
-    spread[1, 0] += variance * x * y
-    spread[1, 1] += variance * y * y
+    M[0, 0] += amount * x * x
+    M[0, 1] += amount * x * y
+    M[1, 0] += amount * x * y
+    M[1, 1] += amount * y * y
 
 
 @kernel
@@ -328,12 +352,7 @@ def _discount(H: Array) -> None:
     without odometry in place: subtracted along the axis of the least, where it shows.
     """
     weakest, strongest, axis = _information(H)
-    spurious = max(min(NORMALS**2 * strongest, weakest), 0.0)
-    x, y = math.cos(axis), math.sin(axis)
-    H[0, 0] -= spurious * x * x
-    H[0, 1] -= spurious * x * y
-    H[1, 0] -= spurious * x * y
-    H[1, 1] -= spurious * y * y
+    _add_along(H, axis, -max(min(NORMALS**2 * strongest, weakest), 0.0))
 
 
 @kernel

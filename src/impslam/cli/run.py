@@ -161,9 +161,7 @@ def show(known: Map, outcome: Outcome, folder: Path, *, at_once: bool = True) ->
     kinds = Counter(landmark.kind for landmark in known.landmarks)
     found = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())) or "none"
     closed = loops(counts)
-    before = len(known.stamps) - len(
-        outcome.health.stamps
-    )  # sweeps of the map that the run went on with
+    before = len(known.stamps) - len(outcome.health.stamps)  # sweeps of the map that was continued
     way = length(known, known.path(), before)
     console.show_facts(
         {

@@ -34,7 +34,7 @@ def test_intervals_cover_the_truth_and_shrink_with_drives(rng):
     for count in (20, 80):
         for _ in range(60):
             one, both = rng.exponential(1.0, count), rng.exponential(0.8, count)
-            _, low, high = _bootstrapped(one, both, lambda a, b: 1.0 - b / a)
+            _, low, high = _bootstrapped(one, both)
             hits += low <= 0.2 <= high
             widths.append(high - low)
     assert 0.88 < hits / 120 <= 1.0

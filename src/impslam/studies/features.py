@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -105,17 +105,15 @@ def _gain(comparison: Comparison, runs: Mapping[str, Mapping[int, Row]]) -> Gain
         ])  # fmt: skip
 
     one, both = errors(comparison.with_one), errors("both")
-    return Gain(*_bootstrapped(one, both, lambda a, b: 1.0 - b / a), float(np.mean(both < one)))
+    return Gain(*_bootstrapped(one, both), float(np.mean(both < one)))
 
 
-def _bootstrapped(
-    one: Array, both: Array, share: Callable[[Array, Array], Array]
-) -> tuple[float, float, float]:
-    """Return a share of paired means and the percentiles of its bootstrap over seeds (Efron 1979)."""
+def _bootstrapped(one: Array, both: Array) -> tuple[float, float, float]:
+    """Return 1 - both / one of paired means, and percentiles of its bootstrap over seeds (Efron 1979)."""
     picks = np.random.default_rng(0).integers(0, len(one), (DRAWS, len(one)))
     with np.errstate(invalid="ignore"):  # a landmark that both miss is no gain, either
-        drawn = share(one[picks].mean(axis=1), both[picks].mean(axis=1))
-        whole = share(one.mean(), both.mean())
+        drawn = 1.0 - both[picks].mean(axis=1) / one[picks].mean(axis=1)
+        whole = 1.0 - both.mean() / one.mean()
     drawn, whole = (np.nan_to_num(x, nan=-np.inf, neginf=-np.inf) for x in (drawn, whole))
     low, high = np.quantile(drawn, (0.025, 0.975), method="inverted_cdf").tolist()
     return float(whole), low, high

@@ -346,6 +346,9 @@ class Scan:
         return result
 
 
+_NO_BEAMS: Ints = np.empty(0, np.int64)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
     """A landmark as one scan shows it, in base_link at the scan's stamp.
@@ -374,7 +377,7 @@ class Observation:
     kind: str
     z: Array
     R: Array
-    beams: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    beams: Ints = field(default_factory=lambda: _NO_BEAMS)
     end_points: Array | None = None
     attributes: Mapping[str, float] = field(default_factory=dict)
     label: int | None = None
@@ -386,6 +389,13 @@ class Observation:
         """Return the observation with another R (k, k): `replace` in a quarter of its time."""
         return Observation(
             self.kind, self.z, R, self.beams, self.end_points, self.attributes, self.label,
+            self.delay, self.shared, self.sensor,
+        )  # fmt: skip
+
+    def without_beams(self) -> Observation:
+        """Return the observation without the indices of its beams, which mean nothing without the scan."""
+        return Observation(
+            self.kind, self.z, self.R, _NO_BEAMS, self.end_points, self.attributes, self.label,
             self.delay, self.shared, self.sensor,
         )  # fmt: skip
 

@@ -70,10 +70,10 @@ class SightingsLog:
         self._count = 0
 
     def add(self, observations: Sequence[Observation], stamp: float) -> None:
-        """Add what the next keyframe saw at its stamp, s."""
+        """Add what the next keyframe saw at its stamp, s; the beams are not kept."""
         for observation in observations:
             kept = self._seen.setdefault(observation.kind, [])
-            kept.append((len(self.stamps), self._count, observation))
+            kept.append((len(self.stamps), self._count, observation.without_beams()))
             self._count += 1
         self.stamps.append(stamp)
 

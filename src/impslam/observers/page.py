@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 
@@ -34,18 +34,20 @@ def escape(text: object) -> str:
     return html.escape(str(text))
 
 
-def page(title: str, sections: Iterable[str], script: str = "") -> str:
-    """Return the whole page; the script runs at its end."""
+def page(title: str, sections: Iterable[str], script: str = "") -> Iterator[str]:
+    """Yield the whole page piece by piece; the script runs at its end."""
     style = packaged("report.css")
-    script = f"<script>\n{script}</script>\n" if script else ""
-    return (
+    yield (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n"
         "<body>\n<main>\n"
-        + "\n".join(filter(None, sections))
-        + f"\n</main>\n{script}</body>\n</html>\n"
     )
+    for part in filter(None, sections):
+        yield part
+        yield "\n"
+    yield "</main>\n" + (f"<script>\n{script}</script>\n" if script else "")
+    yield "</body>\n</html>\n"
 
 
 def packaged(name: str) -> str:

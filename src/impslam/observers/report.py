@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -40,20 +40,30 @@ def write_report(
     laid = accuracy.laid_in_map(history)
     truth = np.zeros((0, 2)) if laid is None else laid.pairs.truth[:, :2]
     (folder / "report.png").write_bytes(draw(image, history, truth, landmarks))
-    sections = [
-        heading(outcome, history),
-        map_section(history, outcome, image, laid),
-        health_section(outcome.health),
-        accuracy.section_of(laid, history, landmarks, true_landmarks),
-        quality_section(history.quality),
-        uncertainty(history),
-        landmark_table(landmarks),
-        matching(history),
-        '<div class="columns">' + stages(outcome) + dropped(outcome) + "</div>",
-        details(outcome),
-    ]
-    text = page(f"{outcome.log.name} · impslam", sections, script())
-    (folder / "report.html").write_text(text, encoding="utf-8")
+    sections = _sections(history, outcome, image, laid, true_landmarks)
+    with (folder / "report.html").open("w", encoding="utf-8") as file:
+        file.writelines(page(f"{outcome.log.name} · impslam", sections, script()))
+
+
+def _sections(
+    history: History,
+    outcome: Outcome,
+    image: MapImage,
+    laid: accuracy.Laid | None,
+    true_landmarks: Sequence[TrueLandmark],
+) -> Iterator[str]:
+    """Yield the sections one by one: that of the map alone takes megabytes."""
+    landmarks = history.known.landmarks
+    yield heading(outcome, history)
+    yield map_section(history, outcome, image, laid)
+    yield health_section(outcome.health)
+    yield accuracy.section_of(laid, history, landmarks, true_landmarks)
+    yield quality_section(history.quality)
+    yield uncertainty(history)
+    yield landmark_table(landmarks)
+    yield matching(history)
+    yield '<div class="columns">' + stages(outcome) + dropped(outcome) + "</div>"
+    yield details(outcome)
 
 
 def draw(

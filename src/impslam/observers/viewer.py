@@ -65,8 +65,8 @@ def map_section(history: History, outcome: Outcome, image: MapImage, laid: Laid 
     """Return the section with the map and its data."""
     text = json.dumps(scene(history, outcome, image, laid), ensure_ascii=False, allow_nan=False)
     safe = text.replace("<", "\\u003c")  # a log's name cannot end the element
-    data = f'<script type="application/json" id="scene">{safe}</script>'
-    return section("Map", FIGURE, data, note=NOTE)
+    data = '<script type="application/json" id="scene">', safe, "</script>"
+    return section("Map", FIGURE, *data, note=NOTE)
 
 
 def scene(history: History, outcome: Outcome, image: MapImage, laid: Laid | None) -> dict[str, Any]:

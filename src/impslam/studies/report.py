@@ -134,7 +134,7 @@ def write(
     heading = f"<header><h1>{TITLE}</h1><p>{ABOUT} {made}</p>{banner}</header>"
     texts = {
         NUMBERS: json.dumps(json_values(facts), indent=2, allow_nan=False) + "\n",
-        PAGE: page(f"{TITLE} · impslam", [heading, *map(_html, sections)]),
+        PAGE: "".join(page(f"{TITLE} · impslam", [heading, *map(_html, sections)])),
         MARKDOWN: f"# {TITLE}\n\n{ABOUT} Made by\n\n```sh\n{command}\n```\n\n"
         + f"**{partial}**\n\n" * bool(partial)
         + "\n".join(map(_markdown, sections)),

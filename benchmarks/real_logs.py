@@ -6,7 +6,7 @@ The logs and their truths are not part of the project; each function takes the f
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -192,6 +192,7 @@ SAME_WALL = math.radians(10.0)
 APART = 0.6  # m; walls nearer than this, of one direction, are taken to be one
 BESIDE = 0.2  # m, of a wall that both laps must show
 LONG = 0.5  # m; shorter pieces may be the sides of things
+OTHER = 4  # scans; nearer ones look from the same place
 
 
 def lap_offsets(seen: Run, first: int, second: int) -> Array:
@@ -200,10 +201,33 @@ def lap_offsets(seen: Run, first: int, second: int) -> Array:
     For each wall of the second lap, the median over all walls of the first lap that run beside it,
     each taken in the middle of the stretch that both show: the nearest would flatter.
     """
-    long = [(k, w) for k, walls in seen.walls.items() for w in walls if _length(w) > LONG]
+    long = _long_walls(seen)
     before = np.array([wall for k, wall in long if k < first])
-    after = [wall for k, wall in long if k >= second]
-    offsets = [_apart(wall, before) for wall in after]
+    return _all_apart((wall, before) for k, wall in long if k >= second)
+
+
+def same_lap_offsets(seen: Run, first: int, second: int) -> Array:
+    """Return the same of walls of one lap against those that other scans of this lap show, m.
+
+    Scans fewer than `OTHER` apart are left out. What is seen within a lap has hardly any drift: this is
+    how well single scans show a wall, and no map can bring two laps closer together.
+    """
+    long = _long_walls(seen)
+    laps = [[(k, w) for k, w in long if k < first], [(k, w) for k, w in long if k >= second]]
+    return _all_apart(
+        (wall, np.array([w for j, w in lap if abs(j - k) >= OTHER]))
+        for lap in laps
+        for k, wall in lap
+    )
+
+
+def _long_walls(seen: Run) -> list[tuple[int, Array]]:
+    return [(k, w) for k, walls in seen.walls.items() for w in walls if _length(w) > LONG]
+
+
+def _all_apart(walls: Iterable[tuple[Array, Array]]) -> Array:
+    """Return the distances (m) of walls from others beside them, without those that have none."""
+    offsets = [_apart(wall, others) for wall, others in walls if len(others)]
     return np.abs(np.array([offset for offset in offsets if offset is not None]))
 
 

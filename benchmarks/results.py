@@ -115,9 +115,10 @@ def rover(name: str) -> Callable[[Path], str]:
         offsets = real_logs.lap_offsets(seen, 300, 355)
         if name == "exp1" and len(offsets):
             p50, p90 = np.percentile(offsets, (50, 90))
+            same = np.percentile(real_logs.same_lap_offsets(seen, 300, 355), 90)
             said += (
                 f"; walls of the second lap from those of the first: median {cm(p50)}, "
-                f"90 % within {cm(p90)} ({len(offsets)} walls)"
+                f"90 % within {cm(p90)} ({len(offsets)} walls); of the same lap: {cm(same)}"
             )
         return f"{said}; {seen.speed:.0f} times real time"
 

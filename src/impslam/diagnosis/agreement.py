@@ -67,7 +67,7 @@ def drive_axis(laser: Array) -> Axis:
     return Axis(
         math.atan2(forward[1], forward[0]),
         float(normal @ lever),
-        sandwich(J, residuals, weights),
+        sandwich(J, residuals, scale),
         scale,
         float((weights > 0.0).mean()),
     )

@@ -68,19 +68,43 @@ def fit(A: Array, y: Array, block: int = 1, least: float = 1e-9) -> Fit:
             weights = biweight(residuals, scale)
             if np.allclose(p, before, rtol=1e-9, atol=1e-12):
                 break
-    return Fit(p, sandwich(A, residuals, weights, block), scale, float((weights > 0.0).mean()))
+    return Fit(p, sandwich(A, residuals, scale, block), scale, float((weights > 0.0).mean()))
 
 
-def sandwich(J: Array, residuals: Array, weights: Array, block: int = 1) -> Array:
-    """Return the covariance (n, n) of n parameters from m residuals, their derivatives and weights.
+def sandwich(J: Array, residuals: Array, scale: float, block: int = 1) -> Array:
+    """Return the covariance (n, n) of n parameters from m residuals and their derivatives J (m, n).
+
+    That of a fit by Tukey's biweight of residuals of a robust standard deviation, `scale`; see `jackknife`
+    for `block`. No parameter is surer than rows of equal noise make it: the fit passes through a row that
+    is alone in telling of turns, whatever its error is.
+    """
+    weights, slopes = biweight(residuals, scale), biweight_slopes(residuals, scale)
+    covariance = jackknife(J, weights * residuals, slopes, block)
+    equal = scale**2 * np.diag(np.linalg.pinv((J * weights[:, None]).T @ J))
+    unsure = np.sqrt(np.maximum(equal / np.maximum(np.diag(covariance), 1e-30), 1.0))
+    widened: Array = covariance * np.outer(unsure, unsure)
+    return widened
+
+
+def jackknife(J: Array, scores: Array, slopes: Array, block: int = 1) -> Array:
+    """Return the covariance (n, n) of parameters from scores (m,) and their slopes by the residuals.
 
     Errors of neighbouring rows may hang together within a `block` of rows, not beyond (Liang & Zeger 1986).
+    Each block counts as if it were left out of the fit (CR3, Bell & McCaffrey 2002; for single rows HC3,
+    MacKinnon & White 1985): the fit follows the few rows that tell of a parameter.
     """
-    bread = np.linalg.pinv((J * weights[:, None]).T @ J)
-    scores = J * (weights * residuals)[:, None]
-    meat = np.add.reduceat(scores, np.arange(0, len(J), block))
-    m, n = meat.shape
-    covariance: Array = bread @ (meat.T @ meat) @ bread * (m / max(m - n, 1))
+    blocks = -(-len(J) // block)
+
+    def by_block(rows: Array) -> Array:
+        padded = np.pad(rows, ((0, blocks * block - len(J)), (0, 0)))
+        return padded.reshape(blocks, block, rows.shape[1])
+
+    bread = np.linalg.pinv((J * slopes[:, None]).T @ J)
+    derivatives = by_block(J).transpose(0, 2, 1)
+    own = by_block(J * slopes[:, None]) @ bread @ derivatives
+    rest = (1.0 + 1e-9) * np.eye(block) - own  # no block tells all of a parameter
+    moved = (derivatives @ np.linalg.solve(rest, by_block(scores[:, None])))[..., 0] @ bread
+    covariance: Array = moved.T @ moved
     return covariance
 
 
@@ -92,3 +116,9 @@ def spread(residuals: Array) -> float:
 def biweight(residuals: Array, scale: float) -> Array:
     """Return Tukey's weights (m,): 1 in the middle, 0 from `CUT` standard deviations on."""
     return np.square(np.maximum(1.0 - np.square(residuals / (CUT * scale)), 0.0))
+
+
+def biweight_slopes(residuals: Array, scale: float) -> Array:
+    """Return by how much (m,) weight times residual grows with the residual."""
+    u2 = np.square(residuals / (CUT * scale))
+    return np.where(u2 < 1.0, (1.0 - u2) * (1.0 - 5.0 * u2), 0.0)

@@ -6,6 +6,7 @@ circular arcs: pose and wheel travel are known exactly at any time, not integrat
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import Protocol
@@ -65,8 +66,9 @@ class Trajectory:
         )
 
 
+@functools.lru_cache(maxsize=8)  # of 3 MB for 10 min: all seeds and variants of a study drive it
 def drive(plan: Drive) -> Trajectory:
-    """Drive along the waypoints; the result is the same for every seed.
+    """Drive along the waypoints; the result is the same for every seed, and cannot be written to.
 
     Raises
     ------
@@ -91,7 +93,10 @@ def drive(plan: Drive) -> Trajectory:
     poses += [poses[-1]] * rest
     n = min(len(twists), int(min(limit, len(twists))))
     times = np.arange(n + 1) / CONTROL_RATE
-    return Trajectory(times, np.array(poses[: n + 1]), np.array(twists[:n]))
+    driven = Trajectory(times, np.array(poses[: n + 1]), np.array(twists[:n]))
+    for array in (driven.times, driven.poses, driven.twists):
+        array.setflags(write=False)
+    return driven
 
 
 def advance(pose: Array, twist: tuple[float, float], duration: float) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 from impslam.columns import Sweeps
 from impslam.errors import ImpError
 from impslam.geometry.chain import advance
-from impslam.geometry.kernels import kernel
+from impslam.geometry.kernels import kernel, read_only
 from impslam.geometry.se2 import compose, inverse
 from impslam.health import NONE, Reasons
 from impslam.maps import archive, layout
@@ -295,13 +295,8 @@ class Map:
     def rows(self) -> PathRows:
         """Return the current estimate of the path with covariances."""
         keyframes, at = self.keyframes, self.placed()
-        poses, covariances = hang(
-            keyframes.poses,
-            keyframes.covariances,
-            self.anchors[at],
-            self.T_anchor_base[at],
-            self.track_covariances[at],
-        )
+        parts = self.anchors[at], self.T_anchor_base[at], self.track_covariances[at]
+        poses, covariances = hang(*read_only(keyframes.poses, keyframes.covariances, *parts))
         return PathRows(self.stamps[at], poses, covariances, self.odometry_poses[at])
 
     def placed(self) -> Mask:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.geometry.chain import advance
-from impslam.geometry.kernels import kernel
+from impslam.geometry.kernels import kernel, read_only
 from impslam.geometry.se2 import between, compose
 from impslam.growing import GrowingArray
 from impslam.map import UPPER, Keyframe, Keyframes, Map, PathRows, Revision, Track, hang
@@ -140,7 +140,7 @@ class MapBuilder:
         keyframes, begin = self._keyframes, len(self) - m
         names = ("anchors", "tracked", "track_covariances")
         new = (self._sweeps[name].array[begin:] for name in names)
-        return hang(keyframes["poses"].array, keyframes["covariances"].array, *new)
+        return hang(*read_only(keyframes["poses"].array, keyframes["covariances"].array, *new))
 
     def locate(self, stamp: float, T: Array, spread: Array, odometry: Array) -> PathRows:
         """Return the pose at `T_keyframe_base` (3,) from the newest keyframe, without storing it."""

@@ -46,3 +46,11 @@ def plain(array: npt.ArrayLike) -> npt.NDArray[np.float64]:
     if isinstance(array, np.ndarray) and array.dtype == _FLOAT64 and array.flags.carray:
         return array  # as most are: `np.require` takes ten times as long to say so
     return np.require(array, np.float64, ["C", "W"])
+
+
+def read_only(*arrays: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
+    """Return views that cannot be written to: one type for a kernel, whatever each array allows."""
+    views = [array.view() for array in arrays]
+    for view in views:
+        view.flags.writeable = False
+    return views

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from impslam.errors import ConfigError
 from impslam.geometry.angles import wrap_in_kernel
-from impslam.geometry.kernels import kernel
+from impslam.geometry.kernels import kernel, read_only
 from impslam.types import Array, Ints
 
 HIT = math.log(0.7 / 0.3)
@@ -195,7 +195,9 @@ class OccupancyGrid:
         self._drawn = scans.poses
         if n == len(scans.poses):
             return
-        new = PlacedScans(scans.poses[n:], scans.origins[n:], scans.starts[n:], scans.points)
+        new = PlacedScans(
+            *read_only(scans.poses[n:], scans.origins[n:], scans.starts[n:], scans.points)
+        )
         verdicts = _select(new, self.resolution, self._box, self._last)
         self.refused += int(np.diff(new.starts)[verdicts == REFUSE].sum())
         if (verdicts == ENTER).any():

@@ -15,6 +15,7 @@ from tests.registry import own_registry
 from impslam.cli import main
 from impslam.cli.app import make_app
 from impslam.config import load
+from impslam.observers import video
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -47,6 +48,8 @@ def commands(text):
 @pytest.mark.parametrize("name", RUN)
 def test_a_page_does_what_it_says(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(video, "RATE", 2.0)  # coding a frame of the usual size takes 60 ms
+    monkeypatch.setattr(video, "SIZE", 200)
     for example in (ROOT / "examples").glob("*.py"):
         shutil.copy(example, tmp_path)
     for language, text in blocks(ROOT / "docs" / f"{name}.md", "sh", "toml", "python"):

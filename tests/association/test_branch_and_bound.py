@@ -28,8 +28,8 @@ def problem(rng):
 
 def run(case, gate, budget=10**6):
     S, nu, starts, landmarks, groups, dims, noise = case
-    rest = np.append(np.cumsum(dims[::-1])[::-1], 0)
-    floor = np.append(np.cumsum(noise[::-1])[::-1], 0.0)
+    rest = np.append(0, np.cumsum(dims[::-1]))[::-1]  # reversed views, as the caller has them
+    floor = np.append(0.0, np.cumsum(noise[::-1]))[::-1]
     limits = quantiles(gate, int(dims.sum()))
     return search((S, nu), (starts, landmarks), groups, rest, floor, limits, budget)
 
@@ -49,8 +49,9 @@ def worth(case, gate, chosen):
 
 @pytest.mark.parametrize("gate", [0.9, 0.999])
 def test_equal_to_enumeration(gate):
+    """A search that is wrong in 3 % of such problems passes 100 with a chance of 5 % (0.97^100)."""
     rng = np.random.default_rng(11)
-    for _ in range(300):
+    for _ in range(100):
         case = problem(rng)
         groups = case[4]
         options = [[None, *range(a, b)] for a, b in itertools.pairwise(groups)]

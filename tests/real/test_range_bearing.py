@@ -40,11 +40,11 @@ def test_robots_among_barcodes(data_folder, robot):
     assert row.consistency.mean < 6.0  # 1.0 to 4.2
 
 
-@pytest.mark.parametrize("robot", sorted(WITHIN))
+@pytest.mark.parametrize("robot", [2, 3])  # those that a single hypothesis loses most with
 def test_robots_among_barcodes_whose_labels_are_not_read(data_folder, robot):
     """Within 1.5 times the path with labels. Measured on 2026-11-23: 0.82 to 1.25 times."""
     row = measure(data_folder, "mrclam6", robot, "known", ["estimator.kind=hypotheses"])
-    with_labels = {1: 0.172, 2: 0.210, 3: 0.079, 4: 0.137, 5: 0.113}[robot]
+    with_labels = {2: 0.210, 3: 0.079}[robot]
     assert row.path < 1.5 * with_labels
     assert row.wrong <= 0.02 * row.observations  # told wrongly; most are not told
 

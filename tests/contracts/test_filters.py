@@ -194,3 +194,34 @@ def test_a_prediction_is_taken_back_to_the_bit(belief):
     belief.take_back()
     assert np.array_equal(belief.belief.covariance, P)
     assert np.array_equal(belief.belief.mean, mean)
+
+
+def test_it_follows_another_estimate_and_goes_on_from_there(belief):
+    """Its mean is that estimate; where it does not move, its covariance stays; it stays definite."""
+    if not belief.follows:
+        with pytest.raises(NotImplementedError, match="follows no other"):
+            belief.follow(np.zeros(3), {})
+        return
+    rng = np.random.default_rng(8)
+    for pose, increment in drive(12, rng):
+        step(belief, increment, observe(pose, rng))
+    ids = belief.outlines()[0].tolist()
+    states = {
+        number: table.states(belief.belief.mean)[k]
+        for table in belief._atlas.tables()
+        for k, number in enumerate(table.ids.tolist())
+    }
+    assert sorted(states) == sorted(ids)
+    P = belief.covariance
+    belief.follow(belief.pose, states)
+    np.testing.assert_allclose(belief.covariance, P, rtol=1e-9)
+    moved = {n: m + 0.01 * np.eye(len(m))[0] for n, m in states.items()}
+    pose = belief.pose + np.array([0.02, -0.01, 7.0])
+    belief.follow(pose, moved)
+    np.testing.assert_allclose(wrapped(belief.pose - pose, 2), 0.0, atol=1e-12)
+    for table in belief._atlas.tables():
+        for k, number in enumerate(table.ids.tolist()):
+            np.testing.assert_allclose(
+                wrapped(table.states(belief.belief.mean)[k] - moved[number], -1), 0.0, atol=1e-12
+            )
+    assert np.linalg.eigvalsh(belief.belief.covariance)[0] > 0.0

@@ -12,7 +12,7 @@ from impslam.studies import filter_table
 from impslam.studies.circle_simulation import HUANG, simulate
 from impslam.studies.filter_consistency import BATCH
 from impslam.studies.filter_plot import draw_nees
-from impslam.studies.filter_table import FILTERS, KNOWN, circle_row, standing
+from impslam.studies.filter_table import FILTERS, KNOWN, circle_row, installed, standing
 
 SHORT = replace(HUANG, steps=85)
 
@@ -21,7 +21,12 @@ def test_every_filter_is_in_it():
     named = {load("imp", [*KNOWN, *given]).filter["kind"] for given in FILTERS.values()}
     kinds = {load("imp", [*KNOWN, *given]).estimator["kind"] for given in FILTERS.values()}
     assert named == set(components("filter"))
-    assert kinds == {"landmarks", "particles"}
+    assert kinds == {"landmarks", "particles", "smoothing"}
+
+
+def test_a_filter_whose_library_is_missing_is_left_out(monkeypatch):
+    monkeypatch.setattr(filter_table, "find_spec", lambda name: None)
+    assert set(FILTERS) - set(installed()) == {"smoothing"}
 
 
 @pytest.fixture(scope="module")

@@ -44,6 +44,8 @@ class Estimator(Component):
     """Whether revisions list the landmarks that are matched, added and removed."""
     takes_unique: ClassVar[bool] = False
     """Whether it estimates landmarks that exist once, such as the frame of a GPS."""
+    library: ClassVar[str] = ""
+    """Module of an optional extra without which it does not start."""
     keyframes: ClassVar[KeyframeGate] = KeyframeGate()
     """Which scans are its keyframes, unless the config overrides them."""
 

@@ -31,6 +31,8 @@ class Filter(Component):
     """
 
     role: ClassVar[str] = "filter"
+    follows: ClassVar[bool] = False
+    """Whether its mean can be put where another estimate has it; see `follow`."""
 
     def fresh(self) -> Self:
         """Return a new filter with these parameters, not started."""
@@ -52,6 +54,18 @@ class Filter(Component):
         """Return the log density (matches,) of each match's innovation, with the noise of `correct`."""
         del observations
         return np.array([log_normal(match.distance2, match.S) for match in matches])
+
+    def doubt(self, matches: Sequence[Match]) -> Array | None:
+        """Return how many times R counts (matches,) in `correct`; None: once."""
+        del matches
+        return None
+
+    def follow(self, pose: Array, landmarks: Mapping[int, Array]) -> None:
+        """Take a pose (3,), and the states (dim,) of landmarks by id, for its mean.
+
+        What it knows of their errors stays.
+        """
+        raise NotImplementedError(f"the filter {self.name!r} follows no other estimate")
 
     @abstractmethod
     def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:

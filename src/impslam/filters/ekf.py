@@ -10,6 +10,7 @@ linearised again about its own result, Gauss-Newton on the posterior (Bell & Cat
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 from pydantic import PrivateAttr
@@ -19,7 +20,7 @@ from impslam.component import parameter, register
 from impslam.errors import NumericalError
 from impslam.filters.atlas import Atlas, Table
 from impslam.filters.base import Filter, Reach, everything
-from impslam.filters.belief import POSE, GaussianBelief
+from impslam.filters.belief import POSE, GaussianBelief, rows_of
 from impslam.filters.gaussian import INDEFINITE, GaussianFilter
 from impslam.filters.scene import Scene, Sight, stacked
 from impslam.filters.scoring import score
@@ -32,6 +33,8 @@ from impslam.types import Array, Increment, Innovation, Match, Observation
 @register("ekf")
 class Ekf(GaussianFilter):
     """The textbook EKF over pose and landmarks, written for speed."""
+
+    follows: ClassVar[bool] = True
 
     iterations: int = parameter(
         1, "1", "linearisations of a correction, each about the last result (1: textbook EKF)", ge=1
@@ -99,7 +102,7 @@ class Ekf(GaussianFilter):
         if not matches:
             return None
         belief, pairs = self._belief, self._atlas.pairs(observations, matches)
-        doubt = self._doubt(matches)
+        doubt = self.doubt(matches)
         scene, told = Scene(belief.mean, pairs, belief.errors, doubt), None
         pose, states = scene.pose, scene.states
         step = np.zeros(len(scene.entries))
@@ -125,6 +128,18 @@ class Ekf(GaussianFilter):
         del of_pose
         self._retract(step)
         self._belief.subtract(W_T, W_T)
+
+    def follow(self, pose: Array, landmarks: Mapping[int, Array]) -> None:
+        """Move the mean, with the covariance in the coordinates of this filter; see `Filter.follow`."""
+        mean, P = self._belief.mean, self._belief.P
+        step, of_pose = np.zeros_like(mean), np.zeros((POSE, len(P)))
+        step[:POSE] = pose - mean[:POSE]
+        step[2] = wrap(float(step[2]))
+        of_pose[:, : self._belief.n] = rows_of(P, np.arange(POSE), self._belief.n)
+        for table in self._atlas.tables():
+            states = np.array([landmarks[number] for number in table.ids.tolist()])
+            step[table.columns] = table.model.difference(table.states(mean), states)
+        self._finish(np.zeros((1, len(P))), step, of_pose)
 
     def extend(self, observations: Sequence[Observation], stamp: float) -> tuple[int, ...]:
         """Add landmarks with their full cross-covariance to pose and map."""

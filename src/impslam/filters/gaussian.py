@@ -100,7 +100,7 @@ class GaussianFilter(Filter):
         """Number of scalars that are estimated."""
         return self._belief.n - len(self._belief.errors)
 
-    def _doubt(self, matches: Sequence[Match]) -> Array | None:
+    def doubt(self, matches: Sequence[Match]) -> Array | None:
         """Return how many times R counts (matches,) for repetition and innovations; None: once.
 
         The latter once, by the belief before the correction: its S tells what is far off from what is

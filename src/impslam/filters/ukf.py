@@ -153,7 +153,7 @@ class UnscentedKalmanFilter(GaussianFilter):
         """Take all matches of a scan in, in one batch."""
         if not matches:
             return
-        H, y, R = self._measured(observations, matches, self._doubt(matches))
+        H, y, R = self._measured(observations, matches, self.doubt(matches))
         begin = 0
         for block in R:
             rows = slice(begin, begin + len(block))

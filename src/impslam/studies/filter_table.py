@@ -6,11 +6,13 @@ import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
+from importlib.util import find_spec
 from itertools import product
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from impslam.component import components
 from impslam.config import load
 from impslam.estimators.base import Estimator
 from impslam.evaluation.consistency import nees, pose_errors, resampled_means
@@ -61,18 +63,32 @@ class Standing(NamedTuple):
 
 def filter_table(job: Job) -> Section:
     """Run every filter on everything; `job.seeds` is the number of runs."""
-    runs = range(job.seeds or RUNS)
+    runs, filters = range(job.seeds or RUNS), installed()
     rows: list[Row] = []
     for data in SETTINGS:
-        work = list(product((*FILTERS, BATCH), runs))
+        work = list(product((*filters, BATCH), runs))
         rows += job.map(partial(_circle_row, data), work, data)
-    variants = [Variant(name, "imp", tuple(given)) for name, given in FILTERS.items()]
+    variants = [Variant(name, "imp", tuple(given)) for name, given in filters.items()]
     arena = sweep(variants, runs, measure=arena_row, job=job, stage=ARENA)
     rows += [{"data": ARENA, **row} for row in arena]
     standings = {data: standing(rows, data) for data in (*SETTINGS, ARENA)}
     text = "\n\n".join(filter(None, (TEXT["text"], failures(rows))))
     tables = [_table(data, found) for data, found in standings.items()]
     return Section("filters", TEXT["title"], text, tables, _pictures(standings), standings, rows)
+
+
+def installed() -> dict[str, Sequence[str]]:
+    """Return the filters whose libraries are installed."""
+    known = cast("dict[str, type[Estimator]]", components("estimator"))
+    libraries = {name: made.library for name, made in known.items()}
+    kinds = {
+        name: load("imp", [*KNOWN, *given]).estimator["kind"] for name, given in FILTERS.items()
+    }
+    return {
+        name: given
+        for name, given in FILTERS.items()
+        if not (library := libraries[kinds[name]]) or find_spec(library)
+    }
 
 
 def standing(rows: Iterable[Row], data: str) -> dict[str, Standing]:

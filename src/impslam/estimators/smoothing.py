@@ -1,0 +1,154 @@
+"""Smoothing: the whole path and all landmarks, by iSAM2 (Kaess et al. 2012).
+
+Matching and the life of landmarks are those of `landmarks`, part for part. What differs is the estimate:
+each motion and each match becomes a factor of a graph, which is linearised again where its variables
+have moved, the past included. A filter linearises once and cannot take it back. After each keyframe the
+filter is put where the graph has the newest pose and the landmarks, and there the next scan is matched,
+with the filter's covariance; what is reported at the end are the marginals of the graph's optimum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import PrivateAttr
+
+from impslam.component import parameter, register
+from impslam.errors import ConfigError, NumericalError
+from impslam.estimators.base import START_SIGMA, Draft, is_known
+from impslam.estimators.blur import blurred
+from impslam.estimators.landmarks import Landmarks
+from impslam.estimators.smoother import Estimate, Smoother
+from impslam.growing import GrowingArray
+from impslam.map import Keyframe, Map, Revision
+from impslam.types import Array, Landmark, Observation
+
+
+@register("smoothing")
+class Smoothing(Landmarks):
+    """The whole path and all landmarks as one graph, by iSAM2; needs the extra `graph`."""
+
+    takes_unique: ClassVar[bool] = False
+    library: ClassVar[str] = "gtsam"
+
+    relinearise: float = parameter(
+        0.1,
+        "m, rad",
+        "what has moved farther is linearised again; in the end all is, to the optimum",
+        gt=0,
+    )
+    _smoother: Smoother = PrivateAttr()
+    _nodes: list[int] = PrivateAttr(default_factory=list)
+    """The graph's pose of each keyframe: one of an unknown motion has that of the keyframe before."""
+    _spreads: GrowingArray = PrivateAttr()
+    _sizes: dict[int, int] = PrivateAttr(default_factory=dict)
+    _settled: Estimate | None = PrivateAttr(None)
+
+    def start(
+        self,
+        pose: Array,
+        known: Map | None = None,
+        frozen: bool = False,
+        hint: Array | None = None,
+        **parts: Any,
+    ) -> None:
+        """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
+        super().start(pose, known, frozen, hint, **parts)
+        if not self._filter.follows:
+            raise ConfigError(
+                f"estimator 'smoothing' cannot lead the filter {self._filter.name!r}; choose another "
+                "one with --set filter.kind=riekf"
+            )
+        self._smoother = Smoother(pose, START_SIGMA, self.relinearise)
+        self._nodes, self._sizes, self._settled = [], {}, None
+        self._spreads = GrowingArray(3, 3)
+
+    def add(self, keyframe: Keyframe) -> Revision:
+        """Process a keyframe; see `Estimator.add`."""
+        self._settled = None
+        revision = super().add(keyframe)
+        if is_known(keyframe.motion):
+            self._smoother.move(keyframe.motion.d_pose, keyframe.motion.covariance)
+        self._nodes.append(self._smoother.poses - 1)
+        if not revision.refused:
+            seen = blurred(keyframe.observations, keyframe.motion, self._models)
+            self._take(seen, revision)
+        moved = self._smoother.solve()
+        return self._told(keyframe, revision, everything=moved > 0)
+
+    def _add(self, keyframe: Keyframe) -> Revision:
+        for o in keyframe.observations:
+            shared = 0.0 if o.shared is None else np.outer(o.shared, o.shared)
+            if np.isfinite(o.R).all() and np.linalg.eigvalsh(o.R - shared)[0] <= 0.0:
+                raise NumericalError(f"the R of a {o.kind} is no covariance")
+        return super()._add(keyframe)
+
+    def _take(self, seen: tuple[Observation, ...], revision: Revision) -> None:
+        """Add the factors of what is seen, as it was matched."""
+        doubt = self._filter.doubt(revision.matches) if revision.matches else None
+        for i, match in enumerate(revision.matches):
+            times = 1.0 if doubt is None else float(doubt[i])
+            self._smoother.observe(match.landmark, seen[match.observation], times)
+        pose = self._filter.pose
+        for number, origin in zip(revision.born, revision.origins, strict=True):
+            model = self._models[seen[origin].kind]
+            self._smoother.begin(number, model, seen[origin], pose)
+            self._sizes[number] = model.dim
+        for number in revision.gone:
+            del self._sizes[number]
+
+    def _told(self, keyframe: Keyframe, revision: Revision, *, everything: bool) -> Revision:
+        """Return the revision with the poses of the graph, to which the filter is moved."""
+        pose, covariance = self._smoother.pose()
+        self._filter.follow(pose, {n: self._smoother.landmark(n) for n in self._sizes})
+        self._spreads.append(covariance)
+        if not everything:
+            return replace(revision, poses=pose[None], covariances=covariance[None])
+        poses = self._smoother.path()[self._nodes]
+        first = keyframe.id + 1 - len(poses)
+        ids = np.arange(first, keyframe.id + 1)
+        return replace(revision, ids=ids, poses=poses, covariances=self._spreads.array.copy())
+
+    def settle(self) -> Revision | None:
+        """Return all poses at the optimum, with their marginals; see `Estimator.settle`."""
+        if not self._nodes:
+            return None
+        ids = np.arange(len(self._nodes))
+        try:
+            self._settled = best = self._smoother.optimum()
+        except NumericalError as error:
+            told = self._smoother.path()[self._nodes], self._spreads.array.copy()
+            return Revision(ids, *told, refused=f"the map is not refined: {error}")
+        return Revision(ids, best.poses[self._nodes], best.covariances[self._nodes])
+
+    def landmarks(self) -> tuple[Landmark, ...]:
+        """Return the landmarks of the graph; after `settle`, with their marginals at the optimum."""
+        if self._settled is None:
+            return super().landmarks()
+        best, moved = self._settled.landmarks, self._filter.copied()
+        moved.follow(self._settled.poses[-1], {n: best[n][0] for n in self._sizes})
+        return tuple(self._with_marginal(mark, *best[mark.id]) for mark in moved.landmarks())
+
+    def _with_marginal(self, mark: Landmark, m: Array, P: Array) -> Landmark:
+        """Return a landmark of state (dim,) with the covariance (dim, dim) of that state."""
+        J = self._models[mark.kind].report(m).values_D_m
+        return replace(mark, covariance=J @ P @ J.T)
+
+    def draft(self) -> Draft:
+        """Return the estimate as it is now, as `landmarks` does; see `Estimator.draft`."""
+        landmarks, poses = super().landmarks(), self._smoother.path()[self._nodes]
+        spreads = self._spreads.array.copy()
+        told = Revision(np.arange(len(poses)), poses, spreads) if len(poses) else None
+        return Draft(lambda: told, lambda: landmarks)
+
+    def counts(self) -> Mapping[str, int]:
+        """Return the size of the graph."""
+        return {"poses in the graph": self._smoother.poses - 1}
+
+    @property
+    def state_size(self) -> int:
+        """Number of scalars that are estimated."""
+        return 3 * (self._smoother.poses - 1) + sum(self._sizes.values())

@@ -154,7 +154,7 @@ class Particles(Estimator):
             axes(self._poses, root(motion.covariance)),
         )
         if self.version == 1:
-            poses, roots = _moved(poses, roots, self._normals()), np.zeros_like(roots)
+            poses, roots = moved(poses, roots, self._normals()), np.zeros_like(roots)
         return Cloud(poses, roots, int(np.argmax(self._log_weights)))
 
     def _draw(self, pairs: Sequence[Pairs], cloud: Cloud) -> tuple[Array, Array]:
@@ -181,7 +181,7 @@ class Particles(Estimator):
         y = np.linalg.solve(L, vector[..., None])
         u = np.linalg.solve(L.swapaxes(1, 2), y + self._normals()[..., None])[..., 0]
         cost += 2.0 * np.log(np.einsum("pii->pi", L)).sum(1) - (y[..., 0] ** 2).sum(1)
-        return _moved(cloud.poses, cloud.roots, u), cost
+        return moved(cloud.poses, cloud.roots, u), cost
 
     def _correct(self, pairs: Pairs) -> None:
         """Correct the landmarks that particles have matched, from the poses drawn."""
@@ -313,7 +313,7 @@ class Particles(Estimator):
         return self._rng.standard_normal((self.particles, 3))
 
 
-def _moved(poses: Array, roots: Array, u: Array) -> Array:
+def moved(poses: Array, roots: Array, u: Array) -> Array:
     """Return poses (P, 3) moved by roots (P, 3, 3) times u (P, 3)."""
     moved: Array = poses + np.einsum("pij,pj->pi", roots, u)
     moved[:, 2] = wrap(moved[:, 2])

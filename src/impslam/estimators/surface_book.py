@@ -1,0 +1,107 @@
+"""The maps of all particles: tables of tiles that they share until one of them writes into a tile.
+
+A particle that survives twice shares the whole map with its twin. Where two that share a map go
+different ways, the table is copied (a number a tile) and, as either writes, the few tiles in sight.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from impslam.surfaces.features import Features
+from impslam.surfaces.tiles import Tiles, begin, copy, empty_tiles, enter, touched
+from impslam.types import Array, Ints
+
+MOST = 20.0  # points that a surfel averages over
+_POOL = 64  # tiles; the pool grows by doubling
+_SPARE = 4  # rows and columns of tiles that a table grows by
+
+
+class SurfaceBook:
+    """M maps of P particles.
+
+    Attributes
+    ----------
+    maps : (P,) the map of each particle
+    tables : (M, rows, columns) the tile of each place, -1 where there is none
+    origin : (2,) column and row of tiles where the tables begin
+    tiles, users : the pool, and by how many maps each of its tiles is used
+    """
+
+    def __init__(self, particles: int) -> None:
+        self.maps: Ints = np.zeros(particles, np.int64)
+        self.tables: Ints = np.full((1, 1, 1), -1)
+        self.origin: Ints = np.zeros(2, np.int64)
+        self.tiles: Tiles = empty_tiles(_POOL)
+        self.users: Ints = np.zeros(_POOL, np.int64)
+
+    @property
+    def used(self) -> int:
+        """Number of tiles that all maps have together."""
+        return int(np.count_nonzero(self.users))
+
+    def survive(self, parents: Ints) -> None:
+        """Let particles be those that they were (P,); maps that none has any more go."""
+        self.maps = self.maps[parents]
+        kept, self.maps = np.unique(self.maps, return_inverse=True)
+        self.tables = self.tables[kept]
+        self._count()
+
+    def add(self, features: Features, poses: Array, lines: Ints) -> None:
+        """Add a scan to all maps, at the particles' poses (P, 3).
+
+        Particles of one line (P,) have the same pose and the same map.
+        """
+        _, first, group = np.unique(lines, return_index=True, return_inverse=True)
+        tables = self.tables[self.maps[first]]  # a copy, one for each line
+        self.tables, self.maps = tables, group.astype(np.int64)
+        self._count()
+        for k, pose in enumerate(poses[first]):
+            self._write(k, features, pose)
+
+    def _write(self, k: int, features: Features, pose: Array) -> None:
+        places = touched(features, pose)
+        if not len(places):
+            return
+        self._cover(places)
+        columns, rows = (places - self.origin).T
+        known = self.tables[k, rows, columns]
+        shared = np.flatnonzero((known < 0) | (self.users[known] > 1))
+        free = self._free(len(shared))
+        for at, new in zip(shared.tolist(), free.tolist(), strict=True):
+            old = int(known[at])
+            if old < 0:
+                begin(self.tiles, new, *places[at].tolist())
+            else:
+                copy(self.tiles, old, self.tiles, new)
+                self.users[old] -= 1
+            self.users[new] = 1
+        known[shared] = free
+        self.tables[k, rows, columns] = known
+        enter(self.tiles, known, features, pose, MOST)
+
+    def _cover(self, places: Ints) -> None:
+        """Let the tables reach to some places (n, 2), column and row."""
+        low, high = places.min(0), places.max(0) + 1
+        shape = np.array(self.tables.shape[:0:-1])
+        before = np.where(low < self.origin, self.origin - low + _SPARE, 0)
+        after = np.where(high > self.origin + shape, high - self.origin - shape + _SPARE, 0)
+        if before.any() or after.any():
+            (left, below), (right, above) = before.tolist(), after.tolist()
+            pad = ((0, 0), (below, above), (left, right))
+            self.tables = np.pad(self.tables, pad, constant_values=-1)
+            self.origin = self.origin - before
+
+    def _count(self) -> None:
+        used = self.tables[self.tables >= 0]
+        self.users = np.bincount(used, minlength=len(self.users))
+
+    def _free(self, wanted: int) -> Ints:
+        free = np.flatnonzero(self.users == 0)
+        while len(free) < wanted:
+            old, grown = len(self.users), empty_tiles(2 * len(self.users))
+            for k in np.flatnonzero(self.users).tolist():
+                copy(self.tiles, k, grown, k)
+            self.tiles, self.users = grown, np.concatenate([self.users, np.zeros(old, np.int64)])
+            free = np.flatnonzero(self.users == 0)
+        return free[:wanted]

@@ -14,6 +14,7 @@ import time
 import pytest
 
 from impslam.cli import replay, robot
+from impslam.errors import ImpError
 from impslam.observers import trajectory
 
 ROBOT = """
@@ -40,6 +41,21 @@ def test_without_a_robot_it_says_how_to_name_one(imp):
     assert "-c robot.toml" in said.err
     assert "--virtual" in said.err
     assert said.err.count("\n") == 1
+
+
+def test_the_virtual_robot_is_as_its_options_say(monkeypatch):
+    process = pytest.importorskip("impslam.platform.virtual.process")
+    asked = {}
+
+    def virtual(world, seed, **options):
+        asked.update(world=world, seed=seed, **options)
+        raise ImpError("enough")
+
+    monkeypatch.setattr(process, "VirtualRobot", virtual)
+    chosen = robot.Simulated(virtual=True, world="room", seed=3, speed_control=True)
+    with pytest.raises(ImpError, match="enough"), robot.running_station(None, chosen, None):
+        pass
+    assert asked == {"world": "room", "seed": 3, "gps": False, "speed_control": True}
 
 
 def test_a_wrong_robot_file_is_told_in_one_line(imp, tmp_path):

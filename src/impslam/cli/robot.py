@@ -70,12 +70,15 @@ class Simulated:
         Seed of the virtual robot's noise.
     gps
         The virtual robot has a GNSS receiver, as under open sky.
+    speed_control
+        The virtual autopilot controls the speed of the wheels; else the motors turn as they are told.
     """
 
     virtual: Flag = False
     world: str = "arena"
     seed: int = 0
     gps: Flag = False
+    speed_control: Flag = False
 
 
 @app.default
@@ -218,9 +221,13 @@ def running_station(
             from impslam.platform.virtual.process import VirtualRobot  # needs the extra
             from impslam.platform.virtual.truth import TruthFollower
 
-            imp = stack.enter_context(
-                VirtualRobot(simulated.world, simulated.seed, gps=simulated.gps)
+            virtual = VirtualRobot(
+                simulated.world,
+                simulated.seed,
+                gps=simulated.gps,
+                speed_control=simulated.speed_control,
             )
+            imp = stack.enter_context(virtual)
             chosen = chosen.model_copy(update={"devices": imp.devices()})
             fault = imp.fault
         station = Station(

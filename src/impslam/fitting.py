@@ -1,4 +1,4 @@
-"""Fits a config to what its log says of the robot: where lasers are mounted, whether there is odometry."""
+"""Fits a config to what its log says of the robot: where its sensors are, whether there is odometry."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from impslam.config import Config, merge
 from impslam.errors import SourceError
 from impslam.robot import Robot
 from impslam.sources.base import Mount, Source
-from impslam.types import LaserScan, WheelAngles
+from impslam.types import LaserScan, SatelliteFix, WheelAngles
 
 LEVEL = math.radians(5.0)
 """rad: beyond it ranges to walls are more than 0.4 % too long, and beams from 0.2 m height meet the floor
@@ -45,7 +45,7 @@ def fitted(config: Config, source: Source, *, odometry_is_free: bool) -> Config:
         if _is_of(mount, table):
             held.append(stream)
     source.hold_mounts(held)
-    changes: dict[str, Any] = {"sensors": sensors}
+    changes: dict[str, Any] = {"sensors": sensors, "landmarks": _with_antenna(config, source)}
     if odometry_is_free and _lacks_odometry(config, source):
         changes["odometry"] = {"kind": "lidar_only"}
     return config.model_copy(update=changes)
@@ -73,7 +73,9 @@ def choices(config: Config, source: Source) -> str:
     for name, sensor in robot.sensors.items():
         if sensor.consumes is not LaserScan:
             read_as = sensor.stream or source.defaults().get(sensor.consumes)
-            parts.append(f"{name} {read_as or 'finds nothing in the log'}")
+            is_gnss = sensor.consumes is SatelliteFix and read_as
+            where = _antenna_words(config, _antenna(robot, source)) if is_gnss else ""
+            parts.append(f"{name} {read_as or 'finds nothing in the log'}{where}")
     stream = robot.odometry.stream or source.defaults().get(robot.odometry.consumes, "")
     if not robot.odometry.tells_motion:
         wheels = source.defaults().get(WheelAngles)
@@ -113,6 +115,33 @@ def _lasers(robot: Robot, source: Source) -> Iterator[tuple[str, str, Mount]]:
         stream = sensor.stream or source.defaults().get(LaserScan, "")
         if sensor.consumes is LaserScan and stream:
             yield name, stream, mounts.get(stream, Mount(None, origin="the log does not tell it"))
+
+
+def _antenna(robot: Robot, source: Source) -> Mount:
+    """Return where the log has the antenna whose fixes are read."""
+    for sensor in robot.sensors.values():
+        if sensor.consumes is SatelliteFix:
+            stream = sensor.stream or source.defaults().get(SatelliteFix, "")
+            return source.antennas().get(stream, Mount(None, origin="the log does not tell it"))
+    return Mount(None)
+
+
+def _with_antenna(config: Config, source: Source) -> dict[str, dict[str, Any]]:
+    """Return the parameters of landmark models, with the antenna where the log has it, if not given."""
+    found = _antenna(config.make_robot(), source).pose
+    if found is None or "antenna" in config.landmarks.get("gps", {}):
+        return config.landmarks
+    return merge({"gps": {"antenna": found[:2]}}, config.landmarks)
+
+
+def _antenna_words(config: Config, told: Mount) -> str:
+    given = config.landmarks.get("gps", {}).get("antenna")
+    if given is None:
+        return f" (antenna taken to be at base_link: {told.origin}; set landmarks.gps.antenna)"
+    (x, y), origin = given, "the config"
+    if told.pose is not None and (x, y) == told.pose[:2]:
+        origin = told.origin
+    return f" (antenna [{x:.3f} m, {y:.3f} m], {origin})"
 
 
 def _is_of(mount: Mount, table: dict[str, object]) -> bool:

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from tests.numeric import jacobian
 
-from impslam.component import components
+from impslam.component import build, components
 from impslam.geometry.se2 import compose, exp
 from impslam.landmarks.base import LandmarkModel
 from impslam.types import Observation
 
 MODELS = {name: cls() for name, cls in components("landmark").items()}
+MODELS["gps with its antenna ahead"] = build("landmark", {"kind": "gps", "antenna": [1.3, -0.4]})
 HEADINGS = [0.0, 0.4, math.pi / 2, 3.0, math.pi - 1e-9, -math.pi + 1e-9, -1.2, 5.9]
 
 

@@ -28,7 +28,7 @@ def refuse(pose_error, way=20.0, rng=None, sigma=0.5, scatter=None, count=30, ma
         z = transform(inverse(FRAME), true[None, :2])[0]
         z = z + (sigma if scatter is None else scatter) * rng.standard_normal(2)
         fix = Observation("gps", z, sigma**2 * np.eye(2))
-        found = refused.refuse(compose(pose_error, true), fix, frame(marks))
+        found = refused.refuse(compose(pose_error, true)[:2], fix, frame(marks))
         if found is not None:
             return found
     return None

@@ -25,7 +25,7 @@ T_MAP_EAST = np.array([40.0, -25.0, 2.3])
 SIGMA, TIME = 0.5, 240.0
 
 
-def drive(rng, outliers=False):
+def drive(rng, outliers=False, antenna=(0.0, 0.0)):
     """Return wheels that turn too far, fixes of the true way in a frame of its own, and the way."""
     times = np.arange(0.0, TIME, STEP)
     pose, poses, messages = np.zeros(3), [], []
@@ -33,7 +33,8 @@ def drive(rng, outliers=False):
         turn = TURN * math.sin(0.05 * time)
         messages.append(Velocity(time, SPEED, turn + DRIFT))
         if k % 10 == 5:
-            fix = transform(inverse(T_MAP_EAST), pose[:2]) + SIGMA * rng.standard_normal(2)
+            place = transform(pose, np.array(antenna))
+            fix = transform(inverse(T_MAP_EAST), place) + SIGMA * rng.standard_normal(2)
             if outliers and k % 50 == 5 and k > 300:
                 fix += 40.0
             messages.append(Fix(time, fix, np.full((2, 2), math.nan)))
@@ -66,6 +67,19 @@ def test_fixes_bound_the_error_of_wheels_that_drift(outliers, rng):
     assert found[-1] < 1.5
     assert np.median(found) < 1.5
     assert frame.observations > 180
+
+
+def test_an_antenna_elsewhere_on_the_robot_is_taken_into_account(rng):
+    """Ten times as far as the noise of the mean: taken for base_link the path is a lever too long."""
+    antenna = (4.0, -3.0)
+    messages, truth = drive(rng, antenna=antenna)
+    off = {}
+    for where in (antenna, (0.0, 0.0)):
+        rows, frame = mapped(messages, f"landmarks.gps.antenna={list(where)}")
+        found = errors(rows, truth, np.array([*frame.position, frame.parameters["yaw"]]))
+        off[where] = np.median(found)
+    assert off[antenna] < 1.5
+    assert off[(0.0, 0.0)] > 2.5
 
 
 def test_estimators_that_cannot_use_it_say_so_at_once():

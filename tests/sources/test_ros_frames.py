@@ -106,6 +106,27 @@ def test_a_mount_in_the_config_is_not_watched(entries, tmp_path):
     assert said in choices(config, source)
 
 
+@pytest.mark.parametrize("frame", ["roof", "nowhere"])
+def test_the_antenna_of_a_receiver_is_where_transforms_say(entries, tmp_path, frame):
+    status = T.new("sensor_msgs/msg/NavSatStatus", 0, 1)
+    header = T.header(STAMP + 0.5, frame)
+    fix = T.new("sensor_msgs/msg/NavSatFix", header, status, 52.0, 13.0, 40.0, np.zeros(9), 0)
+    roof = ("base_link", "roof", [-0.4, 0.2, 1.1], [0, 0, 1.0])
+    log = bag(tmp_path, [*entries, (0.5, "/fix", fix)], links(*URDF, roof))
+    asked = ["sensors.gps.kind=navsat", "estimator.kind=landmarks"]
+    config, source = open_log(log, None, asked)
+    antenna = config.make_models()["gps"].antenna
+    if frame == "nowhere":
+        assert antenna == (0.0, 0.0)
+        assert "gps /fix (antenna taken to be at base_link: no transform" in choices(config, source)
+        return
+    assert antenna == (-0.4, 0.2)
+    assert "(antenna [-0.400 m, 0.200 m], /tf_static: base" in choices(config, source)
+    config, source = open_log(log, None, [*asked, "landmarks.gps.antenna=[1.0, 0.0]"])
+    assert config.make_models()["gps"].antenna == (1.0, 0.0)
+    assert "(antenna [1.000 m, 0.000 m], the config)" in choices(config, source)
+
+
 def test_what_holds_at_the_first_scan_counts(entries, tmp_path):
     before = ("base_link", "laser", [0.5, 0.5, 0.1], ZERO)
     early = [(-1.0, T.links(STAMP, [URDF[0], before])), (-0.5, T.links(STAMP, URDF))]
@@ -234,7 +255,7 @@ def test_scans_without_a_frame_are_said(entries, tmp_path):
         if entry[1] == "/scan":
             entry[2].header.frame_id = ""
     try:
-        assert "its scans name no frame" in read(bag(tmp_path, entries, links(*URDF)))[2]
+        assert "its messages name no frame" in read(bag(tmp_path, entries, links(*URDF)))[2]
     finally:
         for entry in entries:
             if entry[1] == "/scan":

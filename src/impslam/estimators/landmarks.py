@@ -127,7 +127,9 @@ class Landmarks(Estimator):
                 self._refused.accept()
                 continue
             frame = next(mark for mark in self._filter.landmarks() if mark.kind == fix.kind)
-            found = self._refused.refuse(self._filter.pose, fix, frame)
+            # A frame that lies as map does, and in which the fix is 0, begins at the antenna.
+            antenna = self._models[fix.kind].invert(self._filter.pose, np.zeros((1, 2)))[0, :2]
+            found = self._refused.refuse(antenna, fix, frame)
             if found is None:
                 continue
             if found.frame_is_wrong:

@@ -2,7 +2,7 @@
 
 A covariance that is too small makes the gate refuse every fix for ever. Reflections change with the
 place, so refused fixes that agree with the driven way over many standard deviations are right. They agree
-if a rigid motion takes them onto the places where the filter had the robot:
+if a rigid motion takes them onto the places where the filter had the antenna:
 
     p_i = t + R(phi) z_i + e_i,    sum e_i^T (R(phi) R_i R(phi)^T)^-1 e_i < chi2(2 n - 3),
 
@@ -30,7 +30,7 @@ SURE = 0.99  # quantile within which they agree
 
 
 class _Refused(NamedTuple):
-    place: Array  # (2,) where the filter had base_link
+    place: Array  # (2,) where the filter had the antenna
     z: Array
     R: Array
 
@@ -52,9 +52,9 @@ class RefusedFixes:
         """Forget them: a fix was used."""
         self._fixes.clear()
 
-    def refuse(self, pose: Array, fix: Observation, frame: Landmark) -> PoseError | None:
-        """Take a fix that was refused at a pose (3,); return the pose's error once they agree."""
-        self._fixes.append(_Refused(pose[:2].copy(), fix.z, fix.R))
+    def refuse(self, antenna: Array, fix: Observation, frame: Landmark) -> PoseError | None:
+        """Take a fix refused with the antenna at (2,) in map; return the pose's error once they agree."""
+        self._fixes.append(_Refused(antenna.copy(), fix.z, fix.R))
         while len(self._fixes) > LEAST and _spans(self._fixes[1:]):
             del self._fixes[0]
         if len(self._fixes) < LEAST or not _spans(self._fixes):

@@ -1,9 +1,9 @@
 """The frame of a GPS as a landmark: where east and north lie in map.
 
 State m = [x, y, yaw] in map, perturbed by addition: the pose of the local east-north frame. A fix is the
-place of base_link in that frame,
+place of the antenna in that frame,
 
-    z = R(yaw)^T (t - [x, y])    for the pose [t, theta].
+    z = R(yaw)^T (t + R(theta) a - [x, y])    for the pose [t, theta] and the antenna at a on base_link.
 
 So a fix corrects the pose through what earlier fixes have told of the frame, with all correlations, and
 the map's origin stays where the run began. One fix does not tell the yaw: the course over ground does,
@@ -16,8 +16,9 @@ import math
 from typing import ClassVar
 
 import numpy as np
+from pydantic import FiniteFloat
 
-from impslam.component import register
+from impslam.component import parameter, register
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import rotation
 from impslam.landmarks.base import COURSE, COURSE_SIGMA, Initial, LandmarkModel
@@ -36,15 +37,20 @@ class GpsFrame(LandmarkModel):
     unique: ClassVar[bool] = True
     values: ClassVar[tuple[str, ...]] = ("yaw",)
 
+    antenna: tuple[FiniteFloat, FiniteFloat] = parameter(
+        (0.0, 0.0), "m", "place [x, y] of the antenna on base_link"
+    )
+
     def observe(self, pose: Array, m: Array) -> Array:
-        """Return the place of base_link in the frames; see `LandmarkModel.observe`."""
-        dx, dy = (pose[..., None, i] - m[..., i] for i in range(2))
+        """Return the place of the antenna in the frames; see `LandmarkModel.observe`."""
+        antenna = self._antenna(pose)
+        dx, dy = (antenna[..., None, i] - m[..., i] for i in range(2))
         c, s = np.cos(m[..., 2]), np.sin(m[..., 2])
         return np.stack([c * dx + s * dy, c * dy - s * dx], axis=-1)
 
     def invert(self, pose: Array, z: Array) -> Array:
         """Return frames that lie as map does."""
-        place = pose[..., None, :2] - z
+        place = self._antenna(pose)[..., None, :] - z
         return np.concatenate([place, np.zeros((*place.shape[:-1], 1))], axis=-1)
 
     def outline(self, m: Array, extents: Array) -> Array:
@@ -58,10 +64,12 @@ class GpsFrame(LandmarkModel):
         yaw = wrap(float(pose[2]) - known.get(COURSE, float(pose[2])))
         R = rotation(yaw)
         turned = -_QUARTER @ R @ observation.z  # of the place, as the yaw changes
-        m_D_pose = np.column_stack([np.eye(3)[:, :2], [*turned, 1.0]])
+        antenna = self._antenna(pose)
+        swung = turned + _QUARTER @ (antenna - pose[:2])  # and as the heading does
+        m_D_pose = np.column_stack([np.eye(3)[:, :2], [*swung, 1.0]])
         m_D_z = np.vstack([-R, np.zeros(2)])
         open_ = np.array([*turned, 1.0]) * known.get(COURSE_SIGMA, UNKNOWN)
-        m = np.array([*(pose[:2] - R @ observation.z), yaw])
+        m = np.array([*(antenna - R @ observation.z), yaw])
         return Initial(m, m_D_pose, m_D_z, np.outer(open_, open_))
 
     def difference(self, m: Array, other: Array) -> Array:
@@ -76,3 +84,9 @@ class GpsFrame(LandmarkModel):
         out[:, [0, 1, 2], [0, 1, 2]] = 1.0
         out[:, 0, 2], out[:, 1, 2] = -m[:, 1], m[:, 0]
         return out
+
+    def _antenna(self, pose: Array) -> Array:
+        """Return the places (..., 2) of the antenna in map, for poses (..., 3)."""
+        if self.antenna == (0.0, 0.0):
+            return pose[..., :2]
+        return np.asarray(pose[..., :2] + rotation(pose[..., 2]) @ np.array(self.antenna))

@@ -19,7 +19,7 @@ FAR = 10.0  # standard deviations: two fixes so far apart tell the course to 0.1
 
 @register("gps")
 class Gps(Sensor):
-    """A GPS whose antenna is at base_link."""
+    """A GPS; where its antenna is on the robot, `landmarks.gps.antenna` says."""
 
     consumes: ClassVar[type[Message]] = Fix
     tells_unique: ClassVar[bool] = True

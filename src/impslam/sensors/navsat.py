@@ -1,6 +1,6 @@
 """A satellite receiver: latitude and longitude, taken as metres east and north of its first fix.
 
-The antenna is taken to be at base_link. Fixes correct the pose as those of `sensors.gps` do.
+Fixes correct the pose as those of `sensors.gps` do.
 """
 
 from __future__ import annotations

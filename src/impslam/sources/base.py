@@ -42,7 +42,7 @@ class Stream:
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """The mount of a laser according to a log.
+    """The mount of a laser, or of an antenna, according to a log.
 
     Attributes
     ----------
@@ -165,6 +165,13 @@ class Source(Component):
 
     def mounts(self) -> Mapping[str, Mount]:
         """Return the mounts of the lasers according to the log, by the stream of their scans.
+
+        Ask while the source is open, or has been.
+        """
+        return {}
+
+    def antennas(self) -> Mapping[str, Mount]:
+        """Return where the antennas of GNSS receivers are, by the stream of their fixes.
 
         Ask while the source is open, or has been.
         """

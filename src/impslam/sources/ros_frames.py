@@ -58,11 +58,12 @@ class Frames:
 
     Attributes
     ----------
-    lasers : frame of each topic of scans
+    lasers, receivers : frame of each topic of scans, and of fixes of a GNSS receiver
     """
 
     def __init__(self, path: Path, bag: Bag, problems: Problems) -> None:
         self.lasers: dict[str, str] = {}
+        self.receivers: dict[str, str] = {}
         self._path, self._problems = path, problems
         self._tree, self._sources = FrameTree(), dict[str, str]()
         self._bad: dict[str, str] = {}
@@ -80,6 +81,9 @@ class Frames:
             if connection.msgtype in TYPES["truth"] and not is_truth(connection.topic):
                 for message, _ in first_message(bag, connection):
                     self._children[connection.topic] = _plain(message.child_frame_id)
+            elif connection.msgtype in TYPES["fix"]:
+                for message, _ in first_message(bag, connection):
+                    self.receivers[connection.topic] = _plain(message.header.frame_id)
         static = [c for c in publishers if _is_static(c)]
         moving = [c for c in publishers if not _is_static(c)]
         for connection, time, message in _decoded(bag, static):
@@ -151,10 +155,19 @@ class Frames:
 
         The child frame of odometry is base; `odometry` is its topic, `edge` the transform that may be it.
         """
+        return self._mounts_of(self.lasers, odometry, edge)
+
+    def antennas(self, odometry: str, edge: Edge | None) -> dict[str, Mount]:
+        """Return the mount of the antenna of each topic of fixes; see `mounts`."""
+        return self._mounts_of(self.receivers, odometry, edge)
+
+    def _mounts_of(
+        self, frames: Mapping[str, str], odometry: str, edge: Edge | None
+    ) -> dict[str, Mount]:
         base = self._children.get(odometry, "")
         if edge is not None and odometry == edge.topic:
             base = _plain(edge.child)
-        return {topic: self._mount(frame, base) for topic, frame in self.lasers.items()}
+        return {topic: self._mount(frame, base) for topic, frame in frames.items()}
 
     def watch(self, mounts: Mapping[str, Mount], topics: Collection[str]) -> MountWatch:
         """Return what tells when the mount of one of these topics of scans changes."""
@@ -212,7 +225,7 @@ class Frames:
             return self._bad[top]
         bases = self._named(BASES)
         if not frame:
-            return "its scans name no frame"
+            return "its messages name no frame"
         if not links:
             return f"no transform tells where {frame} is"
         return f"{frame} leads up to {top}, not to {bases[0] if bases else 'base_link'}"

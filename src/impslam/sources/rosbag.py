@@ -70,6 +70,7 @@ class RosBag(Source):
     _frames: Frames | None = PrivateAttr(default=None)
     _edge: Edge | None = PrivateAttr(default=None)  # the transform that may be odometry
     _mounts: dict[str, Mount] = PrivateAttr(default_factory=dict)
+    _antennas: dict[str, Mount] = PrivateAttr(default_factory=dict)
     _idle: set[str] = PrivateAttr(default_factory=set)  # transforms and joints that tell no motion
     _held: tuple[str, ...] = PrivateAttr(default=())
     _preset: str | None = PrivateAttr(default=None)  # None: not looked for yet
@@ -87,7 +88,8 @@ class RosBag(Source):
             counts = self._usable(self._bag, frames)
             self._defaults = choose(self.path, self.topics, counts)
             self._uses = choose_wanted(self.wanted, counts) | self._defaults
-            self._mounts = frames.mounts(self._default("odometry"), self._edge)
+            where = self._default("odometry"), self._edge
+            self._mounts, self._antennas = frames.mounts(*where), frames.antennas(*where)
             if self._preset is None:
                 self._preset = self._recorded_preset(self._bag)
         except BaseException:
@@ -122,6 +124,10 @@ class RosBag(Source):
     def mounts(self) -> Mapping[str, Mount]:
         """Return where TF mounts the lasers, by the topic of their scans."""
         return self._mounts
+
+    def antennas(self) -> Mapping[str, Mount]:
+        """Return where TF mounts the antennas of GNSS receivers, by the topic of their fixes."""
+        return self._antennas
 
     def hold_mounts(self, streams: Collection[str]) -> None:
         """Drop scans of these topics while TF moves their laser on the robot."""

@@ -148,6 +148,11 @@ class Robot:
         return len(self._queue)
 
     @property
+    def gyro_turns(self) -> bool:
+        """Whether a gyro tells how far the robot turns, and not the wheels."""
+        return self._streams.gyro is not None and self._gyro.trusted
+
+    @property
     def elapsed(self) -> float:
         """Duration of the log so far in s, corrected for clocks that were set."""
         return self._clocks.elapsed

@@ -24,6 +24,7 @@ from impslam.columns import Batch, Motions, Sweeps, batches
 from impslam.config import Config
 from impslam.continuing import Continuation, Known, begin_with, logs_of
 from impslam.diagnosis.diagnose import first_health
+from impslam.diagnosis.odometry_watch import OdometryWatch
 from impslam.errors import SourceError, in_a_line
 from impslam.estimators.base import Draft
 from impslam.geometry.se2 import compose, compose_uncertain
@@ -137,8 +138,9 @@ class Run:
         health: Standing = SOUND,
     ) -> None:
         self.config, self._health = config, HealthMonitor(health)
-        self._observers = [self._health, *observers]
         self.robot, self.tracker = config.make_robot(), config.make_tracker()
+        self._watch = OdometryWatch(self.robot)
+        self._observers = [self._health, self._watch, *observers]
         if begin is None:
             self.estimator, self._builder = config.make_estimator(), MapBuilder()
         else:
@@ -218,6 +220,11 @@ class Run:
     def scans(self) -> int:
         """Number of sweeps used so far, without those of a map that the run began with."""
         return len(self._builder) - self._repeated
+
+    @property
+    def odometry_notice(self) -> str:
+        """One line that says by how much odometry's lengths are not those of the config; else ""."""
+        return self._watch.notice
 
     @property
     def odometry(self) -> Array:
@@ -380,6 +387,7 @@ class Run:
         """Return the facts of the run so far; `problems` are those of other parts, e.g. the source."""
         numbers = {"steps": self.scans, "landmarks": landmarks, **self.estimator.counts()}
         parts = (*problems, self.robot.problems, self.tracker.problems, self.problems)
+        parts += (self._watch.problems,)
         return Outcome(
             log=log,
             log_sha256=sha256,

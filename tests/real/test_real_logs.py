@@ -1,6 +1,7 @@
 """The real logs against what is known of them. Figures were measured on 2026-11-21."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -53,6 +54,11 @@ def test_turtlebot3_does_not_use_the_truth(waffle):
     assert seen.outcome.counts["OdometryPose"] > 2000
 
 
+def test_turtlebot3_wheels_slip_and_are_not_doubted(waffle):
+    seen, _ = waffle
+    assert "odometry off" not in seen.outcome.dropped
+
+
 # --------------------------------------------------------------------------- LEGO robot
 
 
@@ -69,6 +75,16 @@ def test_lego_path_is_within_eight_centimetres(robot4):
     assert load("lego-robot4").odometry["track"] == 0.155  # nominal, not fitted
     assert scored.path.rmse < 0.08  # measured 0.048
     assert scored.wheels.rmse > 5 * scored.path.rmse
+
+
+def test_lego_says_that_its_track_is_wider_than_the_nominal_one(robot4):
+    seen, _ = robot4
+    said = seen.outcome.dropped[
+        "odometry off"
+    ].example  # 19.6 +- 2.7 %; by the reference path 13.5 %
+    assert re.match(
+        r"the track is (1\d|20)\.\d ± [23]\.\d % wider than configured: run `imp calibrate`", said
+    )
 
 
 # --------------------------------------------------------------------------- Mines rover

@@ -180,7 +180,7 @@ def show_facts(facts: Mapping[str, str]) -> None:
         say(f"{name:<{width}}  {value}")
 
 
-COPED_WITH = frozenset({"gap", "backward stamp", "repeated stamp"})
+COPED_WITH = frozenset({"gap", "backward stamp", "repeated stamp", "odometry off"})
 """Kinds of problems with a log that do a run no harm."""
 
 

@@ -379,6 +379,18 @@ def test_a_slow_computer_drops_whole_scans_and_stays_near(room, caplog):
     assert len(told) == 1  # of 40, within 10 s
 
 
+def test_odometry_that_is_off_is_shown_and_logged_once(room, caplog, monkeypatch):
+    monkeypatch.setattr(module.Run, "odometry_notice", "the track is 9 % wider than configured")
+    mapper = live(load("imp"))
+    with caplog.at_level(logging.WARNING, "impslam"):
+        mapper.start()
+        hand(mapper, room[:60])
+        drain(mapper)
+    assert mapper.status().detail == "the track is 9 % wider than configured"
+    mapper.stop()
+    assert len([r for r in caplog.records if "wider than configured" in r.message]) == 1
+
+
 def test_the_map_begins_when_the_estimator_is_ready(room):
     """What was felt before that does not make its origin uncertain."""
     compiled, view = threading.Event(), LiveView()

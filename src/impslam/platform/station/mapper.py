@@ -166,6 +166,7 @@ class _Mapping:
         self._compiled, self._ended, self._failure = False, False, ""
         self._progress = self._news = float("-inf")  # monotonic
         self._told = self._order = 0
+        self._noticed = False
         self._stepped = self._carried = time.monotonic()
         self._newest = self._latency = float("nan")
         self.thread = threading.Thread(target=self._work, name="mapper", daemon=True)
@@ -218,7 +219,7 @@ class _Mapping:
             inbox.waiting,
             now() - self._newest,
             self._latency,
-            self._failure or self._of_late() or self._without_motion(),
+            self._failure or self._of_late() or self._without_motion() or run.odometry_notice,
             run.robot.problems.counts.get("scan", 0),
             *(("", False) if self.going_on is None else self.going_on.told),
             placed=self._view.snapshot().placed,
@@ -256,6 +257,7 @@ class _Mapping:
                 self._next()
                 self._carry()
                 self._tell_dropped()
+                self._tell_notice()
         except ImpError as error:
             self._fail(str(error))
         except Exception as error:  # the robot goes on without a map
@@ -309,3 +311,9 @@ class _Mapping:
         if dropped > self._told and moment - self._news >= NEWS:
             log.warning("%s", self._dropped())
             self._told, self._news = dropped, moment
+
+    def _tell_notice(self) -> None:
+        """Log once that odometry's lengths are not those of the config."""
+        if self.run.odometry_notice and not self._noticed:
+            log.warning("%s", self.run.odometry_notice)
+            self._noticed = True

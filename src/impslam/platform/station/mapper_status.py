@@ -21,7 +21,7 @@ class MapperStatus:
     waiting : scans that wait to be mapped
     behind : s since the newest mapped scan arrived, NaN before the first; one sweep when all is well
     latency : s from the newest mapped scan's arrival to its being mapped, NaN before the first
-    detail : one line: why it failed, what was dropped; "" where all is well
+    detail : one line: why it failed, what was dropped, by how much odometry is off; "" where all is well
     refused : scans that could not be used: without beams
     name, frozen : the map that is gone on with, or only localised in; "" for a new one
     placed : whether it is known where in the map the robot is

@@ -1,0 +1,140 @@
+"""Odometry whose lengths are wrong is noticed while the robot drives, by how much, and nothing else is."""
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from impslam.component import build
+from impslam.diagnosis.odometry_watch import OdometryWatch
+from impslam.geometry.se2 import compose
+from impslam.map import Keyframe, Revision
+from impslam.odometry.kernels import wheel_motions
+from impslam.types import Increment
+
+RADIUS, TRACK = 0.05, 0.30
+WHEELS = {"kind": "encoders", "wheel_radius": RADIUS, "track": TRACK}
+STEP = 0.5  # s between keyframes
+ERROR = np.array([0.01, 0.01, 0.008])  # m, m, rad: what an estimate in a map is off by
+ADVICE = ": run `imp calibrate` on a log of this robot"
+
+
+def watch(odometry, gyro_turns=False):
+    return OdometryWatch(
+        SimpleNamespace(odometry=build("odometry", odometry), gyro_turns=gyro_turns)
+    )
+
+
+def drive(seed, true=(RADIUS, RADIUS, TRACK), minutes=5.0, told=None, slip=0.0):
+    """Return poses (n, 3) of a drive, as estimated and as odometry tells.
+
+    `true` are the radii of the left and the right wheel, and the track; `told` maps the true motions (n, 3)
+    to those of odometry, in place of wheels.
+    """
+    rng = np.random.default_rng(seed)
+    n = int(60.0 * minutes / STEP)
+    speeds = np.repeat(rng.uniform(-0.2, 0.6, (n // 10 + 1, 2)), 10, axis=0)[:n] * STEP
+    left, right = speeds.T * (1.0 + 0.01 * rng.standard_normal((2, n)))
+    moved, _ = wheel_motions(left, right, true[2], 0.0)
+    spun = np.where(rng.random((2, n)) < slip, 0.3, 0.0)
+    turns = left / true[0] * RADIUS + spun[0], right / true[1] * RADIUS + spun[1]
+    gone = wheel_motions(*turns, TRACK, 0.0)[0] if told is None else told(moved)
+    gone = gone * (1.0 + 0.02 * rng.standard_normal((n, 1)))
+    return chained(moved) + ERROR * rng.standard_normal((n, 3)), chained(gone)
+
+
+def chained(steps):
+    poses = [np.zeros(3)]
+    for step in steps[:-1]:
+        poses.append(compose(poses[-1], step))
+    return np.array(poses)
+
+
+def follow(watched, estimated, told, located=True):
+    """Show the poses to a watch; return what it says."""
+    still = np.zeros(3), np.zeros((3, 3))
+    for k, (pose, odometry) in enumerate(zip(estimated, told, strict=True)):
+        motion = Increment(STEP * k, np.zeros(3), np.zeros((3, 3)), STEP)
+        frame = Keyframe(k, STEP * k, motion, odometry, *still, None, 0, located=located)
+        watched.revise(frame, Revision(np.array([k]), pose[None], np.zeros((1, 3, 3))), None)
+    return watched.notice
+
+
+@pytest.mark.parametrize(
+    ("true", "words", "percent"),
+    [
+        ((0.97 * RADIUS, 0.97 * RADIUS, TRACK), "the wheels' radius is .* smaller", 3.0),
+        ((1.05 * RADIUS, 1.05 * RADIUS, TRACK), "the wheels' radius is .* larger", 5.0),
+        ((RADIUS, RADIUS, 1.1 * TRACK), "the track is .* wider", 10.0),
+        ((RADIUS, RADIUS, 0.94 * TRACK), "the track is .* narrower", 6.0),
+        ((1.012 * RADIUS, 0.988 * RADIUS, TRACK), "the right wheel is .* smaller", 2.4),
+        (
+            (0.96 * RADIUS, 0.96 * RADIUS, 0.96 * TRACK),
+            "the wheels' radius and the track are .* smaller than configured, or the lidar's",
+            4.0,
+        ),
+    ],
+)
+def test_a_wrong_length_is_told_with_its_size(true, words, percent):
+    notice = follow(watch(WHEELS), *drive(1, true))
+    assert re.match(words, notice)
+    assert notice.endswith(ADVICE)
+    assert ";" not in notice
+    size, sigma = map(float, re.search(r"([\d.]+) ± ([\d.]+) %", notice).groups())
+    assert abs(size - percent) < 4.0 * sigma
+    assert sigma < 0.2 * percent
+
+
+@pytest.mark.parametrize("slip", [0.0, 0.02])
+def test_sound_wheels_are_never_doubted(slip):
+    """One in fifty motions may be a wheel that spins: 0.3 m in half a second."""
+    for seed in range(30):
+        assert follow(watch(WHEELS), *drive(seed, minutes=3.0, slip=slip)) == ""
+
+
+def test_odometry_that_follows_itself_tells_nothing():
+    """Dead reckoning in place of an estimate agrees with odometry, whatever the wheels are."""
+    _, told = drive(2, (0.9 * RADIUS, 0.9 * RADIUS, TRACK))
+    assert follow(watch(WHEELS), told, told) == ""
+    assert (
+        follow(watch(WHEELS), *drive(2, (0.9 * RADIUS, 0.9 * RADIUS, TRACK)), located=False) == ""
+    )
+
+
+def test_wheels_that_wear_are_noticed_and_the_size_follows():
+    watched, seen = watch(WHEELS), []
+    estimated, told = (np.array([[0.0, 0.0, 0.0]]) for _ in range(2))
+    for share in (1.0, 0.96):
+        more = drive(3, (share * RADIUS, share * RADIUS, TRACK), minutes=15.0)
+        estimated, told = (
+            np.array([compose(old[-1], p) for p in new])
+            for old, new in zip((estimated, told), more, strict=True)
+        )
+        seen.append(follow(watched, estimated, told))
+    assert seen[0] == ""
+    size, sigma = map(
+        float, re.search(r"radius is ([\d.]+) ± ([\d.]+) % smaller", seen[1]).groups()
+    )
+    assert abs(size - 4.0) < 4.0 * sigma
+    assert watched.problems.examples == {"odometry off": seen[1]}
+
+
+def test_a_gyro_tells_the_turns_and_nothing_of_the_track():
+    turned_well = drive(4, told=lambda moved: moved * (1.06, 1.06, 1.0))
+    notice = follow(watch(WHEELS, gyro_turns=True), *turned_well)
+    assert re.match(r"the wheels' radius is [56]\.\d ± .* % smaller", notice)
+    assert "track" not in notice
+
+
+def test_odometry_without_wheels_has_scales():
+    def told(moved):
+        return moved * (0.95, 0.95, 1.08)
+
+    notice = follow(watch({"kind": "odometry_pose"}), *drive(5, told=told))
+    assert re.match(
+        r"odometry's ways are [45]\.\d ± .* % shorter than those of the scans; ", notice
+    )
+    assert re.search(r"; odometry's turns are [78]\.\d ± .* % larger", notice)
+    sound = drive(6, told=lambda moved: moved)
+    assert follow(watch({"kind": "odometry_pose"}), *sound) == ""

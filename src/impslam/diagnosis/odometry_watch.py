@@ -36,7 +36,7 @@ MOVED = 0.02
 """m or rad, the least of a stretch that tells anything."""
 NEWEST = 200
 """Stretches that are compared: ten minutes of driving."""
-FEWEST, MORE = 16, 0.1
+FEWEST, MORE = 16, 0.2
 """Stretches before the first comparison, and the share of new ones from which on another is worth it."""
 EXCITED = 3.0
 """m^2 or rad^2, the least sum of squares that tells a scale: errors of the estimate, 1 cm and 0.5 degrees

@@ -132,9 +132,12 @@ def test_odometry_without_wheels_has_scales():
         return moved * (0.95, 0.95, 1.08)
 
     notice = follow(watch({"kind": "odometry_pose"}), *drive(5, told=told))
-    assert re.match(
-        r"odometry's ways are [45]\.\d ± .* % shorter than those of the scans; ", notice
-    )
+    assert re.match(r"odometry's ways are [45]\.\d ± .* % shorter than those of the map; ", notice)
     assert re.search(r"; odometry's turns are [78]\.\d ± .* % larger", notice)
+    assert notice.endswith(ADVICE)
+    car = {"kind": "ackermann", "wheelbase": 2.8}
+    assert follow(watch(car), *drive(5, told=told)).endswith(
+        ": check the lengths and angles that odometry is told"
+    )
     sound = drive(6, told=lambda moved: moved)
     assert follow(watch({"kind": "odometry_pose"}), *sound) == ""

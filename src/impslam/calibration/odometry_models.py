@@ -144,6 +144,11 @@ class ScaledTwists:
         return zero, zero
 
 
+def is_calibrated(odometry: Odometry) -> bool:
+    """Tell whether `model_of` knows this kind of odometry."""
+    return isinstance(odometry, Encoders | OdometryPoses | Velocities)
+
+
 def model_of(odometry: Odometry, readings: Columns) -> OdometryModel:
     """Return the model of an odometry for its readings (at least two) on one time line.
 

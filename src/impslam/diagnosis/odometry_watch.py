@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.calibration.odometry_models import is_calibrated
 from impslam.diagnosis.agreement import Agreement, agreement
 from impslam.geometry.se2 import between, compose, log
 from impslam.health import SLIPPED
@@ -143,7 +144,13 @@ class OdometryWatch(Observer):
         if agreed.way.p[0] < 0.5:  # no length, but another way to be wrong: `imp inspect` tells it
             return ""
         found = "; ".join(self._findings(agreed, turn=bool(turn) and not self._robot.gyro_turns))
-        return f"{found}: run `imp calibrate` on a log of this robot" if found else ""
+        return f"{found}: {self._advice}" if found else ""
+
+    @property
+    def _advice(self) -> str:
+        if is_calibrated(self._robot.odometry):
+            return "run `imp calibrate` on a log of this robot"
+        return "check the lengths and angles that odometry is told"
 
     def _findings(self, agreed: Agreement, *, turn: bool) -> Iterator[str]:
         odometry = self._robot.odometry
@@ -185,9 +192,9 @@ def _of_poses(agreed: Agreement, *, turn: bool) -> Iterator[str]:
     a, c, d = _parameters(agreed)
     ways, turns = a._replace(value=a.value - 1.0), d._replace(value=d.value - 1.0)
     if ways.is_clear:
-        yield f"odometry's ways are {ways.words('shorter', 'longer')} than those of the scans"
+        yield f"odometry's ways are {ways.words('shorter', 'longer')} than those of the map"
     if turn and turns.is_clear:
-        yield f"odometry's turns are {turns.words('smaller', 'larger')} than those of the scans"
+        yield f"odometry's turns are {turns.words('smaller', 'larger')} than those of the map"
     if turn and c.is_beyond(PULL):
         pull = f"{c.value:+.3f} ± {max(c.sigma, 1e-3):.3f} rad"
         yield f"odometry turns by {pull} per metre of straight way"

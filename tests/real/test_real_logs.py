@@ -81,9 +81,9 @@ def test_lego_says_that_its_track_is_wider_than_the_nominal_one(robot4):
     seen, _ = robot4
     said = seen.outcome.dropped[
         "odometry off"
-    ].example  # 19.6 +- 2.7 %; by the reference path 13.5 %
+    ].example  # 19.6 +- 3.9 %; by the reference path 13.5 %
     assert re.match(
-        r"the track is (1\d|20)\.\d ± [23]\.\d % wider than configured: run `imp calibrate`", said
+        r"the track is (1\d|20)\.\d ± [2-4]\.\d % wider than configured: run `imp calibrate`", said
     )
 
 

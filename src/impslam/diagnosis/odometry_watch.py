@@ -43,11 +43,11 @@ EXCITED = 3.0
 """m^2 or rad^2, the least sum of squares that tells a scale: errors of the estimate, 1 cm and 0.5 degrees
 a stretch, make it less than 0.7 % too small then (regression dilution)."""
 CARRIERS = 6.0
-"""Stretches that a scale rests on at least (Kish's effective number, 1965): a fit passes through the
-longest one of a few, which leaves no residual to tell how sure it is."""
-LEAST, SIGMAS = 0.01, 5.0
+"""Stretches that a scale rests on at least (Kish's effective number, 1965): what is off in one of a few,
+such as a scan that is stamped late, would pass for a scale."""
+LEAST, SIGMAS = 0.01, 4.0
 """Share of a length that counts, a ruler tells no less; and how many standard deviations beyond it are
-needed: a run makes hundreds of comparisons."""
+needed: ten minutes of driving make some tens of comparisons."""
 PULL = 0.025
 """rad/m of turn that nobody has asked for: wheels 0.4 m apart that differ by 1 %."""
 RANGES = 3.0

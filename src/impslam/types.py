@@ -422,8 +422,7 @@ class Innovation(NamedTuple):
     log_det: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Match:
+class Match(NamedTuple):
     """An observation taken for a landmark: innovation (k,), its covariance S (k, k), and d^2."""
 
     observation: int

@@ -11,7 +11,7 @@ from impslam.component import components
 from impslam.filters.ekf import Ekf
 from impslam.types import Increment, Observation
 
-FAMILY = sorted(name for name, cls in components("filter").items() if issubclass(cls, Ekf))
+FAMILY = sorted(name for name, cls in components("filter").items() if cls.considers_shared_errors)
 BIAS = 0.06  # m: three times the noise of a cylinder
 
 

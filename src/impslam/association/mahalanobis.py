@@ -4,15 +4,34 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from impslam.association.assignment import collect, one_to_one
 from impslam.association.base import Assignment, Association, Hypotheses, Joint
 from impslam.component import parameter, register
 from impslam.geometry.chi_square import quantile
-from impslam.types import Mask, Observation
+from impslam.geometry.kernels import kernel
+from impslam.types import Array, Ints, Mask, Observation
 
 _DOUBT = 2.0 * math.log(
     10.0
 )  # between even odds and ten to one against, an observation stays unused
+
+
+@kernel
+def _judged(
+    distance2: Array, log_det: Array, possible: Mask, gates: tuple[float, float], odds: float
+) -> tuple[Ints, Array, Mask]:
+    """Return the pairs (p,) to choose from, the costs (k,) of all, and which (k,) leave nothing new."""
+    cost, near = distance2 + log_det + odds, np.zeros(len(possible), np.bool_)
+    pairs, count = np.empty(len(cost), np.int64), 0
+    for k in range(len(cost)):
+        if possible[k]:
+            near[k] = distance2[k] < gates[1] and cost[k] < _DOUBT
+            if distance2[k] < gates[0] and cost[k] < 0.0:
+                pairs[count] = k
+                count += 1
+    return pairs[:count], cost, near
 
 
 @register("mahalanobis")
@@ -57,10 +76,9 @@ class Mahalanobis(Association):
         dim = group.innovation.shape[-1]
         # -2 log of the odds that this is the landmark, against that it is another like it.
         odds = dim * math.log(2.0 * math.pi) + 2.0 * math.log(self.density)
-        distance2, cost = group.distance2, group.distance2 + group.log_det + odds
-        allowed = (distance2 < quantile(self.gate, dim)) & group.possible
-        allowed &= (cost < 0.0) | group.unique
-        near = (distance2 < quantile(self.new_gate, dim)) & group.possible & (cost < _DOUBT)
-        pairs = allowed.nonzero()[0]
+        gates = quantile(self.gate, dim), quantile(self.new_gate, dim)
+        pairs, cost, near = _judged(group.distance2, group.log_det, group.possible, gates, odds)
+        if group.unique:
+            pairs = ((group.distance2 < gates[0]) & group.possible).nonzero()[0]
         best = one_to_one(group.observations[pairs], group.landmarks[pairs], cost[pairs])
         return pairs[best].tolist(), near

@@ -255,7 +255,7 @@ class MultipleHypotheses(Estimator):
                 if h.shown[i] == name
             )
             if share >= self.agreement:
-                told.append(replace(match, observation=i, landmark=name))
+                told.append(match._replace(observation=i, landmark=name))
         return tuple(told)
 
     def landmarks(self) -> tuple[Landmark, ...]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -150,7 +149,7 @@ def associate(
             pairs.append(Pairs(sight, particles[mine], row_of[which[mine]], slots))
             for n in np.flatnonzero(particles[mine] == cloud.best).tolist():
                 number, match = int(sight.book.ids[slots[n]]), chosen.matches[mine[n]]
-                best.append(replace(match, observation=int(which[mine[n]]), landmark=number))
+                best.append(match._replace(observation=int(which[mine[n]]), landmark=number))
     best.sort(key=attrgetter("observation"))
     shape = count, asked
     return Choice(pairs, matched.reshape(shape), new.reshape(shape), tuple(best))

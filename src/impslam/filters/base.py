@@ -33,6 +33,8 @@ class Filter(Component):
     role: ClassVar[str] = "filter"
     follows: ClassVar[bool] = False
     """Whether its mean can be put where another estimate has it; see `follow`."""
+    considers_shared_errors: ClassVar[bool] = False
+    """Whether `Observation.shared` is one error of its sensor; else it is taken for new each time."""
 
     def fresh(self) -> Self:
         """Return a new filter with these parameters, not started."""
@@ -145,7 +147,10 @@ class Filter(Component):
 
     @abstractmethod
     def outlines(self) -> tuple[Ints, Array]:
-        """Return the ids (k,) of all landmarks and their visible ends (k, 2, 2) in map."""
+        """Return the ids (k,) of landmarks and their visible ends (k, 2, 2) in map.
+
+        Of all, or at least of those that may be in view.
+        """
 
     @abstractmethod
     def landmarks(self) -> tuple[Landmark, ...]:

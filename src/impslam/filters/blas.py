@@ -29,12 +29,12 @@ def subtract_product(P: Array, n: int, L: Array, R: Array) -> None:
     P (size, size) is in Fortran order, L and R (k, size) in C order; what lies above the diagonal is
     overwritten here and there.
     """
-    size, k = len(P), len(L)
+    k, size = L.shape
     assert P.flags.f_contiguous
     assert L.flags.c_contiguous
     assert R.flags.c_contiguous
     assert P.shape == (size, size)
-    assert L.shape == R.shape == (k, size)
+    assert R.shape == (k, size)
     dgemm, integers = _dgemm(), (ctypes.c_int * 4)(n, _PANEL, k, size)
     numbers = (ctypes.c_double * 2)(-1.0, 1.0)
     rows = ctypes.addressof(integers)

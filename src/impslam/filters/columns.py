@@ -9,8 +9,6 @@ import numpy as np
 
 from impslam.types import Array, Ints, Observation
 
-_NOWHERE = np.zeros((2, 2))
-
 
 class Columns(NamedTuple):
     """The k observations of one kind.
@@ -37,10 +35,10 @@ class Columns(NamedTuple):
         some, k = [observations[i] for i in indices], len(indices)
         z = np.concatenate([o.z for o in some]).reshape(k, -1)
         R = np.concatenate([o.R for o in some]).reshape(*z.shape, -1)
-        sensors, shared = ["" if o.shared is None else o.sensor for o in some], np.zeros_like(z)
+        sensors, shared = [""] * k, np.zeros(z.shape)
         for row, o in enumerate(some):
             if o.shared is not None:
-                shared[row] = o.shared
+                shared[row], sensors[row] = o.shared, o.sensor
         return cls(np.array(indices), z, R, end_points(some), shared, sensors)
 
 
@@ -57,10 +55,11 @@ NONE = Columns(
 
 def end_points(observations: Sequence[Observation]) -> Array:
     """Return where in base_link observations begin and end (k, 2, 2), m; 0 for those of points."""
-    if all(o.end_points is None for o in observations):
-        return np.zeros((len(observations), 2, 2))
-    ends = [_NOWHERE if o.end_points is None else o.end_points for o in observations]
-    return np.concatenate(ends).reshape(-1, 2, 2)
+    out = np.zeros((len(observations), 2, 2))
+    for row, o in enumerate(observations):
+        if o.end_points is not None:
+            out[row] = o.end_points
+    return out
 
 
 class ScanColumns:

@@ -9,6 +9,7 @@ linearised again about its own result, Gauss-Newton on the posterior (Bell & Cat
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
@@ -35,7 +36,7 @@ class Ekf(GaussianFilter):
     """The textbook EKF over pose and landmarks, written for speed."""
 
     follows: ClassVar[bool] = True
-
+    considers_shared_errors: ClassVar[bool] = True
     iterations: int = parameter(
         1, "1", "linearisations of a correction, each about the last result (1: textbook EKF)", ge=1
     )
@@ -108,11 +109,11 @@ class Ekf(GaussianFilter):
         step = np.zeros(len(scene.entries))
         for _ in range(self.iterations):
             rows, innovation = self._linearise(scene, pose, states)
-            U, y, moved, sound = solve(rows, belief.P, scene.entries, innovation, step)
-            if not sound:
+            U, y, moved, log_det = solve(rows, belief.P, scene.entries, innovation, step)
+            if math.isnan(log_det):
                 raise NumericalError(INDEFINITE)
             if told is None and doubt is None:
-                told = Innovation(float(y @ y), len(y), 2.0 * float(np.log(np.diag(U)).sum()))
+                told = Innovation(float(y @ y), len(y), log_det)
             turned, step = abs(moved[2] - step[2]), moved
             if turned < self.tolerance:
                 break

@@ -134,8 +134,10 @@ def factorise(S: Array) -> bool:
 @kernel
 def solve(
     rows: Rows, P: Array, entries: Ints, innovation: Array, before: Array
-) -> tuple[Array, Array, Array, bool]:
-    """Return U of S = U^T U, y = U^-T (nu + H d), the step (q,) = P H^T U^-1 y, and if there is one.
+) -> tuple[Array, Array, Array, float]:
+    """Return U of S = U^T U, y = U^-T (nu + H d), the step (q,) = P H^T U^-1 y, and log det S.
+
+    The latter is NaN where there is no U.
 
     d = `before` (q,) is the step at whose end H and nu were taken (Gauss-Newton); zero at first.
     """
@@ -143,8 +145,10 @@ def solve(
     y, step = innovation + _seen(rows, before), np.zeros(HP.shape[1])
     count = len(U)
     if not factorise(U):
-        return U, y, step, False
+        return U, y, step, np.nan
+    log_det = 0.0
     for r in range(count):
+        log_det += 2.0 * math.log(U[r, r])
         y[r] /= U[r, r]
         for b in range(r + 1, count):
             y[b] -= U[r, b] * y[r]
@@ -155,7 +159,7 @@ def solve(
         v[r] /= U[r, r]
         for i in range(len(step)):
             step[i] += v[r] * HP[r, i]
-    return U, y, step, True
+    return U, y, step, log_det
 
 
 @kernel

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.errors import ConfigError
-from impslam.filters.belief import Belief
+from impslam.filters.belief import HasBlocks
 from impslam.filters.columns import NONE, Columns, ScanColumns, end_points
 from impslam.landmarks.base import LandmarkModel
 from impslam.types import Array, Ints, Landmark, Match, Observation
@@ -49,6 +49,15 @@ class Table:
         self.extents = np.vstack([self.extents, extent])
         self.counts = np.append(self.counts, 1)
         self.stamps = np.vstack([self.stamps, [stamp, stamp]])
+
+    def fill(
+        self, ids: Ints, offsets: Ints, labels: Ints, extents: Array, counts: Ints, stamps: Array
+    ) -> None:
+        """Hold these landmarks, ids ascending, and no others; averages of others are kept."""
+        self.places = {number: place for place, number in enumerate(ids.tolist())}
+        self.ids, self.labels, self.extents = ids, labels, extents
+        self.counts, self.stamps = counts, stamps
+        self.move(offsets)
 
     def average(self, place: int, attributes: Mapping[str, float]) -> None:
         """Take what was measured beside z into a landmark's averages; it is counted already."""
@@ -155,6 +164,21 @@ class Atlas:
         table.attributes[number] = dict(observation.attributes)
         return number
 
+    def clear(self) -> None:
+        """Hold no landmark; averages are kept."""
+        self._paired = (), []
+        none = np.empty(0, np.int64)
+        for table in self._tables.values():
+            table.fill(none, none, none, np.empty((0, 2)), none, np.empty((0, 2)))
+
+    def forget(self, ids: Sequence[int]) -> None:
+        """Strike landmarks out; the state keeps their entries."""
+        gone, self._paired = set(ids), ((), [])
+        for table in self._tables.values():
+            leaving = [k for k, number in enumerate(table.ids.tolist()) if number in gone]
+            if leaving:
+                table.strike(leaving)
+
     def remove(self, ids: Sequence[int], n: int) -> Ints:
         """Strike landmarks out of a state of n scalars; return the indices that stay, sorted."""
         gone, self._paired = set(ids), ((), [])
@@ -199,7 +223,7 @@ class Atlas:
         ends = [table.model.outline(table.states(mean), table.extents) for table in tables]
         return np.concatenate([table.ids for table in tables]), np.concatenate(ends)
 
-    def landmarks(self, belief: Belief) -> tuple[Landmark, ...]:
+    def landmarks(self, belief: HasBlocks) -> tuple[Landmark, ...]:
         """Return the map in the form users read, by id."""
         found = []
         for kind, table in self._tables.items():

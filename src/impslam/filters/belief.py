@@ -119,6 +119,17 @@ def _drive(mean: Array, P: Array, n: int, d: Array, Q: Array) -> None:
     mean[2] = wrap_in_kernel(mean[2] + d[2])
 
 
+class HasBlocks(Protocol):
+    """What a report of landmarks asks for."""
+
+    @property
+    def mean(self) -> Array:
+        """The state (n,)."""
+
+    def block(self, offset: int, dim: int) -> Array:
+        """Return a landmark's own covariance (dim, dim)."""
+
+
 class Belief(Protocol):
     """What is asked of any Gaussian over [pose, landmark, landmark, ...]."""
 
@@ -153,6 +164,15 @@ class GaussianBelief:
         self.P = np.zeros((_BLOCK + _ODD, _BLOCK + _ODD), order="F")
         self.mean[:POSE] = pose
         self.P[:POSE, :POSE] = covariance
+
+    @classmethod
+    def of(cls, mean: Array, P: Array) -> GaussianBelief:
+        """Return that of a mean (n,) and its covariance (n, n)."""
+        belief = cls(mean[:POSE], P[:POSE, :POSE])
+        belief._reserve(len(mean))
+        belief.n, belief.mean[: len(mean)] = len(mean), mean
+        belief.P[: len(mean), : len(mean)] = P
+        return belief
 
     @property
     def covariance(self) -> Array:

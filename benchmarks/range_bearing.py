@@ -4,9 +4,10 @@
     python benchmarks/range_bearing.py --data FOLDER --filters ekf,fej,riekf mrclam6 mrclam7
 
 One row for each robot, filter and association. Path and map are moved together to where the path fits
-the truth best. A landmark is judged against the one whose label most of its observations carry, so
-that neighbours that are mixed up do not count as found; wrong associations are observations of another
-label than that. With association other than `known` the program does not use labels.
+the truth best. A landmark is judged against the one whose label most of its observations carry, so that
+neighbours that are mixed up do not count as found, or, where no match of it is told, against the nearest;
+wrong associations are observations of another label than that. With association other than `known` the
+program does not use labels.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import itertools
 import math
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -140,8 +141,8 @@ def score(seen: Labelled, truth: Sequence[TrueLandmark]) -> Row:
         scored = score_path(record, true, "fit", 1.0)
         path, consistency, T = scored.aligned.rmse, scored.consistency, scored.T_truth_map
         odometry = ate(associate(seen.wheels, true)).rmse
-    best, doubles = _judged(seen)
     places = {mark.name: mark.position for mark in truth}
+    best, doubles = _judged(seen, places, T)
     known = [(best[name].position, places[name]) for name in places if name in best]
     ours, theirs = (np.array(column) for column in zip(*known, strict=True))
     if T is None:
@@ -155,10 +156,21 @@ def score(seen: Labelled, truth: Sequence[TrueLandmark]) -> Row:
     return Row(path, odometry, consistency, rms, *counts, *used)
 
 
-def _judged(seen: Labelled) -> tuple[dict[str, Landmark], int]:
-    """Return the landmark most often seen under each label, and how many others have one, too."""
-    labelled = [(mark, seen.label(mark)) for mark in seen.landmarks]
-    named = [(mark, str(label)) for mark, label in labelled if label is not None]
+def _judged(
+    seen: Labelled, places: Mapping[str, Array], T: Array | None
+) -> tuple[dict[str, Landmark], int]:
+    """Return the landmark most often seen under each label, and how many others have one, too.
+
+    Where no label is known and T, `T_truth_map`, is, the nearest of the true places gives it.
+    """
+    named: list[tuple[Landmark, str]] = []
+    for mark in seen.landmarks:
+        label = seen.label(mark)
+        if label is not None:
+            named.append((mark, str(label)))
+        elif T is not None:
+            here = transform(T, mark.position[None])[0]
+            named.append((mark, min(places, key=lambda name: math.dist(here, places[name]))))
     best = {name: mark for mark, name in sorted(named, key=lambda pair: pair[0].observations)}
     return best, len(named) - len(best)
 

@@ -97,6 +97,28 @@ def test_hypotheses_that_have_become_the_same_are_one():
     assert kept[1] < 15
 
 
+def test_what_makes_no_difference_is_not_told_either():
+    """Halfway between twins the odds are even, and either match leaves the same belief."""
+    made = started(same=1.0, density=1e-9)
+    near = ((3.0, 0.0), (3.0, 0.03))
+    for k in range(20):
+        told = made.add(keyframe(k, [point(ORIGIN, place) for place in near]))
+    assert len(told.matches) == 2
+    told = made.add(keyframe(20, [point(ORIGIN, (3.0, 0.015))]))
+    assert told.matches == ()
+
+
+def test_what_a_scan_shows_is_judged_by_its_own_noise():
+    """Errors that repeat make a correction weak, and do not make a scan any less sharp."""
+    made = started()
+    made._hypotheses[0].filter = Ekf(repeats=100.0)
+    made._hypotheses[0].filter.start(ORIGIN, 1e-8 * np.eye(3), MODELS)
+    for k in range(3):
+        told = made.add(keyframe(k, [point(ORIGIN, (3.0, 0.0)), point(ORIGIN, (3.0, 0.2))]))
+    told = made.add(keyframe(3, [point(ORIGIN, (3.0, 0.2))]))
+    assert {m.observation: m.landmark for m in told.matches} == {0: 1}
+
+
 def test_without_labels_a_drive_is_mapped_as_with_them():
     rng, made, labels = np.random.default_rng(2), started(), []
     for k, (pose, motion) in enumerate(drive(40, rng)):
@@ -120,6 +142,8 @@ def test_densities_are_those_of_the_noise_that_corrects():
     assert belief.log_densities(seen, [match]) == pytest.approx([normal.logpdf(nu)])
     heavy = Ekf(tails=4.0, repeats=8.0).log_densities(seen, [match])
     assert heavy == pytest.approx([multivariate_t(np.zeros(2), S + 7.0 * R, df=4).logpdf(nu)])
+    alone = Ekf(tails=4.0, repeats=8.0).log_densities(seen, [match], alone=True)
+    assert alone == pytest.approx([multivariate_t(np.zeros(2), S, df=4).logpdf(nu)])
 
 
 def test_a_copy_goes_on_by_itself_and_is_told_apart_once_it_differs():

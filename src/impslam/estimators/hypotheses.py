@@ -8,8 +8,11 @@ beliefs have become the same are one, with the sum of their weights, so that amb
 longer matter use none of the limited number.
 
 The pose is that of the likeliest hypothesis; when another one becomes it, the keyframes on which they
-differ are revised. A covariance is that of the mixture: it includes the uncertainty of the association. A
-match is told once hypotheses of nearly all weight agree on it.
+differ are revised. A covariance is that of the mixture: it includes the uncertainty of the association.
+
+A match is told if hypotheses of nearly all weight agree on it, before any become one: beliefs become the
+same, too, where it makes no difference which landmark was seen. A scan is judged by its own noise there:
+errors that repeat (`repeats` of the filter) weaken corrections and weights, not what one scan can tell.
 
 Landmarks are numbered by the observation that began them, so that hypotheses can be compared.
 
@@ -60,6 +63,7 @@ class Hypothesis:
     names : ids of landmarks by those that the filter gave them
     shown : of the newest scan's observations so far, the landmarks (ids) they are
     matches : those of them that were known before
+    sharper : how much log_weight grows where the newest scan counts with its own noise
     """
 
     filter: Filter
@@ -68,19 +72,25 @@ class Hypothesis:
     past: Past | None = None
     shown: list[int] = field(default_factory=list)
     matches: dict[int, Match] = field(default_factory=dict)
+    sharper: float = 0.0
 
     def copy(self) -> Hypothesis:
         """Return one that goes on by itself."""
         names, shown, matches = dict(self.names), list(self.shown), dict(self.matches)
-        return Hypothesis(self.filter.copied(), self.log_weight, names, self.past, shown, matches)
+        own = {"filter": self.filter.copied(), "names": names, "shown": shown, "matches": matches}
+        return replace(self, **own)
 
 
 class Branch(NamedTuple):
-    """How a hypothesis may go on: log weight, and the match; None: the observation is new."""
+    """How a hypothesis may go on: log weight, and the match; None: the observation is new.
+
+    `sharper` is how much the log weight grows where the observation counts with its own noise.
+    """
 
     log_weight: float
     of: Hypothesis
-    match: Match | None
+    match: Match | None = None
+    sharper: float = 0.0
 
 
 @register("hypotheses")
@@ -117,6 +127,7 @@ class MultipleHypotheses(Estimator):
     _hypotheses: list[Hypothesis] = PrivateAttr()
     _told: dict[int, Past] = PrivateAttr(default_factory=dict)
     _observations: int = PrivateAttr(default=0)
+    _sure: tuple[Match, ...] = PrivateAttr(default=())
 
     def start(
         self,
@@ -153,7 +164,7 @@ class MultipleHypotheses(Estimator):
     def _move(self, motion: Increment) -> None:
         for hypothesis in self._hypotheses:
             hypothesis.filter.predict(motion)
-            hypothesis.shown, hypothesis.matches = [], {}
+            hypothesis.shown, hypothesis.matches, hypothesis.sharper = [], {}, 0.0
 
     def _see(self, observations: tuple[Observation, ...], stamp: float) -> None:
         for observation in observations:
@@ -166,6 +177,7 @@ class MultipleHypotheses(Estimator):
                 for branch, own in zip(kept, _owned(kept), strict=True)
             ]
             self._observations += 1
+        self._sure = self._agreed()
         self._merge()
 
     def _branches(self, of: Hypothesis, observation: Observation) -> Iterator[Branch]:
@@ -174,16 +186,18 @@ class MultipleHypotheses(Estimator):
         for group in of.filter.hypothesise(seen, lambda dof: quantile(self.gate, dof)):
             pairs = np.flatnonzero(group.possible).tolist()
             matches += [m for m in group.matches(pairs) if of.names[m.landmark] not in of.shown]
-        densities = of.filter.log_densities(seen, matches) if matches else ()
-        yield Branch(of.log_weight + math.log(self.density), of, None)
-        for match, log_density in zip(matches, densities, strict=True):
-            yield Branch(of.log_weight + float(log_density), of, match)
+        yield Branch(of.log_weight + math.log(self.density), of)
+        if matches:
+            densities = of.filter.log_densities(seen, matches)
+            alone = of.filter.log_densities(seen, matches, alone=True) - densities
+            for match, density, sharper in zip(matches, densities, alone, strict=True):
+                yield Branch(of.log_weight + float(density), of, match, float(sharper))
 
     def _grown(
         self, branch: Branch, own: Hypothesis, observation: Observation, stamp: float
     ) -> Hypothesis:
         """Take an observation into a hypothesis that is the branch's alone."""
-        own.log_weight = branch.log_weight
+        own.log_weight, own.sharper = branch.log_weight, own.sharper + branch.sharper
         if branch.match is None:
             (number,) = own.filter.extend((observation,), stamp)
             own.names[number] = self._observations
@@ -212,9 +226,7 @@ class MultipleHypotheses(Estimator):
         self._hypotheses = sorted(kept, key=lambda h: -h.log_weight)
 
     def _weights(self) -> Array:
-        weights = np.exp([h.log_weight for h in self._hypotheses])
-        normalised: Array = weights / weights.sum()
-        return normalised
+        return _normalised([h.log_weight for h in self._hypotheses])
 
     def _revision(self, keyframe: Keyframe, refused: str) -> Revision:
         """Return the keyframes on which the likeliest hypothesis differs from what was told."""
@@ -231,7 +243,7 @@ class MultipleHypotheses(Estimator):
             np.array([p.keyframe for p in changed]),
             np.array([p.pose for p in changed]),
             covariances,
-            matches=() if refused else self._agreed(),
+            matches=() if refused else self._sure,
             refused=refused,
         )
 
@@ -246,17 +258,14 @@ class MultipleHypotheses(Estimator):
 
     def _agreed(self) -> tuple[Match, ...]:
         """Return the newest scan's matches on which hypotheses of nearly all weight agree."""
-        best, weights, told = self._hypotheses[0], self._weights(), []
-        for i, match in best.matches.items():
-            name = best.names[match.landmark]
-            share = sum(
-                weight
-                for weight, h in zip(weights, self._hypotheses, strict=True)
-                if h.shown[i] == name
-            )
+        weights = _normalised([h.log_weight + h.sharper for h in self._hypotheses])
+        likeliest, agreed = self._hypotheses[int(weights.argmax())], []
+        for i, match in likeliest.matches.items():
+            name = likeliest.names[match.landmark]
+            share = weights @ [h.shown[i] == name for h in self._hypotheses]
             if share >= self.agreement:
-                told.append(match._replace(observation=i, landmark=name))
-        return tuple(told)
+                agreed.append(match._replace(observation=i, landmark=name))
+        return tuple(agreed)
 
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the landmarks of the likeliest hypothesis in the form users read."""
@@ -268,6 +277,12 @@ class MultipleHypotheses(Estimator):
     def state_size(self) -> int:
         """Number of scalars in the belief of the likeliest hypothesis."""
         return self._hypotheses[0].filter.state_size
+
+
+def _normalised(log_weights: list[float]) -> Array:
+    """Return the weights, with a sum of 1."""
+    weights = np.exp(np.array(log_weights) - max(log_weights))
+    return np.asarray(weights / weights.sum())
 
 
 def _owned(branches: list[Branch]) -> list[Hypothesis]:

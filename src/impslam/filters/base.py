@@ -52,9 +52,15 @@ class Filter(Component):
         del other, share
         return False
 
-    def log_densities(self, observations: Sequence[Observation], matches: Sequence[Match]) -> Array:
-        """Return the log density (matches,) of each match's innovation, with the noise of `correct`."""
-        del observations
+    def log_densities(
+        self, observations: Sequence[Observation], matches: Sequence[Match], *, alone: bool = False
+    ) -> Array:
+        """Return the log density (matches,) of each match's innovation, with the noise of `correct`.
+
+        With `alone` the noise is that of one observation, even if a correction takes it larger because
+        errors repeat.
+        """
+        del observations, alone
         return np.array([log_normal(match.distance2, match.S) for match in matches])
 
     def doubt(self, matches: Sequence[Match]) -> Array | None:

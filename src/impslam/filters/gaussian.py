@@ -58,12 +58,16 @@ class GaussianFilter(Filter):
         """Keep the books of the matched landmarks."""
         self._atlas.note(self.pose, self._belief.mean, observations, matches, stamp)
 
-    def log_densities(self, observations: Sequence[Observation], matches: Sequence[Match]) -> Array:
+    def log_densities(
+        self, observations: Sequence[Observation], matches: Sequence[Match], *, alone: bool = False
+    ) -> Array:
         """Return those of Student's t with `tails`, else of the Gaussian; R counts `repeats` times."""
-        return np.array([self._log_density(observations, match) for match in matches])
+        more = 0.0 if alone else self.repeats - 1.0
+        noises = (more * observations[match.observation].R for match in matches)
+        return np.array([self._log_density(*pair) for pair in zip(matches, noises, strict=True)])
 
-    def _log_density(self, observations: Sequence[Observation], match: Match) -> float:
-        S, k = match.S + (self.repeats - 1.0) * observations[match.observation].R, len(match.S)
+    def _log_density(self, match: Match, more: Array) -> float:
+        S, k = match.S + more, len(match.S)
         distance2 = float(match.innovation @ np.linalg.solve(S, match.innovation))
         if not self.tails:
             return log_normal(distance2, S)

@@ -124,7 +124,7 @@ def test_points_and_walls_vote_together():
     )
     pose = np.array([-0.5, 0.0, 0.0])
     seen = (point(pose, posts[0]), wall(pose, ends))
-    assert pairs(belief.associate(seen[:1], Mahalanobis(density=1e-6))) == {0: 1}
+    assert pairs(belief.associate(seen[:1], Mahalanobis(density=1e-6, odds=1.0))) == {0: 1}
     assert pairs(belief.associate(seen, Jcbb())) == {0: 0, 1: 2}
 
 
@@ -174,7 +174,7 @@ def test_the_joint_covariance_is_that_of_the_dense_formula():
 def test_a_search_cut_short_still_returns_compatible_pairs(budget):
     for seed in range(10):
         belief, seen, _ = random_scene(seed, landmarks=20, seen=12)
-        choice = belief.associate(seen, Jcbb(budget=budget))
+        choice = belief.associate(seen, Jcbb(budget=budget, odds=1.0))
         assert choice.matches
         innovation, S = belief.joint(seen, choice.matches)
         d2 = innovation @ np.linalg.solve(S, innovation)

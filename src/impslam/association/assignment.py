@@ -1,8 +1,14 @@
-"""One-to-one choice among costs, shared by the associations."""
+"""One-to-one choice among costs, shared by the associations, and the odds of what is chosen.
+
+Costs are -2 log of odds, as squared Mahalanobis distances are. Which of two landmarks was seen is a
+decision under uncertainty: where the next best choice is nearly as likely, a wrong match costs more than
+an observation less, and it is best not to decide (Chow 1970, IEEE Trans. Information Theory 16(1)).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from operator import attrgetter
 
 import numpy as np
@@ -13,20 +19,38 @@ from impslam.types import Array, Ints, Mask, Match, Observation
 
 linear_sum_assignment = load("scipy.optimize._lsap", "scipy.optimize").linear_sum_assignment
 _FORBIDDEN = 1e9
+ODDS = 10.0
+"""A wrong match costs as much as so many observations that are not used."""
 
 
-def one_to_one(rows: Ints, columns: Ints, cost: Array) -> list[int]:
-    """Return which pairs (row, column) to take: each row and column once, as many as possible.
+def log_odds(odds: float) -> float:
+    """Return what odds are worth as a cost."""
+    return 2.0 * math.log(odds)
 
-    Of as many, those of least total cost; pairs that are not listed are not allowed.
+
+def decided(
+    rows: Ints, columns: Ints, cost: Array, least: float, in_pieces: bool = False
+) -> list[int]:
+    """Return which pairs (row, column) to take: those of the least total cost that are beyond doubt.
+
+    Each row and column is taken once at most; pairs that are not listed are not allowed. Costs are against
+    that of leaving a row alone. A pair is beyond doubt if the least total cost without it is greater by
+    `least`. With `in_pieces` several rows may show one column: that another row does is no alternative.
     """
-    wanted = list(zip(rows.tolist(), columns.tolist(), strict=True))
-    a, k = {row for row, _ in wanted}, {column for _, column in wanted}
-    if len(a) == len(k) == len(wanted):  # nobody competes
-        return list(range(len(wanted)))
     chosen: list[int] = []
-    for pairs in _competitions(wanted):
-        chosen += pairs if len(pairs) == 1 else _solve([wanted[p] for p in pairs], pairs, cost)
+    for pairs in _competitions(list(zip(rows.tolist(), columns.tolist(), strict=True))):
+        if len(pairs) == 1:
+            chosen += pairs if cost[pairs[0]] <= -least else []
+            continue
+        wanted = {p: (int(rows[p]), int(columns[p])) for p in pairs}
+        best = _solve(wanted, cost)
+        total = sum(cost[p] for p in best)
+        for p in best:
+            column = wanted[p][1]
+            rivals = [q for q in pairs if q != p and not (in_pieces and wanted[q][1] == column)]
+            others = _solve({q: wanted[q] for q in rivals}, cost)
+            if sum(cost[q] for q in others) - total >= least:
+                chosen.append(p)
     return sorted(chosen)
 
 
@@ -49,16 +73,30 @@ def _leader(leader: list[int], p: int) -> int:
     return p
 
 
-def _solve(wanted: list[tuple[int, int]], pairs: list[int], cost: Array) -> list[int]:
+def _solve(wanted: Mapping[int, tuple[int, int]], cost: Array) -> list[int]:
+    """Return the pairs, numbered as their costs, of the least total cost; a row may be left alone."""
+    if len(wanted) < 2:
+        return [p for p in wanted if cost[p] < 0.0]
     in_a, in_k = (
         {key: i for i, key in enumerate(sorted(keys))}
-        for keys in map(set, zip(*wanted, strict=True))
+        for keys in map(set, zip(*wanted.values(), strict=True))
     )
-    table = np.full((len(in_a), len(in_k)), _FORBIDDEN)
-    place = {(in_a[row], in_k[column]): p for p, (row, column) in zip(pairs, wanted, strict=True)}
-    table[tuple(zip(*place, strict=True))] = cost[pairs]
+    table = np.full((len(in_a), len(in_k) + len(in_a)), _FORBIDDEN)
+    table[:, len(in_k) :] = 0.0
+    place = {(in_a[row], in_k[column]): p for p, (row, column) in wanted.items()}
+    table[tuple(zip(*place, strict=True))] = cost[list(place.values())]
     chosen = zip(*(side.tolist() for side in linear_sum_assignment(table)), strict=True)
     return [place[pair] for pair in chosen if pair in place]
+
+
+def unseen(group: Hypotheses, chosen: Sequence[int]) -> Mask:
+    """Tell of which pairs (p,) the landmark can still be what is seen: it is in none of those chosen.
+
+    Kinds that are seen in pieces always can.
+    """
+    if group.in_pieces or not chosen:
+        return np.ones(len(group.landmarks), np.bool_)
+    return np.isin(group.landmarks, group.landmarks[chosen], invert=True)
 
 
 def collect(

@@ -36,6 +36,7 @@ class Hypotheses:
     apart : returns `LandmarkModel.distance` of the pairings, in base_link if True, else in map
     possible : (p,), false where extents rule the pairing out
     unique : whether a landmark of the kind exists once, so that no other one can have been observed
+    in_pieces : whether several observations of a scan can show one landmark, as pieces of a wall do
     """
 
     kind: str
@@ -50,6 +51,7 @@ class Hypotheses:
     apart: Callable[[bool], tuple[Array, Array]]
     possible: Mask
     unique: bool = False
+    in_pieces: bool = False
 
     def matches(self, pairs: Sequence[int]) -> list[Match]:
         """Return some of the p pairings."""
@@ -63,7 +65,8 @@ class Hypotheses:
 class Assignment:
     """Matches, and observations (indices) that match no landmark and may become a new one.
 
-    An observation in neither is ambiguous: too near a landmark to be new, and too far to match it.
+    An observation in neither is ambiguous: it may be either of two landmarks, or is too near one to be
+    new, and too far to match it.
     """
 
     matches: tuple[Match, ...]

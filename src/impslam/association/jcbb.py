@@ -4,6 +4,9 @@ Pairings that pass their gates one by one can still contradict one another: an e
 moves all innovations of a scan together, and the covariance between them says how. JCBB looks for
 the largest set of pairings that passes the gate as a whole, over all kinds of landmark at once.
 
+A pair of the set is left out where the odds are nearly even: where there is another set of as many pairs
+without it, nearly as likely.
+
 One departure from the paper: a set is judged when it is whole. The paper drops a branch as soon as
 its first pairings fail their own gate, which makes the answer depend on the order of observations.
 """
@@ -15,12 +18,12 @@ from typing import ClassVar, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from impslam.association.assignment import collect
+from impslam.association.assignment import ODDS, collect, log_odds, unseen
 from impslam.association.base import Assignment, Association, Hypotheses, Joint
 from impslam.association.branch_and_bound import NONE, search
 from impslam.component import parameter, register
 from impslam.geometry.chi_square import quantile, quantiles
-from impslam.types import Ints, Mask, Observation
+from impslam.types import Array, Ints, Mask, Match, Observation
 
 T = TypeVar("T", np.int64, np.float64)
 
@@ -47,6 +50,67 @@ def _remaining(values: npt.NDArray[T]) -> npt.NDArray[T]:
 def _numbered(ids: list[int]) -> Ints:
     """Return the ids' numbers, from 0."""
     return np.unique(ids, return_inverse=True)[1]
+
+
+class _System:
+    """The search among the pairs of a scan, or among some of them.
+
+    Attributes
+    ----------
+    contested : (pairs,), whether another pair has the same observation or landmark
+    """
+
+    def __init__(
+        self,
+        options: list[list[_Pair]],
+        matches: list[Match],
+        innovation: Array,
+        S: Array,
+        gate: float,
+        budget: int,
+    ) -> None:
+        self._S, self._innovation, self._budget = S, innovation, budget
+        self._dims = np.array([len(match.innovation) for match in matches])
+        self._landmarks = _numbered([match.landmark for match in matches])
+        self._of = np.repeat(np.arange(len(options)), [len(some) for some in options])
+        self._noise = np.array([some[0].noise for some in options])
+        self._limits = quantiles(gate, int(self._dims.sum()))
+        alike = self._of[:, None] == self._of
+        alike |= self._landmarks[:, None] == self._landmarks
+        self.contested = alike.sum(axis=1) > 1
+
+    def without(self, p: int, in_pieces: bool) -> Mask:
+        """Return the pairs (pairs,) that are alternatives to one; see `decided`."""
+        if in_pieces:
+            return np.asarray(self._landmarks != self._landmarks[p])
+        return np.asarray(np.arange(len(self._of)) != p)
+
+    def search(self, among: Mask) -> tuple[list[int], float]:
+        """Return the best set among some pairs (pairs,), and its d^2 + log det S."""
+        pairs = np.flatnonzero(among)
+        if not len(pairs):
+            return [], 0.0
+        rows = np.flatnonzero(np.repeat(among, self._dims))
+        which, sizes = np.unique(self._of[pairs], return_counts=True)
+        groups, dims = _starts(sizes), self._dims[pairs]
+        rest = _remaining(dims[groups[:-1]])
+        S, nu = self._S[np.ix_(rows, rows)], self._innovation[rows]
+        starts = _starts(dims)
+        best, _ = search(
+            (S, nu),
+            (starts, _numbered(self._landmarks[pairs].tolist())),
+            groups,
+            rest,
+            _remaining(self._noise[which]),
+            self._limits[: rest[0] + 1],
+            self._budget,
+        )
+        chosen = [p for p in best.tolist() if p != NONE]
+        taken = np.concatenate([np.arange(starts[p], starts[p + 1]) for p in chosen] or [[]])
+        index = taken.astype(np.int64)
+        block, off = S[np.ix_(index, index)], nu[index]
+        score = float(off @ np.linalg.solve(block, off) + np.linalg.slogdet(block)[1])
+        return pairs[chosen].tolist(), score
 
 
 @register("jcbb")
@@ -77,6 +141,14 @@ class Jcbb(Association):
         ge=1,
     )
 
+    odds: float = parameter(
+        ODDS,
+        "1",
+        "a pair must make its set so many times as likely as another of as many pairs: so many unused "
+        "observations are worth a wrong match",
+        ge=1,
+    )
+
     def reach(self, dof: int) -> float:
         """Return the wider gate; see `Association.reach`."""
         return quantile(max(self.gate, self.new_gate), dof)
@@ -90,7 +162,7 @@ class Jcbb(Association):
         if options:
             for pair in self._search(observations, hypotheses, options, joint):
                 chosen[pair.group].append(pair.p)
-        near = [self._near(group) for group in hypotheses]
+        near = [self._near(*one) for one in zip(hypotheses, chosen, strict=True)]
         return collect(observations, zip(hypotheses, chosen, near, strict=True))
 
     def _options(
@@ -122,21 +194,17 @@ class Jcbb(Association):
     ) -> list[_Pair]:
         pairs = [pair for some in options for pair in some]
         matches = [hypotheses[pair.group].matches([pair.p])[0] for pair in pairs]
-        innovation, S = joint(observations, matches)
-        dims = np.array([len(match.innovation) for match in matches])
-        groups = _starts(np.array([len(some) for some in options]))
-        rest = _remaining(dims[groups[:-1]])
-        best, _ = search(
-            (S, innovation),
-            (_starts(dims), _numbered([match.landmark for match in matches])),
-            groups,
-            rest,
-            _remaining(np.array([some[0].noise for some in options])),
-            quantiles(self.gate, int(rest[0])),
-            self.budget,
-        )
-        return [pairs[p] for p in best if p != NONE]
+        system = _System(options, matches, *joint(observations, matches), self.gate, self.budget)
+        every = np.ones(len(pairs), np.bool_)
+        best, score = system.search(every)
 
-    def _near(self, group: Hypotheses) -> Mask:
+        def is_doubtful(p: int) -> bool:
+            rivals = system.without(p, hypotheses[pairs[p].group].in_pieces)
+            others, of_others = system.search(rivals)
+            return len(others) == len(best) and of_others - score < log_odds(self.odds)
+
+        return [pairs[p] for p in best if not (system.contested[p] and is_doubtful(p))]
+
+    def _near(self, group: Hypotheses, chosen: list[int]) -> Mask:
         limit = quantile(self.new_gate, group.innovation.shape[-1])
-        return np.asarray((group.distance2 < limit) & group.possible)
+        return np.asarray((group.distance2 < limit) & group.possible & unseen(group, chosen))

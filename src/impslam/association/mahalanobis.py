@@ -4,34 +4,14 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from impslam.association.assignment import collect, one_to_one
+from impslam.association.assignment import ODDS, collect, decided, log_odds, unseen
 from impslam.association.base import Assignment, Association, Hypotheses, Joint
 from impslam.component import parameter, register
 from impslam.geometry.chi_square import quantile
-from impslam.geometry.kernels import kernel
-from impslam.types import Array, Ints, Mask, Observation
+from impslam.types import Mask, Observation
 
-_DOUBT = 2.0 * math.log(
-    10.0
-)  # between even odds and ten to one against, an observation stays unused
-
-
-@kernel
-def _judged(
-    distance2: Array, log_det: Array, possible: Mask, gates: tuple[float, float], odds: float
-) -> tuple[Ints, Array, Mask]:
-    """Return the pairs (p,) to choose from, the costs (k,) of all, and which (k,) leave nothing new."""
-    cost, near = distance2 + log_det + odds, np.zeros(len(possible), np.bool_)
-    pairs, count = np.empty(len(cost), np.int64), 0
-    for k in range(len(cost)):
-        if possible[k]:
-            near[k] = distance2[k] < gates[1] and cost[k] < _DOUBT
-            if distance2[k] < gates[0] and cost[k] < 0.0:
-                pairs[count] = k
-                count += 1
-    return pairs[:count], cost, near
+_ALONE = 1e6  # what exists once has no rival but itself
+_UNMAPPED = 0.1  # share of what is seen that is not in the map yet: most has been seen before
 
 
 @register("mahalanobis")
@@ -41,6 +21,10 @@ class Mahalanobis(Association):
     A gate alone takes the first wall it meets once the pose is uncertain by metres. So a pairing must
     also be likelier than that the observation shows something else of its kind: N(nu; 0, S) above the
     density of such things in measurement space (Bar-Shalom & Fortmann 1988, ch. 9; Reid 1979, Eq. 16).
+
+    Most of them are in the map: a tenth of the density stands for those that are not. An assignment must be
+    `odds` times as likely as the likeliest one without the pairing: with another landmark, or with something
+    new. Where the odds are nearer to even, the observation is not used (Chow 1970).
     """
 
     gate: float = parameter(
@@ -60,6 +44,13 @@ class Mahalanobis(Association):
         "offices 0.25 to 0.5), points in 1 m^2 (there fewer; outdoors far fewer)",
         gt=0,
     )
+    odds: float = parameter(
+        ODDS,
+        "1",
+        "a match must be so many times as likely as the likeliest choice without it: so many unused "
+        "observations are worth a wrong match",
+        ge=1,
+    )
 
     def reach(self, dof: int) -> float:
         """Return the wider gate; see `Association.reach`."""
@@ -68,17 +59,20 @@ class Mahalanobis(Association):
     def assign(
         self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
     ) -> Assignment:
-        """Minimise the sum of d^2 + log|S| over the pairs inside the gate."""
+        """Minimise the sum of d^2 + log|S| over the pairs inside the gate; take those beyond doubt."""
         del joint
         return collect(observations, ((group, *self._choose(group)) for group in hypotheses))
 
     def _choose(self, group: Hypotheses) -> tuple[list[int], Mask]:
         dim = group.innovation.shape[-1]
-        # -2 log of the odds that this is the landmark, against that it is another like it.
-        odds = dim * math.log(2.0 * math.pi) + 2.0 * math.log(self.density)
-        gates = quantile(self.gate, dim), quantile(self.new_gate, dim)
-        pairs, cost, near = _judged(group.distance2, group.log_det, group.possible, gates, odds)
+        # -2 log of the odds that this is the landmark, against one like it that is not in the map.
+        new = dim * math.log(2.0 * math.pi) + 2.0 * math.log(_UNMAPPED * self.density)
+        distance2, cost = group.distance2, group.distance2 + group.log_det + new
         if group.unique:
-            pairs = ((group.distance2 < gates[0]) & group.possible).nonzero()[0]
-        best = one_to_one(group.observations[pairs], group.landmarks[pairs], cost[pairs])
-        return pairs[best].tolist(), near
+            cost = distance2 - _ALONE
+        likely = group.possible & (cost < 0.0)
+        near = likely & (distance2 < quantile(self.new_gate, dim))
+        pairs = (likely & (distance2 < quantile(self.gate, dim))).nonzero()[0]
+        seen = group.observations[pairs], group.landmarks[pairs], cost[pairs]
+        chosen = pairs[decided(*seen, log_odds(self.odds), group.in_pieces)].tolist()
+        return chosen, near & unseen(group, chosen)

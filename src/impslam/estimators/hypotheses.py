@@ -77,8 +77,8 @@ class Hypothesis:
     def copy(self) -> Hypothesis:
         """Return one that goes on by itself."""
         names, shown, matches = dict(self.names), list(self.shown), dict(self.matches)
-        own = {"filter": self.filter.copied(), "names": names, "shown": shown, "matches": matches}
-        return replace(self, **own)
+        belief = self.filter.copied()
+        return replace(self, filter=belief, names=names, shown=shown, matches=matches)
 
 
 class Branch(NamedTuple):

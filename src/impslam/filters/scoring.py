@@ -235,7 +235,8 @@ def _hypotheses(
         possible = _possible(belief, table, ends[a], rows, m)
     ids, labels = table.ids[rows], table.labels[rows]
     asked_of = indices, indices[a], ids, labels
-    return Hypotheses(table.kind, *asked_of, *scores, apart, possible, model.unique)
+    kind_is = model.unique, model.has_extent
+    return Hypotheses(table.kind, *asked_of, *scores, apart, possible, *kind_is)
 
 
 @cache

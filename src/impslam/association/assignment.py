@@ -8,12 +8,14 @@ an observation less, and it is best not to decide (Chow 1970, IEEE Trans. Inform
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import combinations
 from operator import attrgetter
 
 import numpy as np
 
-from impslam.association.base import Assignment, Hypotheses
+from impslam.association.base import Assignment, Hypotheses, Rivals
 from impslam.geometry.scipy_extension import load
 from impslam.types import Array, Ints, Mask, Match, Observation
 
@@ -87,6 +89,17 @@ def _solve(wanted: Mapping[int, tuple[int, int]], cost: Array) -> list[int]:
     table[tuple(zip(*place, strict=True))] = cost[list(place.values())]
     chosen = zip(*(side.tolist() for side in linear_sum_assignment(table)), strict=True)
     return [place[pair] for pair in chosen if pair in place]
+
+
+def rivals(group: Hypotheses, inside: Mask) -> list[Rivals]:
+    """Return the landmarks that one observation could be either of; `inside` (p,) are pairs in the gate."""
+    options: dict[int, list[int]] = {}
+    for i, landmark in zip(
+        group.observations[inside].tolist(), group.landmarks[inside].tolist(), strict=True
+    ):
+        options.setdefault(i, []).append(landmark)
+    times = Counter(pair for some in options.values() for pair in combinations(sorted(some), 2))
+    return [Rivals(pair, count > 1 and not group.in_pieces) for pair, count in times.items()]
 
 
 def unseen(group: Hypotheses, chosen: Sequence[int]) -> Mask:

@@ -6,7 +6,9 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, TypeAlias
+from typing import ClassVar, NamedTuple, TypeAlias
+
+import numpy as np
 
 from impslam.component import Component
 from impslam.types import Array, Ints, Mask, Match, Observation
@@ -61,6 +63,16 @@ class Hypotheses:
         return [Match(asked[p], landmarks[p], innovation[p], S[p], distance2[p]) for p in pairs]
 
 
+class Rivals(NamedTuple):
+    """Two landmarks (ids, the older first) that a scan shows in one place, once or `as_two`.
+
+    Each observation there could be either.
+    """
+
+    landmarks: tuple[int, int]
+    as_two: bool
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Assignment:
     """Matches, and observations (indices) that match no landmark and may become a new one.
@@ -71,6 +83,7 @@ class Assignment:
 
     matches: tuple[Match, ...]
     new: tuple[int, ...]
+    rivals: tuple[Rivals, ...] = ()
 
 
 class Association(Component):
@@ -85,6 +98,14 @@ class Association(Component):
         del dof
         return math.inf
 
+    def are_one(self, innovation: Array, S: Array) -> bool:
+        """Tell whether two landmarks, seen so far apart (dim_z,), with covariance, are the same.
+
+        An association that cannot tell says no.
+        """
+        del innovation, S
+        return False
+
     @abstractmethod
     def assign(
         self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
@@ -93,3 +114,9 @@ class Association(Component):
 
         `joint` is used by associations that test pairs jointly.
         """
+
+
+def log_normal(distance2: float, S: Array) -> float:
+    """Return the log density of N(0, S) at a squared Mahalanobis distance."""
+    log_det = float(np.linalg.slogdet(2.0 * math.pi * S)[1])
+    return -0.5 * (distance2 + log_det)

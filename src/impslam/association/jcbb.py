@@ -106,8 +106,8 @@ class _System:
             self._budget,
         )
         chosen = [p for p in best.tolist() if p != NONE]
-        taken = np.concatenate([np.arange(starts[p], starts[p + 1]) for p in chosen] or [[]])
-        index = taken.astype(np.int64)
+        taken = [row for p in chosen for row in range(starts[p], starts[p + 1])]
+        index = np.array(taken, np.int64)
         block, off = S[np.ix_(index, index)], nu[index]
         score = float(off @ np.linalg.solve(block, off) + np.linalg.slogdet(block)[1])
         return pairs[chosen].tolist(), score

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
-from impslam.association.assignment import ODDS, collect, decided, log_odds, unseen
-from impslam.association.base import Assignment, Association, Hypotheses, Joint
+import numpy as np
+
+from impslam.association.assignment import (
+    ODDS,
+    collect,
+    decided,
+    log_odds,
+    rivals,
+    unseen,
+)
+from impslam.association.base import Assignment, Association, Hypotheses, Joint, log_normal
 from impslam.component import parameter, register
 from impslam.geometry.chi_square import quantile
-from impslam.types import Mask, Observation
+from impslam.types import Array, Mask, Observation
 
 _ALONE = 1e6  # what exists once has no rival but itself
 _UNMAPPED = 0.1  # share of what is seen that is not in the map yet: most has been seen before
@@ -22,9 +32,9 @@ class Mahalanobis(Association):
     also be likelier than that the observation shows something else of its kind: N(nu; 0, S) above the
     density of such things in measurement space (Bar-Shalom & Fortmann 1988, ch. 9; Reid 1979, Eq. 16).
 
-    Most of them are in the map: a tenth of the density stands for those that are not. An assignment must be
-    `odds` times as likely as the likeliest one without the pairing: with another landmark, or with something
-    new. Where the odds are nearer to even, the observation is not used (Chow 1970).
+    Most of them are in the map: a tenth of the density stands for those that are not. An assignment must
+    be `odds` times as likely as the likeliest one without the pairing: with another landmark, or with
+    something new. Where the odds are nearer to even, the observation is not used (Chow 1970).
     """
 
     gate: float = parameter(
@@ -61,18 +71,33 @@ class Mahalanobis(Association):
     ) -> Assignment:
         """Minimise the sum of d^2 + log|S| over the pairs inside the gate; take those beyond doubt."""
         del joint
-        return collect(observations, ((group, *self._choose(group)) for group in hypotheses))
+        inside = [self._inside(group) for group in hypotheses]
+        chosen = [(g, *self._choose(g, here)) for g, here in zip(hypotheses, inside, strict=True)]
+        made = collect(observations, chosen)
+        same = [r for g, here in zip(hypotheses, inside, strict=True) for r in rivals(g, here)]
+        return replace(made, rivals=tuple(same)) if same else made
 
-    def _choose(self, group: Hypotheses) -> tuple[list[int], Mask]:
+    def _inside(self, group: Hypotheses) -> Mask:
+        """Tell which pairs pass the gate."""
+        limit = quantile(self.gate, group.innovation.shape[-1])
+        return np.asarray(group.possible & (group.distance2 < limit))
+
+    def _choose(self, group: Hypotheses, inside: Mask) -> tuple[list[int], Mask]:
         dim = group.innovation.shape[-1]
         # -2 log of the odds that this is the landmark, against one like it that is not in the map.
         new = dim * math.log(2.0 * math.pi) + 2.0 * math.log(_UNMAPPED * self.density)
         distance2, cost = group.distance2, group.distance2 + group.log_det + new
         if group.unique:
             cost = distance2 - _ALONE
-        likely = group.possible & (cost < 0.0)
-        near = likely & (distance2 < quantile(self.new_gate, dim))
-        pairs = (likely & (distance2 < quantile(self.gate, dim))).nonzero()[0]
+        near = group.possible & (cost < 0.0) & (distance2 < quantile(self.new_gate, dim))
+        pairs = (inside & (cost < 0.0)).nonzero()[0]
         seen = group.observations[pairs], group.landmarks[pairs], cost[pairs]
         chosen = pairs[decided(*seen, log_odds(self.odds), group.in_pieces)].tolist()
         return chosen, near & unseen(group, chosen)
+
+    def are_one(self, innovation: Array, S: Array) -> bool:
+        """Tell whether a difference within the gate is `odds` times as likely as two of the density."""
+        distance2 = float(innovation @ np.linalg.solve(S, innovation))
+        if distance2 > quantile(self.gate, len(innovation)):
+            return False
+        return log_normal(distance2, S) > math.log(self.odds * self.density)

@@ -14,6 +14,7 @@ from impslam.component import register
 from impslam.errors import NumericalError
 from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_known
 from impslam.estimators.blur import blurred
+from impslam.estimators.duplicates import Duplicates, of_kept
 from impslam.estimators.refused_fixes import RefusedFixes
 from impslam.filters.base import Filter
 from impslam.landmarks.base import LandmarkModel
@@ -35,6 +36,7 @@ class Landmarks(Estimator):
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
     _met: set[str] = PrivateAttr(default_factory=set)
     _refused: RefusedFixes = PrivateAttr(default_factory=RefusedFixes)
+    _duplicates: Duplicates = PrivateAttr(default_factory=Duplicates)
     _counts: Counter[str] = PrivateAttr(default_factory=Counter)
 
     def start(
@@ -90,15 +92,17 @@ class Landmarks(Estimator):
         born = self._filter.extend([observations[i] for i in chosen], stamp)
         self._watch_refused(observations, choice.matches, chosen, now)
 
-        gone: list[int] = []
+        fused = self._duplicates.fuse(choice, self._filter, self._association)
+        matches, gone = tuple([of_kept(match, fused) for match in choice.matches]), list(fused)
         ids, outlines = self._filter.outlines()
         if keyframe.scan is not None and len(ids):
-            gone = self._lifecycle.review(
-                keyframe.scan, self._filter.pose, ids, outlines, choice.matches
-            )
-            self._filter.remove(gone)
+            lost = self._lifecycle.review(keyframe.scan, self._filter.pose, ids, outlines, matches)
+            self._filter.remove(lost)
+            gone += lost
 
-        facts = {"matches": choice.matches, "born": born, "origins": tuple(chosen)}
+        if fused:
+            self._counts["landmarks fused"] += len(fused)
+        facts = {"matches": matches, "born": born, "origins": tuple(chosen)}
         return self._revision(keyframe, **facts, gone=tuple(gone), innovation=innovation)
 
     def _first(self, observations: tuple[Observation, ...], single: list[int]) -> list[int]:
@@ -141,7 +145,7 @@ class Landmarks(Estimator):
                 self._counts["poses doubted as refused GPS fixes agree"] += 1
 
     def counts(self) -> Mapping[str, int]:
-        """Return how often refused fixes of a GPS changed the belief."""
+        """Return how often landmarks were fused, and refused fixes of a GPS changed the belief."""
         return dict(self._counts)
 
     def _revision(self, keyframe: Keyframe, **facts: Any) -> Revision:

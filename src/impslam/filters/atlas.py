@@ -215,6 +215,30 @@ class Atlas:
                 if attributes:
                     table.average(place, attributes)
 
+    def of(self, ids: Sequence[int]) -> tuple[Table, list[int]]:
+        """Return the table of landmarks of one kind, and their places in it."""
+        table = next(table for table in self._tables.values() if ids[0] in table.places)
+        return table, [table.places[number] for number in ids]
+
+    def join(self, mean: Array, kept: int, gone: int) -> None:
+        """Give one landmark what is known of another one: extent, count, stamps, label and averages."""
+        table, (k, g) = self.of((kept, gone))
+        states = table.states(mean, [k, g])
+        ends = table.model.outline(states[1:], table.extents[[g]])
+        begin, end = table.model.extents(np.zeros(3), states[:1], ends)[0]
+        low, high = table.extents[k]
+        table.extents[k] = min(low, begin), max(high, end)
+        share = float(table.counts[g] / (table.counts[k] + table.counts[g]))
+        table.counts[k] += table.counts[g]
+        (first, last), (since, until) = table.stamps[k], table.stamps[g]
+        table.stamps[k] = min(first, since), max(last, until)
+        if table.labels[k] < 0:
+            table.labels[k] = table.labels[g]
+        average, other = table.attributes[kept], table.attributes[gone]
+        for name, value in other.items():
+            old = average.get(name, value)
+            average[name] = old + share * (value - old)
+
     def outlines(self, mean: Array) -> tuple[Ints, Array]:
         """Return the ids (k,) of all landmarks and their visible ends (k, 2, 2) in map."""
         tables = self.tables()

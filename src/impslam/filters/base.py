@@ -10,7 +10,7 @@ from typing import ClassVar, Self, TypeAlias
 
 import numpy as np
 
-from impslam.association.base import Assignment, Association, Hypotheses
+from impslam.association.base import Assignment, Association, Hypotheses, log_normal
 from impslam.component import Component
 from impslam.landmarks.base import LandmarkModel
 from impslam.types import Array, Increment, Innovation, Ints, Landmark, Match, Observation
@@ -135,6 +135,24 @@ class Filter(Component):
     def remove(self, ids: Sequence[int]) -> None:
         """Remove landmarks from the state."""
 
+    def apart(self, one: int, other: int) -> tuple[Array, Array] | None:
+        """Return how far apart two landmarks of a kind are as seen, (dim_z,), and its covariance.
+
+        None from a filter that cannot tell.
+        """
+        del one, other
+        return None
+
+    def fuse(self, kept: int, gone: int) -> None:
+        """Make two landmarks one that `apart` tells about: their difference is zero, exactly.
+
+        Raises
+        ------
+        NumericalError
+            If the covariance of the difference is not positive definite; the state is not changed.
+        """
+        raise NotImplementedError(f"filter {self.name!r} cannot fuse landmarks")
+
     @abstractmethod
     def note(
         self, observations: Sequence[Observation], matches: Sequence[Match], stamp: float
@@ -166,9 +184,3 @@ class Filter(Component):
     @abstractmethod
     def state_size(self) -> int:
         """Number of scalars in the state."""
-
-
-def log_normal(distance2: float, S: Array) -> float:
-    """Return the log density of N(0, S) at a squared Mahalanobis distance."""
-    log_det = float(np.linalg.slogdet(2.0 * math.pi * S)[1])
-    return -0.5 * (distance2 + log_det)

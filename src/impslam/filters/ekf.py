@@ -25,10 +25,10 @@ from impslam.filters.belief import POSE, GaussianBelief, rows_of
 from impslam.filters.gaussian import INDEFINITE, GaussianFilter
 from impslam.filters.scene import Scene, Sight, stacked
 from impslam.filters.scoring import score
-from impslam.filters.update import Rows, gain, innovation_covariance, solve
+from impslam.filters.update import Rows, among, gain, innovation_covariance, solve
 from impslam.geometry.angles import wrap
 from impslam.landmarks.base import Initial, LandmarkModel, Prediction
-from impslam.types import Array, Increment, Innovation, Match, Observation
+from impslam.types import Array, Increment, Innovation, Ints, Match, Observation
 
 
 @register("ekf")
@@ -159,6 +159,42 @@ class Ekf(GaussianFilter):
             offset = self._belief.append(new.m, on, J, noise)
             ids.append(self._atlas.add(self.pose, observation, offset, new.m, stamp))
         return tuple(ids)
+
+    def apart(self, one: int, other: int) -> tuple[Array, Array] | None:
+        """Return the difference of two landmarks of a kind as seen, and its covariance."""
+        difference, entries, J = self._difference(one, other)
+        return difference, J @ among(self._belief.P, entries) @ J.T
+
+    def fuse(self, kept: int, gone: int) -> None:
+        """Correct by a difference of zero, without noise, and keep one of both; see `Filter.fuse`."""
+        belief = self._belief
+        difference, entries, J = self._difference(kept, gone)
+        HP = np.zeros((len(J), len(belief.P)))
+        HP[:, : belief.n] = J @ rows_of(belief.P, entries, belief.n)
+        of_pose = np.zeros((POSE, len(belief.P)))
+        of_pose[:, : belief.n] = rows_of(belief.P, np.arange(POSE), belief.n)
+        try:
+            L = np.linalg.cholesky(HP[:, entries] @ J.T)
+        except np.linalg.LinAlgError:
+            raise NumericalError(f"landmarks {kept} and {gone} cannot be told apart") from None
+        W_T = np.linalg.solve(L, HP)
+        self._finish(W_T, -np.linalg.solve(L, difference) @ W_T, of_pose)
+        self._atlas.join(belief.mean, kept, gone)
+        self.remove([gone])
+
+    def _difference(self, one: int, other: int) -> tuple[Array, Ints, Array]:
+        """Return by how much the second of two landmarks is seen elsewhere than the first, (dim_z,).
+
+        Also the indices (q,) of the pose and both in the state, and the Jacobian (dim_z, q). A motion of
+        everything does not change what is seen: so nothing that cannot be observed is learned of it.
+        """
+        table, places = self._atlas.of((one, other))
+        pose, states = self.pose, table.states(self._belief.mean, places)
+        z = np.empty((2, table.model.dim_z))
+        seen = self._expect(Sight(table, places, z, pose, states), pose, states)
+        J = np.hstack([seen.z_D_pose[1] - seen.z_D_pose[0], -seen.z_D_m[0], seen.z_D_m[1]])
+        entries = np.concatenate([np.arange(POSE), table.columns[places].ravel()])
+        return table.model.residual(seen.z[1], seen.z[0]), entries, J
 
     def _linearise(self, scene: Scene, pose: Array, states: list[Array]) -> tuple[Rows, Array]:
         """Return H at some estimates of the pose (3,) and of each kind's landmarks, and nu."""

@@ -19,9 +19,10 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import PrivateAttr
 
+from impslam.association.base import log_normal
 from impslam.component import parameter
 from impslam.filters.atlas import Atlas
-from impslam.filters.base import Filter, log_normal
+from impslam.filters.base import Filter
 from impslam.filters.belief import POSE, Belief
 from impslam.types import Array, Ints, Landmark, Match, Observation
 

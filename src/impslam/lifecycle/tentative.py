@@ -263,6 +263,8 @@ class Tentative(Lifecycle):
         if self._untried:
             self._trials = dict.fromkeys(ids.tolist(), (1, self._now, self._now))
             self._untried = False
+        known = set(ids.tolist()) if self._trials else set[int]()
+        self._trials = {i: trial for i, trial in self._trials.items() if i in known}
         for number in matched & self._trials.keys():
             count, first, _ = self._trials[number]
             self._trials[number] = (count + 1, first, self._now)

@@ -109,7 +109,8 @@ def unseen(group: Hypotheses, chosen: Sequence[int]) -> Mask:
     """
     if group.in_pieces or not chosen:
         return np.ones(len(group.landmarks), np.bool_)
-    return np.isin(group.landmarks, group.landmarks[chosen], invert=True)
+    taken = set(group.landmarks[chosen].tolist())
+    return np.array([landmark not in taken for landmark in group.landmarks.tolist()])
 
 
 def collect(

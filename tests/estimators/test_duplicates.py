@@ -114,6 +114,16 @@ def test_a_double_is_fused_once_enough_scans_show_one_thing(rng):
     assert slam.counts() == {"landmarks fused": 1}
 
 
+def test_a_difference_that_cannot_be_judged_leaves_both_as_they_are(rng, monkeypatch):
+    slam = started()
+    add(slam, 0, (POST, OTHER), rng)
+    slam._filter.extend([point(ORIGIN, POST, rng=rng)], 0.0)
+    monkeypatch.setattr(Ekf, "apart", lambda *_: (np.zeros(2), np.zeros((2, 2))))
+    told = [add(slam, k, (POST, OTHER), rng) for k in range(1, 7)]
+    assert all(r.gone == () and not r.refused for r in told)
+    assert len(slam.landmarks()) == 3
+
+
 @pytest.mark.parametrize("hidden", [False, True])
 def test_two_that_are_near_each_other_stay_two(hidden):
     """A few standard deviations of one sight apart; where one hides the other at times, too."""

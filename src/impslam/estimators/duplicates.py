@@ -13,7 +13,10 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from impslam.association.base import Assignment, Association
+from impslam.errors import NumericalError
 from impslam.filters.base import Filter
 from impslam.types import Match
 
@@ -38,9 +41,7 @@ class Duplicates:
             few = self.as_one[pair] < SCANS
             if few or pair in self.two or not fused.keys().isdisjoint(pair):
                 continue
-            apart = tracker.apart(*pair)
-            if apart is not None and association.are_one(*apart):
-                tracker.fuse(*pair)
+            if _fuse(pair, tracker, association):
                 self._join(*pair)
                 fused[pair[1]] = pair[0]
         return fused
@@ -50,6 +51,21 @@ class Duplicates:
         for pair in [pair for pair in self.two if gone in pair]:
             other = pair[0] if pair[1] == gone else pair[1]
             self.two.add((min(kept, other), max(kept, other)))
+
+
+def _fuse(pair: tuple[int, int], tracker: Filter, association: Association) -> bool:
+    """Make landmarks one if they are; tell whether they were."""
+    try:
+        apart = tracker.apart(*pair)
+        if apart is None or not association.are_one(*apart):
+            return False
+        tracker.fuse(*pair)
+    except (
+        NumericalError,
+        np.linalg.LinAlgError,
+    ):  # nothing is known of the difference: leave both
+        return False
+    return True
 
 
 def of_kept(match: Match, fused: Mapping[int, int]) -> Match:

@@ -51,6 +51,7 @@ class Landmarks(Estimator):
         self._refuse(known)
         self._filter, self._association = parts["filter"], parts["association"]
         self._lifecycle, self._models = parts["lifecycle"], parts["models"]
+        self._duplicates = Duplicates()
         self._filter.start(pose, START_SIGMA**2 * np.eye(3), self._models)
         self._lifecycle.start(self._models, self._association, self._filter.fresh())
 

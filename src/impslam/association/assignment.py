@@ -39,8 +39,12 @@ def decided(
     that of leaving a row alone. A pair is beyond doubt if the least total cost without it is greater by
     `least`. With `in_pieces` several rows may show one column: that another row does is no alternative.
     """
+    every = list(zip(rows.tolist(), columns.tolist(), strict=True))
+    a, k = {row for row, _ in every}, {column for _, column in every}
+    if len(a) == len(k) == len(every):  # nobody competes
+        return (cost <= -least).nonzero()[0].tolist()
     chosen: list[int] = []
-    for pairs in _competitions(list(zip(rows.tolist(), columns.tolist(), strict=True))):
+    for pairs in _competitions(every):
         if len(pairs) == 1:
             chosen += pairs if cost[pairs[0]] <= -least else []
             continue
@@ -93,10 +97,11 @@ def _solve(wanted: Mapping[int, tuple[int, int]], cost: Array) -> list[int]:
 
 def rivals(group: Hypotheses, inside: Mask) -> list[Rivals]:
     """Return the landmarks that one observation could be either of; `inside` (p,) are pairs in the gate."""
+    seen, known = group.observations[inside].tolist(), group.landmarks[inside].tolist()
+    if len(set(seen)) == len(seen):
+        return []
     options: dict[int, list[int]] = {}
-    for i, landmark in zip(
-        group.observations[inside].tolist(), group.landmarks[inside].tolist(), strict=True
-    ):
+    for i, landmark in zip(seen, known, strict=True):
         options.setdefault(i, []).append(landmark)
     times = Counter(pair for some in options.values() for pair in combinations(sorted(some), 2))
     return [Rivals(pair, count > 1 and not group.in_pieces) for pair, count in times.items()]

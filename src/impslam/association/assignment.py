@@ -37,13 +37,16 @@ def decided(
 
     Each row and column is taken once at most; pairs that are not listed are not allowed. Costs are against
     that of leaving a row alone. A pair is beyond doubt if the least total cost without it is greater by
-    `least`. With `in_pieces` several rows may show one column: that another row does is no alternative.
+    `least`. With `in_pieces` several rows may show one column: that another row does is no alternative. Of
+    two columns the cheaper one is taken then: walls lie side by side wherever a door is set back, and a
+    corridor in which neither is used tells nothing.
     """
     every = list(zip(rows.tolist(), columns.tolist(), strict=True))
     a, k = {row for row, _ in every}, {column for _, column in every}
     if len(a) == len(k) == len(every):  # nobody competes
         return (cost <= -least).nonzero()[0].tolist()
     chosen: list[int] = []
+    margin = 0.0 if in_pieces else least
     for pairs in _competitions(every):
         if len(pairs) == 1:
             chosen += pairs if cost[pairs[0]] <= -least else []
@@ -55,7 +58,7 @@ def decided(
             column = wanted[p][1]
             rivals = [q for q in pairs if q != p and not (in_pieces and wanted[q][1] == column)]
             others = _solve({q: wanted[q] for q in rivals}, cost)
-            if sum(cost[q] for q in others) - total >= least:
+            if sum(cost[q] for q in others) - total >= margin:
                 chosen.append(p)
     return sorted(chosen)
 
@@ -96,15 +99,18 @@ def _solve(wanted: Mapping[int, tuple[int, int]], cost: Array) -> list[int]:
 
 
 def rivals(group: Hypotheses, inside: Mask) -> list[Rivals]:
-    """Return the landmarks that one observation could be either of; `inside` (p,) are pairs in the gate."""
+    """Return the landmarks that one observation could be either of; `inside` (p,) are pairs in the gate.
+
+    None of kinds that are seen in pieces: no scan can show that two of them are not one.
+    """
     seen, known = group.observations[inside].tolist(), group.landmarks[inside].tolist()
-    if len(set(seen)) == len(seen):
+    if group.in_pieces or len(set(seen)) == len(seen):
         return []
     options: dict[int, list[int]] = {}
     for i, landmark in zip(seen, known, strict=True):
         options.setdefault(i, []).append(landmark)
     times = Counter(pair for some in options.values() for pair in combinations(sorted(some), 2))
-    return [Rivals(pair, count > 1 and not group.in_pieces) for pair, count in times.items()]
+    return [Rivals(pair, count > 1) for pair, count in times.items()]
 
 
 def unseen(group: Hypotheses, chosen: Sequence[int]) -> Mask:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -70,4 +70,4 @@ def _fuse(pair: tuple[int, int], tracker: Filter, association: Association) -> b
 
 def of_kept(match: Match, fused: Mapping[int, int]) -> Match:
     """Return a match with the landmark that its own one has become."""
-    return replace(match, landmark=fused[match.landmark]) if match.landmark in fused else match
+    return match._replace(landmark=fused.get(match.landmark, match.landmark))

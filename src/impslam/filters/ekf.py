@@ -132,6 +132,8 @@ class Ekf(GaussianFilter):
 
     def follow(self, pose: Array, landmarks: Mapping[int, Array]) -> None:
         """Move the mean, with the covariance in the coordinates of this filter; see `Filter.follow`."""
+        if not self.follows:
+            super().follow(pose, landmarks)
         mean, P = self._belief.mean, self._belief.P
         step, of_pose = np.zeros_like(mean), np.zeros((POSE, len(P)))
         step[:POSE] = pose - mean[:POSE]

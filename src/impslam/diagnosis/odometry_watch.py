@@ -88,9 +88,10 @@ class OdometryWatch(Observer):
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
-        self._last: tuple[Array, Array] | None = None  # poses by the estimate and by odometry
-        self._sums = np.zeros((2, 3))
-        self._seconds = 0.0
+        self._poses: list[
+            tuple[Array, Array]
+        ] = []  # of the stretch, by the estimate and by odometry
+        self._seconds = 0.0  # of the stretch
         self._rows: deque[Array] = deque(maxlen=NEWEST)
         self._new = 0  # stretches since the last comparison
         self.notice = ""
@@ -108,20 +109,14 @@ class OdometryWatch(Observer):
         del path
         poses = compose(revision.poses[-1], keyframe.T_keyframe_stamp), keyframe.odometry
         if not (_is_sound(keyframe, revision) and np.isfinite(poses).all()):
-            self._last = None
+            self._poses = []
             return
-        if self._last is None:
-            self._begin()
-        else:
-            self._sums += [log(between(a, b)) for a, b in zip(self._last, poses, strict=True)]
-            self._seconds += keyframe.motion.duration
-            if self._seconds >= SECONDS:
-                self._add(self._sums.copy())
-                self._begin()
-        self._last = poses
-
-    def _begin(self) -> None:
-        self._sums[:], self._seconds = 0.0, 0.0
+        self._seconds = self._seconds + keyframe.motion.duration if self._poses else 0.0
+        self._poses.append(poses)
+        if self._seconds >= SECONDS:
+            stretch = np.array(self._poses)
+            self._add(log(between(stretch[:-1], stretch[1:])).sum(axis=0))
+            self._poses, self._seconds = self._poses[-1:], 0.0
 
     def _add(self, stretch: Array) -> None:
         """Add a stretch (2, 3), by the estimate and by odometry; compare all, if it is time."""

@@ -66,7 +66,7 @@ def fit(A: Array, y: Array, block: int = 1, least: float = 1e-9) -> Fit:
             weights = 1.0 / np.maximum(np.abs(residuals), scale)
         else:
             weights = biweight(residuals, scale)
-            if np.allclose(p, before, rtol=1e-9, atol=1e-12):
+            if (np.abs(p - before) <= 1e-9 * np.abs(p) + 1e-12).all():
                 break
     return Fit(p, sandwich(A, residuals, scale, block), scale, float((weights > 0.0).mean()))
 

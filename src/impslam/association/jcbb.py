@@ -79,12 +79,6 @@ class _System:
         alike |= self._landmarks[:, None] == self._landmarks
         self.contested = alike.sum(axis=1) > 1
 
-    def without(self, p: int, in_pieces: bool) -> Mask:
-        """Return the pairs (pairs,) that are alternatives to one; see `decided`."""
-        if in_pieces:
-            return np.asarray(self._landmarks != self._landmarks[p])
-        return np.asarray(np.arange(len(self._of)) != p)
-
     def search(self, among: Mask) -> tuple[list[int], float]:
         """Return the best set among some pairs (pairs,), and its d^2 + log det S."""
         pairs = np.flatnonzero(among)
@@ -199,11 +193,12 @@ class Jcbb(Association):
         best, score = system.search(every)
 
         def is_doubtful(p: int) -> bool:
-            rivals = system.without(p, hypotheses[pairs[p].group].in_pieces)
-            others, of_others = system.search(rivals)
+            if not system.contested[p] or hypotheses[pairs[p].group].in_pieces:  # see `decided`
+                return False
+            others, of_others = system.search(np.arange(len(pairs)) != p)
             return len(others) == len(best) and of_others - score < log_odds(self.odds)
 
-        return [pairs[p] for p in best if not (system.contested[p] and is_doubtful(p))]
+        return [pairs[p] for p in best if not is_doubtful(p)]
 
     def _near(self, group: Hypotheses, chosen: list[int]) -> Mask:
         limit = quantile(self.new_gate, group.innovation.shape[-1])

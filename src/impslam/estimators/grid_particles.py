@@ -39,7 +39,7 @@ from impslam.estimators.base import START_SIGMA, Draft, Estimator, check_keyfram
 from impslam.estimators.grid_kernels import ancestors, lineage, propose
 from impslam.estimators.keyframe_log import KeyframeLog
 from impslam.estimators.particle_kernels import axes, systematic
-from impslam.estimators.particles import moved
+from impslam.estimators.sampling import moved, normalised
 from impslam.estimators.surface_book import SurfaceBook
 from impslam.geometry.angles import wrap
 from impslam.geometry.roots import root
@@ -166,8 +166,7 @@ class GridParticles(Estimator):
 
     def _weights(self) -> Array:
         """Return the weights (P,), whose sum is 1."""
-        weights = np.exp(self._log_weights - self._log_weights.max())
-        return np.asarray(weights / weights.sum())
+        return normalised(self._log_weights)
 
     def _revision(self, keyframe: Keyframe, refused: str) -> Revision:
         """Return the newest pose of the line that leads, and earlier ones where another one leads now."""

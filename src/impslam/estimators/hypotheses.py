@@ -34,6 +34,7 @@ from impslam.component import parameter, register
 from impslam.errors import NumericalError
 from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_known
 from impslam.estimators.blur import blurred
+from impslam.estimators.sampling import normalised
 from impslam.filters.base import Filter
 from impslam.geometry.angles import wrap
 from impslam.geometry.chi_square import quantile
@@ -226,7 +227,7 @@ class MultipleHypotheses(Estimator):
         self._hypotheses = sorted(kept, key=lambda h: -h.log_weight)
 
     def _weights(self) -> Array:
-        return _normalised([h.log_weight for h in self._hypotheses])
+        return normalised(np.array([h.log_weight for h in self._hypotheses]))
 
     def _revision(self, keyframe: Keyframe, refused: str) -> Revision:
         """Return the keyframes on which the likeliest hypothesis differs from what was told."""
@@ -258,7 +259,7 @@ class MultipleHypotheses(Estimator):
 
     def _agreed(self) -> tuple[Match, ...]:
         """Return the newest scan's matches on which hypotheses of nearly all weight agree."""
-        weights = _normalised([h.log_weight + h.sharper for h in self._hypotheses])
+        weights = normalised(np.array([h.log_weight + h.sharper for h in self._hypotheses]))
         likeliest, agreed = self._hypotheses[int(weights.argmax())], []
         for i, match in likeliest.matches.items():
             name = likeliest.names[match.landmark]
@@ -277,12 +278,6 @@ class MultipleHypotheses(Estimator):
     def state_size(self) -> int:
         """Number of scalars in the belief of the likeliest hypothesis."""
         return self._hypotheses[0].filter.state_size
-
-
-def _normalised(log_weights: list[float]) -> Array:
-    """Return the weights, with a sum of 1."""
-    weights = np.exp(np.array(log_weights) - max(log_weights))
-    return np.asarray(weights / weights.sum())
 
 
 def _owned(branches: list[Branch]) -> list[Hypothesis]:

@@ -36,6 +36,7 @@ from impslam.estimators.blur import blurred
 from impslam.estimators.particle_book import Book
 from impslam.estimators.particle_kernels import axes, correct, inform, systematic
 from impslam.estimators.particle_sights import Cloud, Pairs, associate, sights
+from impslam.estimators.sampling import moved, normalised
 from impslam.filters.base import Filter
 from impslam.geometry.angles import wrap
 from impslam.geometry.roots import root
@@ -306,18 +307,10 @@ class Particles(Estimator):
 
     def _weights(self) -> Array:
         """Return the weights (P,), whose sum is 1."""
-        weights = np.exp(self._log_weights - self._log_weights.max())
-        return np.asarray(weights / weights.sum())
+        return normalised(self._log_weights)
 
     def _normals(self) -> Array:
         return self._rng.standard_normal((self.particles, 3))
-
-
-def moved(poses: Array, roots: Array, u: Array) -> Array:
-    """Return poses (P, 3) moved by roots (P, 3, 3) times u (P, 3)."""
-    moved: Array = poses + np.einsum("pij,pj->pi", roots, u)
-    moved[:, 2] = wrap(moved[:, 2])
-    return moved
 
 
 def _outside(seen: Sequence[Observation]) -> Array:

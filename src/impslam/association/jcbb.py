@@ -5,7 +5,7 @@ moves all innovations of a scan together, and the covariance between them says h
 the largest set of pairings that passes the gate as a whole, over all kinds of landmark at once.
 
 A pair of the set is left out where the odds are nearly even: where there is another set of as many pairs
-without it, nearly as likely.
+without it, nearly as likely. Pieces of walls are not; see `decided`.
 
 One departure from the paper: a set is judged when it is whole. The paper drops a branch as soon as
 its first pairings fail their own gate, which makes the answer depend on the order of observations.

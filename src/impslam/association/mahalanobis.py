@@ -34,7 +34,8 @@ class Mahalanobis(Association):
 
     Most of them are in the map: a tenth of the density stands for those that are not. An assignment must
     be `odds` times as likely as the likeliest one without the pairing: with another landmark, or with
-    something new. Where the odds are nearer to even, the observation is not used (Chow 1970).
+    something new. Where the odds are nearer to even, the observation is not used (Chow 1970),
+    unless it is a piece of a wall: of two walls the likelier one is taken.
     """
 
     gate: float = parameter(

@@ -5,6 +5,8 @@ closed, both lie in one place. They are one if no scan has shown them as two, se
 thing that could be either, and their difference is compatible with zero and far likelier by that than for
 two of its kind. A correction with a difference of zero, without noise, then makes the belief that of a
 filter which has matched all observations with one landmark, up to linearisation.
+
+Kinds that are seen in pieces, such as walls, are not fused: no scan can show that two of them are not one.
 """
 
 from __future__ import annotations

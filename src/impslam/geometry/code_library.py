@@ -1,7 +1,8 @@
 """The machine code of a kernel: made once, for what Python calls, out of all that it calls.
 
 numba optimises each function and makes its machine code, then does so again in every function that
-calls it. Here a function that only other functions call stays unoptimised bitcode.
+calls it. Here a function that only other functions call stays unoptimised bitcode, and what is left to
+optimise is optimised once, as a whole.
 """
 
 from __future__ import annotations
@@ -37,6 +38,10 @@ class CodeLibrary(JITCodeLibrary):
             self._reload_init.update(library._reload_init)
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)
         self._finalized = True
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        """Leave it to the optimisation of the whole kernel, which is no slower for that."""
+        ll_module.data_layout = self._codegen._data_layout
 
     def get_pointer_to_function(self, name: str) -> int:
         """Return the address of the kernel's wrapper for Python, 0 where it has none."""

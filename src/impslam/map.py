@@ -139,6 +139,7 @@ class Revision:
     poses : (r, 3) `T_map_base` at the middle of their sweeps
     covariances : (r, 3, 3)
     matches : observations that were matched to known landmarks
+    ambiguous : observations (indices) that could be a known landmark, and are not matched: it is not sure
     born, origins : ids of new landmarks, and the observation from which each was created
     gone : ids of removed landmarks
     refused : why the keyframe could not be used, "" if it was used
@@ -151,6 +152,7 @@ class Revision:
     poses: Array
     covariances: Array
     matches: tuple[Match, ...] = ()
+    ambiguous: tuple[int, ...] = ()
     born: tuple[int, ...] = ()
     origins: tuple[int, ...] = ()
     gone: tuple[int, ...] = ()

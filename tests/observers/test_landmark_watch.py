@@ -12,7 +12,9 @@ ALONG = np.array([[0.0, 1.0], [4.0, 1.0]])
 ACROSS = np.array([[4.0, -1.0], [4.2, 1.0]])
 
 
-def keyframes(watch, matched, seen=5, born=(), ratio=1.0, count=1, lost=False, *, walls=()):
+def keyframes(
+    watch, matched, seen=5, born=(), ratio=1.0, count=1, lost=False, *, walls=(), ambiguous=()
+):
     """Return the reasons that keyframes give in which these landmarks are matched.
 
     Of them the first are `walls`, by their end points, and the others points.
@@ -28,7 +30,8 @@ def keyframes(watch, matched, seen=5, born=(), ratio=1.0, count=1, lost=False, *
         ends = [*walls, *[None] * (seen - len(walls))]
         observations = [SimpleNamespace(end_points=one) for one in ends]
         keyframe = SimpleNamespace(observations=observations, lost=lost, reason=NONE)
-        out.append(watch.revise(keyframe, SimpleNamespace(matches=matches, born=born))[0])
+        revision = SimpleNamespace(matches=matches, born=born, ambiguous=ambiguous)
+        out.append(watch.revise(keyframe, revision)[0])
     return out
 
 
@@ -50,6 +53,11 @@ def test_a_robot_whose_landmarks_are_gone_at_once_is_displaced_until_they_are_se
 
 def test_a_robot_that_sees_less_is_not(watch):
     assert keyframes(watch, [0, 1], seen=2, count=20) == [NONE] * 20
+
+
+def test_a_robot_whose_observations_could_be_landmarks_from_before_is_not(watch):
+    """They pass their gates; it is another matter which of two walls they show."""
+    assert keyframes(watch, [0, 1], ambiguous=[2, 3], count=20) == [NONE] * 20
 
 
 def test_a_robot_that_comes_to_new_ground_is_not(watch):

@@ -124,6 +124,17 @@ def unseen(group: Hypotheses, chosen: Sequence[int]) -> Mask:
     return np.array([landmark not in taken for landmark in group.landmarks.tolist()])
 
 
+def ambiguous(
+    matches: Iterable[Match], hypotheses: Iterable[Hypotheses], inside: Iterable[Mask]
+) -> tuple[int, ...]:
+    """Return the observations that are not matched but have a pair inside the gate, `inside` (p,)."""
+    matched = {match.observation for match in matches}
+    compatible = (
+        i for g, here in zip(hypotheses, inside, strict=True) for i in g.observations[here].tolist()
+    )
+    return tuple(sorted(set(compatible) - matched))
+
+
 def collect(
     observations: tuple[Observation, ...],
     chosen: Iterable[tuple[Hypotheses, Sequence[int], Mask]],

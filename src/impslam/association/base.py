@@ -77,13 +77,15 @@ class Rivals(NamedTuple):
 class Assignment:
     """Matches, and observations (indices) that match no landmark and may become a new one.
 
-    An observation in neither is ambiguous: it may be either of two landmarks, or is too near one to be
-    new, and too far to match it.
+    An observation in neither is too near a landmark to be new, and too far to match it, or it is
+    `ambiguous`: it passes the gate of a landmark alone, and not beside the other matches, or not
+    beyond doubt.
     """
 
     matches: tuple[Match, ...]
     new: tuple[int, ...]
     rivals: tuple[Rivals, ...] = ()
+    ambiguous: tuple[int, ...] = ()
 
 
 class Association(Component):

@@ -13,12 +13,13 @@ its first pairings fail their own gate, which makes the answer depend on the ord
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from impslam.association.assignment import ODDS, collect, log_odds, unseen
+from impslam.association.assignment import ODDS, ambiguous, collect, log_odds, unseen
 from impslam.association.base import Assignment, Association, Hypotheses, Joint
 from impslam.association.branch_and_bound import NONE, search
 from impslam.component import parameter, register
@@ -152,15 +153,25 @@ class Jcbb(Association):
     ) -> Assignment:
         """Match the most pairs that are jointly compatible; of as many, the likeliest."""
         chosen: list[list[int]] = [[] for _ in hypotheses]
-        options = self._options(observations, hypotheses)
+        inside = [self._inside(group) for group in hypotheses]
+        options = self._options(observations, hypotheses, inside)
         if options:
             for pair in self._search(observations, hypotheses, options, joint):
                 chosen[pair.group].append(pair.p)
         near = [self._near(*one) for one in zip(hypotheses, chosen, strict=True)]
-        return collect(observations, zip(hypotheses, chosen, near, strict=True))
+        made = collect(observations, zip(hypotheses, chosen, near, strict=True))
+        return replace(made, ambiguous=ambiguous(made.matches, hypotheses, inside))
+
+    def _inside(self, group: Hypotheses) -> Mask:
+        """Tell which pairs pass the gate, each alone."""
+        limit = quantile(self.gate, group.innovation.shape[-1])
+        return np.asarray((group.distance2 <= limit) & group.possible)
 
     def _options(
-        self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses]
+        self,
+        observations: tuple[Observation, ...],
+        hypotheses: list[Hypotheses],
+        inside: list[Mask],
     ) -> list[list[_Pair]]:
         """Return the individually compatible pairs of each observation, the least ambiguous first.
 
@@ -168,8 +179,7 @@ class Jcbb(Association):
         """
         options: dict[int, list[_Pair]] = {}
         for g, group in enumerate(hypotheses):
-            limit = quantile(self.gate, group.innovation.shape[-1])
-            pairs = np.flatnonzero((group.distance2 <= limit) & group.possible)
+            pairs = np.flatnonzero(inside[g])
             if not len(pairs):
                 continue
             asked = group.observations[pairs].tolist()

@@ -9,6 +9,7 @@ import numpy as np
 
 from impslam.association.assignment import (
     ODDS,
+    ambiguous,
     collect,
     decided,
     log_odds,
@@ -76,7 +77,8 @@ class Mahalanobis(Association):
         chosen = [(g, *self._choose(g, here)) for g, here in zip(hypotheses, inside, strict=True)]
         made = collect(observations, chosen)
         same = [r for g, here in zip(hypotheses, inside, strict=True) for r in rivals(g, here)]
-        return replace(made, rivals=tuple(same)) if same else made
+        open_ = ambiguous(made.matches, hypotheses, inside)
+        return replace(made, rivals=tuple(same), ambiguous=open_) if same or open_ else made
 
     def _inside(self, group: Hypotheses) -> Mask:
         """Tell which pairs pass the gate."""

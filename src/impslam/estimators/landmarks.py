@@ -9,13 +9,14 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import PrivateAttr
 
-from impslam.association.base import Association
+from impslam.association.base import Assignment, Association
 from impslam.component import register
 from impslam.errors import NumericalError
 from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_known
 from impslam.estimators.blur import blurred
 from impslam.estimators.duplicates import Duplicates, of_kept
 from impslam.estimators.refused_fixes import RefusedFixes
+from impslam.estimators.slip import LEAST, explains, left_over, slipped
 from impslam.filters.base import Filter
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
@@ -34,6 +35,8 @@ class Landmarks(Estimator):
     _association: Association = PrivateAttr()
     _lifecycle: Lifecycle = PrivateAttr()
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
+    _motion: Increment = PrivateAttr()
+    """To the newest keyframe, as it was predicted."""
     _met: set[str] = PrivateAttr(default_factory=set)
     _refused: RefusedFixes = PrivateAttr(default_factory=RefusedFixes)
     _duplicates: Duplicates = PrivateAttr(default_factory=Duplicates)
@@ -57,9 +60,11 @@ class Landmarks(Estimator):
 
     def add(self, keyframe: Keyframe) -> Revision:
         """Process a keyframe; see `Estimator.add`."""
+        self._motion = keyframe.motion
         try:
             return self._add(keyframe)
         except NumericalError as error:
+            self._motion = keyframe.motion
             if is_known(keyframe.motion):
                 self._filter.predict(keyframe.motion)
                 self._lifecycle.move(keyframe.motion)
@@ -76,12 +81,12 @@ class Landmarks(Estimator):
 
         self._filter.predict(keyframe.motion)
         try:
-            choice = self._filter.associate(observations, self._association)
+            choice = self._associate(observations, keyframe.motion)
             innovation = self._filter.correct(observations, choice.matches)
         except NumericalError:
             self._filter.take_back()
             raise
-        self._lifecycle.move(keyframe.motion)
+        self._lifecycle.move(self._motion)
         self._filter.note(observations, choice.matches, stamp)
 
         single = [i for i in choice.new if self._models[observations[i].kind].unique]
@@ -104,7 +109,25 @@ class Landmarks(Estimator):
         if fused:
             self._counts["landmarks fused"] += len(fused)
         facts = {"matches": matches, "born": born, "origins": tuple(chosen)}
+        facts["ambiguous"] = choice.ambiguous
         return self._revision(keyframe, **facts, gone=tuple(gone), innovation=innovation)
+
+    def _associate(self, observations: tuple[Observation, ...], motion: Increment) -> Assignment:
+        """Associate; predict anew, as of wheels that have slipped, if that explains more."""
+        rolled = self._filter.associate(observations, self._association)
+        if left_over(rolled, len(observations)) < LEAST:
+            return rolled
+        self._motion = slipped(motion)
+        self._filter.take_back()
+        self._filter.predict(self._motion)
+        choice = self._filter.associate(observations, self._association)
+        if explains(choice, rolled, len(observations)):
+            self._counts["keyframes at which the wheels have slipped"] += 1
+            return choice
+        self._motion = motion
+        self._filter.take_back()
+        self._filter.predict(motion)
+        return self._filter.associate(observations, self._association)
 
     def _first(self, observations: tuple[Observation, ...], single: list[int]) -> list[int]:
         """Return which of these observations are the first of a landmark that exists once."""
@@ -146,7 +169,7 @@ class Landmarks(Estimator):
                 self._counts["poses doubted as refused GPS fixes agree"] += 1
 
     def counts(self) -> Mapping[str, int]:
-        """Return how often landmarks were fused, and refused fixes of a GPS changed the belief."""
+        """Return how often landmarks were fused, wheels slipped, and refused fixes of a GPS agreed."""
         return dict(self._counts)
 
     def _revision(self, keyframe: Keyframe, **facts: Any) -> Revision:

@@ -71,7 +71,7 @@ class Smoothing(Landmarks):
         self._settled = None
         revision = super().add(keyframe)
         if is_known(keyframe.motion):
-            self._smoother.move(keyframe.motion.d_pose, keyframe.motion.covariance)
+            self._smoother.move(self._motion.d_pose, self._motion.covariance)
         self._nodes.append(self._smoother.poses - 1)
         if not revision.refused:
             seen = blurred(keyframe.observations, keyframe.motion, self._models)

@@ -29,10 +29,8 @@ SHORT = 5.0
 FEWEST = 3
 """Matches that are usual at least, to say that they are missing."""
 MISSING = 0.4
-"""Share of the usual number of matches that is missing, while as much is seen: the two walls along which a
-robot slips are still matched."""
-SEEN = 0.7
-"""Share of the usual number of observations that is still as much."""
+"""Of the usual number of matches, the share that is missing while as many observations fit no landmark. Not
+all are missing: the two walls along which a robot slips are still matched."""
 KNOWN = 0.75
 """Share of matches that are with landmarks from before, of a robot that is where it is estimated."""
 ACROSS = 0.5
@@ -47,7 +45,7 @@ class LandmarkWatch:
 
     def __init__(self) -> None:
         self._squares, self._freedoms = MEMORY, MEMORY  # as if it had been consistent
-        self._matches = self._seen = 0.0
+        self._matches = 0.0
         self._missing = self._again = 0  # keyframes in a row
         self._newest = -1  # landmark
         self._before: int | None = None  # newest landmark before the robot was displaced
@@ -73,7 +71,8 @@ class LandmarkWatch:
         if (keyframe.lost or keyframe.reason == SKIPPED) and self._newest >= 0:
             self._before, self._again = self._newest, 0
         elif self._before is None:
-            missing = found <= (1.0 - MISSING) * self._matches and seen >= SEEN * self._seen
+            fitting = found + len(revision.ambiguous)
+            missing = min(self._matches, seen) - fitting >= MISSING * self._matches
             missing &= self._matches >= FEWEST
             self._missing = self._missing + (1 if found else 2) if missing else 0
             if off or self._missing >= PERSISTS:
@@ -87,7 +86,6 @@ class LandmarkWatch:
                 self._before, self._missing = None, 0
         if not self._missing:
             self._matches += (found - self._matches) / SHORT
-            self._seen += (seen - self._seen) / SHORT
 
 
 def _is_located(seen: Iterable[Observation]) -> bool:

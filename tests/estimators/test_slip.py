@@ -1,0 +1,101 @@
+"""Wheels that slip: the landmarks tell, and the map stays what it is."""
+
+import math
+
+import numpy as np
+import pytest
+from tests.association.scenes import R_POINT, point
+from tests.estimators.test_landmarks import keyframe
+from tests.filters.worlds import MODELS
+
+from impslam.association.base import Assignment
+from impslam.association.jcbb import Jcbb
+from impslam.association.mahalanobis import Mahalanobis
+from impslam.component import components
+from impslam.estimators.landmarks import Landmarks
+from impslam.estimators.slip import LEAST, SHARE, TRACK, explains, left_over, slipped
+from impslam.filters.ekf import Ekf
+from impslam.geometry.se2 import compose
+from impslam.lifecycle.immediate import Immediate
+from impslam.types import Increment, Match
+
+POSTS = [(1.0, 1.5), (2.0, -1.0), (3.5, 1.2), (4.5, -1.4), (6.0, 0.8), (7.0, -0.5)]
+Q = np.diag([1e-3, 1e-3, 1e-3]) ** 2
+SLIPS = "keyframes at which the wheels have slipped"
+
+
+def choice(matched, new=(), ambiguous=()):
+    matches = [Match(i, i, np.zeros(2), R_POINT, 0.0) for i in range(matched)]
+    return Assignment(tuple(matches), tuple(new), ambiguous=tuple(ambiguous))
+
+
+def drive(slip, association=None, belief=None, more=()):
+    """Drive 3 m past posts, the middle third of it with wheels that tell so much too much.
+
+    From then on there are `more` posts. Returns the estimator and the true pose at the end.
+    """
+    slam, pose, rng = Landmarks(), np.zeros(3), np.random.default_rng(5)
+    parts = {
+        "association": association or Mahalanobis(),
+        "lifecycle": Immediate(),
+        "models": MODELS,
+    }
+    slam.start(pose, filter=belief or Ekf(), **parts)
+    for step in range(25):
+        moved = np.array([0.12, 0.0, 0.0]) if step else np.zeros(3)
+        pose = compose(pose, moved)
+        told = moved * (1.0 + slip * (8 <= step < 16)) + rng.multivariate_normal(np.zeros(3), Q)
+        places = [*POSTS, *more] if step >= 8 else POSTS
+        seen = [point(pose, place, rng=rng) for place in places]
+        slam.add(keyframe(Increment(float(step), told, Q, 0.2), seen))
+    return slam, pose
+
+
+@pytest.mark.parametrize("association", [Mahalanobis, Jcbb])
+@pytest.mark.parametrize("slip", [0.2, 0.5, 1.0])
+def test_wheels_that_slip_cost_neither_the_pose_nor_the_map(slip, association):
+    slam, pose = drive(slip, association())
+    assert len(slam.landmarks()) == len(POSTS)
+    assert math.dist(slam._filter.pose[:2], pose[:2]) < 0.03
+    assert slam.counts()[SLIPS] > 0
+
+
+@pytest.mark.parametrize("kind", sorted(components("filter")))
+def test_every_filter_predicts_anew(kind):
+    slam, pose = drive(0.5, belief=components("filter")[kind]())
+    assert len(slam.landmarks()) == len(POSTS)
+    assert math.dist(slam._filter.pose[:2], pose[:2]) < 0.03
+
+
+def test_new_things_are_no_slip():
+    """Of a motion that is tried in vain nothing is left: the belief is as if it had not been."""
+    more = [(3.0, 3.0), (5.0, -3.0), (6.5, 3.0)]
+    slam, pose = drive(0.0, more=more)
+    assert SLIPS not in slam.counts()
+    assert len(slam.landmarks()) == len(POSTS) + len(more)
+    assert math.dist(slam._filter.pose[:2], pose[:2]) < 0.01
+
+
+def test_a_slip_explains_most_of_what_is_left_over_or_nothing():
+    rolled = choice(3, new=(4, 5), ambiguous=(6,))
+    assert left_over(rolled, 8) == 4  # 3 and 7, which are near a landmark, 4 and 5
+    assert not explains(choice(4), rolled, 8)
+    assert explains(choice(3 + LEAST), rolled, 8)
+    assert not explains(choice(3 + LEAST), choice(3), 9)
+
+
+@pytest.mark.parametrize("d_pose", [(0.2, 0.0, 0.0), (0.1, 0.0, 0.5), (0.0, 0.0, 0.3)])
+def test_the_covariance_covers_a_wheel_that_slips(d_pose):
+    """One wheel that turns by 3 sigma of `SHARE` in vain, of a robot as wide as `TRACK`."""
+    motion = Increment(0.0, np.array(d_pose), Q, 0.2)
+    ways = d_pose[0] + np.array([-0.5, 0.5]) * TRACK * d_pose[2]
+    ways[0] *= 1.0 - 3.0 * SHARE
+    true = np.array([ways.mean(), 0.0, np.diff(ways)[0] / TRACK])
+    error = (motion.d_pose - true)[[0, 2]]
+    S = slipped(motion).covariance[np.ix_([0, 2], [0, 2])]
+    assert error @ np.linalg.solve(S, error) < 13.8
+
+
+def test_a_robot_that_stands_does_not_slip():
+    motion = Increment.none(0.0)
+    assert not slipped(motion).covariance.any()

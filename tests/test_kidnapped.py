@@ -6,7 +6,7 @@ from tests.test_continuing import drive
 
 import impslam
 from impslam.geometry.se2 import compose, inverse
-from impslam.health import LOST, NONE, TRACKING
+from impslam.health import ASSUMED, LOST, NONE, TRACKING
 
 __all__ = ["drive"]  # a fixture
 LEFT, FOUND = (
@@ -40,18 +40,34 @@ def test_a_robot_that_is_carried_elsewhere_is_lost_and_found(drive):
     assert np.median(off) < 0.1
 
 
-def test_a_robot_whose_view_alone_changes_goes_on_by_odometry(drive):
-    """Scans of elsewhere for a second, as a crowd or a ramp would give, and then new ground."""
+def masked(drive):
+    """Return a run of a drive whose scans are of elsewhere for a second, as by a crowd or a ramp."""
     poses, ranges = drive
-    stamps = 0.1 * np.arange(len(poses))
     shown = ranges.copy()
     shown[LEFT : LEFT + 10] = ranges[FOUND : FOUND + 10]
     slam = impslam.Slam("default")
+    stamps = 0.1 * np.arange(len(poses))
     slam.add_odometry(stamps, poses)
     slam.add_scans(stamps, shown, ANGLES, range_max=20.0)
-    known = slam.finish()
-    assert (slam._run._health.health.states == LOST).any()
+    return slam
+
+
+def test_a_robot_whose_view_alone_changes_goes_on_by_odometry(drive):
+    """New ground follows: that odometry was right is assumed, and health says so."""
+    slam, (poses, _) = masked(drive), drive
+    known, health = slam.finish(), slam._run._health.health
+    assert (health.states == LOST).any()
+    assert health.reasons[-1] == ASSUMED
     assert known.keyframes.placed.all()
     truth = compose(inverse(poses[0]), poses)
     off = np.hypot(*(known.path()[:, 1:] - truth)[:, :2].T)
     assert off[LEFT + 20 :].max() < 0.3
+
+
+def test_a_place_from_before_tells_that_odometry_was_right(drive):
+    """The robot drives all the way back, in reverse."""
+    slam = masked(tuple(np.concatenate([one, one[-2::-1]]) for one in drive))
+    slam.finish()
+    reasons = slam._run._health.health.reasons
+    assert (reasons == ASSUMED).any()
+    assert reasons[-1] == NONE

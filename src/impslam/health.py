@@ -39,11 +39,12 @@ on has failed. LOST: it may be anywhere; the map takes in nothing.
     INCONSISTENT,
     GROWN,
     DISPLACED,
+    ASSUMED,
     UNEXPLAINED,
     ELSEWHERE,
     UNPLACED,
     NOT_FINITE,
-) = range(21)
+) = range(22)
 """The reasons. `OPEN` and `GROWN` come with a way in m, `MISTIMED` and `SKIPPED` with s, `MISALIGNED` with
 degrees, `INCONSISTENT` with a ratio, `MISSCALED`, `COVERED`, `UNEXPLAINED` and `ELSEWHERE` with a share."""
 _WORDS = (
@@ -64,6 +65,7 @@ _WORDS = (
     "landmarks are {0:.1f} times as far as expected from where they were; the position is uncertain",
     "nothing known was seen for {0:.1f} m; the position is uncertain",
     "most of what is seen fits no landmark from before; the position is uncertain",
+    "the place was lost, and the way since is by odometry alone; no place from before is recognised",
     "only {1:.0f} % of the scan fits the map; the map takes in nothing",
     "only {1:.0f} % of the scan fits the map: the robot is elsewhere",
     "it is not known yet where in the map the robot is",

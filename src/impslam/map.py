@@ -144,6 +144,7 @@ class Revision:
     gone : ids of removed landmarks
     refused : why the keyframe could not be used, "" if it was used
     placed : (r,) or one for all, whether it is known where they are in the map
+    assumed : whether the newest pose rests on odometry alone since the place was lost
     dropped : keyframes whose scans are not kept, because they add nothing to those of others
     innovation : of all matches jointly, None where it is not known
     """
@@ -158,6 +159,7 @@ class Revision:
     gone: tuple[int, ...] = ()
     refused: str = ""
     placed: Mask | bool = True
+    assumed: bool = False
     dropped: tuple[int, ...] = ()
     innovation: Innovation | None = None
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from impslam.health import (
+    ASSUMED,
     ELSEWHERE,
     MISTIMED,
     NONE,
@@ -17,7 +18,7 @@ from impslam.health import (
     Standing,
     words,
 )
-from impslam.map import PathRows
+from impslam.map import PathRows, Revision
 from impslam.observers.health import HealthMonitor
 
 
@@ -98,9 +99,24 @@ def test_a_robot_that_is_lost_stays_so_until_a_place_is_recognised(cuts):
     )
     path = PathRows(np.array([14.0]), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3)))
     for ids, placed, state in (([4], False, 2), ([3, 4], False, 2), ([3, 4], True, 0)):
-        revision = SimpleNamespace(ids=ids, matches=(), placed=placed, born=())
-        monitor.revise(sweep, revision, path)
+        monitor.revise(sweep, Revision(*rows(ids), placed=placed), path)
         assert monitor.health.states[-1] == state
+
+
+def rows(ids):
+    """Return ids, poses and covariances of keyframes that do not matter."""
+    return np.array(ids), np.zeros((len(ids), 3)), np.zeros((len(ids), 3, 3))
+
+
+def test_a_place_by_odometry_alone_is_told_until_one_is_recognised():
+    monitor = HealthMonitor()
+    sweep = SimpleNamespace(
+        scan=None, reason=NONE, amount=0.0, located=True, lost=False, observations=()
+    )
+    path = PathRows(np.array([14.0]), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3)))
+    for assumed in (False, True, True, False):
+        monitor.revise(sweep, Revision(*rows([4]), assumed=assumed), path)
+    assert monitor.health.reasons.tolist() == [NONE, ASSUMED, ASSUMED, NONE]
 
 
 def test_a_robot_whose_place_in_the_map_is_not_known_is_lost():
@@ -110,7 +126,7 @@ def test_a_robot_whose_place_in_the_map_is_not_known_is_lost():
     )
     path = PathRows(np.array([14.0]), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3)))
     for ids, placed in (([4], False), ([5], False), ([3, 4, 5], np.array([True, True, True]))):
-        monitor.revise(sweep, SimpleNamespace(ids=ids, matches=(), placed=placed, born=()), path)
+        monitor.revise(sweep, Revision(*rows(ids), placed=placed), path)
     assert monitor.health.reasons.tolist() == [UNPLACED, UNPLACED, NONE]
 
 

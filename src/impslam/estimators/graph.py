@@ -67,6 +67,8 @@ class Graph(Estimator):
     _keys: KeyframeLog = PrivateAttr(default_factory=KeyframeLog)
     _since: tuple[Array, Array] = PrivateAttr()
     _breaks: list[_Break] = PrivateAttr(default_factory=list)
+    _assumed: int | None = PrivateAttr(default=None)
+    """The first node placed by odometry alone, as the robot was lost; None once a place is recognised."""
     _start: Array = PrivateAttr()
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
     _known: Map | None = PrivateAttr(None)
@@ -104,8 +106,10 @@ class Graph(Estimator):
             except NumericalError as error:
                 failed = f"no loop is closed at {keyframe.stamp:.3f} s: {error}"
                 refused = "; ".join(filter(None, (refused, failed)))
+        facts: dict[str, Any] = {"refused": refused, "dropped": dropped}
+        facts["assumed"] = self._assumed is not None
         if moved:
-            return replace(self._all(self._graph), refused=refused, dropped=dropped)
+            return replace(self._all(self._graph), **facts)
         pose, covariance = compose_uncertain(
             self._graph.poses[-1], self._graph.covariances[-1], *self._since
         )
@@ -113,9 +117,8 @@ class Graph(Estimator):
             np.array([keyframe.id]),
             pose[None],
             covariance[None],
-            refused=refused,
             placed=not self._is_pending(),
-            dropped=dropped,
+            **facts,
         )
 
     def _is_pending(self) -> bool:
@@ -161,17 +164,22 @@ class Graph(Estimator):
 
         Those that leave the graph without a solution are taken back, or no later one would have any.
         """
-        before = self._graph.closures
-        if node < 1 or not (
-            self._closer.seek(node, self._keys, self._graph) or self._find_session(node)
-        ):
+        before, assumed = self._graph.closures, self._assumed
+        if node < 1:
             return False
-        try:
-            self._graph.solve()
-        except NumericalError:
-            self._graph.take_back(self._graph.closures - before)
-            raise
-        return True
+        moved = self._closer.seek(node, self._keys, self._graph) or self._find_session(node)
+        if moved:
+            try:
+                self._graph.solve()
+            except NumericalError:
+                self._graph.take_back(self._graph.closures - before)
+                raise
+        new = self._graph.closures - before
+        if new and assumed is not None:
+            edges = self._graph.edges
+            if np.minimum(edges.i[-new:], edges.j[-new:]).min() < assumed:  # a place from before
+                self._assumed = None
+        return moved
 
     def _find_session(self, node: int) -> bool:
         """Seek where the pending session of the newest node lies; tell whether it is found."""
@@ -187,8 +195,12 @@ class Graph(Estimator):
                 return True
         if not self._may_go_on(node):
             return False
+        first = self._breaks[0].node
         self._tie_breaks()
-        return not self._is_pending()
+        if self._is_pending():
+            return False
+        self._assumed = first if self._assumed is None else self._assumed
+        return True
 
     def _may_go_on(self, node: int) -> bool:
         """Tell whether a session that was not found may go on from the map by odometry.

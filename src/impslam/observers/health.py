@@ -9,6 +9,7 @@ import numpy as np
 from impslam.geometry.kernels import kernel
 from impslam.growing import GrowingArray
 from impslam.health import (
+    ASSUMED,
     BLIND,
     ELSEWHERE,
     GROWN,
@@ -84,6 +85,8 @@ class HealthMonitor(Observer):
         told = self._landmarks.revise(keyframe, revision)
         if lost[0] < ELSEWHERE:
             lost[:] = told
+        if revision.assumed and lost[0] < ASSUMED:
+            lost[:] = ASSUMED, 0.0
         if not placed and lost[0] < ELSEWHERE:
             lost[:] = UNPLACED, 0.0
         seen = keyframe.scan is None or bool(keyframe.scan.valid.any())

@@ -5,6 +5,7 @@ import pytest
 from tests.filters.worlds import MODELS, R_POINT, drive, observe, step
 from tests.numeric import wrapped
 
+from impslam.association.mahalanobis import Mahalanobis
 from impslam.component import build
 from impslam.errors import ConfigError
 from impslam.estimators.particle_book import Book
@@ -131,8 +132,14 @@ def _normalised(log_weights):
     return weights / weights.sum()
 
 
+class Joint(Mahalanobis):
+    """Judges a scan as a whole, and not otherwise."""
+
+    judges_jointly = True
+
+
 def test_what_it_cannot_do_is_refused():
     with pytest.raises(ConfigError, match="estimator 'particles' cannot ask"):
-        started("jcbb")
+        Particles().start(np.zeros(3), models=MODELS, **{**parts(), "association": Joint()})
     with pytest.raises(ConfigError, match="cannot continue a map"):
         Particles().start(np.zeros(3), Map.__new__(Map), models=MODELS, **parts())

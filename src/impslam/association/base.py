@@ -108,6 +108,10 @@ class Association(Component):
         del innovation, S
         return False
 
+    def given_pose(self) -> Association:
+        """Return what judges pairings one by one: where the pose is given, they are independent."""
+        return self
+
     @abstractmethod
     def assign(
         self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint

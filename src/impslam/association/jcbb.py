@@ -22,6 +22,7 @@ import numpy.typing as npt
 from impslam.association.assignment import ODDS, ambiguous, collect, log_odds, unseen
 from impslam.association.base import Assignment, Association, Hypotheses, Joint
 from impslam.association.branch_and_bound import NONE, search
+from impslam.association.mahalanobis import Mahalanobis
 from impslam.component import parameter, register
 from impslam.geometry.chi_square import quantile, quantiles
 from impslam.types import Array, Ints, Mask, Match, Observation
@@ -147,6 +148,10 @@ class Jcbb(Association):
     def reach(self, dof: int) -> float:
         """Return the wider gate; see `Association.reach`."""
         return quantile(max(self.gate, self.new_gate), dof)
+
+    def given_pose(self) -> Mahalanobis:
+        """Return what has the same gates and odds; see `Association.given_pose`."""
+        return Mahalanobis(gate=self.gate, new_gate=self.new_gate, odds=self.odds)
 
     def assign(
         self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint

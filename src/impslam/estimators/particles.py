@@ -86,7 +86,8 @@ class Particles(Estimator):
     ) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
         self._refuse(known)
-        self._association, self._lifecycle = parts["association"], parts["lifecycle"]
+        asked: Association = parts["association"]
+        self._association, self._lifecycle = asked.given_pose(), parts["lifecycle"]
         if self._association.judges_jointly:
             raise ConfigError(
                 f"estimator 'particles' cannot ask association {self._association.name!r}, which judges a "
@@ -97,7 +98,7 @@ class Particles(Estimator):
         self._poses = np.tile(np.asarray(pose, np.float64), (self.particles, 1))
         self._log_weights = np.zeros(self.particles)
         self._books, self._told, self._next_id = {}, set(), 0
-        self._lifecycle.start(self._models, self._association, tentative.fresh())
+        self._lifecycle.start(self._models, asked, tentative.fresh())
 
     def add(self, keyframe: Keyframe) -> Revision:
         """Take in a keyframe; see `Estimator.add`."""

@@ -45,6 +45,17 @@ def watch(spreads, cuts, *, valid=None, reasons=None, located=None, monitor=None
     return monitor.health
 
 
+def revise(monitor, ids, **facts):
+    """Let a keyframe, in which nothing is seen, revise the poses of keyframes."""
+    n = len(ids)
+    keyframe = SimpleNamespace(
+        scan=None, reason=NONE, amount=0.0, located=True, lost=False, observations=()
+    )
+    path = PathRows(np.array([14.0]), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3)))
+    revision = Revision(np.array(ids), np.zeros((n, 3)), np.zeros((n, 3, 3)), **facts)
+    monitor.revise(keyframe, revision, path)
+
+
 def why(health):
     """Return the reason of the newest scan."""
     return words(int(health.reasons[-1]), float(health.amounts[-1]))
@@ -94,39 +105,22 @@ def test_a_robot_that_is_lost_stays_so_until_a_place_is_recognised(cuts):
     health = watch([0.0] * 4, cuts, reasons=[NONE, UNEXPLAINED, ELSEWHERE, NONE], monitor=monitor)
     assert health.states.tolist() == [0, 1, 2, 2]
     assert why(health) == words(ELSEWHERE, 0.1 * ELSEWHERE)
-    sweep = SimpleNamespace(
-        scan=None, reason=NONE, amount=0.0, located=True, lost=False, observations=()
-    )
-    path = PathRows(np.array([14.0]), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3)))
     for ids, placed, state in (([4], False, 2), ([3, 4], False, 2), ([3, 4], True, 0)):
-        monitor.revise(sweep, Revision(*rows(ids), placed=placed), path)
+        revise(monitor, ids, placed=placed)
         assert monitor.health.states[-1] == state
-
-
-def rows(ids):
-    """Return ids, poses and covariances of keyframes that do not matter."""
-    return np.array(ids), np.zeros((len(ids), 3)), np.zeros((len(ids), 3, 3))
 
 
 def test_a_place_by_odometry_alone_is_told_until_one_is_recognised():
     monitor = HealthMonitor()
-    sweep = SimpleNamespace(
-        scan=None, reason=NONE, amount=0.0, located=True, lost=False, observations=()
-    )
-    path = PathRows(np.array([14.0]), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3)))
     for assumed in (False, True, True, False):
-        monitor.revise(sweep, Revision(*rows([4]), assumed=assumed), path)
+        revise(monitor, [4], assumed=assumed)
     assert monitor.health.reasons.tolist() == [NONE, ASSUMED, ASSUMED, NONE]
 
 
 def test_a_robot_whose_place_in_the_map_is_not_known_is_lost():
     monitor = HealthMonitor()
-    sweep = SimpleNamespace(
-        scan=None, reason=NONE, amount=0.0, located=True, lost=False, observations=()
-    )
-    path = PathRows(np.array([14.0]), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3)))
     for ids, placed in (([4], False), ([5], False), ([3, 4, 5], np.array([True, True, True]))):
-        monitor.revise(sweep, Revision(*rows(ids), placed=placed), path)
+        revise(monitor, ids, placed=placed)
     assert monitor.health.reasons.tolist() == [UNPLACED, UNPLACED, NONE]
 
 

@@ -16,7 +16,6 @@ import argparse
 import itertools
 import math
 import sys
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,6 +27,7 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.real_logs import Run  # noqa: E402  found from the root of the project
 
+from impslam.evaluation.label_votes import LabelVotes  # noqa: E402
 from impslam.evaluation.run_files import RecordedRun  # noqa: E402
 from impslam.evaluation.scores import Consistency, score_path  # noqa: E402
 from impslam.evaluation.trajectory import align, associate, ate  # noqa: E402
@@ -46,39 +46,19 @@ CLUSTERS = "association.new_gate=0.9"
 
 @dataclass
 class Labelled(Run):
-    """A run, and which labels the observations of each landmark carried."""
+    """A run, the true path, and which labels the observations of each landmark carried."""
 
     truth_path: list[Array] = field(default_factory=list)
-    votes: dict[int, Counter[int]] = field(default_factory=dict)
-    observations: int = 0
+    labels: LabelVotes = field(default_factory=LabelVotes)
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
         """Count labels."""
         super().revise(keyframe, revision, path)
-        self.observations += len(keyframe.observations)
-        for match in revision.matches:
-            label = keyframe.observations[match.observation].label
-            if label is not None:
-                self.votes.setdefault(match.landmark, Counter())[label] += 1
+        self.labels.revise(keyframe, revision, path)
 
     def truth(self, pose: TruePose) -> None:
         """Keep a true pose."""
         self.truth_path.append(np.array([pose.stamp, *pose.pose]))
-
-    @property
-    def matched(self) -> int:
-        """Observations that were taken for a landmark."""
-        return sum(sum(votes.values()) for votes in self.votes.values())
-
-    @property
-    def wrong(self) -> int:
-        """Observations that were taken for a landmark of another label."""
-        return self.matched - sum(max(votes.values()) for votes in self.votes.values())
-
-    def label(self, mark: Landmark) -> int | None:
-        """Return the label that most of a landmark's observations carried; None without any."""
-        votes = self.votes.get(mark.id)
-        return None if votes is None else max(votes, key=lambda label: votes[label])
 
 
 @dataclass(frozen=True)
@@ -152,7 +132,7 @@ def score(seen: Labelled, truth: Sequence[TrueLandmark]) -> Row:
     missing, false = len(places) - int(found.sum()), int((~found).sum())
     rms = math.sqrt(float(np.mean(off[found] ** 2))) if found.any() else math.nan
     counts = (int(found.sum()), missing, false + len(seen.landmarks) - len(best) - doubles, doubles)
-    used = (seen.wrong, seen.matched, seen.observations)
+    used = (seen.labels.wrong, seen.labels.matched, seen.labels.observations)
     return Row(path, odometry, consistency, rms, *counts, *used)
 
 
@@ -165,7 +145,7 @@ def _judged(
     """
     named: list[tuple[Landmark, str]] = []
     for mark in seen.landmarks:
-        label = seen.label(mark)
+        label = seen.labels.label(mark)
         if label is not None:
             named.append((mark, str(label)))
         elif T is not None:

@@ -36,7 +36,7 @@ def rows():
         trial = simulate(SHORT, np.random.default_rng([0, run]))
         for name in ("ekf", "riekf", "FastSLAM 2", BATCH):
             row = circle_row(SHORT, name, trial)
-            made.append({"data": "circle", "variant": name, "seed": run, "error": "", **row})
+            made.append({"world": "circle", "variant": name, "seed": run, "error": "", **row})
     return made
 
 
@@ -68,6 +68,6 @@ def test_the_section_is_told_in_tables_of_its_own(monkeypatch):
     monkeypatch.setattr(filter_table, "FILTERS", {"ekf": FILTERS["ekf"]})
     monkeypatch.setattr(filter_table, "SETTINGS", {"circle": SHORT})
     part = filter_table.filter_table(filter_table.Job(seeds=1))
-    assert [table.title for table in part.tables] == ["Circle", "Arena"]
+    assert [table.title for table in part.tables] == ["Circle", "Arena", "Corridor"]
     assert [row[0] for row in part.tables[0].rows] == ["ekf", BATCH]
     assert all(row["error"] == "" for row in part.runs)

@@ -148,19 +148,27 @@ def _relative(pairs: Pairs, delta: float) -> tuple[Statistics, Statistics] | tup
 
 def _consistency(run: RecordedRun, pairs: Pairs, T_truth_map: Array) -> Consistency | None:
     """Return the normalised errors of a run, the truth laid in map at its start."""
-    if run.covariances is None:
+    values, dof = normalised_errors(run, pairs, T_truth_map)
+    if not len(values):
         return None
+    mean, bounds = float(values.mean()), chi2_bounds(dof, effective_count(values))
+    return Consistency(dof, len(values), mean, *bounds, share_within(values, 1, dof))
+
+
+def normalised_errors(run: RecordedRun, pairs: Pairs, T_truth_map: Array) -> tuple[Array, int]:
+    """Return the normalised error squared (n,) of the poses since the run has moved, and its dof.
+
+    There are 3, or 2 where the truth has no headings. n is 0 if no covariance can be divided by.
+    """
     errors = pose_errors(pairs.estimate, move(inverse(T_truth_map), pairs.truth))
-    covariances = run.covariances[np.isin(run.path[:, 0], pairs.stamps)]
     dof = 3 if np.isfinite(errors).all() else 2
+    if run.covariances is None:
+        return np.empty(0), dof
+    covariances = run.covariances[np.isin(run.path[:, 0], pairs.stamps)]
     errors, covariances = errors[:, :dof], covariances[:, :dof, :dof]
     away = np.hypot(*(pairs.estimate[:, :2] - pairs.estimate[0, :2]).T) > STILL
     used = np.maximum.accumulate(away) & _regular(covariances)
-    if not used.any():
-        return None
-    values = nees(errors[used], covariances[used])
-    mean, bounds = float(values.mean()), chi2_bounds(dof, effective_count(values))
-    return Consistency(dof, len(values), mean, *bounds, share_within(values, 1, dof))
+    return nees(errors[used], covariances[used]), dof
 
 
 def _regular(covariances: Array) -> Mask:

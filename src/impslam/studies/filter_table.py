@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from importlib.util import find_spec
 from itertools import product
@@ -17,11 +17,12 @@ from impslam.config import load
 from impslam.estimators.base import Estimator
 from impslam.evaluation.consistency import nees, pose_errors, resampled_means
 from impslam.map import Keyframe
-from impslam.studies.arena_experiment import GATE, true_landmarks
+from impslam.studies.arena_experiment import GATE
 from impslam.studies.batch_optimum import optima
 from impslam.studies.circle_simulation import HUANG, LONG_LOOP, Setting, Trial, simulate
 from impslam.studies.consistency_arena import SETTLED
 from impslam.studies.filter_consistency import BATCH, CHECK_EVERY
+from impslam.studies.filter_logs import log_rows
 from impslam.studies.report import Picture, ResultTable, Section, load_text, make_table
 from impslam.studies.sweep import Run, Variant, sweep
 from impslam.sweeps.job import Job
@@ -33,7 +34,7 @@ FILTERS: Mapping[str, Sequence[str]] = TEXT["filters"]
 KNOWN = ("estimator.kind=landmarks", "association.kind=known", "lifecycle.kind=immediate")
 """What is set beforehand on simulated landmarks: they are no question there."""
 SETTINGS: Mapping[str, Setting] = {"circle": HUANG, "long loop": LONG_LOOP}
-ARENA = "arena"
+WORLDS = ("arena", "corridor")
 BEYOND = 1000.0
 """From such a NEES on its order of magnitude is told."""
 RUNS = 8
@@ -59,6 +60,8 @@ class Standing(NamedTuple):
     position: Cell  # m
     over_optimum: float
     milliseconds: float
+    wrong: float  # share of matches
+    megabytes: float
 
 
 def filter_table(job: Job) -> Section:
@@ -69,9 +72,9 @@ def filter_table(job: Job) -> Section:
         work = list(product((*filters, BATCH), runs))
         rows += job.map(partial(_circle_row, data), work, data)
     variants = [Variant(name, "imp", tuple(given)) for name, given in filters.items()]
-    arena = sweep(variants, runs, measure=arena_row, job=job, stage=ARENA)
-    rows += [{"data": ARENA, **row} for row in arena]
-    standings = {data: standing(rows, data) for data in (*SETTINGS, ARENA)}
+    rows += sweep(variants, runs, WORLDS, measure=world_row, job=job)
+    rows += log_rows(filters, job)
+    standings = {data: standing(rows, data) for data in dict.fromkeys(row["world"] for row in rows)}
     text = "\n\n".join(filter(None, (TEXT["text"], failures(rows))))
     tables = [_table(data, found) for data, found in standings.items()]
     return Section("filters", TEXT["title"], text, tables, _pictures(standings), standings, rows)
@@ -93,20 +96,32 @@ def installed() -> dict[str, Sequence[str]]:
 
 def standing(rows: Iterable[Row], data: str) -> dict[str, Standing]:
     """Return what each filter comes to on some data."""
-    groups = by_variant(row for row in rows if row["data"] == data)
+    groups = by_variant(row for row in rows if row["world"] == data)
     best = groups.get(BATCH, ())
     optimum = _rms(best, "position2_at_checks")
     rng = np.random.default_rng(0)
     return {
         name: Standing(
             len(runs),
-            _interval(np.array([run["nees"] for run in runs]), rng),
-            Cell(*np.sqrt(_interval(np.array([run["position2"] for run in runs]), rng))),
+            _interval(_values(runs, "nees"), rng),
+            Cell(*np.sqrt(_interval(_values(runs, "position2"), rng))),
             _rms(runs, "position2_at_checks") / optimum,
             float(np.median([run["milliseconds"] for run in runs])),
+            _share(runs, "wrong", "matched"),
+            max(run.get("megabytes", math.nan) for run in runs),
         )
         for name, runs in groups.items()
     }
+
+
+def _values(runs: Sequence[Row], metric: str) -> Array:
+    """Return the values of a metric in all runs, or in the stretches of runs that have some."""
+    return np.concatenate([run.get(f"{metric}_parts", [run[metric]]) for run in runs])
+
+
+def _share(runs: Sequence[Row], part: str, whole: str) -> float:
+    total = sum(run.get(whole, 0) for run in runs)
+    return sum(run.get(part, 0) for run in runs) / total if total else math.nan
 
 
 def _interval(values: Array, rng: np.random.Generator) -> Cell:
@@ -123,7 +138,7 @@ def _circle_row(data: str, item: tuple[str, int]) -> Row:
     """Return the row of a filter, or of the optimum, on a simulated run."""
     name, run = item
     trial = simulate(SETTINGS[data], np.random.default_rng([0, run]))
-    given = {"data": data, "variant": name, "seed": run}
+    given = {"world": data, "variant": name, "seed": run}
     return attempt(given, lambda: circle_row(SETTINGS[data], name, trial))
 
 
@@ -168,12 +183,12 @@ def _follow(
         yield k, revision.poses[-1], revision.covariances[-1]
 
 
-def arena_row(run: Run) -> Row:
-    """Return the same of a run in the arena, and what became of its landmarks."""
+def world_row(run: Run) -> Row:
+    """Return the same of a run in a world, and what became of its landmarks."""
     from impslam.evaluation.landmarks import score_landmarks  # noqa: PLC0415
 
     later = run.rows.stamps - run.rows.stamps[0] >= SETTLED
-    score = score_landmarks(run.landmarks, true_landmarks(), GATE)
+    score = score_landmarks(run.landmarks, run.world.landmarks(), GATE)
     return {
         "nees": float(run.nees[later].mean()),
         "position2": float(np.mean(run.errors[later] ** 2)),
@@ -185,17 +200,24 @@ def arena_row(run: Run) -> Row:
 
 
 def _table(data: str, standings: Mapping[str, Standing]) -> ResultTable:
-    def number(value: float, form: str) -> str:
-        return "" if math.isnan(value) else f"{value:{form}}"
+    def number(value: float | Cell, form: str) -> str:
+        mean = value.value if isinstance(value, Cell) else value
+        return "" if math.isnan(mean) else f"{value:{form}}"
 
-    columns = {
+    columns: dict[str, Callable[[Standing], str]] = {
         "runs": lambda s: str(s.runs),
-        "pose NEES": lambda s: f"{s.nees:{'.2f' if s.nees.value < BEYOND else '.1e'}}",
-        "position [m]": lambda s: f"{s.position:{'.4f' if data == ARENA else '.3f'}}",
+        "pose NEES": lambda s: number(s.nees, ".2f" if s.nees.value < BEYOND else ".1e"),
+        "position [m]": lambda s: number(s.position, ".3f" if s.position.value > 0.05 else ".4f"),
         "over the optimum": lambda s: number(s.over_optimum, ".3f"),
+        "wrong matches [%]": lambda s: number(100.0 * s.wrong, ".1f"),
         "ms a step": lambda s: number(s.milliseconds, ".2f"),
+        "memory [MB]": lambda s: number(s.megabytes, ".0f"),
     }
-    return make_table(data.capitalize(), standings, columns, TEXT["note"], ("filter",))
+    told = {
+        name: tell for name, tell in columns.items() if any(tell(s) for s in standings.values())
+    }
+    title = data[0].upper() + data[1:]
+    return make_table(title, standings, told, TEXT["note"], ("filter",))
 
 
 def _pictures(standings: Mapping[str, Mapping[str, Standing]]) -> list[Picture]:

@@ -52,7 +52,7 @@ class Processes(Pool):
             return
         while suspects := (yield from self._until_broken(work, todo)):
             for index, item in suspects.items():
-                yield index, _alone(work, item)
+                yield index, alone(work, item)
 
     def _until_broken(
         self, work: Callable[[T], R], todo: Iterator[tuple[int, T]]
@@ -78,7 +78,8 @@ class Processes(Pool):
         return at_work
 
 
-def _alone(work: Callable[[T], R], item: T) -> R | Lost:
+def alone(work: Callable[[T], R], item: T) -> R | Lost:
+    """Return the result of one item by a process of its own."""
     with _executor(1) as pool:
         try:
             return pool.submit(work, item).result()

@@ -13,10 +13,11 @@ from impslam.association.jcbb import Jcbb
 from impslam.association.mahalanobis import Mahalanobis
 from impslam.component import components
 from impslam.estimators.landmarks import Landmarks
-from impslam.estimators.slip import LEAST, SHARE, TRACK, explains, left_over, slipped
+from impslam.estimators.slip import LEAST, SHARE, TRACK, Attempt, explains, slipped
 from impslam.filters.ekf import Ekf
 from impslam.geometry.se2 import compose
 from impslam.lifecycle.immediate import Immediate
+from impslam.lifecycle.tentative import Tentative
 from impslam.types import Increment, Match
 
 POSTS = [(1.0, 1.5), (2.0, -1.0), (3.5, 1.2), (4.5, -1.4), (6.0, 0.8), (7.0, -0.5)]
@@ -24,12 +25,13 @@ Q = np.diag([1e-3, 1e-3, 1e-3]) ** 2
 SLIPS = "keyframes at which the wheels have slipped"
 
 
-def choice(matched, new=(), ambiguous=()):
-    matches = [Match(i, i, np.zeros(2), R_POINT, 0.0) for i in range(matched)]
-    return Assignment(tuple(matches), tuple(new), ambiguous=tuple(ambiguous))
+def attempt(matched, new=(), ambiguous=(), tentative=0, S=R_POINT):
+    matches = [Match(i, i, np.zeros(2), S, 0.0) for i in range(matched)]
+    again = [Match(9, 9, np.zeros(2), S, 0.0)] * tentative
+    return Attempt(Assignment(tuple(matches), tuple(new), ambiguous=tuple(ambiguous)), again)
 
 
-def drive(slip, association=None, belief=None, more=()):
+def drive(slip, association=None, belief=None, more=(), posts=POSTS, lifecycle=None):
     """Drive 3 m past posts, the middle third of it with wheels that tell so much too much.
 
     From then on there are `more` posts. Returns the estimator and the true pose at the end.
@@ -37,7 +39,7 @@ def drive(slip, association=None, belief=None, more=()):
     slam, pose, rng = Landmarks(), np.zeros(3), np.random.default_rng(5)
     parts = {
         "association": association or Mahalanobis(),
-        "lifecycle": Immediate(),
+        "lifecycle": lifecycle or Immediate(),
         "models": MODELS,
     }
     slam.start(pose, filter=belief or Ekf(), **parts)
@@ -45,7 +47,7 @@ def drive(slip, association=None, belief=None, more=()):
         moved = np.array([0.12, 0.0, 0.0]) if step else np.zeros(3)
         pose = compose(pose, moved)
         told = moved * (1.0 + slip * (8 <= step < 16)) + rng.multivariate_normal(np.zeros(3), Q)
-        places = [*POSTS, *more] if step >= 8 else POSTS
+        places = [*posts, *more] if step >= 8 else posts
         seen = [point(pose, place, rng=rng) for place in places]
         slam.add(keyframe(Increment(float(step), told, Q, 0.2), seen))
     return slam, pose
@@ -76,12 +78,48 @@ def test_new_things_are_no_slip():
     assert math.dist(slam._filter.pose[:2], pose[:2]) < 0.01
 
 
+@pytest.mark.parametrize("slip", [0.2, 0.5])
+def test_one_landmark_that_was_seen_just_before_is_enough(slip):
+    """Where walls tell the rest: along a corridor a door's edge is often all there is."""
+    slam, pose = drive(slip, posts=POSTS[4:5])
+    assert len(slam.landmarks()) == 1
+    assert abs(slam._filter.pose[0] - pose[0]) < 0.1
+    assert slam.counts()[SLIPS] > 0
+
+
+def test_what_is_not_in_the_map_yet_tells_of_a_slip():
+    """New things are seen where the robot has moved to, not where its wheels say, and so agree."""
+    known, new = POSTS[4:5], [(5.0, 2.0), (6.5, -1.5)]
+    slam, pose = drive(0.3, posts=known, more=new, lifecycle=Tentative())
+    assert len(slam.landmarks()) == len(known) + len(new)
+    for mark, place in zip(slam.landmarks(), [*known, *new], strict=True):
+        assert math.dist(mark.position, place) < 0.1
+    assert math.dist(slam._filter.pose[:2], pose[:2]) < 0.1
+
+
 def test_a_slip_explains_most_of_what_is_left_over_or_nothing():
-    rolled = choice(3, new=(4, 5), ambiguous=(6,))
-    assert left_over(rolled, 8) == 4  # 3 and 7, which are near a landmark, 4 and 5
-    assert not explains(choice(4), rolled, 8)
-    assert explains(choice(3 + LEAST), rolled, 8)
-    assert not explains(choice(3 + LEAST), choice(3), 9)
+    rolled = attempt(3, new=(4, 5), ambiguous=(6,))
+    assert rolled.left_over(8) == 4  # 3 and 7, which are near a landmark, 4 and 5
+    assert not explains(attempt(4), rolled, 8, {3})
+    assert explains(attempt(3 + LEAST), rolled, 8, set())
+    assert not explains(attempt(3 + LEAST), attempt(3), 9, set())
+
+
+def test_one_thing_explains_a_slip_if_it_was_seen_just_before():
+    rolled = attempt(3, new=(3,))
+    assert explains(attempt(4), rolled, 4, {3})
+    assert not explains(attempt(4), rolled, 4, {0, 1, 2})
+    assert explains(attempt(3, tentative=1), rolled, 4, set())
+    assert not explains(attempt(4, tentative=0), attempt(3, tentative=1), 5, {3})
+
+
+def test_a_match_speaks_for_a_slip_only_where_few_other_things_may_be():
+    """A gate of metres holds other trees, too: to match there is no evidence."""
+    assert attempt(1).evidence(lambda *_: (np.zeros(2), R_POINT), ()) > 5.0
+    wide = np.eye(2) * 2.0**2
+    assert attempt(1, S=wide).evidence(lambda *_: (np.zeros(2), wide), ()) < 0.0
+    assert attempt(0, tentative=1, S=wide).evidence(lambda *_: (), ()) < 0.0
+    assert attempt(0).evidence(lambda *_: (), ()) == 0.0
 
 
 @pytest.mark.parametrize("d_pose", [(0.2, 0.0, 0.0), (0.1, 0.0, 0.5), (0.0, 0.0, 0.3)])

@@ -10,7 +10,7 @@ from impslam.geometry.se2 import between, compose, compose_jacobians, inverse, t
 from impslam.map import Keyframe, Revision, Track
 from impslam.map_builder import MapBuilder
 from impslam.observers.base import Dropped, Outcome
-from impslam.types import Increment, Landmark, LaserScan, Match, Scan, TruePose
+from impslam.types import Increment, Landmark, LaserScan, Match, Observation, Scan, TruePose
 
 HALF = 3.0
 ANGLES = np.linspace(-np.pi, np.pi, 90, endpoint=False)
@@ -92,9 +92,10 @@ class Scripted:
 
     def _keyframe(self, result, sweeps):
         none = np.zeros((3, 3))
+        seen = tuple(Observation("corner", np.zeros(2), np.eye(2)) for _ in result.matches)
         keyframe = Keyframe(
             self._count, result.stamp, Increment.none(result.stamp), result.odometry, none[0],
-            none, sweeps, 0, result.scan,
+            none, sweeps, 0, result.scan, observations=seen,
         )  # fmt: skip
         revision = Revision(
             np.array([self._count]), result.pose[None], result.covariance[None], result.matches,

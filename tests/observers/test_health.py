@@ -1,5 +1,6 @@
 """Health: why a pose cannot be trusted, and that it does not matter how a log is cut."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,6 +21,9 @@ from impslam.health import (
 )
 from impslam.map import PathRows, Revision
 from impslam.observers.health import HealthMonitor
+from impslam.types import Increment, Match, Observation
+
+STILL = Increment.none(0.0)
 
 
 def watch(spreads, cuts, *, valid=None, reasons=None, located=None, monitor=None):
@@ -49,11 +53,32 @@ def revise(monitor, ids, **facts):
     """Let a keyframe, in which nothing is seen, revise the poses of keyframes."""
     n = len(ids)
     keyframe = SimpleNamespace(
-        scan=None, reason=NONE, amount=0.0, located=True, lost=False, observations=()
+        scan=None, reason=NONE, amount=0.0, located=True, lost=False, observations=(), motion=STILL
     )
     path = PathRows(np.array([14.0]), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3)))
     revision = Revision(np.array(ids), np.zeros((n, 3)), np.zeros((n, 3, 3)), **facts)
     monitor.revise(keyframe, revision, path)
+
+
+def match_landmarks(monitor, variance, walls, driven=0.1):
+    """Let a keyframe match a point, or walls of a corridor, with so much variance of its position.
+
+    `driven` is that of the motion since the last keyframe.
+    """
+    along = np.array([[0.0, 1.0], [4.0, 1.0]])
+    seen = [
+        Observation("wall", np.zeros(2), np.eye(2), None, np.add(along, [0.0, y])) for y in (0, -2)
+    ]
+    if not walls:
+        seen = [Observation("corner", np.array([2.0, 1.0]), np.eye(2))]
+    matches = tuple(Match(i, i, np.zeros(2), np.eye(2), 1.0) for i in range(len(seen)))
+    keyframe = SimpleNamespace(
+        scan=None, reason=NONE, amount=0.0, located=False, lost=False, observations=seen,
+        motion=replace(STILL, covariance=np.diag([driven, 0.0, 0.0])),
+    )  # fmt: skip
+    covariance = np.diag([variance, 0.0, 0.0])[None]
+    path = PathRows(np.array([14.0]), np.zeros((1, 3)), covariance, np.zeros((1, 3)))
+    monitor.revise(keyframe, Revision(np.array([4]), np.zeros((1, 3)), covariance, matches), path)
 
 
 def why(health):
@@ -108,6 +133,29 @@ def test_a_robot_that_is_lost_stays_so_until_a_place_is_recognised(cuts):
     for ids, placed, state in (([4], False, 2), ([3, 4], False, 2), ([3, 4], True, 0)):
         revise(monitor, ids, placed=placed)
         assert monitor.health.states[-1] == state
+
+
+def test_walls_along_the_way_do_not_make_up_for_a_position_that_has_grown_unsure():
+    monitor = HealthMonitor()
+    for variance, walls in ((0.01, False), (0.04, True), (0.09, True), (0.09, True)):
+        match_landmarks(monitor, variance, walls)
+    assert monitor.health.states.tolist() == [0, 0, 1, 1]
+
+
+def test_nor_do_landmarks_that_are_as_unsure():
+    """They were begun since then; one from before makes the position sure again."""
+    monitor = HealthMonitor()
+    for variance in (0.01, 0.05, 0.2, 0.2, 0.05):
+        match_landmarks(monitor, variance, walls=False)
+    assert monitor.health.states.tolist() == [0, 0, 1, 1, 0]
+
+
+def test_far_from_the_start_a_small_motion_makes_nothing_unsure():
+    """There the heading's error at the start moves the position by much."""
+    monitor = HealthMonitor()
+    for i in range(20):
+        match_landmarks(monitor, 100.0 + 0.1 * i, walls=False, driven=1e-4)
+    assert monitor.health.counts()["DEGRADED"] == 0
 
 
 def test_a_place_by_odometry_alone_is_told_until_one_is_recognised():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -16,7 +16,7 @@ from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_k
 from impslam.estimators.blur import blurred
 from impslam.estimators.duplicates import Duplicates, of_kept
 from impslam.estimators.refused_fixes import RefusedFixes
-from impslam.estimators.slip import LEAST, explains, left_over, slipped
+from impslam.estimators.slip import RECENT, Attempt, explains, slipped
 from impslam.filters.base import Filter
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
@@ -37,6 +37,8 @@ class Landmarks(Estimator):
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
     _motion: Increment = PrivateAttr()
     """To the newest keyframe, as it was predicted."""
+    _recent: deque[set[int]] = PrivateAttr(default_factory=lambda: deque(maxlen=RECENT))
+    """The landmarks that the newest keyframes were matched with."""
     _met: set[str] = PrivateAttr(default_factory=set)
     _refused: RefusedFixes = PrivateAttr(default_factory=RefusedFixes)
     _duplicates: Duplicates = PrivateAttr(default_factory=Duplicates)
@@ -86,6 +88,7 @@ class Landmarks(Estimator):
         except NumericalError:
             self._filter.take_back()
             raise
+        self._recent.append({match.landmark for match in choice.matches})
         self._lifecycle.move(self._motion)
         self._filter.note(observations, choice.matches, stamp)
 
@@ -114,20 +117,29 @@ class Landmarks(Estimator):
 
     def _associate(self, observations: tuple[Observation, ...], motion: Increment) -> Assignment:
         """Associate; predict anew, as of wheels that have slipped, if that explains more."""
-        rolled = self._filter.associate(observations, self._association)
-        if left_over(rolled, len(observations)) < LEAST:
-            return rolled
-        self._motion = slipped(motion)
-        self._filter.take_back()
-        self._filter.predict(self._motion)
-        choice = self._filter.associate(observations, self._association)
-        if explains(choice, rolled, len(observations)):
+        rolled = self._attempt(observations, motion)
+        if rolled.left_over(len(observations)) == 0:
+            return rolled.choice
+        before = rolled.evidence(self._filter.joint, observations)
+        self._predict_anew(slipped(motion))
+        attempt = self._attempt(observations, self._motion)
+        likely = attempt.evidence(self._filter.joint, observations) > before
+        recent = set().union(*self._recent)
+        if likely and explains(attempt, rolled, len(observations), recent):
             self._counts["keyframes at which the wheels have slipped"] += 1
-            return choice
+            return attempt.choice
+        self._predict_anew(motion)
+        return self._filter.associate(observations, self._association)
+
+    def _attempt(self, observations: tuple[Observation, ...], motion: Increment) -> Attempt:
+        choice = self._filter.associate(observations, self._association)
+        others = tuple(observations[i] for i in choice.new)
+        return Attempt(choice, self._lifecycle.recognise(others, motion))
+
+    def _predict_anew(self, motion: Increment) -> None:
         self._motion = motion
         self._filter.take_back()
         self._filter.predict(motion)
-        return self._filter.associate(observations, self._association)
 
     def _first(self, observations: tuple[Observation, ...], single: list[int]) -> list[int]:
         """Return which of these observations are the first of a landmark that exists once."""

@@ -28,6 +28,16 @@ class Lifecycle(Component):
     def move(self, increment: Increment) -> None:
         """Follow the robot's motion."""
 
+    def recognise(
+        self, observations: tuple[Observation, ...], motion: Increment
+    ) -> tuple[Match, ...]:
+        """Match unmatched observations with what is not in the map yet, if the robot has moved so.
+
+        Nothing changes by asking.
+        """
+        del observations, motion
+        return ()
+
     @abstractmethod
     def promote(self, observations: Sequence[Observation], stamp: float, lost: bool) -> list[int]:
         """Return which of the unmatched observations (indices) are to become landmarks now.

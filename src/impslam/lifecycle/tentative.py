@@ -220,6 +220,17 @@ class Tentative(Lifecycle):
             self._forget()
         self._candidates.predict(increment)
 
+    def recognise(
+        self, observations: tuple[Observation, ...], motion: Increment
+    ) -> tuple[Match, ...]:
+        """Match observations with tentative landmarks; see `Lifecycle.recognise`."""
+        if not observations or not self._seen:
+            return ()
+        self._candidates.predict(motion)
+        matches = self._candidates.associate(observations, self._association).matches
+        self._candidates.take_back()
+        return matches
+
     def promote(self, observations: Sequence[Observation], stamp: float, lost: bool) -> list[int]:
         """Return the observations (indices) whose landmark has now been seen often enough."""
         self._now, self._untried = stamp, lost

@@ -24,7 +24,7 @@ from impslam.health import (
 )
 from impslam.map import Keyframe, PathRows, Revision, Track
 from impslam.observers.base import Observer
-from impslam.observers.landmark_watch import LandmarkWatch
+from impslam.observers.landmark_watch import LandmarkWatch, is_located
 from impslam.types import Array, Mask
 
 UNCERTAIN = 0.25
@@ -49,6 +49,7 @@ class HealthMonitor(Observer):
         # x, y of the last pose, way since a match, variance there; reason and amount that last
         self._carried = np.zeros(6)
         self._fresh = True  # no pose yet, or landmarks were recognised
+        self._driven = 0.0  # variance in m^2 of the motion since landmarks told the position
         self._landmarks = LandmarkWatch()
         self._stamps, self._amounts = GrowingArray(), GrowingArray()
         self._reasons = GrowingArray(dtype=np.int8)
@@ -78,10 +79,10 @@ class HealthMonitor(Observer):
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
         """Record the scan of a keyframe."""
         lost, placed = self._carried[4:], bool(np.ravel(revision.placed)[-1])
-        if revision.matches or len(revision.ids) > 1:  # a landmark, or a place, is known
-            self._fresh = True
-            if placed and lost[0] >= ELSEWHERE:
-                lost[0] = NONE
+        recognised = len(revision.ids) > 1  # a place is known
+        self._fresh |= self._is_sure(keyframe, revision, path) or recognised
+        if (revision.matches or recognised) and placed and lost[0] >= ELSEWHERE:
+            lost[0] = NONE
         told = self._landmarks.revise(keyframe, revision)
         if lost[0] < ELSEWHERE:
             lost[:] = told
@@ -97,6 +98,19 @@ class HealthMonitor(Observer):
             np.array([keyframe.amount]),
             np.array([keyframe.located]),
         )
+
+    def _is_sure(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> bool:
+        """Tell whether the landmarks tell the position, and have made up for what it had grown unsure by.
+
+        Those that are new since say nothing of that.
+        """
+        self._driven += keyframe.motion.covariance[0, 0] + keyframe.motion.covariance[1, 1]
+        variance = path.covariances[0, 0, 0] + path.covariances[0, 1, 1]
+        unsure = min(self._driven, variance - self._carried[3]) > UNCERTAIN**2
+        if unsure or not is_located(keyframe.observations[m.observation] for m in revision.matches):
+            return False
+        self._driven = 0.0
+        return True
 
     def _record(
         self, path: PathRows, seen: Mask, reasons: Reasons, amounts: Array, fresh: Mask

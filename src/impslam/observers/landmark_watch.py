@@ -80,7 +80,7 @@ class LandmarkWatch:
         else:
             known = [match for match in revision.matches if match.landmark <= self._before]
             again = len(known) >= max(FEWEST, KNOWN * found) and not off
-            again = again and _is_located([keyframe.observations[m.observation] for m in known])
+            again = again and is_located([keyframe.observations[m.observation] for m in known])
             self._again = self._again + 1 if again else 0
             if self._again >= PERSISTS:
                 self._before, self._missing = None, 0
@@ -88,7 +88,7 @@ class LandmarkWatch:
             self._matches += (found - self._matches) / SHORT
 
 
-def _is_located(seen: Iterable[Observation]) -> bool:
+def is_located(seen: Iterable[Observation]) -> bool:
     """Tell whether observations of known landmarks tell the position along both axes."""
     information = np.zeros((2, 2))
     for one in seen:

@@ -35,8 +35,7 @@ class Table:
 
     def states(self, mean: Array, places: Ints | None = None) -> Array:
         """Return the states (k, dim) of all landmarks, or of those at some places."""
-        columns = self.columns if places is None else self.columns[places]
-        return mean.take(columns)
+        return mean[self.columns if places is None else self.columns.take(places, 0)]
 
     def append(self, row: tuple[int, int, int], extent: Array, stamp: float) -> None:
         """Add a landmark: (id, label, offset)."""

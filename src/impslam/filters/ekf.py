@@ -112,16 +112,15 @@ class Ekf(GaussianFilter):
             if iteration:
                 pose, states = scene.moved(step)
             system = self._linearise(scene, pose, states)
-            entries, moving = scene.entries, scene.moving
-            G, y, moved, (nis, log_det) = solve(system, belief.P, entries, moving, step)
+            G, moved, (nis, log_det) = solve(system, belief.P, scene.entries, scene.moving, step)
             if math.isnan(log_det):
                 raise NumericalError(INDEFINITE)
             if told is None and doubt is None:
-                told = Innovation(nis, len(y), log_det)
+                told = Innovation(nis, scene.rows, log_det)
             turned, step = abs(moved[2] - step[2]), moved
             if turned < self.tolerance:
                 break
-        self._finish(*gain(belief.P, belief.n, scene.entries, G, y))
+        self._finish(*gain(belief.P, belief.n, scene.entries, G))
         return told
 
     def _finish(self, W_T: Array, step: Array, of_pose: Array) -> None:

@@ -59,7 +59,8 @@ class Scene:
         self._off_by: list[Array] = []
         entries = [_POSE]
         for table, places, seen, rows, which in pairs:
-            columns, z, R = table.columns[places], seen.z[rows], seen.R[rows]
+            columns = table.columns.take(places, 0)
+            z, R = seen.z.take(rows, 0), seen.R.take(rows, 0)
             if known:
                 self._off_by.append(_taken_out(R, seen, rows, known))
             if doubt is not None:

@@ -97,56 +97,58 @@ def factorise(S: Array) -> bool:
 
 @kernel
 def _whiten(U: Array, G: Array, y: Array) -> None:
-    """Replace G (rows, q) and y (rows,) by U^-T G and U^-T y."""
-    for r in range(len(U)):
+    """Replace the first rows of G (rows + 1, q) and y (rows,) by U^-T G and U^-T y, the last by y^T G."""
+    rows, q = len(y), G.shape[1]
+    for r in range(rows):
         y[r] /= U[r, r]
-        G[r] /= U[r, r]
-        for b in range(r + 1, len(U)):
+        for i in range(q):
+            G[r, i] /= U[r, r]
+            G[rows, i] += y[r] * G[r, i]
+        for b in range(r + 1, rows):
             u = U[r, b]
             y[b] -= u * y[r]
-            for i in range(G.shape[1]):
+            for i in range(q):
                 G[b, i] -= u * G[r, i]
 
 
 @kernel
 def solve(
     system: tuple[Array, Array, Array], P: Array, entries: Ints, moving: int, before: Array
-) -> tuple[Array, Array, Array, tuple[float, float]]:
+) -> tuple[Array, Array, tuple[float, float]]:
     """Return what corrects by H, R and nu, with S = U^T U, and nu^T S^-1 nu and log det S.
 
-    That is G = U^-T H (rows, q) and y = U^-T nu: the mean moves by P G^T y, and P becomes P - P G^T G P.
-    The step of the q entries is returned, too; only the first `moving` of them make one. Where there is
-    no U, log det S is NaN.
+    That is G = U^-T H (rows, q) and below it g = (U^-T nu)^T G: the mean moves by g P, and P becomes
+    P - (G P)^T G P. The step (q,) of the entries is returned, too, of which the first `moving` make one.
+    Where there is no U, log det S is NaN.
 
     d = `before` (q,) is the step at whose end H and nu were taken (Gauss-Newton); zero at first.
     """
     H, R, nu = system
-    P_seen, G, y, step = among(P, entries), H.copy(), nu.copy(), np.zeros(len(entries))
-    for c in range(moving):
-        for r in range(len(y)):
+    (rows, q), P_seen, y = H.shape, among(P, entries), nu.copy()
+    G, step = np.zeros((rows + 1, q)), np.zeros(q)
+    for r in range(rows):
+        for c in range(q):
+            G[r, c] = H[r, c]
             y[r] += H[r, c] * before[c]
     U = innovation_covariance(H, P_seen, R)
     if not factorise(U):
-        return G, y, step, (np.nan, np.nan)
+        return G, step, (np.nan, np.nan)
     _whiten(U, G, y)
     nis, log_det = 0.0, 0.0
-    for r in range(len(U)):
+    for r in range(rows):
         nis, log_det = nis + y[r] * y[r], log_det + 2.0 * math.log(U[r, r])
-    for c in range(len(step)):
-        weight = 0.0
-        for r in range(len(y)):
-            weight += G[r, c] * y[r]
+    for c in range(q):
         for i in range(moving):
-            step[i] += weight * P_seen[c, i]
-    return G, y, step, (nis, log_det)
+            step[i] += G[rows, c] * P_seen[c, i]
+    return G, step, (nis, log_det)
 
 
 @kernel
-def gain(P: Array, n: int, entries: Ints, G: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Return W^T = G P (rows, n), the step K nu = W y (n,) and P's rows of the pose (3, n).
+def gain(P: Array, n: int, entries: Ints, G: Array) -> tuple[Array, Array, Array]:
+    """Return W^T = G P (rows, n), the step g P (n,) and P's rows of the pose (3, n).
 
     P - W W^T is the covariance after the correction.
     """
     of_seen = rows_of(P, entries, n)
     W_T = G @ of_seen
-    return W_T, y @ W_T, of_seen[:POSE]
+    return W_T[:-1], W_T[-1], of_seen[:POSE]

@@ -10,7 +10,7 @@ from typing import Any
 
 import llvmlite.binding as llvm
 import numpy as np
-from numba.core import types
+from numba.core import config, types
 
 from impslam.geometry.kernels import kernel
 from impslam.geometry.scipy_extension import load
@@ -25,7 +25,10 @@ def _routine(name: str, arguments: int) -> Any:
     """Return the routine behind scipy's; compiled code knows it by a name, and can be kept."""
     pointer = ctypes.pythonapi.PyCapsule_GetPointer
     pointer.restype, pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
-    llvm.add_symbol(f"impslam_{name}", pointer(getattr(_blas, name)._cpointer, None))
+    address = pointer(getattr(_blas, name)._cpointer, None)
+    if getattr(config, "DISABLE_JIT", False):  # Python calls it then
+        return ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(address)
+    llvm.add_symbol(f"impslam_{name}", address)
     return types.ExternalFunction(f"impslam_{name}", types.void(*[types.voidptr] * arguments))
 
 

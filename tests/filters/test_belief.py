@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from impslam.filters.belief import POSE, GaussianBelief
-from impslam.filters.update import Rows, gain, innovation_covariance, solve
+from impslam.filters.update import among, gain, innovation_covariance, put_sight, solve
 
 
 def random_belief(rng, landmarks=70):
@@ -20,51 +20,73 @@ def random_belief(rng, landmarks=70):
 
 
 def random_rows(rng, n, offsets, dims, some):
-    """Return H by rows and dense, each landmark seen with two numbers, R, and the entries."""
-    count = 2 * len(some)
-    H, R, entries = np.zeros((count, n)), np.zeros((count, count)), [0, 1, 2]
-    slots, blocks = np.zeros(count, np.int64), np.repeat(np.arange(0, count, 2), 2)
-    h_pose, h_m, noise = rng.normal(size=(count, 3)), np.zeros((count, 3)), np.zeros((count, 2))
+    """Return H of the whole state, R, and the entries; each landmark is seen with two numbers.
+
+    The last landmark stands for an error that the others share, too.
+    """
+    rows, entries = 2 * len(some), [0, 1, 2]
+    H, R = np.zeros((rows, n)), np.zeros((rows, rows))
     for i, k in enumerate(some):
-        two = slice(2 * i, 2 * i + 2)
-        A = rng.normal(size=(2, 2))
-        noise[two] = R[two, two] = A @ A.T + np.eye(2)
-        slots[two] = len(entries)
+        two, A = slice(2 * i, 2 * i + 2), rng.normal(size=(2, 2))
+        R[two, two] = A @ A.T + np.eye(2)
+        H[two, :POSE] = rng.normal(size=(2, POSE))
+        H[two, offsets[k] : offsets[k] + dims[k]] = rng.normal(size=(2, dims[k]))
         entries += range(offsets[k], offsets[k] + dims[k])
-        h_m[two, : dims[k]] = rng.normal(size=(2, dims[k]))
-        H[two, :POSE], H[two, offsets[k] : offsets[k] + dims[k]] = h_pose[two], h_m[two, : dims[k]]
-    errors, h_error = np.where(np.arange(count) % 3, slots[-1], -1), rng.normal(size=count)
-    H[np.arange(count), entries[slots[-1]]] += np.where(errors < 0, 0.0, h_error)
-    return Rows(slots, blocks, noise, h_pose, h_m, errors, h_error), H, R, np.array(entries)
+    H[:, entries[-1]] += np.where(np.arange(rows) % 3, rng.normal(size=rows), 0.0)
+    return H, R, np.array(entries)
 
 
 @pytest.mark.parametrize("landmarks", [70, 150])  # one panel of P, and several
 def test_update_is_the_kalman_update(rng, landmarks):
     belief, P, offsets, dims = random_belief(rng, landmarks)
-    rows, H, R, entries = random_rows(rng, belief.n, offsets, dims, [5, 0, 69, 33])
+    H, R, entries = random_rows(rng, belief.n, offsets, dims, [5, 0, 69, 33])
     innovation, before = rng.normal(size=len(H)), rng.normal(size=belief.n)
-    before[entries[rows.errors.max()]] = 0.0  # a shared error is considered, not moved
     S = H @ P @ H.T + R
     K = P @ H.T @ np.linalg.inv(S)
-    np.testing.assert_allclose(innovation_covariance(rows, belief.P, entries)[0], S, atol=1e-10)
-    U, y, step, log_det = solve(rows, belief.P, entries, innovation, before[entries])
+    H_seen = np.ascontiguousarray(H[:, entries])
+    found = innovation_covariance(H_seen, among(belief.P, entries), R)
+    np.testing.assert_allclose(found, S, atol=1e-10)
+    moving = len(entries) - 1
+    before[np.setdiff1d(np.arange(belief.n), entries[:moving])] = 0.0
+    system = H_seen, R, innovation
+    G, step, (nis, log_det) = solve(system, belief.P, entries, moving, before[entries])
+    off = innovation + H @ before
+    assert nis == pytest.approx(off @ np.linalg.solve(S, off))
     assert log_det == pytest.approx(np.linalg.slogdet(S)[1])
-    expected = K @ (innovation + H @ before)
-    np.testing.assert_allclose(step, expected[entries], atol=1e-10)
-    W_T, step, of_pose = gain(rows, belief.P, belief.n, entries, U, y)
-    np.testing.assert_allclose(of_pose[:, : belief.n], P[:POSE], atol=1e-12)
-    np.testing.assert_allclose(step[: belief.n], expected, atol=1e-10)
-    assert not W_T[:, belief.n :].any()
-    belief.subtract(W_T, W_T)
+    np.testing.assert_allclose(step[:-1], (K @ off)[entries[:-1]], atol=1e-10)
+    assert step[-1] == 0.0
+    W_T, step, of_pose = gain(belief.P, belief.n, entries, G)
+    np.testing.assert_allclose(of_pose, P[:POSE], atol=1e-12)
+    np.testing.assert_allclose(step, K @ off, atol=1e-10)
+    belief.subtract(W_T)
     np.testing.assert_allclose(belief.covariance, P - K @ H @ P, atol=1e-10)
 
 
 @pytest.mark.parametrize("value", [-100.0, np.nan, np.inf])
 def test_what_has_no_factor_has_no_step(rng, value):
     belief, _, offsets, dims = random_belief(rng)
-    rows, _, _, entries = random_rows(rng, belief.n, offsets, dims, [5, 0, 69, 33])
-    rows.noise[3, 1] = value
-    assert np.isnan(solve(rows, belief.P, entries, np.zeros(8), np.zeros(len(entries)))[-1])
+    H, R, entries = random_rows(rng, belief.n, offsets, dims, [5, 0, 69, 33])
+    R[3, 3] = value
+    system = np.ascontiguousarray(H[:, entries]), R, np.zeros(8)
+    *_, (_, log_det) = solve(system, belief.P, entries, 3, np.zeros(len(entries)))
+    assert np.isnan(log_det)
+
+
+def test_kinds_are_put_one_after_another(rng):
+    """Blocks of both kinds in their rows and entries, angles wrapped, and nothing else."""
+    H, R, nu = np.zeros((5, 9)), np.zeros((5, 5)), np.zeros(5)
+    z_D_pose, z_D_m, noise = (rng.normal(size=(2, 2, size)) for size in (3, 2, 2))
+    predicted = np.array([[1.0, 3.0], [2.0, 0.5]]), z_D_pose, z_D_m
+    seen = np.array([[1.5, -3.0], [2.0, 0.5]]), noise
+    put_sight((H, R, nu), (1, 4), seen, predicted, np.array([False, True]))
+    np.testing.assert_allclose(nu, [0.0, 0.5, 2.0 * np.pi - 6.0, 0.0, 0.0])
+    rows = slice(1, 5)
+    expected_H, expected_R = np.zeros_like(H), np.zeros_like(R)
+    expected_H[rows, :POSE] = z_D_pose.reshape(4, POSE)
+    expected_H[1:3, 4:6], expected_H[3:5, 6:8] = z_D_m
+    expected_R[1:3, 1:3], expected_R[3:5, 3:5] = noise
+    np.testing.assert_array_equal(H, expected_H)
+    np.testing.assert_array_equal(R, expected_R)
 
 
 def test_innovation_blocks_are_h_p_ht(rng):

@@ -20,14 +20,19 @@ def test_it_is_scipys_own(first: str) -> None:
     assert (said.stdout, said.stderr) == ("True 2.0\n", "")
 
 
-@pytest.mark.parametrize("n", [1, 127, 128, 129, 300])
-def test_a_product_is_subtracted_from_the_lower_triangle_alone(n: int) -> None:
+@pytest.mark.parametrize("n", [1, 63, 64, 65, 300])
+@pytest.mark.parametrize("square", [True, False])
+def test_a_product_is_subtracted_from_the_lower_triangle_alone(n: int, square: bool) -> None:
     """Rows and columns from n on stay as they are, and above the diagonal nobody looks."""
     rng, size = np.random.default_rng(n), n + 9
     P = np.asfortranarray(rng.normal(size=(size, size)))
-    L, R = rng.normal(size=(2, 3, size))
+    L, R = rng.normal(size=(2, 3, n + 4))
     before = P.copy()
-    blas.subtract_product(P, n, L, R)
-    np.testing.assert_allclose(np.tril(P[:n, :n]), np.tril((before - L.T @ R)[:n, :n]), atol=1e-12)
+    if square:
+        blas.subtract_square(P, n, L)
+    else:
+        blas.subtract_product(P, n, L, R)
+    product = (L.T @ (L if square else R))[:n, :n]
+    np.testing.assert_allclose(np.tril(P[:n, :n]), np.tril(before[:n, :n] - product), atol=1e-12)
     assert np.array_equal(P[n:], before[n:])
     assert np.array_equal(P[:, n:], before[:, n:])

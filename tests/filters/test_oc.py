@@ -57,7 +57,7 @@ def test_it_stays_nearer_to_the_newest_jacobians_than_first_estimates_do():
     belief.predict(increment)
     table, places = belief._atlas.table("cylinder"), np.arange(len(CYLINDERS))
     states = table.states(belief.belief.mean)
-    sight = Sight(table, places, np.zeros((len(places), 2)), belief.pose, states)
+    sight = Sight(table, places, belief.pose, states)
 
     def jacobian(cls):
         there = cls._expect(belief, sight, belief.pose, states)

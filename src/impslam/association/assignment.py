@@ -41,10 +41,10 @@ def decided(
     two columns the cheaper one is taken then: walls lie side by side wherever a door is set back, and a
     corridor in which neither is used tells nothing.
     """
-    every = list(zip(rows.tolist(), columns.tolist(), strict=True))
-    a, k = {row for row, _ in every}, {column for _, column in every}
-    if len(a) == len(k) == len(every):  # nobody competes
+    a, k = rows.tolist(), columns.tolist()
+    if len(set(a)) == len(set(k)) == len(a):  # nobody competes
         return (cost <= -least).nonzero()[0].tolist()
+    every = list(zip(a, k, strict=True))
     chosen: list[int] = []
     margin = 0.0 if in_pieces else least
     for pairs in _competitions(every):
@@ -113,15 +113,17 @@ def rivals(group: Hypotheses, inside: Mask) -> list[Rivals]:
     return [Rivals(pair, count > 1) for pair, count in times.items()]
 
 
-def unseen(group: Hypotheses, chosen: Sequence[int]) -> Mask:
-    """Tell of which pairs (p,) the landmark can still be what is seen: it is in none of those chosen.
+def unseen(group: Hypotheses, near: Mask, chosen: Sequence[int]) -> list[int]:
+    """Return the pairs, of those near enough (p,), whose landmark can still be what is seen.
 
-    Kinds that are seen in pieces always can.
+    It can unless it is in one of those chosen; of kinds that are seen in pieces always.
     """
+    pairs: list[int] = near.nonzero()[0].tolist()
     if group.in_pieces or not chosen:
-        return np.ones(len(group.landmarks), np.bool_)
-    taken = set(group.landmarks[chosen].tolist())
-    return np.array([landmark not in taken for landmark in group.landmarks.tolist()])
+        return pairs
+    known = group.landmarks.tolist()
+    taken = {known[p] for p in chosen}
+    return [p for p in pairs if known[p] not in taken]
 
 
 def ambiguous(
@@ -137,15 +139,15 @@ def ambiguous(
 
 def collect(
     observations: tuple[Observation, ...],
-    chosen: Iterable[tuple[Hypotheses, Sequence[int], Mask]],
+    chosen: Iterable[tuple[Hypotheses, Sequence[int], Sequence[int]]],
 ) -> Assignment:
-    """Assemble matches from chosen pairs; `near` (p,) marks pairs too close for the seen to be new."""
+    """Assemble matches from chosen pairs; others are `near`, so that the seen is not new."""
     matches: list[Match] = []
     taken: set[int] = set()
     for group, pairs, near in chosen:
-        if pairs:
-            matches += group.matches(pairs)
-        taken.update(group.observations[near].tolist())
+        matches += group.matches(pairs)
+        asked = group.observations.tolist()
+        taken.update([asked[p] for p in near])
     taken.update([match.observation for match in matches])
     new = tuple([i for i in range(len(observations)) if i not in taken])
     matches.sort(key=attrgetter("observation"))

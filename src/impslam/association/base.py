@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,8 +16,7 @@ Joint: TypeAlias = Callable[[Sequence[Observation], Sequence[Match]], tuple[Arra
 """Returns the joint innovation and covariance of pairs: `Filter.joint` of the calling filter."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Hypotheses:
+class Hypotheses(NamedTuple):
     """The p scored pairings of a observations with landmarks of one kind.
 
     They are in the order of the observations, then of the landmarks. Only pairings beyond the gate of
@@ -73,8 +71,7 @@ class Rivals(NamedTuple):
     as_two: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Assignment:
+class Assignment(NamedTuple):
     """Matches, and observations (indices) that match no landmark and may become a new one.
 
     An observation in neither is too near a landmark to be new, and too far to match it, or it is

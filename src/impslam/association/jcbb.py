@@ -13,7 +13,6 @@ its first pairings fail their own gate, which makes the answer depend on the ord
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
@@ -165,7 +164,7 @@ class Jcbb(Association):
                 chosen[pair.group].append(pair.p)
         near = [self._near(*one) for one in zip(hypotheses, chosen, strict=True)]
         made = collect(observations, zip(hypotheses, chosen, near, strict=True))
-        return replace(made, ambiguous=ambiguous(made.matches, hypotheses, inside))
+        return made._replace(ambiguous=ambiguous(made.matches, hypotheses, inside))
 
     def _inside(self, group: Hypotheses) -> Mask:
         """Tell which pairs pass the gate, each alone."""
@@ -215,6 +214,6 @@ class Jcbb(Association):
 
         return [pairs[p] for p in best if not is_doubtful(p)]
 
-    def _near(self, group: Hypotheses, chosen: list[int]) -> Mask:
+    def _near(self, group: Hypotheses, chosen: list[int]) -> list[int]:
         limit = quantile(self.new_gate, group.innovation.shape[-1])
-        return np.asarray((group.distance2 < limit) & group.possible & unseen(group, chosen))
+        return unseen(group, (group.distance2 < limit) & group.possible, chosen)

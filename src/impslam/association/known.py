@@ -12,7 +12,7 @@ from impslam.association.assignment import collect
 from impslam.association.base import Assignment, Association, Hypotheses, Joint
 from impslam.component import parameter, register
 from impslam.geometry.chi_square import quantile
-from impslam.types import Mask, Observation
+from impslam.types import Observation
 
 
 @register("known")
@@ -38,7 +38,7 @@ class Known(Association):
 
     def _choose(
         self, observations: tuple[Observation, ...], group: Hypotheses
-    ) -> tuple[list[int], Mask]:
+    ) -> tuple[list[int], list[int]]:
         read = [observations[i].label for i in group.observations.tolist()]
         labels = np.array([-1 if label is None else label for label in read], np.int64)
         borne = (labels >= 0) & (labels == group.labels)
@@ -52,5 +52,5 @@ class Known(Association):
                 rival = best.get(k, p)
                 best[k] = min(p, rival, key=lambda q: (group.distance2[q], q))
         limit = quantile(self.gate, group.innovation.shape[-1])
-        taken = borne | (labels < 0)
-        return [p for p in best.values() if group.distance2[p] <= limit], taken
+        near = np.flatnonzero(borne | (labels < 0)).tolist()
+        return [p for p in best.values() if group.distance2[p] <= limit], near

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -76,27 +75,30 @@ class Mahalanobis(Association):
         inside = [self._inside(group) for group in hypotheses]
         chosen = [(g, *self._choose(g, here)) for g, here in zip(hypotheses, inside, strict=True)]
         made = collect(observations, chosen)
+        if len(made.matches) == sum(map(np.count_nonzero, inside)):
+            return made  # each pair inside is a match: nothing is open
         same = [r for g, here in zip(hypotheses, inside, strict=True) for r in rivals(g, here)]
         open_ = ambiguous(made.matches, hypotheses, inside)
-        return replace(made, rivals=tuple(same), ambiguous=open_) if same or open_ else made
+        return made._replace(rivals=tuple(same), ambiguous=open_)
 
     def _inside(self, group: Hypotheses) -> Mask:
         """Tell which pairs pass the gate."""
-        limit = quantile(self.gate, group.innovation.shape[-1])
-        return np.asarray(group.possible & (group.distance2 < limit))
+        return group.possible & (group.distance2 < quantile(self.gate, group.innovation.shape[1]))
 
-    def _choose(self, group: Hypotheses, inside: Mask) -> tuple[list[int], Mask]:
-        dim = group.innovation.shape[-1]
+    def _choose(self, group: Hypotheses, inside: Mask) -> tuple[list[int], list[int]]:
+        """Return the pairs that are matches, and those that may be what is seen all the same."""
+        dim = group.innovation.shape[1]
         # -2 log of the odds that this is the landmark, against one like it that is not in the map.
         new = dim * math.log(2.0 * math.pi) + 2.0 * math.log(_UNMAPPED * self.density)
         distance2, cost = group.distance2, group.distance2 + group.log_det + new
         if group.unique:
             cost = distance2 - _ALONE
-        near = group.possible & (cost < 0.0) & (distance2 < quantile(self.new_gate, dim))
-        pairs = (inside & (cost < 0.0)).nonzero()[0]
+        likely = group.possible & (cost < 0.0)
+        pairs = (inside & likely).nonzero()[0]
         seen = group.observations[pairs], group.landmarks[pairs], cost[pairs]
-        chosen = pairs[decided(*seen, log_odds(self.odds), group.in_pieces)].tolist()
-        return chosen, near & unseen(group, chosen)
+        taken, of = decided(*seen, log_odds(self.odds), group.in_pieces), pairs.tolist()
+        chosen = [of[p] for p in taken]
+        return chosen, unseen(group, likely & (distance2 < quantile(self.new_gate, dim)), chosen)
 
     def are_one(self, innovation: Array, S: Array) -> bool:
         """Tell whether a difference within the gate is `odds` times as likely as two of the density."""

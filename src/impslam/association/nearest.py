@@ -10,7 +10,7 @@ import numpy as np
 from impslam.association.assignment import collect
 from impslam.association.base import Assignment, Association, Hypotheses, Joint
 from impslam.component import parameter, register
-from impslam.types import Mask, Observation
+from impslam.types import Observation
 
 
 @register("nearest")
@@ -43,14 +43,15 @@ class Nearest(Association):
         del joint
         return collect(observations, ((group, *self._choose(group)) for group in hypotheses))
 
-    def _choose(self, group: Hypotheses) -> tuple[list[int], Mask]:
+    def _choose(self, group: Hypotheses) -> tuple[list[int], list[int]]:
         metres, radians = group.apart(self.frame == "base_link")
         if not self.directed:
             radians = np.minimum(radians, math.pi - radians)
-        allowed = np.asarray((metres < self.max_distance) & (radians < self.max_angle))
+        allowed = (metres < self.max_distance) & (radians < self.max_angle)
+        near = np.flatnonzero(allowed).tolist()
         nearest: dict[int, int] = {}  # pairs, by observation, then by landmark
         best: dict[int, int] = {}
-        for p in np.flatnonzero(allowed).tolist():
+        for p in near:
             rival = nearest.setdefault(int(group.observations[p]), p)
             if metres[p] < metres[rival]:
                 nearest[int(group.observations[p])] = p
@@ -58,4 +59,4 @@ class Nearest(Association):
             rival = best.setdefault(int(group.landmarks[p]), p)
             if metres[p] < metres[rival]:
                 best[int(group.landmarks[p])] = p
-        return list(best.values()), allowed
+        return list(best.values()), near

@@ -33,10 +33,9 @@ class Table:
         self.offsets: Ints = offsets
         self.columns: Ints = offsets[:, None] + np.arange(self.model.dim)
 
-    def states(self, mean: Array, places: Ints | list[int] | None = None) -> Array:
+    def states(self, mean: Array, places: Ints | None = None) -> Array:
         """Return the states (k, dim) of all landmarks, or of those at some places."""
-        columns = self.columns if places is None else self.columns[places]
-        return mean.take(columns)
+        return mean[self.columns if places is None else self.columns.take(places, 0)]
 
     def append(self, row: tuple[int, int, int], extent: Array, stamp: float) -> None:
         """Add a landmark: (id, label, offset)."""
@@ -89,9 +88,9 @@ class Pairs(NamedTuple):
     """
 
     table: Table
-    places: list[int]
+    places: Ints
     seen: Columns
-    rows: list[int]
+    rows: Ints
     which: list[int]
 
 
@@ -147,8 +146,8 @@ class Atlas:
         known = table.places
         which = [i for i, match in enumerate(matches) if match.landmark in known]
         some = [matches[i] for i in which]
-        places = [known[match.landmark] for match in some]
-        rows = [scan.rows[match.observation] for match in some]
+        places = np.array([known[match.landmark] for match in some], np.int64)
+        rows = np.array([scan.rows[match.observation] for match in some], np.int64)
         return Pairs(table, places, scan.kinds.get(table.kind, NONE), rows, which)
 
     def add(
@@ -205,25 +204,25 @@ class Atlas:
         for table, places, seen, rows, which in self.pairs(observations, matches):
             if table.model.has_extent:
                 own = table.model.extents(pose, table.states(mean, places), seen.ends[rows])
-                for place, (begin, end) in zip(places, own.tolist(), strict=True):
+                for place, (begin, end) in zip(places.tolist(), own.tolist(), strict=True):
                     known = table.extents[place]
                     known[0], known[1] = min(known[0], begin), max(known[1], end)
-            for place, i in zip(places, which, strict=True):
+            for place, i in zip(places.tolist(), which, strict=True):
                 table.counts[place] += 1
                 table.stamps[place, 1] = stamp
                 attributes = observations[matches[i].observation].attributes
                 if attributes:
                     table.average(place, attributes)
 
-    def of(self, ids: Sequence[int]) -> tuple[Table, list[int]]:
+    def of(self, ids: Sequence[int]) -> tuple[Table, Ints]:
         """Return the table of landmarks of one kind, and their places in it."""
         table = next(table for table in self._tables.values() if ids[0] in table.places)
-        return table, [table.places[number] for number in ids]
+        return table, np.array([table.places[number] for number in ids])
 
     def join(self, mean: Array, kept: int, gone: int) -> None:
         """Give one landmark what is known of another one: extent, count, stamps, label and averages."""
         table, (k, g) = self.of((kept, gone))
-        states = table.states(mean, [k, g])
+        states = table.states(mean, np.array([k, g]))
         ends = table.model.outline(states[1:], table.extents[[g]])
         begin, end = table.model.extents(np.zeros(3), states[:1], ends)[0]
         low, high = table.extents[k]

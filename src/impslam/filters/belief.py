@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from impslam.filters.blas import subtract_product
+from impslam.filters.blas import subtract_product, subtract_square
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel, plain
 from impslam.types import Array, Ints
@@ -208,12 +208,15 @@ class GaussianBelief:
         """Return H P H^T (k, dz, dz) of k landmarks, each measured alone."""
         return innovation_blocks(self.P, offsets, z_D_pose, z_D_m)
 
-    def subtract(self, left: Array, right: Array) -> None:
-        """Subtract a symmetric product left^T right from P; both (k, len(P)).
+    def subtract(self, left: Array, right: Array | None = None) -> None:
+        """Subtract a symmetric product left^T right from P, both (k, n); left^T left without `right`.
 
         Shared errors stay as unsure as they are (Schmidt 1966).
         """
-        subtract_product(self.P, self.n, left, right)
+        if right is None:
+            subtract_square(self.P, self.n, left)
+        else:
+            subtract_product(self.P, self.n, left, right)
         for row in self.errors.values():
             for column in self.errors.values():
                 if column <= row:

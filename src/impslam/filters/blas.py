@@ -1,47 +1,67 @@
-"""BLAS of scipy without the rest of `scipy.linalg`, whose import costs a run 0.1 s."""
+"""BLAS of scipy for kernels, without the rest of `scipy.linalg`, whose import costs a run 0.1 s.
+
+It is called as Fortran is, all arguments by address: so it works on parts of a matrix, in place.
+"""
 
 from __future__ import annotations
 
 import ctypes
-from functools import cache
 from typing import Any
 
+import llvmlite.binding as llvm
+import numpy as np
+from numba.core import config, types
+
+from impslam.geometry.kernels import kernel
 from impslam.geometry.scipy_extension import load
 from impslam.types import Array
 
 _blas = load("scipy.linalg._fblas", "scipy.linalg.blas")
-_PANEL = 128  # columns at a time: 2 MB of 2000 rows, which a core's second cache holds
+_PANEL = 64  # columns at a time: a triangle is done as what it has of such columns
+_L, _N, _T = b"LNT"
 
 
-@cache
-def _dgemm() -> Any:
-    """Return the dgemm behind scipy's, all arguments by address: it takes parts of a matrix."""
-    capsule = _blas.dgemm._cpointer
+def _routine(name: str, arguments: int) -> Any:
+    """Return the routine behind scipy's; compiled code knows it by a name, and can be kept."""
     pointer = ctypes.pythonapi.PyCapsule_GetPointer
     pointer.restype, pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
-    letters, addresses = [ctypes.c_char_p] * 2, [ctypes.c_void_p] * 11
-    return ctypes.CFUNCTYPE(None, *letters, *addresses)(pointer(capsule, None))
+    address = pointer(getattr(_blas, name)._cpointer, None)
+    if getattr(config, "DISABLE_JIT", False):  # Python calls it then
+        return ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(address)
+    llvm.add_symbol(f"impslam_{name}", address)
+    return types.ExternalFunction(f"impslam_{name}", types.void(*[types.voidptr] * arguments))
 
 
+_dsyrk, _dgemm = _routine("dsyrk", 10), _routine("dgemm", 13)
+
+
+@kernel
+def subtract_square(P: Array, n: int, W: Array) -> None:
+    """Subtract W^T W from the lower triangle of P[:n, :n] in place.
+
+    P (size, size) is in Fortran order, W (k, >= n) in C order.
+    """
+    letters, numbers = np.array([_L, _N], np.uint8), np.array([-1.0, 1.0])
+    sizes = np.array([n, len(W), W.shape[1], len(P)], np.int32)
+    _dsyrk(
+        letters.ctypes, letters[1:].ctypes, sizes.ctypes, sizes[1:].ctypes, numbers.ctypes,
+        W.ctypes, sizes[2:].ctypes, numbers[1:].ctypes, P.ctypes, sizes[3:].ctypes,
+    )  # fmt: skip
+
+
+@kernel
 def subtract_product(P: Array, n: int, L: Array, R: Array) -> None:
     """Subtract L^T R from the lower triangle of P[:n, :n] in place, in one pass over its memory.
 
-    P (size, size) is in Fortran order, L and R (k, size) in C order; what lies above the diagonal is
+    P (size, size) is in Fortran order, L and R (k, >= n) in C order; what lies above the diagonal is
     overwritten here and there.
     """
-    k, size = L.shape
-    assert P.flags.f_contiguous
-    assert L.flags.c_contiguous
-    assert R.flags.c_contiguous
-    assert P.shape == (size, size)
-    assert R.shape == (k, size)
-    dgemm, integers = _dgemm(), (ctypes.c_int * 4)(n, _PANEL, k, size)
-    numbers = (ctypes.c_double * 2)(-1.0, 1.0)
-    rows = ctypes.addressof(integers)
-    columns, inner, stride = rows + 4, rows + 8, rows + 12
-    minus, one = ctypes.addressof(numbers), ctypes.addressof(numbers) + 8
-    p, left, right = (array.__array_interface__["data"][0] for array in (P, L, R))
+    letters, numbers = np.array([_N, _T], np.uint8), np.array([-1.0, 1.0])
+    sizes = np.array([0, 0, len(L), L.shape[1], len(P)], np.int32)
     for j in range(0, n, _PANEL):
-        integers[0], integers[1] = n - j, min(_PANEL, n - j)
-        a, b, c = left + 8 * j, right + 8 * j, p + 8 * j * (size + 1)
-        dgemm(b"N", b"T", rows, columns, inner, minus, a, stride, b, stride, one, c, stride)
+        sizes[0], sizes[1] = n - j, min(_PANEL, n - j)
+        _dgemm(
+            letters.ctypes, letters[1:].ctypes, sizes.ctypes, sizes[1:].ctypes, sizes[2:].ctypes,
+            numbers.ctypes, L[:, j:].ctypes, sizes[3:].ctypes, R[:, j:].ctypes, sizes[3:].ctypes,
+            numbers[1:].ctypes, P[j:, j:].ctypes, sizes[4:].ctypes,
+        )  # fmt: skip

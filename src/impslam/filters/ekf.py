@@ -23,10 +23,11 @@ from impslam.filters.atlas import Atlas, Table
 from impslam.filters.base import Filter, Reach, everything
 from impslam.filters.belief import POSE, GaussianBelief, rows_of
 from impslam.filters.gaussian import INDEFINITE, GaussianFilter
-from impslam.filters.scene import Scene, Sight, stacked
-from impslam.filters.scoring import score
-from impslam.filters.update import Rows, among, gain, innovation_covariance, solve
+from impslam.filters.scene import Scene, Sight
+from impslam.filters.scoring import angle_mask, score
+from impslam.filters.update import among, gain, innovation_covariance, put_sight, solve
 from impslam.geometry.angles import wrap
+from impslam.geometry.kernels import plain
 from impslam.landmarks.base import Initial, LandmarkModel, Prediction
 from impslam.types import Array, Increment, Innovation, Ints, Match, Observation
 
@@ -87,8 +88,8 @@ class Ekf(GaussianFilter):
         scene = Scene(
             self._belief.mean, self._atlas.pairs(observations, pairs), self._belief.errors
         )
-        rows, innovation = self._linearise(scene, scene.pose, scene.states)
-        S, _ = innovation_covariance(rows, self._belief.P, scene.entries)
+        H, R, innovation = self._linearise(scene, scene.pose, scene.states)
+        S = innovation_covariance(H, among(self._belief.P, scene.entries), R)
         return innovation[scene.order], S[np.ix_(scene.order, scene.order)]
 
     def correct(
@@ -107,42 +108,42 @@ class Ekf(GaussianFilter):
         scene, told = Scene(belief.mean, pairs, belief.errors, doubt), None
         pose, states = scene.pose, scene.states
         step = np.zeros(len(scene.entries))
-        for _ in range(self.iterations):
-            rows, innovation = self._linearise(scene, pose, states)
-            U, y, moved, log_det = solve(rows, belief.P, scene.entries, innovation, step)
+        for iteration in range(self.iterations):
+            if iteration:
+                pose, states = scene.moved(step)
+            system = self._linearise(scene, pose, states)
+            G, moved, (nis, log_det) = solve(system, belief.P, scene.entries, scene.moving, step)
             if math.isnan(log_det):
                 raise NumericalError(INDEFINITE)
             if told is None and doubt is None:
-                told = Innovation(float(y @ y), len(y), log_det)
+                told = Innovation(nis, scene.rows, log_det)
             turned, step = abs(moved[2] - step[2]), moved
             if turned < self.tolerance:
                 break
-            pose, states = scene.moved(step)
-        self._finish(*gain(rows, belief.P, belief.n, scene.entries, U, y))
+        self._finish(*gain(belief.P, belief.n, scene.entries, G))
         return told
 
     def _finish(self, W_T: Array, step: Array, of_pose: Array) -> None:
-        """Move the mean by a step (size,) and correct the covariance by W^T (rows, size).
+        """Move the mean by a step (n,) and correct the covariance by W^T (rows, n).
 
-        `of_pose` (3, size) are P's rows of the pose before the correction; size is that of P.
+        `of_pose` (3, n) are P's rows of the pose before the correction.
         """
         del of_pose
         self._retract(step)
-        self._belief.subtract(W_T, W_T)
+        self._belief.subtract(W_T)
 
     def follow(self, pose: Array, landmarks: Mapping[int, Array]) -> None:
         """Move the mean, with the covariance in the coordinates of this filter; see `Filter.follow`."""
         if not self.follows:
             super().follow(pose, landmarks)
-        mean, P = self._belief.mean, self._belief.P
-        step, of_pose = np.zeros_like(mean), np.zeros((POSE, len(P)))
+        mean, n = self._belief.mean, self._belief.n
+        step = np.zeros(n)
         step[:POSE] = pose - mean[:POSE]
         step[2] = wrap(float(step[2]))
-        of_pose[:, : self._belief.n] = rows_of(P, np.arange(POSE), self._belief.n)
         for table in self._atlas.tables():
             states = np.array([landmarks[number] for number in table.ids.tolist()])
             step[table.columns] = table.model.difference(table.states(mean), states)
-        self._finish(np.zeros((1, len(P))), step, of_pose)
+        self._finish(np.zeros((1, n)), step, rows_of(self._belief.P, np.arange(POSE), n))
 
     def extend(self, observations: Sequence[Observation], stamp: float) -> tuple[int, ...]:
         """Add landmarks with their full cross-covariance to pose and map."""
@@ -171,16 +172,14 @@ class Ekf(GaussianFilter):
         """Correct by a difference of zero, without noise, and keep one of both; see `Filter.fuse`."""
         belief = self._belief
         difference, entries, J = self._difference(kept, gone)
-        HP = np.zeros((len(J), len(belief.P)))
-        HP[:, : belief.n] = J @ rows_of(belief.P, entries, belief.n)
-        of_pose = np.zeros((POSE, len(belief.P)))
-        of_pose[:, : belief.n] = rows_of(belief.P, np.arange(POSE), belief.n)
+        of_seen = rows_of(belief.P, entries, belief.n)
+        HP = J @ of_seen
         try:
             L = np.linalg.cholesky(HP[:, entries] @ J.T)
         except np.linalg.LinAlgError:
             raise NumericalError(f"landmarks {kept} and {gone} cannot be told apart") from None
         W_T = np.linalg.solve(L, HP)
-        self._finish(W_T, -np.linalg.solve(L, difference) @ W_T, of_pose)
+        self._finish(W_T, -np.linalg.solve(L, difference) @ W_T, of_seen[:POSE])
         self._atlas.join(belief.mean, kept, gone)
         self.remove([gone])
 
@@ -192,22 +191,22 @@ class Ekf(GaussianFilter):
         """
         table, places = self._atlas.of((one, other))
         pose, states = self.pose, table.states(self._belief.mean, places)
-        z = np.empty((2, table.model.dim_z))
-        seen = self._expect(Sight(table, places, z, pose, states), pose, states)
+        seen = self._expect(Sight(table, places, pose, states), pose, states)
         J = np.hstack([seen.z_D_pose[1] - seen.z_D_pose[0], -seen.z_D_m[0], seen.z_D_m[1]])
         entries = np.concatenate([np.arange(POSE), table.columns[places].ravel()])
         return table.model.residual(seen.z[1], seen.z[0]), entries, J
 
-    def _linearise(self, scene: Scene, pose: Array, states: list[Array]) -> tuple[Rows, Array]:
-        """Return H at some estimates of the pose (3,) and of each kind's landmarks, and nu."""
-        residuals, h_pose, h_m = [], [], []
-        for sight, m in zip(scene.sights, states, strict=True):
-            prediction = self._expect(sight, pose, m)
-            residuals.append(sight.table.model.residual(sight.z, prediction.z).reshape(-1))
-            h_pose.append(prediction.z_D_pose.reshape(-1, POSE))
-            h_m.append(prediction.z_D_m.reshape(len(h_pose[-1]), -1))
-        H = stacked(h_pose), stacked(h_m), scene.errors, scene.h_error
-        return Rows(scene.slots, scene.blocks, scene.noise, *H), np.concatenate(residuals)
+    def _linearise(
+        self, scene: Scene, pose: Array, states: list[Array]
+    ) -> tuple[Array, Array, Array]:
+        """Return H, R and nu at some estimates of the pose (3,) and of each kind's landmarks."""
+        system, row, entry = scene.system(), 0, POSE
+        for sight, seen, m in zip(scene.sights, scene.seen, states, strict=True):
+            z, z_D_pose, z_D_m = self._expect(sight, pose, m)
+            predicted = plain(z), plain(z_D_pose), plain(z_D_m)
+            put_sight(system, (row, entry), seen, predicted, angle_mask(type(sight.table.model)))
+            row, entry = row + seen[0].size, entry + m.size
+        return system
 
     def _expect(self, sight: Sight, pose: Array, states: Array) -> Prediction:
         """Return how landmarks are seen from estimates of a correction; Jacobians at the same."""

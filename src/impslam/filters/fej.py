@@ -81,7 +81,7 @@ class FirstEstimatesEkf(Ekf):
         now = super()._expect(sight, pose, states)
         table = sight.table
         first = table.model.predict(self._first[:POSE], table.states(self._first, sight.places))
-        return replace(now, z_D_pose=first.z_D_pose, z_D_m=first.z_D_m)
+        return now._replace(z_D_pose=first.z_D_pose, z_D_m=first.z_D_m)
 
     def _initialise(self, table: Table, observation: Observation) -> Initial:
         new = super()._initialise(table, observation)

@@ -17,8 +17,6 @@ constraint asks for it.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from impslam.component import register
@@ -47,4 +45,4 @@ class ObservabilityConstrainedEkf(FirstEstimatesEkf):
         of_pose = np.broadcast_to(pose_D_motion(self._first[:POSE]), (len(first), POSE, 3))
         N = np.concatenate([of_pose, sight.table.model.m_D_motion(first)], axis=1)
         J = unobserving(np.concatenate([now.z_D_pose, now.z_D_m], axis=2), N)
-        return replace(now, z_D_pose=J[..., :POSE], z_D_m=J[..., POSE:])
+        return now._replace(z_D_pose=J[..., :POSE], z_D_m=J[..., POSE:])

@@ -135,7 +135,7 @@ class RightInvariantEkf(Ekf):
 
     def _finish(self, W_T: Array, step: Array, of_pose: Array) -> None:
         """Correct, and carry the covariance over to the new state in the same pass over P."""
-        before, A_T = self.pose, np.zeros_like(of_pose)
+        before, A_T = self.pose, np.zeros((POSE, len(step)))
         mean = self._move_pose(step)
         for table in self._atlas.tables():
             after, change = table.model.carry(table.states(mean), table.states(step))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,38 +11,20 @@ from impslam.filters.atlas import Pairs, Table
 from impslam.filters.belief import POSE
 from impslam.filters.columns import Columns
 from impslam.geometry.angles import wrap
-from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
 
 _POSE = np.arange(POSE)
 
 
-@kernel
-def _layout(shapes: Ints) -> tuple[Ints, Ints]:
-    """Return `slots` and `blocks` of `Rows` for sights of shapes (s, 3): k, dim_z and dim."""
-    total = 0
-    for k, dz, _ in shapes:
-        total += k * dz
-    slots, blocks = np.empty(total, np.int64), np.empty(total, np.int64)
-    q, row = POSE, 0
-    for k, dz, dim in shapes:
-        for _ in range(k):
-            slots[row : row + dz], blocks[row : row + dz] = q, row
-            q, row = q + dim, row + dz
-    return slots, blocks
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sight:
+class Sight(NamedTuple):
     """k matched landmarks of one kind: `places` (k,) in their table, and the prior's estimates.
 
-    z (k, dim_z) is what is seen; `pose` (3,) and `states` (k, dim) are where pose and landmarks are
-    thought to be before the correction.
+    `pose` (3,) and `states` (k, dim) are where pose and landmarks are thought to be before the
+    correction.
     """
 
     table: Table
-    places: Ints | list[int]
-    z: Array
+    places: Ints
     pose: Array
     states: Array
 
@@ -52,9 +34,10 @@ class Scene:
 
     Attributes
     ----------
-    sights : one for each kind
-    entries : (q,) indices into the state: the pose, then each matched landmark
-    slots, blocks, noise, errors, h_error : see `Rows`
+    sights, seen : one for each kind, and z (k, dim_z) and R (k, dim_z, dim_z) of the same
+    entries : (q,) indices into the state: the pose, each matched landmark, the shared errors
+    rows : how many scalars are seen
+    moving : how many of the entries a correction moves: all but the errors
     order : (rows,) indices of the rows that put them in the order of the matches
     """
 
@@ -71,42 +54,38 @@ class Scene:
         """
         self.pose = mean[:POSE].copy()
         self.sights: list[Sight] = []
-        entries, noise, shapes = [_POSE], [], []
-        errors, shared = [], []
+        self.seen: list[tuple[Array, Array]] = []
         self._which: list[list[int]] = []
+        self._off_by: list[Array] = []
+        entries = [_POSE]
         for table, places, seen, rows, which in pairs:
-            columns, z, R = (
-                table.columns.take(places, 0),
-                seen.z.take(rows, 0),
-                seen.R.take(rows, 0),
-            )
+            columns = table.columns.take(places, 0)
+            z, R = seen.z.take(rows, 0), seen.R.take(rows, 0)
             if known:
-                s, whose = _taken_out(R, seen, rows, known)
-                errors.append(whose)
-                shared.append(s)
+                self._off_by.append(_taken_out(R, seen, rows, known))
             if doubt is not None:
                 R *= doubt[which, None, None]
-            noise.append(R.reshape(z.size, -1))
-            self.sights.append(Sight(table, places, z, self.pose, mean.take(columns)))
-            entries.append(columns.ravel())
-            shapes.append((*z.shape, columns.shape[1]))
+            self.sights.append(Sight(table, places, self.pose, mean[columns]))
+            self.seen.append((z, R))
             self._which.append(which)
+            entries.append(columns.reshape(-1))
         self.entries = np.concatenate(entries)
-        self.slots, self.blocks = _layout(np.array(shapes))
-        self.errors: Ints = np.full(len(self.slots), -1)
-        self.h_error = np.zeros(len(self.slots))
+        self.rows, self.moving = sum(z.size for z, _ in self.seen), len(self.entries)
         if known:
-            offsets, whose = np.array(sorted(known.values())), np.concatenate(errors)
-            numbers = len(self.entries) + np.searchsorted(offsets, whose)
-            self.entries = np.concatenate([self.entries, offsets])
-            self.errors, self.h_error = np.where(whose < 0, -1, numbers), np.concatenate(shared)
-        self.noise = stacked(noise)
+            self.entries = np.concatenate([self.entries, list(known.values())])
+
+    def system(self) -> tuple[Array, Array, Array]:
+        """Return H (rows, q), R (rows, rows) and nu (rows,), zero but for H of the shared errors."""
+        H, R = np.zeros((self.rows, len(self.entries))), np.zeros((self.rows, self.rows))
+        if self._off_by:
+            H[:, self.moving :] = np.concatenate(self._off_by)
+        return H, R, np.zeros(self.rows)
 
     @property
     def order(self) -> Ints:
         """Which row is the first of the first match, and so on."""
-        sights = zip(self._which, self.sights, strict=True)
-        keys = [np.repeat(which, sight.z.shape[1]) for which, sight in sights]
+        seen = zip(self._which, self.seen, strict=True)
+        keys = [np.repeat(which, z.shape[1]) for which, (z, _) in seen]
         return np.argsort(np.concatenate(keys), kind="stable")
 
     @property
@@ -126,26 +105,13 @@ class Scene:
         return pose, states
 
 
-def _taken_out(
-    R: Array, seen: Columns, rows: Sequence[int], known: Mapping[str, int]
-) -> tuple[Array, Ints]:
-    """Take the part out of R (k, dz, dz) that a known shared error makes.
+def _taken_out(R: Array, seen: Columns, rows: Ints, known: Mapping[str, int]) -> Array:
+    """Take the part out of R (k, dz, dz) that known shared errors make.
 
-    Return what each scalar is off by for it (k dz,), and where the error stands (k dz,); -1: none.
+    Return what each scalar is off by for a standard deviation of each of them, (k dz, errors).
     """
-    s, whose = seen.shared.take(rows, 0), np.array([known.get(seen.sensors[r], -1) for r in rows])
-    s[whose < 0] = 0.0
-    R -= s[:, :, None] * s[:, None]
-    return s.ravel(), np.repeat(whose, s.shape[1])
-
-
-def stacked(parts: list[Array]) -> Array:
-    """Return arrays (rows, columns) one after another, the narrower filled up with 0."""
-    if len(parts) == 1:
-        return parts[0]
-    out = np.zeros((sum(map(len, parts)), max(part.shape[1] for part in parts)))
-    begin = 0
-    for part in parts:
-        out[begin : begin + len(part), : part.shape[1]] = part
-        begin += len(part)
-    return out
+    own = np.array([[seen.sensors[row] == sensor for sensor in known] for row in rows])
+    off_by = seen.shared[rows][:, :, None] * own[:, None]
+    R -= off_by @ off_by.swapaxes(1, 2)
+    by_scalar: Array = off_by.reshape(-1, len(known))
+    return by_scalar

@@ -19,6 +19,7 @@ from impslam.types import Array, Ints, Mask
 
 Known: TypeAlias = tuple[Array, Array, Array]
 """z (k, dz), z_D_pose (k, dz, 3) and z_D_m (k, dz, dim) of all landmarks."""
+_NONE: Ints = np.empty(0, np.int64)
 
 
 @kernel
@@ -155,17 +156,18 @@ def _scored(
 ) -> tuple[Ints, Ints, tuple[Array, Array, Array, Array]]:
     """Return observations (p,) and landmarks (p,) of the pairs in the gate, and their scores.
 
-    What is `seen` are z, R, what z is off by for the sensor's shared error, and where that stands (a,).
+    What is `seen` are z, R, what z is off by for the sensor's shared error, and where that stands (a,):
+    -1 where it is not known, (0,) where none is.
     """
     (z, R, shared, errors), (predicted, z_D_pose, z_D_m) = seen, known
     spread, R_most = _spread(P, offsets, z_D_pose, z_D_m), R
-    if (errors >= 0).any():  # cov(a + b) is at most 2 cov(a) + 2 cov(b)
+    if len(errors):  # cov(a + b) is at most 2 cov(a) + 2 cov(b)
         spread, R_most = 2.0 * spread, 2.0 * R
     a, k, places = _near(z, predicted, spread, R_most, angles, gate)
     HPH = innovation_blocks(P, offsets[places], z_D_pose[places], z_D_m[places])
     nu, S = _innovations((a, k), z, predicted[places], HPH, R, angles)
     across = np.empty(z.shape[1])
-    for n in range(len(a)):
+    for n in range(len(a) if len(errors) else 0):
         i, j = a[n], places[k[n]]
         if errors[i] >= 0:
             _across(P, offsets[j], errors[i], z_D_pose[j], z_D_m[j], across)
@@ -195,13 +197,14 @@ def score(belief: GaussianBelief, table: Table, asked: Columns, gate: float) -> 
 
     All landmarks are predicted, for that is cheap; P is read for those near enough.
     """
-    model, pose = table.model, belief.mean[:POSE].copy()
-    found = model.predict(pose, table.states(belief.mean))
-    known, angles = (found.z, found.z_D_pose, found.z_D_m), angle_mask(type(model))
-    errors = np.array([belief.errors.get(sensor, -1) for sensor in asked.sensors])
+    model, errors = table.model, _NONE
+    z, z_D_pose, z_D_m = model.predict(belief.mean[:POSE].copy(), table.states(belief.mean))
+    if belief.errors:
+        errors = np.array([belief.errors.get(sensor, -1) for sensor in asked.sensors])
     seen = asked.z, asked.R, asked.shared, errors
+    known, angles = (z, z_D_pose, z_D_m), angle_mask(type(model))
     scored = _scored(belief.P, table.offsets, seen, known, angles, gate)
-    return _hypotheses(belief, table, asked, found.z, scored)
+    return _hypotheses(belief, table, asked, z, scored)
 
 
 def score_predicted(
@@ -222,19 +225,18 @@ def _hypotheses(
 ) -> Hypotheses:
     """Return scored pairs with all that is told of them."""
     (indices, z, _, ends, _, _), (a, rows, scores) = asked, scored
-    model, pose, m = table.model, belief.mean[:POSE].copy(), table.states(belief.mean, rows)
+    model, mean = table.model, belief.mean
 
     def apart(from_robot: bool) -> tuple[Array, Array]:
         if not from_robot:
-            return model.distance(m, model.invert(pose, z)[a])
+            return model.distance(table.states(mean, rows), model.invert(mean[:POSE], z)[a])
         base = np.zeros(POSE)
         return model.distance(model.invert(base, predicted[rows]), model.invert(base, z)[a])
 
     possible = np.ones(len(a), np.bool_)
     if model.has_extent and len(a):
-        possible = _possible(belief, table, ends[a], rows, m)
-    ids, labels = table.ids[rows], table.labels[rows]
-    asked_of = indices, indices[a], ids, labels
+        possible = _possible(belief, table, ends[a], rows)
+    asked_of = indices, indices.take(a), table.ids.take(rows), table.labels.take(rows)
     kind_is = model.unique, model.has_extent
     return Hypotheses(table.kind, *asked_of, *scores, apart, possible, *kind_is)
 
@@ -247,12 +249,12 @@ def angle_mask(model: type[LandmarkModel]) -> Mask:
     return mask
 
 
-def _possible(belief: Belief, table: Table, ends: Array, rows: Ints, m: Array) -> Mask:
+def _possible(belief: Belief, table: Table, ends: Array, rows: Ints) -> Mask:
     """Tell (p,) which pairings the extents allow, within two standard deviations along them.
 
-    `ends` (p, 2, 2) are the observations' end points, `rows` (p,) and m (p, dim) the landmarks.
+    `ends` (p, 2, 2) are the observations' end points, `rows` (p,) are the landmarks.
     """
-    model, pose = table.model, belief.mean[:POSE]
+    model, pose, m = table.model, belief.mean[:POSE], table.states(belief.mean, rows)
     overlap = model.overlap(pose, m, table.extents[rows], model.extents(pose, m, ends))
     possible: Mask = overlap.gap <= overlap.allowed
     far = (~possible).nonzero()[0]

@@ -189,7 +189,7 @@ class UnscentedKalmanFilter(GaussianFilter):
             ids.append(self._atlas.add(self.pose, observation, offset, m, stamp))
         return tuple(ids)
 
-    def _expect(self, table: Table, places: Ints | list[int]) -> Seen:
+    def _expect(self, table: Table, places: Ints) -> Seen:
         """Return how some landmarks of a kind are expected to be seen."""
         belief, model, offsets = self._belief, table.model, table.offsets[places]
         k, dim = len(offsets), model.dim

@@ -1,40 +1,47 @@
 """The arithmetic of a correction, on the few entries of the state that a scan sees.
 
-The q entries are the pose and the matched landmarks, one landmark after another. H is given by rows:
-`h_pose` (rows, 3) and `h_m` (rows, largest dim) measure the pose and the landmark whose first entry
-is number `slots` (rows,) of the q. All that a linearisation needs is P among these entries; the
-whole of P is read once when the correction is done.
+The q entries are the pose, the matched landmarks one after another, and the errors that sensors'
+observations share. H (rows, q) measures them; most of it is zero, and passed over. All that a
+linearisation needs is P among these entries; the whole of P is read once when the correction is done.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
+from impslam.filters.belief import POSE, rows_of
+from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
-from impslam.types import Array, Ints
-
-POSE = 3
-_CHUNK = 128  # columns of the gain at a time, which a core's first cache holds
+from impslam.types import Array, Ints, Mask
 
 
-class Rows(NamedTuple):
-    """The measurement Jacobian H of a scan by rows, see the module, and the innovations' noise.
+@kernel
+def put_sight(
+    system: tuple[Array, Array, Array],
+    at: tuple[int, int],
+    seen: tuple[Array, Array],
+    predicted: tuple[Array, Array, Array],
+    angles: Mask,
+) -> None:
+    """Write into H, R and nu what k landmarks of a kind add, from a row and an entry on.
 
-    `noise` (rows, largest dim_z) are the rows of R's blocks, which begin at row `blocks` (rows,).
-    `h_error` (rows,) measures the error that the sensor's observations share, which is number `errors`
-    (rows,) of the q entries; -1: none.
+    Of z (k, dz) and R (k, dz, dz) seen where z, z_D_pose (k, dz, 3) and z_D_m (k, dz, dim) are predicted.
     """
-
-    slots: Ints
-    blocks: Ints
-    noise: Array
-    h_pose: Array
-    h_m: Array
-    errors: Ints
-    h_error: Array
+    (H, R, nu), (row, entry), (z, noise), (expected, z_D_pose, z_D_m) = system, at, seen, predicted
+    k, dz, dim = z_D_m.shape
+    for i in range(k):
+        for a in range(dz):
+            off = z[i, a] - expected[i, a]
+            nu[row + a] = wrap_in_kernel(off) if angles[a] else off
+            for b in range(dz):
+                R[row + a, row + b] = noise[i, a, b]
+            for c in range(POSE):
+                H[row + a, c] = z_D_pose[i, a, c]
+            for c in range(dim):
+                H[row + a, entry + c] = z_D_m[i, a, c]
+        row, entry = row + dz, entry + dim
 
 
 @kernel
@@ -50,68 +57,25 @@ def among(P: Array, entries: Ints) -> Array:
 
 
 @kernel
-def _rows_of(P: Array, entries: Ints, begin: int, end: int, out: Array) -> None:
-    """Fill out (q, ...) with P[entries, begin:end] from the lower triangle."""
-    for a in range(len(entries)):
-        entry, row = entries[a], out[a]
-        for i in range(begin, min(end, entry)):
-            row[i - begin] = P[entry, i]
-        for i in range(max(begin, entry), end):
-            row[i - begin] = P[i, entry]
-
-
-@kernel
-def _measure(rows: Rows, P: Array, out: Array) -> None:
-    """Fill out (rows, n) with H P for the q rows (q, >= n) of P."""
-    slots, _, _, h_pose, h_m, errors, h_error = rows
-    for r in range(len(slots)):
-        measured, x, y, theta = out[r], P[0], P[1], P[2]
-        for i in range(out.shape[1]):
-            measured[i] = h_pose[r, 0] * x[i] + h_pose[r, 1] * y[i] + h_pose[r, 2] * theta[i]
-        for c in range(h_m.shape[1]):
-            if h_m[r, c] != 0.0:
-                row = P[slots[r] + c]
-                for i in range(out.shape[1]):
-                    measured[i] += h_m[r, c] * row[i]
-        if errors[r] >= 0:
-            row = P[errors[r]]
-            for i in range(out.shape[1]):
-                measured[i] += h_error[r] * row[i]
-
-
-@kernel
-def _seen(rows: Rows, step: Array) -> Array:
-    """Return H d (rows,) of a step d (q,); shared errors are considered, not moved."""
-    slots, _, _, h_pose, h_m, _, _ = rows
-    out = np.zeros(len(slots))
-    for r in range(len(slots)):
-        for c in range(POSE):
-            out[r] += h_pose[r, c] * step[c]
-        for c in range(h_m.shape[1]):
-            if h_m[r, c] != 0.0:
-                out[r] += h_m[r, c] * step[slots[r] + c]
-    return out
-
-
-@kernel
-def innovation_covariance(rows: Rows, P: Array, entries: Ints) -> tuple[Array, Array]:
-    """Return S = H P H^T + R (rows, rows) and H P (rows, q) for P among the q entries."""
-    slots, blocks, noise, h_pose, h_m, errors, h_error = rows
-    count, width = len(slots), h_m.shape[1]
-    HP, S = np.empty((count, len(entries))), np.empty((count, count))
-    _measure(rows, among(P, entries), HP)
-    for a in range(count):
-        for b in range(a + 1):
-            total = noise[a, b - blocks[a]] if b >= blocks[a] else 0.0
-            for c in range(POSE):
-                total += h_pose[a, c] * HP[b, c]
-            for c in range(width):
-                if h_m[a, c] != 0.0:
-                    total += h_m[a, c] * HP[b, slots[a] + c]
-            if errors[a] >= 0:
-                total += h_error[a] * HP[b, errors[a]]
-            S[a, b] = S[b, a] = total
-    return S, HP
+def innovation_covariance(H: Array, P: Array, R: Array) -> Array:
+    """Return S = H P H^T + R (rows, rows) for P (q, q) among the entries."""
+    rows, q = H.shape
+    HP, S = np.zeros((rows, q)), R.copy()
+    for a in range(rows):
+        for c in range(q):
+            h = H[a, c]
+            if h != 0.0:
+                for i in range(q):
+                    HP[a, i] += h * P[c, i]
+    for a in range(rows):
+        for c in range(q):
+            h = H[a, c]
+            if h != 0.0:
+                for b in range(a + 1):
+                    S[a, b] += h * HP[b, c]
+        for b in range(a):
+            S[b, a] = S[a, b]
+    return S
 
 
 @kernel
@@ -132,63 +96,59 @@ def factorise(S: Array) -> bool:
 
 
 @kernel
-def solve(
-    rows: Rows, P: Array, entries: Ints, innovation: Array, before: Array
-) -> tuple[Array, Array, Array, float]:
-    """Return U of S = U^T U, y = U^-T (nu + H d), the step (q,) = P H^T U^-1 y, and log det S.
-
-    The latter is NaN where there is no U.
-
-    d = `before` (q,) is the step at whose end H and nu were taken (Gauss-Newton); zero at first.
-    """
-    U, HP = innovation_covariance(rows, P, entries)
-    y, step = innovation + _seen(rows, before), np.zeros(HP.shape[1])
-    count = len(U)
-    if not factorise(U):
-        return U, y, step, np.nan
-    log_det = 0.0
-    for r in range(count):
-        log_det += 2.0 * math.log(U[r, r])
+def _whiten(U: Array, G: Array, y: Array) -> None:
+    """Replace the first rows of G (rows + 1, q) and y (rows,) by U^-T G and U^-T y, the last by y^T G."""
+    rows, q = len(y), G.shape[1]
+    for r in range(rows):
         y[r] /= U[r, r]
-        for b in range(r + 1, count):
-            y[b] -= U[r, b] * y[r]
-    v = y.copy()
-    for r in range(count - 1, -1, -1):
-        for b in range(r + 1, count):
-            v[r] -= U[r, b] * v[b]
-        v[r] /= U[r, r]
-        for i in range(len(step)):
-            step[i] += v[r] * HP[r, i]
-    return U, y, step, log_det
+        for i in range(q):
+            G[r, i] /= U[r, r]
+            G[rows, i] += y[r] * G[r, i]
+        for b in range(r + 1, rows):
+            u = U[r, b]
+            y[b] -= u * y[r]
+            for i in range(q):
+                G[b, i] -= u * G[r, i]
 
 
 @kernel
-def gain(
-    rows: Rows, P: Array, n: int, entries: Ints, U: Array, y: Array
-) -> tuple[Array, Array, Array]:
-    """Return W^T = U^-T H P (rows, size), K nu = W y (size,) and P's rows of the pose (3, size).
+def solve(
+    system: tuple[Array, Array, Array], P: Array, entries: Ints, moving: int, before: Array
+) -> tuple[Array, Array, tuple[float, float]]:
+    """Return what corrects by H, R and nu, with S = U^T U, and nu^T S^-1 nu and log det S.
 
-    P - W W^T is the covariance after the correction. Columns from n on are zero; size is that of P.
+    That is G = U^-T H (rows, q) and below it g = (U^-T nu)^T G: the mean moves by g P, and P becomes
+    P - (G P)^T G P. The step (q,) of the entries is returned, too, of which the first `moving` make one.
+    Where there is no U, log det S is NaN.
+
+    d = `before` (q,) is the step at whose end H and nu were taken (Gauss-Newton); zero at first.
     """
-    count, size = len(U), len(P)
-    W_T, step, of_pose = np.zeros((count, size)), np.zeros(size), np.zeros((POSE, size))
-    of_seen, W = np.zeros((len(entries), _CHUNK)), np.empty((count, _CHUNK))
-    for begin in range(0, n, _CHUNK):
-        width = min(_CHUNK, n - begin)
-        _rows_of(P, entries, begin, begin + width, of_seen)
-        _measure(rows, of_seen, W)
-        for r in range(count):
-            row, moved = W[r], step[begin : begin + width]
-            for b in range(r):
-                above, u = W[b], U[b, r]
-                for i in range(_CHUNK):
-                    row[i] -= u * above[i]
-            u = 1.0 / U[r, r]
-            for i in range(_CHUNK):
-                row[i] *= u
-            for i in range(width):
-                moved[i] += y[r] * row[i]
-            W_T[r, begin : begin + width] = row[:width]
-        for c in range(POSE):
-            of_pose[c, begin : begin + width] = of_seen[c, :width]
-    return W_T, step, of_pose
+    H, R, nu = system
+    (rows, q), P_seen, y = H.shape, among(P, entries), nu.copy()
+    G, step = np.zeros((rows + 1, q)), np.zeros(q)
+    for r in range(rows):
+        for c in range(q):
+            G[r, c] = H[r, c]
+            y[r] += H[r, c] * before[c]
+    U = innovation_covariance(H, P_seen, R)
+    if not factorise(U):
+        return G, step, (np.nan, np.nan)
+    _whiten(U, G, y)
+    nis, log_det = 0.0, 0.0
+    for r in range(rows):
+        nis, log_det = nis + y[r] * y[r], log_det + 2.0 * math.log(U[r, r])
+    for c in range(q):
+        for i in range(moving):
+            step[i] += G[rows, c] * P_seen[c, i]
+    return G, step, (nis, log_det)
+
+
+@kernel
+def gain(P: Array, n: int, entries: Ints, G: Array) -> tuple[Array, Array, Array]:
+    """Return W^T = G P (rows, n), the step g P (n,) and P's rows of the pose (3, n).
+
+    P - W W^T is the covariance after the correction.
+    """
+    of_seen = rows_of(P, entries, n)
+    W_T = G @ of_seen
+    return W_T[:-1], W_T[-1], of_seen[:POSE]

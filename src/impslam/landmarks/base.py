@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -27,8 +27,7 @@ COURSE, COURSE_SIGMA = "course", "course sigma"
 _STEP = 1e-5  # m, rad: of central differences; their error is then some 1e-10 of the values
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
+class Prediction(NamedTuple):
     """z (..., k, dim_z) and its Jacobians z_D_pose (..., k, dim_z, 3), z_D_m (..., k, dim_z, dim)."""
 
     z: Array

@@ -15,7 +15,7 @@ def batched(
 ) -> Prediction:
     """Return the prediction of a kernel on poses (b, 3) and m (b, k, dim), for any leading axes."""
     if pose.ndim == 1 and m.ndim == 2:
-        z, z_D_pose, z_D_m = predict(pose.reshape(1, 3), m.reshape(1, *m.shape))
+        z, z_D_pose, z_D_m = predict(pose[None], m[None])
         return Prediction(z[0], z_D_pose[0], z_D_m[0])
     lead = np.broadcast_shapes(pose.shape[:-1], m.shape[:-2])
     poses = np.ascontiguousarray(np.broadcast_to(pose, (*lead, 3))).reshape(-1, 3)

@@ -21,7 +21,6 @@ from impslam.geometry.kernels import kernel, plain
 from impslam.graph.block_system import BlockSystem, empty_system
 from impslam.graph.cholesky import (
     Factor,
-    columns_of_inverse,
     empty_factor,
     factorise,
     selected_inverse,
@@ -72,7 +71,6 @@ class Solution(NamedTuple):
     cost : sum of them by their robust kernels; what was minimised
     weights : (e,) of the edges in [0, 1], by their robust kernels
     iterations : steps taken
-    converged : always True; a graph that does not converge is an error
     """
 
     poses: Array
@@ -80,7 +78,6 @@ class Solution(NamedTuple):
     cost: float
     weights: Array
     iterations: int
-    converged: bool
 
 
 class _Problem(NamedTuple):
@@ -103,7 +100,7 @@ def solve(poses: Array, edges: Edges, fixed: Ints, limits: Limits | None = None)
     cost, steps, failed = _solve(solved, edges, held, limits or Limits(), costs)
     if failed != _FINE:
         raise NumericalError(_trouble(failed))
-    return Solution(solved, float(costs.chi2.sum()), cost, costs.weights, steps, True)
+    return Solution(solved, float(costs.chi2.sum()), cost, costs.weights, steps)
 
 
 def marginals(poses: Array, edges: Edges, fixed: Ints) -> Array:
@@ -113,24 +110,6 @@ def marginals(poses: Array, edges: Edges, fixed: Ints) -> Array:
     """
     poses, edges, held = checked(poses, edges, fixed)
     covariances, failed = _marginals(poses, edges, held)
-    if failed != _FINE:
-        raise NumericalError(_trouble(failed))
-    return covariances
-
-
-def relative_covariances(poses: Array, edges: Edges, fixed: Ints, pairs: Ints) -> Array:
-    """Return the covariances (p, 3, 3) of T_a_b, additive, for pairs (a, b) (p, 2) of poses.
-
-    As `marginals`; a pair costs six substitutions.
-    """
-    poses, edges, held = checked(poses, edges, fixed)
-    pairs = np.require(pairs, np.int64, ["C"])
-    check_shape("pairs", pairs, None, 2)
-    if pairs.size and not 0 <= pairs.min() <= pairs.max() < len(poses):
-        raise NumericalError(
-            f"pose graph: a pair names a pose that is not in 0 to {len(poses) - 1}"
-        )
-    covariances, failed = _relative_covariances(poses, edges, held, pairs)
     if failed != _FINE:
         raise NumericalError(_trouble(failed))
     return covariances
@@ -292,31 +271,3 @@ def _marginals(poses: Array, edges: Edges, fixed: Mask) -> tuple[Array, int]:
     covariances = selected_inverse(factor)[0]
     covariances[fixed] = 0.0
     return covariances, failed
-
-
-@kernel
-def _relative_covariances(
-    poses: Array, edges: Edges, fixed: Mask, pairs: Ints
-) -> tuple[Array, int]:
-    """Return J P J^T with P (6, 6) the joint covariance of both poses of each pair."""
-    factor, failed = _factorised(poses, edges, fixed)
-    out, J, P = np.zeros((len(pairs), 3, 3)), np.zeros((3, 6)), np.zeros((6, 6))
-    if failed != _FINE:
-        return out, failed
-    for row in range(len(pairs)):
-        a, b = pairs[row]
-        columns = columns_of_inverse(factor, pairs[row])
-        for p in range(2):
-            for q in range(2):
-                if not (fixed[pairs[row, p]] or fixed[pairs[row, q]]):
-                    P[3 * p : 3 * p + 3, 3 * q : 3 * q + 3] = columns[p, :, pairs[row, q]]
-                else:
-                    P[3 * p : 3 * p + 3, 3 * q : 3 * q + 3] = 0.0
-        c, s = math.cos(poses[a, 2]), math.sin(poses[a, 2])
-        dx, dy = poses[b, 0] - poses[a, 0], poses[b, 1] - poses[a, 1]
-        J[0, 0], J[0, 1], J[0, 2] = -c, -s, c * dy - s * dx
-        J[1, 0], J[1, 1], J[1, 2] = s, -c, -c * dx - s * dy
-        J[0, 3], J[0, 4], J[1, 3], J[1, 4] = c, s, -s, c
-        J[2, 2], J[2, 5] = -1.0, 1.0
-        out[row] = J @ P @ J.T
-    return out, failed

@@ -6,7 +6,7 @@ import csv
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path, PurePath
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -79,36 +79,6 @@ def write_map(folder: Path, image: MapImage) -> None:
         f"occupied_thresh: {OCCUPIED_ABOVE}\nfree_thresh: {FREE_BELOW}\n"
     )
     (folder / "map.yaml").write_text(text)
-
-
-def read_map(path: Path) -> MapImage:
-    """Read a map by its yaml file.
-
-    Raises
-    ------
-    ImpError
-        If a file is missing or is not what `write_map` writes.
-    """
-    try:
-        lines = (line.split(":", 1) for line in path.read_text().splitlines() if ":" in line)
-        facts = {key.strip(): value.strip() for key, value in lines}
-        x, y, _ = (float(v) for v in facts["origin"].strip("[]").split(","))
-        image = PurePath(facts["image"]).name  # it lies beside its yaml, and nowhere else
-        pixels = _read_pgm((path.parent / image).read_bytes())
-        return MapImage(pixels, float(facts["resolution"]), np.array([x, y]))
-    except (OSError, KeyError, ValueError) as error:
-        raise ImpError(f"{path}: not a map ({error}); write it again with `imp run`") from None
-
-
-def _read_pgm(data: bytes) -> npt.NDArray[np.uint8]:
-    magic, columns, rows, _ = data.split(None, 4)[:4]
-    if magic != b"P5":
-        raise ValueError("the image is not a binary PGM")
-    shape = int(rows), int(columns)
-    count = shape[0] * shape[1]
-    if count > len(data):
-        raise ValueError("the image is cut short")
-    return np.frombuffer(data, np.uint8, count, len(data) - count).reshape(shape)
 
 
 def write_landmarks(path: Path, landmarks: Iterable[Landmark]) -> None:

@@ -25,7 +25,7 @@ from impslam.pending import PendingQueue, PendingRows
 from impslam.sensors.base import Sensor
 from impslam.sources.base import Problems
 from impslam.streams import Reader, Streams
-from impslam.types import Array, Imu, Increment, Ints, Message, Observation
+from impslam.types import Array, Imu, Increment, Ints, Observation
 
 USUAL_TWIST = np.array([0.5, 0.5, 1.0])
 """m/s, m/s, rad/s, half a walking pace: what is not known without odometry of the motion within a sweep."""
@@ -36,6 +36,7 @@ class Robot:
 
     Attributes
     ----------
+    streams : which stream of the log each part reads
     counts : number of rows by type of message
     problems : count and first example of each kind of problem
     """
@@ -45,7 +46,7 @@ class Robot:
         self.counts: dict[str, int] = {}
         self.problems = Problems()
         fuses = odometry.gyro.use and odometry.tells_motion
-        self._streams = Streams(
+        self.streams = Streams(
             Reader("odometry", odometry.consumes, odometry.stream),
             {n: Reader(f"sensors.{n}", s.consumes, s.stream) for n, s in sensors.items()},
             Reader("odometry.gyro", Imu, odometry.gyro.stream) if fuses else None,
@@ -58,35 +59,6 @@ class Robot:
         self._faults: list[
             tuple[int, str, str, int]
         ] = []  # position in the log, kind, example, count
-
-    # ------------------------------------------------------------------ streams
-
-    @property
-    def wanted(self) -> tuple[str, ...]:
-        """Names of the streams that the config names."""
-        return self._streams.wanted
-
-    @property
-    def reads(self) -> frozenset[str]:
-        """Names of the streams that parts of the robot read, as far as the log has shown them."""
-        return self._streams.named
-
-    def choose(self, defaults: Mapping[type[Message], str]) -> None:
-        """Set the streams to use by type of message where the config names none (else: the first)."""
-        self._streams.choose(defaults)
-
-    def check(self, streams: Mapping[str, bool]) -> None:
-        """Raise `ConfigError` if the config names a stream that the log lacks or that cannot be mapped."""
-        self._streams.check(streams)
-
-    def check_reads(self, kind: type[Message], stream: str) -> None:
-        """Raise `ConfigError` if no part of the robot reads this type of message from this stream."""
-        self._streams.check_reads(kind, stream)
-
-    @property
-    def consumes(self) -> tuple[type[Message], ...]:
-        """The types of message that it reads."""
-        return self._streams.consumes
 
     # ------------------------------------------------------------------ sensing
 
@@ -101,14 +73,14 @@ class Robot:
         for columns in batch.values():
             name = columns.kind.__name__
             self.counts[name] = self.counts.get(name, 0) + len(columns)
-        used = self._streams.used(batch)
+        used = self.streams.used(batch)
         shifts = dict(zip((c.stream for c in used), self._shifts(used), strict=True))
-        odometry = [c for c in used if c.stream == self._streams.odometry.stream]
-        gyro = self._streams.gyro
+        odometry = [c for c in used if c.stream == self.streams.odometry.stream]
+        gyro = self.streams.gyro
         turns = next((c for c in used if gyro and c.stream == gyro.stream), None)
         rows = [
             self._pending_rows(name, columns, shifts[columns.stream])
-            for name, reader in self._streams.sensors.items()
+            for name, reader in self.streams.sensors.items()
             for columns in used
             if columns.stream == reader.stream
         ]
@@ -150,7 +122,7 @@ class Robot:
     @property
     def gyro_turns(self) -> bool:
         """Whether a gyro tells how far the robot turns, and not the wheels."""
-        return self._streams.gyro is not None and self._gyro.trusted
+        return self.streams.gyro is not None and self._gyro.trusted
 
     @property
     def elapsed(self) -> float:

@@ -156,7 +156,7 @@ class Slam:
         for field, (name, given, row) in fields.items():
             values[field] = _rows(name, given, len(times), row)
         name = stream or kind.__name__
-        self._run.robot.check_reads(kind, name)
+        self._run.robot.streams.check_reads(kind, name)
         if len(times) == 0:
             return
         self._refuse_late(name, times, is_scan=kind is LaserScan)

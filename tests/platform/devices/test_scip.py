@@ -9,7 +9,7 @@ from tests.platform.devices import scip_noise
 from impslam.platform.devices import scip, scip_status
 from impslam.platform.devices.base import DeviceError
 from impslam.platform.devices.scip import DamagedError, Splitter
-from impslam.platform.devices.scip_info import Parameters, State, Version, fields, to_line
+from impslam.platform.devices.scip_info import Parameters, Version, fields, to_line
 
 # As the protocol's text prints them; the checksums are Hokuyo's.
 PP = (
@@ -202,8 +202,7 @@ def test_the_protocols_own_examples_of_what_a_sensor_says():
     assert known.step_angle == pytest.approx(np.radians(0.3515625))
     assert Version.of(VV).serial == "H0614967"
     assert Version.of(VV).product == "SOKUIKI Sensor URG-04LX"
-    assert State.of(II).state == "Sensor works well."
-    assert State.of(II).model == ""
+    assert fields(II)["STAT"] == "Sensor works well."
 
 
 def test_lines_are_written_as_they_are_read():

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from impslam.errors import ImpError
-from impslam.platform.virtual.faults import Disturbance, Kind
+from impslam.platform.virtual.disturbance import Disturbance, Kind
 
 if sys.platform != "win32":  # where `TcpLine` serves
     import termios
@@ -36,7 +36,7 @@ class Line(ABC):
     Attributes
     ----------
     counts : bytes "sent" and "received" by the device's end; lost as "unplugged", "unheard" (no
-        host has the port open) and "overrun" (the host does not read); spoilt as `faults.KINDS`
+        host has the port open) and "overrun" (the host does not read); spoilt as `disturbance.KINDS`
     """
 
     def __init__(self, seed: int = 0, baud: int = 0) -> None:

@@ -10,7 +10,8 @@ from impslam.errors import ConfigError, ImpError
 from impslam.sweeps.cases import find_log
 from impslam.sweeps.pool import Processes
 from impslam.sweeps.rows import attempt
-from impslam.sweeps.space import Choice, Range, noise_space, parse_space
+from impslam.sweeps.searches import noise_space, parse_space
+from impslam.sweeps.space import Choice, Range
 from impslam.sweeps.task import Task
 from impslam.sweeps.tuning import best, finished, open_study, score_of, search, suggest
 

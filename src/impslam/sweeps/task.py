@@ -18,7 +18,8 @@ from impslam.sweeps.cases import SIMULATED, Case, Log, Settings, cases
 from impslam.sweeps.measures import run_case
 from impslam.sweeps.pool import Lost, Pool
 from impslam.sweeps.rows import Row
-from impslam.sweeps.space import Space, parse_space, value_of
+from impslam.sweeps.searches import parse_space, value_of
+from impslam.sweeps.space import Space
 from impslam.sweeps.tuning import best, finished, score_of
 
 BEFORE, AFTER = "before", "after"

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from impslam.platform.devices import scip, scip_status
-from impslam.platform.virtual import urg_sensor
+from impslam.platform.virtual import urg_answers
 from impslam.platform.virtual.base import Surroundings
 from impslam.platform.virtual.urg_memory import BIT_RATES, COMMANDS, Line, Memory, Order, faulty
 from impslam.platform.virtual.urg_sensor import UrgSensor, clustered
@@ -300,12 +300,12 @@ class UrgEmulator:
         return "01", b""
 
     def _do_vv(self, _: str) -> tuple[str, bytes]:
-        return scip_status.OK, urg_sensor.version()
+        return scip_status.OK, urg_answers.version()
 
     def _do_pp(self, _: str) -> tuple[str, bytes]:
-        return scip_status.OK, urg_sensor.parameters(self._sensor.parameters)
+        return scip_status.OK, urg_answers.parameters(self._sensor.parameters)
 
     def _do_ii(self, _: str) -> tuple[str, bytes]:
         memory = self._memory
-        said = urg_sensor.state(self._sensor, self._time, memory.bit_rate, memory.failure)
+        said = urg_answers.state(self._sensor, self._time, memory.bit_rate, memory.failure)
         return scip_status.OK, said

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from impslam.platform.devices.base import DeviceError
-from impslam.platform.devices.scip import DamagedError, checksum
+from impslam.platform.devices.scip_encoding import DamagedError, checksum
 
 _LONGEST_TEXT = 120  # characters of a field that are kept; the longest known has 45
 

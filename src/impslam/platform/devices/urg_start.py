@@ -8,7 +8,7 @@ from typing import Final
 
 from impslam.platform.devices import scip, scip_status
 from impslam.platform.devices.base import DeviceError
-from impslam.platform.devices.scip import DamagedError
+from impslam.platform.devices.scip_encoding import DamagedError
 from impslam.platform.devices.scip_info import Parameters, Version, fields
 from impslam.platform.devices.scip_link import Heard, ScipLink, UnansweredError
 from impslam.platform.devices.urg_clock import SweepTimes

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from impslam.platform.devices import scip, scip_status
+from impslam.platform.devices.scip_encoding import encode, sealed
 from impslam.platform.virtual import urg_answers
 from impslam.platform.virtual.base import Surroundings
 from impslam.platform.virtual.urg_memory import BIT_RATES, COMMANDS, Line, Memory, Order, faulty
@@ -150,13 +151,13 @@ class UrgEmulator:
         first, last, cluster = int(said[0:4]), int(said[4:8]), int(said[8:10])
         width = scip.WIDTH[order.command]
         values = clustered(self._sensor.values(sweep)[first : last + 1], cluster)
-        data = scip.encode(np.minimum(values, (1 << 6 * width) - 1), width)
+        data = encode(np.minimum(values, (1 << 6 * width) - 1), width)
         body = self._stamp(self._sensor.begin(sweep)) + scip.in_lines(data)
         status = scip_status.DATA if order.streams else scip_status.OK
         self._answer(order.echo(), status, body, ready)
 
     def _stamp(self, time: float) -> bytes:
-        return scip.sealed(scip.encode(np.array([self._sensor.clock(time)]), 4))
+        return sealed(encode(np.array([self._sensor.clock(time)]), 4))
 
     def _laser_off(self) -> None:
         self._sensor.laser_on, self._memory.order = math.inf, None
@@ -172,7 +173,7 @@ class UrgEmulator:
     def _answer(
         self, echo: str, status: str, body: bytes = b"", ready: float | None = None
     ) -> None:
-        data = b"%b\n%b%b\n" % (echo.encode("latin-1"), scip.sealed(status.encode("ascii")), body)
+        data = b"%b\n%b%b\n" % (echo.encode("latin-1"), sealed(status.encode("ascii")), body)
         self._send(data, ready)
 
     def _send(self, data: bytes, ready: float | None = None) -> None:

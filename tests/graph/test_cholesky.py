@@ -2,12 +2,7 @@ import numpy as np
 import pytest
 
 from impslam.graph.block_system import add_relative, clear_system, empty_system
-from impslam.graph.cholesky import (
-    empty_factor,
-    factorise,
-    selected_inverse,
-    substitute,
-)
+from impslam.graph.cholesky import empty_factor, factorise, selected_inverse, substitute
 from impslam.graph.elimination import eliminate
 
 FIXED = (0, 7)

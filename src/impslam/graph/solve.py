@@ -19,13 +19,7 @@ from impslam.errors import NumericalError
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel, plain
 from impslam.graph.block_system import BlockSystem, empty_system
-from impslam.graph.cholesky import (
-    Factor,
-    empty_factor,
-    factorise,
-    selected_inverse,
-    substitute,
-)
+from impslam.graph.cholesky import Factor, empty_factor, factorise, selected_inverse, substitute
 from impslam.graph.elimination import eliminate
 from impslam.graph.pose_graph import Costs, Edges, first_loose_pose, linearise
 from impslam.types import Array, Ints, Mask, check_shape

@@ -20,7 +20,8 @@ from impslam.platform.virtual.faults import (
 from impslam.platform.virtual.imp import SLICE, VirtualImp
 from impslam.platform.virtual.line import PtyLine, TcpLine
 from impslam.platform.virtual.urg import UrgEmulator
-from impslam.simulation.body import Body, Sweeps
+from impslam.simulation.body import Body
+from impslam.simulation.body_lidar import Sweeps
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.world import World
 

@@ -17,9 +17,9 @@ import numpy as np
 
 from impslam.columns import Batch, Columns, Motions, Sweeps
 from impslam.odometry.base import Odometry, diagonal
-from impslam.odometry.clocks import Clocks
 from impslam.odometry.gyro import GyroFusion
 from impslam.odometry.stream import OdometryStream, unknown_motions
+from impslam.odometry.stream_clocks import StreamClocks
 from impslam.odometry.synchroniser import END, Synchroniser
 from impslam.pending import PendingQueue, PendingRows
 from impslam.sensors.base import Sensor
@@ -53,12 +53,10 @@ class Robot:
         )
         self._gyro = GyroFusion(odometry.gyro, odometry.lever)
         self._odometry_stream, self._synchroniser = OdometryStream(odometry), Synchroniser()
-        self._queue, self._clocks = PendingQueue(), Clocks()
-        self._numbers: dict[str, int] = {}  # stream numbers for the clocks
+        self._queue, self._clocks = PendingQueue(), StreamClocks()
         self._shift = 0.0  # s, shift of the odometry stamps
-        self._faults: list[
-            tuple[int, str, str, int]
-        ] = []  # position in the log, kind, example, count
+        # Position in the log, kind, example, count.
+        self._faults: list[tuple[int, str, str, int]] = []
 
     # ------------------------------------------------------------------ sensing
 
@@ -74,7 +72,9 @@ class Robot:
             name = columns.kind.__name__
             self.counts[name] = self.counts.get(name, 0) + len(columns)
         used = self.streams.used(batch)
-        shifts = dict(zip((c.stream for c in used), self._shifts(used), strict=True))
+        each, steps = self._clocks.shifts(used)
+        self._faults += [(at, "clock step", text, 1) for at, text in steps]
+        shifts = dict(zip((c.stream for c in used), each, strict=True))
         odometry = [c for c in used if c.stream == self.streams.odometry.stream]
         gyro = self.streams.gyro
         turns = next((c for c in used if gyro and c.stream == gyro.stream), None)
@@ -130,23 +130,6 @@ class Robot:
         return self._clocks.elapsed
 
     # ------------------------------------------------------------------ steps
-
-    def _shifts(self, used: list[Columns]) -> list[Array]:
-        """Return (m,) s for each stream: the shifts from its stamps to the common time line."""
-        if not used:
-            return []
-        order = np.concatenate([columns.order for columns in used])
-        place = np.argsort(order)
-        number = [self._numbers.setdefault(c.stream, len(self._numbers)) for c in used]
-        streams = np.repeat(np.array(number), [len(columns) for columns in used])
-        stamps = np.concatenate([columns.stamps for columns in used])
-        shifts = np.empty(len(order))
-        shifts[place], steps = self._clocks.shifts(streams[place], stamps[place])
-        names = list(self._numbers)
-        for step in steps:
-            text = f"the clock {step} ({names[step.stream]}); motion is kept in file order"
-            self._faults.append((int(order[place[step.row]]), "clock step", text, 1))
-        return np.split(shifts, np.cumsum([len(columns) for columns in used])[:-1])
 
     def _motions(
         self, odometry: list[Columns], shifts: Mapping[str, Array]

@@ -6,7 +6,6 @@ import pytest
 from impslam.errors import ImpError
 from impslam.imported_map import read_grid
 from impslam.maps.files import (
-    COLUMNS,
     FREE,
     FREE_BELOW,
     OCCUPIED,
@@ -14,11 +13,10 @@ from impslam.maps.files import (
     UNKNOWN,
     MapImage,
     map_image,
-    read_landmarks,
-    write_landmarks,
     write_map,
 )
 from impslam.maps.grid import OccupancyGrid
+from impslam.maps.landmark_table import COLUMNS, read_landmarks, write_landmarks
 from impslam.types import Landmark
 
 

@@ -14,7 +14,7 @@ from impslam.evaluation.tum import read_tum
 from impslam.graph.g2o import read_g2o
 from impslam.imported_map import FREE, OCCUPIED, read_grid
 from impslam.map import Map
-from impslam.maps.files import read_landmarks
+from impslam.maps.landmark_table import read_landmarks
 from impslam.observers.recorder import Recorder
 from impslam.observers.run_folder import write_run
 from impslam.types import Edges, TrueLandmark

@@ -13,8 +13,9 @@ from impslam.observers import ros_markers, ros_values
 from impslam.observers.base import Observer, Outcome
 from impslam.observers.history import health_of
 from impslam.sources.mcap_file import LATCHED, McapFile
+from impslam.sources.ros_build import TYPES, nanoseconds
 from impslam.sources.ros_storage import RosMessage
-from impslam.sources.ros_writers import TYPES, Record, nanoseconds
+from impslam.sources.ros_writers import Record
 from impslam.types import Array, Ints
 
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from impslam.evaluation.colours import INK, POINT, SIGMAS, WALL
 from impslam.observers.map_picture import ellipse
+from impslam.sources.ros_build import header_of, new, turn, xyz
 from impslam.sources.ros_storage import RosMessage
-from impslam.sources.ros_writers import header_of, new, turn, xyz
 from impslam.types import Array, Landmark
 
 HEIGHT = 0.5

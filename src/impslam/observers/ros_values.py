@@ -7,8 +7,8 @@ import numpy as np
 from impslam.health import STATES, state_of, words
 from impslam.maps.files import MapImage
 from impslam.observers.grid_picture import occupancy
+from impslam.sources.ros_build import header_of, new, planar, time_of, turn, xyz
 from impslam.sources.ros_storage import RosMessage
-from impslam.sources.ros_writers import header_of, new, planar, time_of, turn, xyz
 from impslam.types import Array
 
 

@@ -18,7 +18,8 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from impslam.errors import SourceError
-from impslam.sources.ros_writers import TYPES, Record
+from impslam.sources.ros_build import TYPES
+from impslam.sources.ros_writers import Record
 
 _FOREVER = QosTime(2147483647, 4294967295)
 LATCHED = Qos(

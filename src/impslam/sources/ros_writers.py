@@ -5,16 +5,15 @@ The other half of `ros_messages`. Header stamps are the messages' own; frames fo
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
 
 from impslam.errors import MessageError
-from impslam.sources.ros_messages import LEFT, NANOSECONDS, RIGHT
+from impslam.sources.ros_build import TYPES, header_of, new, planar, time_of, xyz
+from impslam.sources.ros_messages import LEFT, RIGHT
 from impslam.sources.ros_storage import RosMessage
 from impslam.types import (
     Acceleration,
@@ -35,38 +34,8 @@ from impslam.types import (
     WheelAngles,
 )
 
-TYPES = get_typestore(Stores.ROS2_HUMBLE)  # the oldest release in support, whose types last
-
 LEVELS = {"info": 20, "warning": 30, "error": 40}  # INFO, WARN and ERROR of rcl_interfaces/Log
 UNKNOWN_VARIANCE = 0.0  # what sensor_msgs takes for a variance that nobody has stated
-
-
-def new(kind: str, *values: Any) -> RosMessage:
-    """Return a message of this type with these fields."""
-    return TYPES.types[kind](*values)
-
-
-def nanoseconds(stamp: float) -> int:
-    """Return s as ns; `MessageError` outside the range of ROS, 1970 to 2038."""
-    if not 0.0 <= stamp < 2.0**31:
-        raise MessageError(f"a stamp of {stamp} s does not fit ROS; it must be in 0 to 2^31 s")
-    whole = math.floor(stamp)
-    return whole * NANOSECONDS + round((stamp - whole) * NANOSECONDS)
-
-
-def time_of(stamp: float) -> RosMessage:
-    """Return s as a time of ROS."""
-    return new("builtin_interfaces/msg/Time", *divmod(nanoseconds(stamp), NANOSECONDS))
-
-
-def header_of(stamp: float, frame: str) -> RosMessage:
-    """Return the header of a message in a frame."""
-    return new("std_msgs/msg/Header", time_of(stamp), frame)
-
-
-def xyz(kind: str, values: Array) -> RosMessage:
-    """Return numbers as a message of geometry_msgs whose fields they are: x, y, z (and w)."""
-    return new(f"geometry_msgs/msg/{kind}", *map(float, values))
 
 
 def _spacing(name: str, values: Array) -> float:
@@ -186,19 +155,6 @@ def _image(message: Image) -> RosMessage:
     data = np.frombuffer(message.data, np.uint8)
     header = header_of(message.stamp, "camera")
     return new("sensor_msgs/msg/CompressedImage", header, message.format, data)
-
-
-def planar(pose: Array) -> RosMessage:
-    """Return a pose (3,) in the plane as `geometry_msgs/Pose`."""
-    x, y, theta = map(float, pose)
-    place = xyz("Point", np.array([x, y, 0.0]))
-    return new("geometry_msgs/msg/Pose", place, turn(theta))
-
-
-def turn(theta: float) -> RosMessage:
-    """Return a heading as `geometry_msgs/Quaternion`."""
-    half = 0.5 * theta
-    return xyz("Quaternion", np.array([0.0, 0.0, math.sin(half), math.cos(half)]))
 
 
 def pose(message: OdometryPose | TruePose) -> RosMessage:

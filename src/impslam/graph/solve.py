@@ -17,12 +17,13 @@ import numpy as np
 
 from impslam.errors import NumericalError
 from impslam.geometry.angles import wrap_in_kernel
-from impslam.geometry.kernels import kernel, plain
+from impslam.geometry.kernels import kernel
 from impslam.graph.block_system import BlockSystem, empty_system
+from impslam.graph.checked import checked
 from impslam.graph.cholesky import Factor, empty_factor, factorise, selected_inverse, substitute
 from impslam.graph.elimination import eliminate
 from impslam.graph.pose_graph import Costs, Edges, first_loose_pose, linearise
-from impslam.types import Array, Ints, Mask, check_shape
+from impslam.types import Array, Ints, Mask
 
 _NARROWING = 4.0
 """By what kernels narrow between two graduated descents; 1.4 (Yang et al. 2020) keeps as many true
@@ -107,35 +108,6 @@ def marginals(poses: Array, edges: Edges, fixed: Ints) -> Array:
     if failed != _FINE:
         raise NumericalError(_trouble(failed))
     return covariances
-
-
-def checked(poses: Array, edges: Edges, fixed: Ints) -> tuple[Array, Edges, Mask]:
-    """Return what kernels take, and fixed poses as a mask; raise `NumericalError` if it is unusable."""
-    poses = plain(poses)
-    check_shape("poses", poses, None, 3)
-    i, j = (np.require(ends, np.int64, ["C", "W"]) for ends in (edges.i, edges.j))
-    n, e = len(poses), len(i)
-    edges = Edges(i, j, plain(edges.T_i_j), plain(edges.information), plain(edges.kernel))
-    check_shape("edges.j", edges.j, e)
-    check_shape("edges.T_i_j", edges.T_i_j, e, 3)
-    check_shape("edges.information", edges.information, e, 3, 3)
-    check_shape("edges.kernel", edges.kernel, e)
-    fixed = np.asarray(fixed, np.int64)
-    for what, indices in (("an edge", i), ("an edge", j), ("`fixed`", fixed)):
-        if indices.size and not 0 <= indices.min() <= indices.max() < n:
-            raise NumericalError(f"pose graph: {what} names a pose that is not in 0 to {n - 1}")
-    for name, rows in (("pose", poses), ("edge", edges.T_i_j), ("edge", edges.information)):
-        if not np.isfinite(rows).all():
-            bad = int(np.flatnonzero(~np.isfinite(rows.reshape(len(rows), -1)).all(1))[0])
-            raise NumericalError(f"pose graph: {name} {bad} is not finite")
-    if not (edges.kernel > 0.0).all():
-        raise NumericalError("pose graph: the scale of a robust kernel is not positive")
-    if (i == j).any():
-        bad = int(np.argmax(i == j))
-        raise NumericalError(f"pose graph: edge {bad} joins pose {i[bad]} to itself")
-    held = np.zeros(n, np.bool_)
-    held[fixed] = True
-    return poses, edges, held
 
 
 _FINE, _UNSETTLED, _LOOSE, _SINGULAR = -1, 0, 1, 2

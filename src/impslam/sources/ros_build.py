@@ -1,8 +1,9 @@
-"""What messages of ROS 2 are built of: times, headers, vectors and poses."""
+"""What messages of ROS 2 are built of: times, headers, vectors, poses, and names of topics."""
 
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -55,3 +56,9 @@ def turn(theta: float) -> RosMessage:
     """Return a heading as `geometry_msgs/Quaternion`."""
     half = 0.5 * theta
     return xyz("Quaternion", np.array([0.0, 0.0, math.sin(half), math.cos(half)]))
+
+
+def topic_name(text: str) -> str:
+    """Return a text as a part of a ROS topic: letters, digits and _, not beginning with a digit."""
+    name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")
+    return name if name and not name[0].isdigit() else f"_{name}"

@@ -5,14 +5,13 @@ The other half of `ros_messages`. Header stamps are the messages' own; frames fo
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from impslam.errors import MessageError
-from impslam.sources.ros_build import TYPES, header_of, new, planar, time_of, xyz
+from impslam.sources.ros_build import TYPES, header_of, new, planar, time_of, topic_name, xyz
 from impslam.sources.ros_messages import LEFT, RIGHT
 from impslam.sources.ros_storage import RosMessage
 from impslam.types import (
@@ -228,9 +227,3 @@ def encode(message: Message) -> Iterator[Record]:
     for topic, kind, convert in CHANNELS[type(message)]:
         data = TYPES.serialize_cdr(convert(message), kind)
         yield Record(topic.format(device=device), kind, data)
-
-
-def topic_name(text: str) -> str:
-    """Return a text as a part of a ROS topic: letters, digits and _, not beginning with a digit."""
-    name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")
-    return name if name and not name[0].isdigit() else f"_{name}"

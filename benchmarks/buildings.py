@@ -76,7 +76,7 @@ def map_by_rows(log: Path, *settings: str) -> Mapped:
     closer = run.estimator._closer  # type: ignore[attr-defined]  # the graph's
     closer.recogniser.close = timed(closer.recogniser.close, attempts)
     with source:
-        run.robot.choose(source.defaults())
+        run.robot.streams.choose(source.defaults())
         for batch in source.batches(1):
             begin = time.process_time()
             run.feed(batch)

@@ -95,7 +95,7 @@ def mapped(log: Path) -> tuple[Run, Map, list[float]]:
     recogniser = run.estimator._closer.recogniser  # type: ignore[attr-defined]  # the graph's
     recogniser.close = timed(recogniser.close, attempts)
     with source:
-        run.robot.choose(source.defaults())
+        run.robot.streams.choose(source.defaults())
         for batch in source.batches():
             run.feed(batch)
     run.flush()

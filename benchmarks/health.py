@@ -125,7 +125,7 @@ def read(data: Path, name: str, seed: int = 0) -> Log:
     config, source = open_log(data / CLEAN[name], None, PLAIN)
     robot, sensed = config.make_robot(), []
     with source:
-        robot.choose(source.defaults())
+        robot.streams.choose(source.defaults())
         for batch in source.batches():
             sensed += robot.sense(batch)
         sensed += robot.flush()

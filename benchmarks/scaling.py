@@ -57,7 +57,7 @@ def measure(task: tuple[Path, int]) -> list[float]:
         ]
         streams = source.defaults()
     run = Run(config)
-    run.robot.choose(streams)
+    run.robot.streams.choose(streams)
     parts = list(batches(driven(rows, times)))
     before = _peak()
     begin = time.process_time()

@@ -26,7 +26,8 @@ from impslam.component import build
 from impslam.platform.devices.base import Device, DriveDevice, Reading
 from impslam.platform.virtual.autopilot import AutopilotEmulator
 from impslam.platform.virtual.process import VirtualRobot
-from impslam.simulation.body import Body, Sweeps
+from impslam.simulation.body import Body
+from impslam.simulation.body_lidar import Sweeps
 from impslam.simulation.world import load_world
 
 WORLD = "arena"

@@ -267,13 +267,13 @@ def test_two_sensors_on_one_stream_are_refused_in_one_line(stream):
 
 def test_a_stream_that_is_not_there_is_named_with_its_near_miss():
     robot = lidars(a="frnt")
-    assert robot.wanted == ("frnt",)
+    assert robot.streams.wanted == ("frnt",)
     with pytest.raises(
         ConfigError, match=r"sensors\.a\.stream = 'frnt': no such.*'front'"
     ) as error:
-        robot.check({"front": True, "odom": True})
+        robot.streams.check({"front": True, "odom": True})
     assert "\n" not in str(error.value)
-    lidars(a="front", b="").check({"front": True})
+    lidars(a="front", b="").streams.check({"front": True})
 
 
 def test_a_stream_of_another_kind_is_refused():
@@ -287,7 +287,7 @@ def test_without_a_name_it_is_the_default_or_the_first_that_no_other_names(
     size, defaults, expected
 ):
     robot = lidars(a="", b="other")
-    robot.choose(defaults)
+    robot.streams.choose(defaults)
     log = [(name, scan(float(k))) for k in range(3) for name in ("other", "one", "two")]
     found = sensed(robot, log, size)
     read = {(name, sweeps.columns.stream) for name, _, sweeps in found}

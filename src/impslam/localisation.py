@@ -103,7 +103,7 @@ def localise(
 def _scans(robot: Robot, source: Source) -> Iterator[tuple[float, Scan, Array]]:
     """Yield stamp, scan and the motion (3,) from the middle of its sweep to the stamp."""
     with source:
-        robot.choose(source.defaults())
+        robot.streams.choose(source.defaults())
         for batch in source.batches():
             yield from _rows(robot.sense(batch))
         yield from _rows(robot.flush())

@@ -48,11 +48,11 @@ def open_log(
     if "path" in config.source:
         raise ConfigError("source.path is not a parameter; give the log as an argument")
     robot = config.make_robot()
-    wanted = dict.fromkeys((*config.source.get("wanted", ()), *robot.wanted))
+    wanted = dict.fromkeys((*config.source.get("wanted", ()), *robot.streams.wanted))
     parameters = {**config.source, "wanted": tuple(wanted)}
-    if robot.wanted:
+    if robot.streams.wanted:
         with _source(log, parameters) as source:
-            robot.check({stream.name: stream.used for stream in source.streams()})
+            robot.streams.check({stream.name: stream.used for stream in source.streams()})
     source = _source(log, parameters)
     if source.describes_robot:
         with source:

@@ -1,12 +1,14 @@
-"""Names of files and folders."""
+"""Files and folders: their names, and what a disk refuses."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
+
+from impslam.errors import ImpError
 
 
 def numbered(folder: Path, stem: str, suffix: str = "") -> Iterator[Path]:
@@ -45,6 +47,16 @@ def _exchanged(a: Path, b: Path) -> bool:
     call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
     current, flag = -100, 2  # AT_FDCWD, RENAME_EXCHANGE
     return call is not None and not call(current, os.fsencode(a), current, os.fsencode(b), flag)
+
+
+@contextmanager
+def written(path: Path, advice: str, kind: type[ImpError] = ImpError) -> Iterator[None]:
+    """Raise an error of our own, with what to do, where a disk refuses to write a file or a folder."""
+    try:
+        yield
+    except OSError as error:
+        said = f"{path}: cannot be written ({error.strerror or error}); {advice}"
+        raise kind(said) from None
 
 
 def is_file(path: Path) -> bool:

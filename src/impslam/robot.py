@@ -17,15 +17,15 @@ import numpy as np
 
 from impslam.columns import Batch, Columns, Motions, Sweeps
 from impslam.odometry.base import Odometry, diagonal
-from impslam.odometry.clocks import Clocks
 from impslam.odometry.gyro import GyroFusion
 from impslam.odometry.stream import OdometryStream, unknown_motions
+from impslam.odometry.stream_clocks import StreamClocks
 from impslam.odometry.synchroniser import END, Synchroniser
 from impslam.pending import PendingQueue, PendingRows
 from impslam.sensors.base import Sensor
 from impslam.sources.base import Problems
 from impslam.streams import Reader, Streams
-from impslam.types import Array, Imu, Increment, Ints, Message, Observation
+from impslam.types import Array, Imu, Increment, Ints, Observation
 
 USUAL_TWIST = np.array([0.5, 0.5, 1.0])
 """m/s, m/s, rad/s, half a walking pace: what is not known without odometry of the motion within a sweep."""
@@ -36,6 +36,7 @@ class Robot:
 
     Attributes
     ----------
+    streams : which stream of the log each part reads
     counts : number of rows by type of message
     problems : count and first example of each kind of problem
     """
@@ -45,48 +46,17 @@ class Robot:
         self.counts: dict[str, int] = {}
         self.problems = Problems()
         fuses = odometry.gyro.use and odometry.tells_motion
-        self._streams = Streams(
+        self.streams = Streams(
             Reader("odometry", odometry.consumes, odometry.stream),
             {n: Reader(f"sensors.{n}", s.consumes, s.stream) for n, s in sensors.items()},
             Reader("odometry.gyro", Imu, odometry.gyro.stream) if fuses else None,
         )
         self._gyro = GyroFusion(odometry.gyro, odometry.lever)
         self._odometry_stream, self._synchroniser = OdometryStream(odometry), Synchroniser()
-        self._queue, self._clocks = PendingQueue(), Clocks()
-        self._numbers: dict[str, int] = {}  # stream numbers for the clocks
+        self._queue, self._clocks = PendingQueue(), StreamClocks()
         self._shift = 0.0  # s, shift of the odometry stamps
-        self._faults: list[
-            tuple[int, str, str, int]
-        ] = []  # position in the log, kind, example, count
-
-    # ------------------------------------------------------------------ streams
-
-    @property
-    def wanted(self) -> tuple[str, ...]:
-        """Names of the streams that the config names."""
-        return self._streams.wanted
-
-    @property
-    def reads(self) -> frozenset[str]:
-        """Names of the streams that parts of the robot read, as far as the log has shown them."""
-        return self._streams.named
-
-    def choose(self, defaults: Mapping[type[Message], str]) -> None:
-        """Set the streams to use by type of message where the config names none (else: the first)."""
-        self._streams.choose(defaults)
-
-    def check(self, streams: Mapping[str, bool]) -> None:
-        """Raise `ConfigError` if the config names a stream that the log lacks or that cannot be mapped."""
-        self._streams.check(streams)
-
-    def check_reads(self, kind: type[Message], stream: str) -> None:
-        """Raise `ConfigError` if no part of the robot reads this type of message from this stream."""
-        self._streams.check_reads(kind, stream)
-
-    @property
-    def consumes(self) -> tuple[type[Message], ...]:
-        """The types of message that it reads."""
-        return self._streams.consumes
+        # Position in the log, kind, example, count.
+        self._faults: list[tuple[int, str, str, int]] = []
 
     # ------------------------------------------------------------------ sensing
 
@@ -101,14 +71,16 @@ class Robot:
         for columns in batch.values():
             name = columns.kind.__name__
             self.counts[name] = self.counts.get(name, 0) + len(columns)
-        used = self._streams.used(batch)
-        shifts = dict(zip((c.stream for c in used), self._shifts(used), strict=True))
-        odometry = [c for c in used if c.stream == self._streams.odometry.stream]
-        gyro = self._streams.gyro
+        used = self.streams.used(batch)
+        each, steps = self._clocks.shifts(used)
+        self._faults += [(at, "clock step", text, 1) for at, text in steps]
+        shifts = dict(zip((c.stream for c in used), each, strict=True))
+        odometry = [c for c in used if c.stream == self.streams.odometry.stream]
+        gyro = self.streams.gyro
         turns = next((c for c in used if gyro and c.stream == gyro.stream), None)
         rows = [
             self._pending_rows(name, columns, shifts[columns.stream])
-            for name, reader in self._streams.sensors.items()
+            for name, reader in self.streams.sensors.items()
             for columns in used
             if columns.stream == reader.stream
         ]
@@ -150,7 +122,7 @@ class Robot:
     @property
     def gyro_turns(self) -> bool:
         """Whether a gyro tells how far the robot turns, and not the wheels."""
-        return self._streams.gyro is not None and self._gyro.trusted
+        return self.streams.gyro is not None and self._gyro.trusted
 
     @property
     def elapsed(self) -> float:
@@ -158,23 +130,6 @@ class Robot:
         return self._clocks.elapsed
 
     # ------------------------------------------------------------------ steps
-
-    def _shifts(self, used: list[Columns]) -> list[Array]:
-        """Return (m,) s for each stream: the shifts from its stamps to the common time line."""
-        if not used:
-            return []
-        order = np.concatenate([columns.order for columns in used])
-        place = np.argsort(order)
-        number = [self._numbers.setdefault(c.stream, len(self._numbers)) for c in used]
-        streams = np.repeat(np.array(number), [len(columns) for columns in used])
-        stamps = np.concatenate([columns.stamps for columns in used])
-        shifts = np.empty(len(order))
-        shifts[place], steps = self._clocks.shifts(streams[place], stamps[place])
-        names = list(self._numbers)
-        for step in steps:
-            text = f"the clock {step} ({names[step.stream]}); motion is kept in file order"
-            self._faults.append((int(order[place[step.row]]), "clock step", text, 1))
-        return np.split(shifts, np.cumsum([len(columns) for columns in used])[:-1])
 
     def _motions(
         self, odometry: list[Columns], shifts: Mapping[str, Array]

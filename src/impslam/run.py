@@ -113,7 +113,7 @@ def map_log(
     """Map the log that a source reads; see `run`. `health` is what is wrong with the log throughout."""
     course = Run(config, observers, begin, health)
     with source, course.keeping(source):
-        course.robot.choose(source.defaults())
+        course.robot.streams.choose(source.defaults())
         for batch in source.batches():
             course.feed(batch)
             if progress is not None:

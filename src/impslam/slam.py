@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.columns import Columns
-from impslam.component import shorten
 from impslam.config import Config
 from impslam.continuing import begin_with
-from impslam.errors import ImpError, ShapeError
+from impslam.errors import ImpError
+from impslam.given_arrays import finite, numeric, rows_of
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer
 from impslam.open_log import finished, going_on
@@ -132,12 +132,12 @@ class Slam:
         ConfigError
             If no sensor of the config reads scans of this stream.
         """
-        beams = _finite("angles", angles, None)
+        beams = finite("angles", angles, None)
         n = len(beams)
-        times = np.zeros(n) if time_offsets is None else _finite("time_offsets", time_offsets, n)
+        times = np.zeros(n) if time_offsets is None else finite("time_offsets", time_offsets, n)
         layout: dict[str, Any] = {"angles": beams, "time_offsets": times, "intensities": None}
         for name, limit in (("range_min", range_min), ("range_max", range_max)):
-            array = _array(name, limit)
+            array = numeric(name, limit)
             check_shape(name, array)
             layout[name] = float(array)
         self._add(LaserScan, stamps, {"ranges": ("ranges", ranges, (n,))}, layout, stream)
@@ -150,13 +150,13 @@ class Slam:
         layout: dict[str, Any] | None = None,
         stream: str = "",
     ) -> None:
-        times = np.atleast_1d(_array("stamps", stamps))
-        times = _finite("stamps", times, None)
+        times = np.atleast_1d(numeric("stamps", stamps))
+        times = finite("stamps", times, None)
         values = {"stamp": times}
         for field, (name, given, row) in fields.items():
-            values[field] = _rows(name, given, len(times), row)
+            values[field] = rows_of(name, given, len(times), row)
         name = stream or kind.__name__
-        self._run.robot.check_reads(kind, name)
+        self._run.robot.streams.check_reads(kind, name)
         if len(times) == 0:
             return
         self._refuse_late(name, times, is_scan=kind is LaserScan)
@@ -254,34 +254,3 @@ class _Newest(Observer):
 
 _Field: TypeAlias = tuple[str, npt.ArrayLike, tuple[int, ...]]
 """The argument's name, what was given, and the shape of one row."""
-
-
-def _array(name: str, given: npt.ArrayLike) -> Array:
-    try:
-        array = np.asarray(given)
-    except ValueError:
-        raise ShapeError(f"{name}: rows of different lengths; give an array") from None
-    if array.dtype.kind not in "iuf":
-        what = f"{shorten(given)} is of type {array.dtype}"
-        raise ShapeError(f"{name}: {what}; give numbers, NaN where there is none")
-    return array.astype(np.float64)  # a copy: what the caller does with its own changes nothing
-
-
-def _finite(name: str, given: npt.ArrayLike, length: int | None) -> Array:
-    array = _array(name, given)
-    check_shape(name, array, length)
-    if not np.isfinite(array).all():
-        k = int(np.argmin(np.isfinite(array)))
-        raise ShapeError(f"{name}[{k}] is {array[k]}; give finite numbers, leave out other rows")
-    return array
-
-
-def _rows(name: str, given: npt.ArrayLike, length: int, row: tuple[int, ...]) -> Array:
-    """Return an array (length, *row), also of the one row that was given."""
-    array = _array(name, given)
-    if length == 0 and array.size == 0:
-        return array.reshape(0, *row)
-    if length == 1 and array.ndim == len(row):
-        array = array[None]
-    check_shape(name, array, length, *row)
-    return array

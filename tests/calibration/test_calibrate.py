@@ -7,8 +7,9 @@ import pytest
 
 from impslam.calibration.calibrate import calibrate, drives_of, table
 from impslam.calibration.gyro import gyro_of
+from impslam.calibration.lidar_path import lidar_path
 from impslam.calibration.recording import record_batches
-from impslam.calibration.scan_pairs import lidar_motions
+from impslam.calibration.scan_pairs import matched_pairs
 from impslam.columns import batches
 from impslam.config import load, merge
 from impslam.errors import ConfigError, SourceError
@@ -106,13 +107,14 @@ def test_straight_on_tells_no_track():
 
 def test_the_gyro(eight):
     _, lidar = "lidar", WRONG.make_robot().sensors["lidar"]
-    found = gyro_of(eight.gyro, lidar_motions(lidar, eight.scans), 0.0)
+    motions = matched_pairs(lidar, eight.scans, lidar_path(lidar, eight.scans))
+    found = gyro_of(eight.gyro, motions, 0.0)
     standing = eight.gyro[eight.gyro[:, 0] < eight.gyro[0, 0] + 0.9, 1]
     assert abs(found.bias - standing.mean()) < 4.0 * np.hypot(
         found.bias_sigma, standing.std() / 9.0
     )
     assert abs(found.scale - 1.0) < 4.0 * found.scale_sigma
-    assert gyro_of(np.empty((0, 2)), lidar_motions(lidar, eight.scans), 0.0) is None
+    assert gyro_of(np.empty((0, 2)), motions, 0.0) is None
 
 
 def test_what_cannot_be_calibrated(eight):

@@ -9,7 +9,7 @@ from tests.recorded import perfect
 
 from impslam.calibration.lidar_path import LidarPath, lidar_path, twists
 from impslam.calibration.recording import lidar_of, record_batches
-from impslam.calibration.scan_pairs import _misfit, align, lidar_motions, pairs, surface
+from impslam.calibration.scan_pairs import _misfit, align, matched_pairs, pairs, surface
 from impslam.columns import batches
 from impslam.config import load
 from impslam.evaluation.trajectory import interpolate
@@ -100,7 +100,7 @@ def test_the_path_of_a_simulated_lidar(beam_time):
     _, lidar = lidar_of(config)
     path = lidar_path(lidar, found.scans)
     assert path.trusted.all()
-    motions = lidar_motions(lidar, found.scans)
+    motions = matched_pairs(lidar, found.scans, path)
     mount = np.array(lidar.mount)
     true = [compose(interpolate(found.truth, t), mount) for t in (motions.begins, motions.ends)]
     error = motions.T_begin_end - between(*true)

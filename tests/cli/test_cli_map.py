@@ -15,8 +15,8 @@ from tests.recognition.plans import OFFICE, way
 
 from impslam.evaluation.tum import read_tum
 from impslam.graph.g2o import read_g2o
+from impslam.imported_map import read_grid
 from impslam.map import Map
-from impslam.maps.files import read_map
 from impslam.run import run
 
 
@@ -71,7 +71,7 @@ def test_export_writes_what_other_programs_read(imp, office, tmp_path) -> None:
     known = Map.load(office)
     np.testing.assert_allclose(read_tum(folder / "trajectory.tum"), known.path(), atol=1e-6)
     assert len(read_g2o(folder / "graph.g2o").edges.i) == 19
-    assert read_map(folder / "map.yaml").resolution == 0.1
+    assert read_grid(folder / "map.yaml").resolution == 0.1
 
 
 POST, MOVED = np.array([[-6.0, -0.6, 0.15]]), np.array([[5.0, 0.3, 0.15]])

@@ -39,7 +39,7 @@ def found(graph, j, verdict=Verdict.STRONG, off=(0.0, 0.0, 0.0), n=20):
     """Return a closure of node j with the one a lap before, which lies at the same place."""
     support = Support(0.8, 0.9, 0.9, 500)
     pose = np.array(off, float)
-    closure = Closure(pose, INFORMATION, support, verdict, 0.9, 0.0, -np.inf)
+    closure = Closure(pose, INFORMATION, support, verdict, 0.9, -np.inf)
     return _Pending(j - n, j, closure, SPACING * j)
 
 

@@ -15,7 +15,7 @@ from impslam.config import load
 from impslam.evaluation.trajectory import associate, position_errors
 from impslam.evaluation.tum import read_tum
 from impslam.landmarks.point import Cylinder
-from impslam.maps.files import read_landmarks
+from impslam.maps.landmark_table import read_landmarks
 from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world

@@ -15,7 +15,7 @@ from impslam.geometry import machine_code
 from impslam.geometry.kernels import kernel
 
 FIT = (
-    "import numpy as np; from impslam.geometry.circles import taubin as f;"
+    "import numpy as np; from impslam.geometry.circle_start import taubin as f;"
     "p = np.array([[0.0, 1.0], [1.0, 0.0], [-1.0, 0.0]]);"
     "print(round(f(p)[2], 9), f.stats.cache_hits.total())"
 )
@@ -198,7 +198,7 @@ def test_loaded_code_imports_no_compiler(tmp_path: Path) -> None:
     code = (
         f"{FIT}; import sys;"
         "print('numba.np.arraymath' in sys.modules, 'scipy.linalg' in sys.modules);"
-        "from impslam.geometry.circles import circle_start as g;"
+        "from impslam.geometry.circle_start import circle_start as g;"
         "g(p, p, np.nan); print(g.stats.cache_hits.total())"
     )
     for first in (True, False):

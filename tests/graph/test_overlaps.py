@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 
-from impslam.graph.overlaps import Nearness, largest_turn, overlaps
+from impslam.graph.overlaps import Nearness, overlaps
 
 
 def straight(n, spacing=0.4):
@@ -31,7 +31,7 @@ def test_a_pass_the_other_way_counts_for_lidars_that_see_all_around():
     back = there[::-1] + np.array([0.0, 0.3, math.pi])
     both = np.concatenate([there, back])
     assert all((i < 40) == (j < 40) for i, j in overlaps(both) if 8 < j < 32)
-    wide = overlaps(both, Nearness(turn=largest_turn(2 * math.pi)))
+    wide = overlaps(both, Nearness(turn=math.pi))
     assert any((i < 40) != (j < 40) for i, j in wide if 8 < j < 32)
 
 
@@ -57,10 +57,3 @@ def test_no_pair_is_there_twice_and_none_with_itself():
     assert np.hypot(d[:, 0], d[:, 1]).max() < 3.0
     assert np.bincount(pairs[:, 1]).max() <= 6
     assert overlaps(poses).tobytes() == pairs.tobytes()
-
-
-def test_the_wider_the_view_the_larger_the_turn():
-    assert largest_turn(math.pi) == Nearness().turn
-    assert 1.9 < Nearness().turn < 2.1
-    assert largest_turn(math.radians(360)) == math.pi
-    assert largest_turn(math.radians(90)) < 0.5 * largest_turn(math.radians(180)) + 1e-12

@@ -8,7 +8,7 @@ from impslam.geometry import se2
 from impslam.geometry.angles import wrap
 from impslam.graph.block_system import empty_system
 from impslam.graph.pose_graph import Costs, Edges, linearise
-from impslam.graph.solve import Limits, marginals, relative_covariances, solve
+from impslam.graph.solve import Limits, marginals, solve
 
 FIRST = np.array([0])
 
@@ -51,7 +51,6 @@ def test_noiseless_graphs_are_exact(seed):
     solution = solve(start, edges, FIRST)
     close(solution.poses, truth)
     assert solution.chi2 < 1e-12
-    assert solution.converged
 
 
 def test_the_optimum_has_no_gradient_and_a_plausible_chi_square():
@@ -150,18 +149,6 @@ def test_marginals_are_those_of_the_dense_inverse(seed):
     for v in range(40):
         block = P[3 * v : 3 * v + 3, 3 * v : 3 * v + 3]
         np.testing.assert_allclose(covariances[v], block, rtol=1e-5, atol=1e-10)
-    pairs = np.array([[3, 30], [30, 3], [0, 9], [9, 0], [17, 0]])
-    relative = relative_covariances(solution.poses, edges, fixed, pairs)
-    for (a, b), covariance in zip(pairs, relative, strict=True):
-        J = np.zeros((3, 120))
-        for c in range(120):
-            step = np.zeros(120)
-            step[c] = 1e-6
-            one, two = solution.poses + step.reshape(40, 3), solution.poses - step.reshape(40, 3)
-            d = se2.between(one[a], one[b]) - se2.between(two[a], two[b])
-            d[2] = wrap(d[2])
-            J[:, c] = d / 2e-6
-        np.testing.assert_allclose(covariance, J @ P @ J.T, rtol=1e-5, atol=1e-10)
 
 
 def test_marginals_are_the_covariance_of_solutions():
@@ -219,8 +206,6 @@ def test_poses_that_nothing_connects_are_named():
         solve(start, edges, np.empty(0, np.int64))
     with pytest.raises(NumericalError, match="`fixed` names a pose that is not in 0 to 19"):
         solve(start, edges, np.array([20]))
-    with pytest.raises(NumericalError, match="a pair names a pose"):
-        relative_covariances(start, edges, FIRST, np.array([[0, 20]]))
     start[4] = np.nan
     with pytest.raises(NumericalError, match="pose 4 is not finite"):
         solve(start, edges, FIRST)

@@ -12,8 +12,9 @@ from impslam.errors import ImpError
 from impslam.evaluation.landmark_files import read_true_landmarks
 from impslam.evaluation.tum import read_tum
 from impslam.graph.g2o import read_g2o
+from impslam.imported_map import FREE, OCCUPIED, read_grid
 from impslam.map import Map
-from impslam.maps.files import FREE, OCCUPIED, read_landmarks, read_map
+from impslam.maps.landmark_table import read_landmarks
 from impslam.observers.recorder import Recorder
 from impslam.observers.run_folder import write_run
 from impslam.types import Edges, TrueLandmark
@@ -56,11 +57,12 @@ def test_the_table_holds_the_covariance(folder):
 
 
 def test_the_map_shows_the_room(folder):
-    image = read_map(folder / "map.yaml")
-    left, right, bottom, top = image.extent
-    assert (left, right, bottom, top) == pytest.approx((-3, 3, -2, 4), abs=0.11)
-    assert (image.pixels == FREE).mean() > 0.5
-    assert (image.pixels == OCCUPIED).any()
+    grid = read_grid(folder / "map.yaml")
+    rows, columns = grid.cells.shape
+    assert grid.origin[:2] == pytest.approx([-3, -2], abs=0.11)
+    assert grid.resolution * np.array([columns, rows]) == pytest.approx([6, 6], abs=0.22)
+    assert (grid.cells == FREE).mean() > 0.5
+    assert (grid.cells == OCCUPIED).any()
 
 
 def test_landmarks_summary_and_config(folder):

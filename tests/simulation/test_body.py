@@ -11,7 +11,8 @@ from scipy.stats import ks_2samp
 from impslam.errors import ConfigError
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose, exp
-from impslam.simulation.body import MEMORY, STEP, Body, Sweeps
+from impslam.simulation.body import MEMORY, STEP, Body
+from impslam.simulation.body_lidar import Sweeps
 from impslam.simulation.body_motion import Drivetrain, clearance
 from impslam.simulation.drive import Trajectory
 from impslam.simulation.lidar import LidarSimulator

@@ -17,9 +17,10 @@ from impslam.errors import MessageError, SourceError
 from impslam.fitting import choices
 from impslam.sources.base import recognise
 from impslam.sources.recording import McapWriter
+from impslam.sources.ros_build import nanoseconds as nanoseconds_of
+from impslam.sources.ros_build import topic_name
 from impslam.sources.ros_messages import read_odometry, seconds
-from impslam.sources.ros_writers import nanoseconds as nanoseconds_of
-from impslam.sources.ros_writers import pose, topic_name
+from impslam.sources.ros_writers import pose
 from impslam.types import (
     Acceleration,
     Climate,

@@ -13,15 +13,13 @@ from impslam.studies import arena
 from impslam.studies.arena_experiment import (
     CORNERS,
     END,
-    MIN_DRIFT,
     NAMED,
     Experiment,
-    dead_reckoning_error,
-    drifting_seeds,
     landmark_metrics,
     summary,
     true_landmarks,
 )
+from impslam.studies.arena_seeds import MIN_DRIFT, dead_reckoning_error, drifting_seeds
 from impslam.studies.arena_tables import (
     END_POSITION,
     TRUE,

@@ -15,21 +15,22 @@ from impslam.simulation.world import parse_world
 from impslam.studies import corridor
 from impslam.studies.corridor import map_table, numbers, path_table
 from impslam.studies.corridor_metrics import (
-    COUNTS,
     DEFAULT,
-    EXTRACTORS,
     HOUGH,
     READINGS,
     VARIANTS,
     WITHIN,
     corridor_metrics,
-    corridor_world,
-    count_walls,
     distance_held,
-    tally,
-    total_counts,
 )
-from impslam.studies.corridor_truth import CorridorTruth, Verdict, false_landmarks, judge
+from impslam.studies.corridor_truth import (
+    CorridorTruth,
+    Verdict,
+    corridor_world,
+    false_landmarks,
+    judge,
+)
+from impslam.studies.corridor_walls import COUNTS, EXTRACTORS, count_walls, tally, total_counts
 from impslam.studies.map_plot import CORRIDOR, draw_maps
 from impslam.studies.sweep import Run, map_run, path_metrics, sweep
 from impslam.sweeps.cases import ROBOT

@@ -6,7 +6,8 @@ import math
 import pytest
 
 from impslam.errors import ConfigError
-from impslam.sweeps.table import CSV, JOURNAL, PARQUET, Journal, write_table
+from impslam.sweeps.journal import JOURNAL, Journal
+from impslam.sweeps.table import CSV, PARQUET, write_table
 
 
 def row(seed, error="", **more):

@@ -10,8 +10,10 @@ from impslam.errors import ConfigError, ImpError
 from impslam.sweeps.cases import find_log
 from impslam.sweeps.pool import Processes
 from impslam.sweeps.rows import attempt
-from impslam.sweeps.space import Choice, Range, noise_space, parse_space
+from impslam.sweeps.searches import noise_space, parse_space
+from impslam.sweeps.space import Choice, Range
 from impslam.sweeps.task import Task
+from impslam.sweeps.tuned import tuned_config
 from impslam.sweeps.tuning import best, finished, open_study, score_of, search, suggest
 
 pytest.importorskip("optuna")
@@ -147,7 +149,7 @@ def test_the_tuned_config_loads_and_tells_its_evidence(tmp_path):
         )
     ]
     found = suggest(SPACE, best(study))
-    text = task.tuned(found, rows, "best", study)
+    text = tuned_config(task, found, rows, "best", study)
     assert "# room: 0.02 before, 0.01 after" in text
     assert "# arena, kept apart: 0.04 before, 0.05 after" in text
     (tmp_path / "tuned.toml").write_text(text)

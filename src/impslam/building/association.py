@@ -1,148 +1,31 @@
 """Which sightings show one landmark: by statistical distance in map, and by extent.
 
 Sightings join, in order, the nearest group in the gate, or begin one; groups that have grown towards each
-other are joined afterwards. A group is kept as a Gaussian in information form, in the frame of its
-first sighting: for a line its offset and direction there, for a point its place.
+other are joined afterwards.
 """
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple
-
 import numpy as np
 
+from impslam.building.groups import (
+    HIGH,
+    LOW,
+    Rules,
+    X,
+    Y,
+    begin,
+    distance2,
+    include,
+    local,
+    whole_group,
+)
 from impslam.building.sightings import Placed, add_relief
-from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Mask
 
 _GATE = 13.8  # chi-square of two degrees of freedom at 99.9 %
 _ROUNDS = 3  # a group that has been joined to another may now meet a third
-_TURN = 0.35  # rad: directions farther apart are of two landmarks, whatever their covariances
-_FACING = 0.8  # rad: corners that open farther apart are two, as the two sides of a thin wall
-_X, _Y, _PHI, _LOW, _HIGH, _L00, _L01, _L11, _E0, _E1, _U0, _U1 = range(12)
-
-
-class Rules(NamedTuple):
-    """When two sightings may be of one landmark.
-
-    Attributes
-    ----------
-    is_line : whether the kind is a line, with an extent
-    gap : m, the longest stretch that nobody saw between two pieces of one line
-    relief : m, standard deviation of a surface from its line
-    """
-
-    is_line: bool
-    gap: float
-    relief: float
-
-
-@kernel
-def _moved(value: Array, cov: Array, along: float) -> None:
-    """Move a line's offset and direction, and their covariance (3,), along it by some metres."""
-    value[0] -= along * value[1]
-    cov[0] += along * (along * cov[2] - 2.0 * cov[1])
-    cov[1] -= along * cov[2]
-
-
-@kernel
-def local(
-    anchor: Array, frame: Array, cov: Array, is_line: bool, value: Array, out: Array
-) -> tuple[float, float]:
-    """Write a sighting's two values (2,) and covariance (3,) in a frame; return its extent there.
-
-    `anchor` (3,) is x, y, phi of the frame.
-    """
-    dx, dy = frame[0] - anchor[0], frame[1] - anchor[1]
-    out[:] = cov
-    if not is_line:
-        value[0], value[1] = dx, dy
-        return 0.0, 0.0
-    c, s = math.cos(anchor[2]), math.sin(anchor[2])
-    turn = wrap_in_kernel(frame[2] - anchor[2])
-    along = c * dy - s * dx
-    # The line through the middle of the piece meets the normal at the anchor there, exactly.
-    value[0], value[1] = 0.0, turn
-    _moved(value, out, -along)
-    value[0] = c * dx + s * dy + along * math.tan(turn)
-    half = frame[3] * math.cos(turn)
-    return along - half, along + half
-
-
-@kernel
-def _settle(group: Array) -> None:
-    """Solve for a group's values."""
-    det = group[_L00] * group[_L11] - group[_L01] ** 2
-    group[_U0] = (group[_L11] * group[_E0] - group[_L01] * group[_E1]) / det
-    group[_U1] = (group[_L00] * group[_E1] - group[_L01] * group[_E0]) / det
-
-
-@kernel
-def _include(group: Array, value: Array, cov: Array, low: float, high: float) -> None:
-    """Add a sighting, in the group's frame, to a group."""
-    det = cov[0] * cov[2] - cov[1] ** 2
-    a, b, c = cov[2] / det, -cov[1] / det, cov[0] / det
-    group[_L00] += a
-    group[_L01] += b
-    group[_L11] += c
-    group[_E0] += a * value[0] + b * value[1]
-    group[_E1] += b * value[0] + c * value[1]
-    group[_LOW], group[_HIGH] = min(group[_LOW], low), max(group[_HIGH], high)
-    _settle(group)
-
-
-@kernel
-def _spread(group: Array, out: Array) -> None:
-    """Write the covariance (3,) of a group's values."""
-    det = group[_L00] * group[_L11] - group[_L01] ** 2
-    out[0], out[1], out[2] = group[_L11] / det, -group[_L01] / det, group[_L00] / det
-
-
-@kernel
-def _distance2(
-    group: Array, frame: Array, cov: Array, extra: Array, rules: Rules, room: Array
-) -> float:
-    """Return the squared Mahalanobis distance of a sighting from a group; inf where extents forbid.
-
-    `extra` (3,) is what the group's own keyframes err by, at the sighting's middle; `room` (3, 3) is
-    scratch. A line is compared at the middle of the piece.
-    """
-    value, have, at = room[0], room[1], room[2]
-    _spread(group, have)
-    if rules.is_line:
-        turn = wrap_in_kernel(frame[2] - group[_PHI] - group[_U1])
-        if abs(turn) > _TURN:
-            return math.inf
-        c, s = math.cos(group[_PHI]), math.sin(group[_PHI])
-        dx, dy = frame[0] - group[_X], frame[1] - group[_Y]
-        along = c * dy - s * dx
-        if max(along - frame[3] - group[_HIGH], group[_LOW] - along - frame[3]) > rules.gap:
-            return math.inf
-        at[0], at[1] = group[_U0], group[_U1]
-        _moved(at, have, along)
-        add_relief(have, group[_HIGH] - group[_LOW], rules.relief)
-        value[0], value[1] = c * dx + s * dy - group[_U0] + along * math.tan(group[_U1]), turn
-    else:
-        if abs(wrap_in_kernel(frame[2] - group[_PHI])) > _FACING:  # false for NaN
-            return math.inf
-        value[0] = frame[0] - group[_X] - group[_U0]
-        value[1] = frame[1] - group[_Y] - group[_U1]
-    a, b, d = have[0] + cov[0] + extra[0], have[1] + cov[1] + extra[1], have[2] + cov[2] + extra[2]
-    form = d * value[0] ** 2 - 2.0 * b * value[0] * value[1] + a * value[1] ** 2
-    result: float = form / (a * d - b * b)
-    return result
-
-
-@kernel
-def _begin(group: Array, frame: Array, cov: Array) -> None:
-    """Make a sighting the first of a group."""
-    group[:] = 0.0
-    group[_X], group[_Y], group[_PHI] = frame[0], frame[1], frame[2]
-    group[_LOW], group[_HIGH] = math.inf, -math.inf
-    value = np.zeros(2)
-    _include(group, value, cov, -frame[3], frame[3])
 
 
 @kernel
@@ -153,11 +36,11 @@ def _nearest(
     best, nearest, room = -1, _GATE, np.empty((3, 3))
     reach = frame[3] + rules.gap + 1.0
     for g in range(len(groups)):
-        dx, dy = frame[0] - groups[g, _X], frame[1] - groups[g, _Y]
-        far = reach + max(groups[g, _HIGH], -groups[g, _LOW])
+        dx, dy = frame[0] - groups[g, X], frame[1] - groups[g, Y]
+        far = reach + max(groups[g, HIGH], -groups[g, LOW])
         if dx * dx + dy * dy > far * far or barred[g]:
             continue
-        d2 = _distance2(groups[g], frame, cov, extra, rules, room)
+        d2 = distance2(groups[g], frame, cov, extra, rules, room)
         if d2 < nearest:
             best, nearest = g, d2
     return best
@@ -185,33 +68,15 @@ def _join(groups: Array, extra: Array, parents: Ints, rules: Rules) -> bool:
     for j in range(1, len(groups)):
         if parents[j] != j:
             continue
-        _whole_group(groups[j], rules.is_line, frame, cov)
+        whole_group(groups[j], rules.is_line, frame, cov)
         add_relief(cov, 2.0 * frame[3], rules.relief)
         barred = parents[:j] != np.arange(j)
         i = _nearest(groups[:j], frame, cov, extra[j], rules, barred)
         if i >= 0:
             parents[j], any_joined = i, True
             low, high = local(groups[i, :3], frame, cov, rules.is_line, value, moved)
-            _include(groups[i], value, moved, low, high)
+            include(groups[i], value, moved, low, high)
     return any_joined
-
-
-@kernel
-def _whole_group(group: Array, is_line: bool, frame: Array, cov: Array) -> None:
-    """Write a group as one sighting: frame (4,) and covariance (3,) at its middle."""
-    _spread(group, cov)
-    frame[0], frame[1] = group[_X] + group[_U0], group[_Y] + group[_U1]
-    frame[2], frame[3] = group[_PHI], 0.0
-    if is_line:
-        c, s = math.cos(group[_PHI]), math.sin(group[_PHI])
-        middle = 0.5 * (group[_LOW] + group[_HIGH])
-        at = np.array([group[_U0], group[_U1]])
-        _moved(at, cov, middle)
-        across = group[_U0] - middle * math.tan(group[_U1])
-        frame[0] = group[_X] + across * c - middle * s
-        frame[1] = group[_Y] + across * s + middle * c
-        frame[2] = wrap_in_kernel(group[_PHI] + group[_U1])
-        frame[3] = 0.5 * (group[_HIGH] - group[_LOW])
 
 
 @kernel
@@ -235,10 +100,10 @@ def associate(placed: Placed, keyframes: Ints, labels: Ints, extra: Array, rules
         if best < 0:
             best, count = count, count + 1
             first[best] = i
-            _begin(groups[best], frame, seen)
+            begin(groups[best], frame, seen)
         else:
             low, high = local(groups[best, :3], frame, seen, rules.is_line, value, cov)
-            _include(groups[best], value, cov, low, high)
+            include(groups[best], value, cov, low, high)
         last[best] = keyframes[i]
         out[i] = best
     parents = np.arange(count)

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from impslam.building.association import local
 from impslam.building.fusion import Fused
+from impslam.building.groups import local
 from impslam.building.sightings import Placed
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints

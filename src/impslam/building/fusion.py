@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.building.association import local
+from impslam.building.groups import local
 from impslam.building.sightings import Placed
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel

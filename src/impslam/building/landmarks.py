@@ -12,10 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.building.association import Rules, associate
+from impslam.building.association import associate
 from impslam.building.cells import cell_places, cell_starts, covered, divide, stretches
 from impslam.building.free_space import Profile, profile, seen_through
 from impslam.building.fusion import Fused, fuse
+from impslam.building.groups import Rules
 from impslam.building.sightings import Placed, Sightings, SightingsLog, place
 from impslam.errors import ConfigError
 from impslam.landmarks.base import LandmarkModel

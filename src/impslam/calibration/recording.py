@@ -10,7 +10,7 @@ import numpy as np
 from impslam.columns import Batch, Columns, join, same_layout
 from impslam.config import Config
 from impslam.errors import ConfigError
-from impslam.odometry.clocks import Clocks
+from impslam.odometry.stream_clocks import StreamClocks
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Source
 from impslam.streams import Reader, Streams
@@ -87,12 +87,13 @@ def _streams(config: Config) -> Streams:
 
 
 def _record(streams: Streams, batches: Iterable[Batch]) -> Recording:
-    clocks, numbers, kept = Clocks(), dict[str, int](), dict[str, list[Columns]]()
+    clocks, kept = StreamClocks(), dict[str, list[Columns]]()
     for batch in batches:
         rows = [c for c in batch.values() if c.kind in (Imu, TruePose) and len(c)]
         rows += [c for c in streams.used(batch) if c not in rows]
-        for columns in _on_one_time_line(rows, clocks, numbers):
-            kept.setdefault(columns.stream, []).append(columns)
+        for columns, shift in zip(rows, clocks.shifts(rows)[0], strict=True):
+            values = {**columns.values, "stamp": columns.stamps + shift}
+            kept.setdefault(columns.stream, []).append(replace(columns, values=values))
     (lidar,) = streams.sensors.values()
     every = [columns for pieces in kept.values() for columns in pieces]
     return Recording(
@@ -101,25 +102,6 @@ def _record(streams: Streams, batches: Iterable[Batch]) -> Recording:
         _table([c for c in every if c.kind is Imu], lambda c: c["angular_velocity"][:, 2:], 2),
         _table([c for c in every if c.kind is TruePose], lambda c: c["pose"], 4),
     )
-
-
-def _on_one_time_line(
-    rows: Sequence[Columns], clocks: Clocks, numbers: dict[str, int]
-) -> list[Columns]:
-    """Return columns of one batch with the stamps of the common time line."""
-    if not rows:
-        return []
-    order = np.concatenate([columns.order for columns in rows])
-    number = [numbers.setdefault(columns.stream, len(numbers)) for columns in rows]
-    streams = np.repeat(np.array(number), [len(columns) for columns in rows])
-    stamps = np.concatenate([columns.stamps for columns in rows])
-    place, shifts = np.argsort(order), np.empty(len(order))
-    shifts[place], _ = clocks.shifts(streams[place], stamps[place])
-    parts = np.split(stamps + shifts, np.cumsum([len(columns) for columns in rows])[:-1])
-    return [
-        replace(columns, values={**columns.values, "stamp": part})
-        for columns, part in zip(rows, parts, strict=True)
-    ]
 
 
 def _joined(pieces: Iterable[Columns]) -> tuple[Columns, ...]:

@@ -20,7 +20,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from scipy.spatial import cKDTree
 
-from impslam.calibration.lidar_path import LidarPath, deskewed, lidar_path
+from impslam.calibration.lidar_path import LidarPath, deskewed
 from impslam.columns import Columns, Scans
 from impslam.geometry.se2 import between, rotation
 from impslam.sensors.lidar2d import Lidar2D
@@ -100,12 +100,6 @@ class Alignment(NamedTuple):
     information: Array
     scatter: float
     share: float
-
-
-def lidar_motions(lidar: Lidar2D, scans: Sequence[Columns]) -> LidarMotions:
-    """Return the motions of a lidar by its scans alone (pieces of one layout each)."""
-    path = lidar_path(lidar, scans)
-    return matched_pairs(lidar, scans, path)
 
 
 def matched_pairs(lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath) -> LidarMotions:

@@ -29,14 +29,11 @@ class Umbmark(NamedTuple):
 
     Attributes
     ----------
-    alpha, beta : rad, by which a turn is short, and to the left on a side
     diameters : right over left wheel diameter, E_d, as a factor on the present one
     track : true over present track, E_b
     error : m, the larger distance of the mean returns from the true ones, E_max,syst
     """
 
-    alpha: float
-    beta: float
     diameters: float
     track: float
     error: float
@@ -45,12 +42,13 @@ class Umbmark(NamedTuple):
 def umbmark(clockwise: Array, counter: Array, side: float, track: float) -> Umbmark:
     """Return what returns tell, (n, 2) and (m, 2) m, true minus odometry; `side` and `track` in m."""
     cw, ccw = clockwise.mean(axis=0), counter.mean(axis=0)
+    # By which a turn is short, and to the left on a side, rad.
     alpha, beta = (cw[0] + ccw[0]) / (-4.0 * side), (cw[0] - ccw[0]) / (-4.0 * side)
     curvature = 2.0 * math.sin(0.5 * beta) / side
     diameters = (1.0 + 0.5 * track * curvature) / (1.0 - 0.5 * track * curvature)
     turn = 0.5 * math.pi
     error = max(float(np.hypot(*cw)), float(np.hypot(*ccw)))
-    return Umbmark(float(alpha), float(beta), diameters, turn / (turn - float(alpha)), error)
+    return Umbmark(diameters, turn / (turn - float(alpha)), error)
 
 
 def corrected(found: Umbmark, values: Array) -> Array:

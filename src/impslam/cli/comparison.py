@@ -1,19 +1,15 @@
-"""Runs side by side: short names, and tables with the best of each column in bold."""
+"""Runs side by side: a table for each kind of score."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich import box
-from rich.console import JustifyMethod
-from rich.table import Table
-from rich.text import Text
 
 from impslam.cli import console
+from impslam.cli.comparison_table import Cell, show
 from impslam.evaluation.consistency import Innovations
 from impslam.evaluation.options import Alignment
 from impslam.evaluation.quality import Quality
@@ -30,14 +26,6 @@ NOTES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """What a cell says, and how far from the best it could be; NaN where that is no question."""
-
-    text: str
-    badness: float = math.nan
-
-
 def short_names(paths: Sequence[Path]) -> list[str]:
     """Return what differs between paths: their parts without those that all begin or end with."""
     parts = [list(path.parts) for path in paths]
@@ -48,33 +36,6 @@ def short_names(paths: Sequence[Path]) -> list[str]:
     if len(paths) == 1:
         parts = [p[-1:] or ["."] for p in parts]
     return [str(Path(*p)) for p in parts]
-
-
-def show(header: Sequence[str], rows: Mapping[tuple[str, ...], Sequence[Cell]]) -> None:
-    """Print a table: labels flush left, then numbers, the best of each column in bold.
-
-    The first label is the run; rows that share the others are compared with one another.
-    """
-    words = len(next(iter(rows)))
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for i, name in enumerate(header):
-        justify: JustifyMethod = "left" if i < words else "right"
-        table.add_column(Text(name), justify=justify, overflow="fold")
-    for labels, cells in rows.items():
-        rivals = [other for key, other in rows.items() if key[1:] == labels[1:]]
-        best = [_best(column) for column in zip(*rivals, strict=True)]
-        looks = ["bold" if c.text == text else "" for c, text in zip(cells, best, strict=True)]
-        numbers = (Text(c.text, look) for c, look in zip(cells, looks, strict=True))
-        table.add_row(*map(Text, labels), *numbers)
-    console.show_indented(table, 0)
-
-
-def _best(column: Sequence[Cell]) -> str | None:
-    """Return what the best cells say, or None where all are known to be as good."""
-    known = [cell for cell in column if math.isfinite(cell.badness)]
-    if len({cell.text for cell in known}) < 2:
-        return None
-    return min(known, key=lambda cell: cell.badness).text
 
 
 def show_paths(scores: Mapping[str, PathScore], align_by: Alignment, delta: float) -> None:

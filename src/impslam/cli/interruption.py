@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable
-from types import FrameType, TracebackType
+from types import FrameType
 
 from impslam.errors import Interrupted
 from impslam.map import Keyframe, PathRows, Revision, Track
@@ -34,12 +34,7 @@ class Interruption(Observer):
         self._before = {one: signal.signal(one, self._on_signal) for one in heard}
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        at: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Give them back."""
         for one, handler in self._before.items():
             signal.signal(one, handler)

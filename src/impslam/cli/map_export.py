@@ -31,22 +31,18 @@ def export(
         Side of a cell of the grid, m.
     """
     from impslam.cli.map_work import result_folder, working
-    from impslam.errors import ImpError
     from impslam.map import Map
     from impslam.maps.files import map_image
     from impslam.observers.map_files import MAP_FILES, write_map_files
+    from impslam.paths import written
 
     quiet = common is not None and common.quiet
     with working("exporting", quiet):
         known = Map.load(file)
         image = map_image(known.grid(resolution))
         result_folder(output, MAP_FILES)
-        try:
+        with written(output, "give another -o"):
             write_map_files(output, known, image)
-        except OSError as error:
-            raise ImpError(
-                f"{output}: cannot be written ({error.strerror}); give another -o"
-            ) from None
     if not quiet:
         for path in sorted(output.iterdir()):
             console.say(str(path))

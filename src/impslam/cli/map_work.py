@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from impslam.cli.progress import display
-from impslam.errors import ConfigError, ImpError
+from impslam.errors import ConfigError
+from impslam.paths import written
 
 if TYPE_CHECKING:
     from impslam.map import Map
@@ -58,7 +59,7 @@ def result_folder(folder: Path, files: frozenset[str]) -> Path:
     ImpError
         If it cannot be made.
     """
-    try:
+    with written(folder, "give another -o"):
         folder.mkdir(parents=True, exist_ok=True)
         there = {path.name for path in folder.iterdir()}
         if strange := there - files:
@@ -68,8 +69,6 @@ def result_folder(folder: Path, files: frozenset[str]) -> Path:
             )
         for name in there:
             (folder / name).unlink()
-    except OSError as error:
-        raise ImpError(f"{folder}: cannot be written ({error.strerror}); give another -o") from None
     return folder
 
 
@@ -90,7 +89,5 @@ def write_bytes(path: Path, data: bytes) -> None:
     ImpError
         If it cannot be written.
     """
-    try:
+    with written(path, "give another -o"):
         path.write_bytes(data)
-    except OSError as error:
-        raise ImpError(f"{path}: cannot be written ({error.strerror}); give another -o") from None

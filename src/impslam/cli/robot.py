@@ -17,7 +17,8 @@ from impslam.cli import console
 from impslam.cli.console import Common, Flag
 from impslam.cli.replay import need_web
 from impslam.errors import ConfigError, ImpError
-from impslam.platform.station.service import Watchdog, unit
+from impslam.platform.station.service import unit
+from impslam.platform.station.watchdog import Watchdog
 
 if TYPE_CHECKING:
     from impslam.platform.console.model import Fault

@@ -28,6 +28,7 @@ from impslam.evaluation.relations import RelationErrors, read_relations, relatio
 from impslam.evaluation.run_files import RecordedRun, read_run
 from impslam.evaluation.scores import KindScore, PathScore, score_kinds, score_path
 from impslam.evaluation.tum import read_tum
+from impslam.paths import written
 from impslam.types import Array, TrueLandmark
 
 log = logging.getLogger(__name__)
@@ -194,9 +195,5 @@ def _draw(scores: Mapping[str, Scores], align: Alignment, output: Path) -> None:
     paths, _, relations = _by_yardstick(scores)
     trajectories = {name: score.run.path for name, score in scores.items()}
     figure = draw_comparison(trajectories, paths, relations, DRAWN[align])
-    try:
+    with written(output, "choose another -o", ConfigError):
         figure.savefig(output, metadata={"Software": None})
-    except OSError as error:
-        raise ConfigError(
-            f"{output}: cannot be written ({error.strerror}); choose another -o"
-        ) from None

@@ -122,7 +122,7 @@ class Survey:
 
     def read(self, source: Source) -> Iterator[float]:
         """Read an open log; yield the stamps to show progress."""
-        self._robot.choose(source.defaults())
+        self._robot.streams.choose(source.defaults())
         for batch in source.batches():
             self._head.add(batch)
             self._add_motions(self._robot.sense(batch))
@@ -137,7 +137,7 @@ class Survey:
     @property
     def reads(self) -> frozenset[str]:
         """Names of the streams that mapping reads."""
-        return self._robot.reads
+        return self._robot.streams.named
 
     def _add(self, message: Message) -> None:
         self.clocks.setdefault(type(message).__name__, Clock()).add(message.stamp)

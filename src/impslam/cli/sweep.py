@@ -18,9 +18,9 @@ from impslam.paths import make_folder
 
 if TYPE_CHECKING:
     from impslam.sweeps.cases import Case, Log
+    from impslam.sweeps.journal import Journal
     from impslam.sweeps.pool import Pool
     from impslam.sweeps.rows import Row
-    from impslam.sweeps.table import Journal
 
 PICTURE = "errors.png"
 SHOWN = 5
@@ -82,7 +82,7 @@ def sweep(  # noqa: PLR0913  # each is an option that a user may give
         The folder to write to, or that of a sweep to continue. Default: runs/sweep-DATE-TIME.
     """
     from impslam.sweeps.cases import alternatives, cases
-    from impslam.sweeps.table import Journal
+    from impslam.sweeps.journal import Journal
 
     quiet = common is not None and common.quiet
     found = find_logs(logs, truth, relations)

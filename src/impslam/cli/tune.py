@@ -120,12 +120,13 @@ def _finish(
 ) -> None:
     """Run all logs, held-out ones included, with the old and the new config; write the result."""
     from impslam.cli.sweep import show_errors, write
+    from impslam.sweeps.tuned import tuned_config
     from impslam.sweeps.tuning import best, suggest
     from impslam.sweeps.tuning_plot import draw_search
 
     found = suggest(space, best(study))
     rows = task.evidence(found, pool)
-    text = task.tuned(found, rows, score, study)
+    text = tuned_config(task, found, rows, score, study)
     (folder / TUNED).write_text(text, encoding="utf-8")
     draw_search(study, list(space)).savefig(folder / PICTURE, metadata={"Software": None})
     write(folder, rows)

@@ -35,14 +35,12 @@ class Axis(NamedTuple):
     angle : rad, the beam angle that looks ahead, in [-pi/2, pi/2): a motion cannot tell ahead from astern
     ahead : m, how far the laser stands in that direction from the axle
     covariance : (2, 2) of both
-    scale : m, standard deviation of a stretch's residual
     inliers : share of stretches that fit
     """
 
     angle: float
     ahead: float
     covariance: Array
-    scale: float
     inliers: float
 
     def turned(self) -> Axis:
@@ -68,7 +66,6 @@ def drive_axis(laser: Array) -> Axis:
         math.atan2(forward[1], forward[0]),
         float(normal @ lever),
         sandwich(J, residuals, scale),
-        scale,
         float((weights > 0.0).mean()),
     )
 

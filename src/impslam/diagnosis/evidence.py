@@ -31,7 +31,7 @@ class Evidence:
     ----------
     config, name, lidar, odometry : the config, its first lidar with its name, its odometry
     recording : the rows of the log
-    laser, odometer : motion by the lidar alone, with stamps as received, and by odometry alone
+    laser : motion by the lidar alone, with stamps as received
     timing : when scans were taken
     times : (k, 2) s, begin and end of stretches on the odometry's clock, where both are known
     moved, gone : (k, 3) twists over the stretches of the laser, and of base_link by odometry
@@ -46,7 +46,6 @@ class Evidence:
     odometry: Odometry
     recording: Recording
     laser: Laser
-    odometer: Odometer
     timing: Timing
     times: Array
     moved: Array
@@ -98,7 +97,7 @@ def evidence(config: Config, recording: Recording) -> Evidence:
             axle = driven(moved, axis.angle)
             agreed = agreement(axle, gone)
     return Evidence(
-        config, name, lidar, robot.odometry, recording, motion, counter, when, times, moved, gone,
+        config, name, lidar, robot.odometry, recording, motion, when, times, moved, gone,
         axis, axle, agreed,
     )  # fmt: skip
 

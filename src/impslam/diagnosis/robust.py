@@ -24,14 +24,10 @@ class Fit(NamedTuple):
     p : (n,) parameters
     covariance : (n, n) of them, from the residuals themselves (sandwich; Huber 1967): it needs no noise
         model, and rows of unequal noise do no harm
-    scale : robust standard deviation of the residuals
-    inliers : share of rows that count
     """
 
     p: Array
     covariance: Array
-    scale: float
-    inliers: float
 
     @property
     def sigma(self) -> Array:
@@ -40,9 +36,7 @@ class Fit(NamedTuple):
 
     def times(self, factor: float) -> Fit:
         """Return the fit of y times a factor."""
-        return self._replace(
-            p=factor * self.p, covariance=factor**2 * self.covariance, scale=factor * self.scale
-        )
+        return Fit(factor * self.p, factor**2 * self.covariance)
 
     def is_negative(self, k: int) -> bool:
         """Tell whether parameter k is below 0, beyond doubt."""
@@ -68,7 +62,7 @@ def fit(A: Array, y: Array, block: int = 1, least: float = 1e-9) -> Fit:
             weights = biweight(residuals, scale)
             if (np.abs(p - before) <= 1e-9 * np.abs(p) + 1e-12).all():
                 break
-    return Fit(p, sandwich(A, residuals, scale, block), scale, float((weights > 0.0).mean()))
+    return Fit(p, sandwich(A, residuals, scale, block))
 
 
 def sandwich(J: Array, residuals: Array, scale: float, block: int = 1) -> Array:

@@ -12,7 +12,7 @@ from impslam.errors import ImpError
 from impslam.evaluation.landmark_files import TRUE_LANDMARKS, read_true_landmarks
 from impslam.evaluation.tum import HEALTH_COLUMN, PATH_COLUMNS, TRUTH, read_numbers, read_tum
 from impslam.map import Map
-from impslam.maps.files import read_landmarks
+from impslam.maps.landmark_table import read_landmarks
 from impslam.types import Array, Landmark, TrueLandmark
 
 log = logging.getLogger(__name__)

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from impslam.geometry.circles import circle_start, fit_circle_core
+from impslam.geometry.circle_start import circle_start
+from impslam.geometry.circles import fit_circle_core
 from impslam.geometry.kernels import kernel
 from impslam.geometry.lines import fit_line_core
 from impslam.types import Array, Ints, Mask

@@ -2,9 +2,8 @@
 
 A circle is [x, y, radius], perturbed by addition. As for lines, noise of beam i moves its point
 along the beam, hence off the circle by sigma_i times the cosine of incidence, and each point's
-normal is taken where the beam meets the *estimated* circle. The start is Taubin's algebraic fit
-(Taubin 1991; Newton's method on the characteristic polynomial, Chernov 2010, section 5.10), then
-Gauss-Newton. Where a beam goes just past the circle is a measurement too: its tangent ("edge").
+normal is taken where the beam meets the *estimated* circle. The fit is Gauss-Newton's, from a start by
+`circle_start`. Where a beam goes just past the circle is a measurement too: its tangent ("edge").
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.errors import ShapeError
+from impslam.geometry.circle_start import circle_start
 from impslam.geometry.kernels import kernel
 
 Array = npt.NDArray[np.float64]
@@ -43,43 +43,6 @@ class CircleFit:
     covariance: Array
     bias_jacobian: Array
     chi2: float
-
-
-@kernel
-def taubin(points: Array) -> tuple[float, float, float]:
-    """Return x, y, radius of the algebraic circle fit; NaN for points on a line."""
-    n = len(points)
-    mx, my = points[:, 0].mean(), points[:, 1].mean()
-    xx = yy = xy = xz = yz = zz = 0.0
-    for i in range(n):
-        x, y = points[i, 0] - mx, points[i, 1] - my
-        z = x * x + y * y
-        xx += x * x / n
-        yy += y * y / n
-        xy += x * y / n
-        xz += x * z / n
-        yz += y * z / n
-        zz += z * z / n
-    mz, cov = xx + yy, xx * yy - xy * xy
-    a3 = 4.0 * mz
-    a2 = -3.0 * mz * mz - zz
-    a1 = (zz - mz * mz) * mz + 4.0 * cov * mz - xz * xz - yz * yz
-    a0 = xz * (xz * yy - yz * xy) + yz * (yz * xx - xz * xy) - (zz - mz * mz) * cov
-    root = 0.0
-    for _ in range(30):  # from 0 Newton's method descends to the smallest root
-        slope = a1 + root * (2.0 * a2 + 3.0 * a3 * root)
-        if slope == 0.0:
-            break
-        step = (a0 + root * (a1 + root * (a2 + root * a3))) / slope
-        root -= step
-        if abs(step) <= 1e-14 * mz * mz:
-            break
-    det = root * root - root * mz + cov
-    if not abs(det) > 1e-12 * mz * mz:
-        return math.nan, math.nan, math.nan
-    cx = (xz * (yy - root) - yz * xy) / det / 2.0
-    cy = (yz * (xx - root) - xz * xy) / det / 2.0
-    return cx + mx, cy + my, math.sqrt(cx * cx + cy * cy + mz)
 
 
 @kernel
@@ -203,21 +166,6 @@ def fit_circle_core(
     good = _inverse(info, known, covariance) and longest < 1e-4
     bias = _times(covariance, sums[1])
     return good, circle, covariance, bias, chi2
-
-
-@kernel
-def circle_start(points: Array, beams: Array, radius: float) -> Array:
-    """Return a circle [x, y, radius] to start from; `radius` is NaN if unknown."""
-    circle = np.empty(3)
-    if not math.isnan(radius):
-        # The mean of a whole visible arc lies pi / 4 of the radius before the centre.
-        bx, by = beams[:, 0].sum(), beams[:, 1].sum()
-        depth = 0.785 * radius / max(math.hypot(bx, by), 1e-12)
-        circle[0], circle[1] = points[:, 0].mean() + depth * bx, points[:, 1].mean() + depth * by
-        circle[2] = radius
-    else:
-        circle[0], circle[1], circle[2] = taubin(points)
-    return circle
 
 
 def fit_circle(

@@ -14,7 +14,7 @@ import numpy as np
 from impslam.geometry.kernels import kernel
 from impslam.graph.block_system import BlockSystem
 from impslam.graph.elimination import Pattern
-from impslam.types import Array, Ints
+from impslam.types import Array
 
 _SINGULAR = 1e-13
 """A pivot over what its diagonal was: below, nothing is left but rounding."""
@@ -209,16 +209,3 @@ def _subtract_transposed(A: Array, M: Array, out: Array) -> None:
         x, y, z = A[0, a], A[1, a], A[2, a]
         for b in range(3):
             out[a, b] -= x * M[0, b] + y * M[1, b] + z * M[2, b]
-
-
-@kernel
-def columns_of_inverse(factor: Factor, poses: Ints) -> Array:
-    """Return columns of the inverse of H, (p, 3, k, 3): [a, c, v] is v's part of that of poses[a], c."""
-    k = len(factor.pattern.step)
-    out, unit = np.empty((len(poses), 3, k, 3)), np.zeros((k, 3))
-    for a in range(len(poses)):
-        for c in range(3):
-            unit[poses[a], c] = 1.0
-            substitute(factor, unit, out[a, c])
-            unit[poses[a], c] = 0.0
-    return out

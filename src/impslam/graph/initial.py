@@ -15,10 +15,10 @@ import numpy as np
 from impslam.errors import NumericalError
 from impslam.geometry.kernels import kernel
 from impslam.graph.block_system import BlockSystem, clear_system, empty_system
+from impslam.graph.checked import checked
 from impslam.graph.cholesky import Factor, empty_factor, factorise, substitute
 from impslam.graph.elimination import eliminate
 from impslam.graph.pose_graph import Edges, first_loose_pose
-from impslam.graph.solve import checked
 from impslam.types import Array, Ints, Mask
 
 

@@ -25,7 +25,7 @@ class Nearness(NamedTuple):
     Attributes
     ----------
     distance : m; from farther away, much is hidden that one of them sees
-    turn : rad; beyond, they look at different walls; see `largest_turn`, by default that of 180 degrees
+    turn : rad; beyond, they look at different walls; from a view of 180 degrees, `COMMON` is left
     partners : of each keyframe at most; from 4 to 10 the map comes out the same
     same_pass : of these at most so many from the same pass
     pass_way : m of way; keyframes closer than this along the way are of one pass
@@ -41,11 +41,6 @@ class Nearness(NamedTuple):
 
 
 PER_RADIAN = 0.7  # m: a turn of 1 rad hides about as much as so many metres of distance
-
-
-def largest_turn(field_of_view: float) -> float:
-    """Return by how much two keyframes of a lidar that sees so far around, rad, may differ in heading."""
-    return min(math.pi, (1.0 - COMMON) * field_of_view)
 
 
 def overlaps(poses: Array, nearness: Nearness | None = None) -> Ints:

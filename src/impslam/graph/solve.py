@@ -17,19 +17,13 @@ import numpy as np
 
 from impslam.errors import NumericalError
 from impslam.geometry.angles import wrap_in_kernel
-from impslam.geometry.kernels import kernel, plain
+from impslam.geometry.kernels import kernel
 from impslam.graph.block_system import BlockSystem, empty_system
-from impslam.graph.cholesky import (
-    Factor,
-    columns_of_inverse,
-    empty_factor,
-    factorise,
-    selected_inverse,
-    substitute,
-)
+from impslam.graph.checked import checked
+from impslam.graph.cholesky import Factor, empty_factor, factorise, selected_inverse, substitute
 from impslam.graph.elimination import eliminate
 from impslam.graph.pose_graph import Costs, Edges, first_loose_pose, linearise
-from impslam.types import Array, Ints, Mask, check_shape
+from impslam.types import Array, Ints, Mask
 
 _NARROWING = 4.0
 """By what kernels narrow between two graduated descents; 1.4 (Yang et al. 2020) keeps as many true
@@ -72,7 +66,6 @@ class Solution(NamedTuple):
     cost : sum of them by their robust kernels; what was minimised
     weights : (e,) of the edges in [0, 1], by their robust kernels
     iterations : steps taken
-    converged : always True; a graph that does not converge is an error
     """
 
     poses: Array
@@ -80,7 +73,6 @@ class Solution(NamedTuple):
     cost: float
     weights: Array
     iterations: int
-    converged: bool
 
 
 class _Problem(NamedTuple):
@@ -103,7 +95,7 @@ def solve(poses: Array, edges: Edges, fixed: Ints, limits: Limits | None = None)
     cost, steps, failed = _solve(solved, edges, held, limits or Limits(), costs)
     if failed != _FINE:
         raise NumericalError(_trouble(failed))
-    return Solution(solved, float(costs.chi2.sum()), cost, costs.weights, steps, True)
+    return Solution(solved, float(costs.chi2.sum()), cost, costs.weights, steps)
 
 
 def marginals(poses: Array, edges: Edges, fixed: Ints) -> Array:
@@ -116,53 +108,6 @@ def marginals(poses: Array, edges: Edges, fixed: Ints) -> Array:
     if failed != _FINE:
         raise NumericalError(_trouble(failed))
     return covariances
-
-
-def relative_covariances(poses: Array, edges: Edges, fixed: Ints, pairs: Ints) -> Array:
-    """Return the covariances (p, 3, 3) of T_a_b, additive, for pairs (a, b) (p, 2) of poses.
-
-    As `marginals`; a pair costs six substitutions.
-    """
-    poses, edges, held = checked(poses, edges, fixed)
-    pairs = np.require(pairs, np.int64, ["C"])
-    check_shape("pairs", pairs, None, 2)
-    if pairs.size and not 0 <= pairs.min() <= pairs.max() < len(poses):
-        raise NumericalError(
-            f"pose graph: a pair names a pose that is not in 0 to {len(poses) - 1}"
-        )
-    covariances, failed = _relative_covariances(poses, edges, held, pairs)
-    if failed != _FINE:
-        raise NumericalError(_trouble(failed))
-    return covariances
-
-
-def checked(poses: Array, edges: Edges, fixed: Ints) -> tuple[Array, Edges, Mask]:
-    """Return what kernels take, and fixed poses as a mask; raise `NumericalError` if it is unusable."""
-    poses = plain(poses)
-    check_shape("poses", poses, None, 3)
-    i, j = (np.require(ends, np.int64, ["C", "W"]) for ends in (edges.i, edges.j))
-    n, e = len(poses), len(i)
-    edges = Edges(i, j, plain(edges.T_i_j), plain(edges.information), plain(edges.kernel))
-    check_shape("edges.j", edges.j, e)
-    check_shape("edges.T_i_j", edges.T_i_j, e, 3)
-    check_shape("edges.information", edges.information, e, 3, 3)
-    check_shape("edges.kernel", edges.kernel, e)
-    fixed = np.asarray(fixed, np.int64)
-    for what, indices in (("an edge", i), ("an edge", j), ("`fixed`", fixed)):
-        if indices.size and not 0 <= indices.min() <= indices.max() < n:
-            raise NumericalError(f"pose graph: {what} names a pose that is not in 0 to {n - 1}")
-    for name, rows in (("pose", poses), ("edge", edges.T_i_j), ("edge", edges.information)):
-        if not np.isfinite(rows).all():
-            bad = int(np.flatnonzero(~np.isfinite(rows.reshape(len(rows), -1)).all(1))[0])
-            raise NumericalError(f"pose graph: {name} {bad} is not finite")
-    if not (edges.kernel > 0.0).all():
-        raise NumericalError("pose graph: the scale of a robust kernel is not positive")
-    if (i == j).any():
-        bad = int(np.argmax(i == j))
-        raise NumericalError(f"pose graph: edge {bad} joins pose {i[bad]} to itself")
-    held = np.zeros(n, np.bool_)
-    held[fixed] = True
-    return poses, edges, held
 
 
 _FINE, _UNSETTLED, _LOOSE, _SINGULAR = -1, 0, 1, 2
@@ -292,31 +237,3 @@ def _marginals(poses: Array, edges: Edges, fixed: Mask) -> tuple[Array, int]:
     covariances = selected_inverse(factor)[0]
     covariances[fixed] = 0.0
     return covariances, failed
-
-
-@kernel
-def _relative_covariances(
-    poses: Array, edges: Edges, fixed: Mask, pairs: Ints
-) -> tuple[Array, int]:
-    """Return J P J^T with P (6, 6) the joint covariance of both poses of each pair."""
-    factor, failed = _factorised(poses, edges, fixed)
-    out, J, P = np.zeros((len(pairs), 3, 3)), np.zeros((3, 6)), np.zeros((6, 6))
-    if failed != _FINE:
-        return out, failed
-    for row in range(len(pairs)):
-        a, b = pairs[row]
-        columns = columns_of_inverse(factor, pairs[row])
-        for p in range(2):
-            for q in range(2):
-                if not (fixed[pairs[row, p]] or fixed[pairs[row, q]]):
-                    P[3 * p : 3 * p + 3, 3 * q : 3 * q + 3] = columns[p, :, pairs[row, q]]
-                else:
-                    P[3 * p : 3 * p + 3, 3 * q : 3 * q + 3] = 0.0
-        c, s = math.cos(poses[a, 2]), math.sin(poses[a, 2])
-        dx, dy = poses[b, 0] - poses[a, 0], poses[b, 1] - poses[a, 1]
-        J[0, 0], J[0, 1], J[0, 2] = -c, -s, c * dy - s * dx
-        J[1, 0], J[1, 1], J[1, 2] = s, -c, -c * dx - s * dy
-        J[0, 3], J[0, 4], J[1, 3], J[1, 4] = c, s, -s, c
-        J[2, 2], J[2, 5] = -1.0, 1.0
-        out[row] = J @ P @ J.T
-    return out, failed

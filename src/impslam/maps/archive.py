@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.errors import ImpError
+from impslam.paths import written
 
 VERSION = 3
 """Counts up with what a file holds; see `layout`. Files of all versions up to this one can be read."""
@@ -45,7 +46,7 @@ def save(path: Path, arrays: Arrays, about: dict[str, Any]) -> Path:
     facts = {"version": VERSION, "about": about, "free": free}
     table = json.dumps(facts, ensure_ascii=False, default=str)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    with written(path, "choose another place"):
         try:
             with part.open("wb") as stream:
                 header = np.frombuffer(table.encode(), np.uint8)
@@ -56,10 +57,6 @@ def save(path: Path, arrays: Arrays, about: dict[str, Any]) -> Path:
             _settle(path.parent)
         finally:
             part.unlink(missing_ok=True)
-    except OSError as error:
-        raise ImpError(
-            f"{path}: cannot be written ({error.strerror or error}); choose another place"
-        ) from None
     return path
 
 

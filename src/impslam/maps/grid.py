@@ -205,13 +205,6 @@ class OccupancyGrid:
             cells = self.logodds, self._changed, self.corner, self.resolution
             self._number = _enter(*cells, self._number, new, verdicts)
 
-    def probabilities(self) -> Array:
-        """Return (rows, columns) the probability that a cell is occupied, 0.5 where unknown."""
-        p: Array = self.logodds.astype(np.float64)
-        np.exp(p, out=p)
-        p /= 1.0 + p
-        return p
-
     @property
     def origin(self) -> Array:
         """(2,) m, the lower-left corner of cell (0, 0) in map."""

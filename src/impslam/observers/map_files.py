@@ -13,7 +13,8 @@ from impslam.evaluation.tum import HEALTH_COLUMN, PATH_COLUMNS, write_tum
 from impslam.graph.g2o import G2o, write_g2o
 from impslam.health import Reasons
 from impslam.map import UPPER, Map
-from impslam.maps.files import UNKNOWN, MapImage, write_landmarks, write_map
+from impslam.maps.files import UNKNOWN, MapImage, write_map
+from impslam.maps.landmark_table import write_landmarks
 from impslam.types import Array
 
 GRAPH = "graph.g2o"

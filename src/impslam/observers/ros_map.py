@@ -9,12 +9,13 @@ import numpy as np
 from impslam.geometry.se2 import compose, inverse
 from impslam.map import Map
 from impslam.maps.files import map_image
-from impslam.observers import ros_values
+from impslam.observers import ros_markers, ros_values
 from impslam.observers.base import Observer, Outcome
 from impslam.observers.history import health_of
 from impslam.sources.mcap_file import LATCHED, McapFile
+from impslam.sources.ros_build import TYPES, nanoseconds
 from impslam.sources.ros_storage import RosMessage
-from impslam.sources.ros_writers import TYPES, Record, nanoseconds
+from impslam.sources.ros_writers import Record
 from impslam.types import Array, Ints
 
 
@@ -56,7 +57,7 @@ def write_ros_map(path: Path, known: Map, outcome: Outcome) -> None:
         image = map_image(known.grid(outcome.config["grid"]["resolution"]))
         write("/map", begin, ros_values.grid(image, begin), True)
         write("/path", begin, ros_values.path(stamps, poses), True)
-        write("/landmarks", begin, ros_values.landmarks(known.landmarks, begin), True)
+        write("/landmarks", begin, ros_markers.landmarks(known.landmarks, begin), True)
         T_map_odom = compose(poses, inverse(odometry))
         for k, stamp in enumerate(stamps.tolist()):
             write("/tf", stamp, ros_values.frames(stamp, T_map_odom[k], odometry[k]))

@@ -21,6 +21,7 @@ from impslam.observers.map_files import write_map_files
 from impslam.observers.report import write_report
 from impslam.observers.summary import config_toml, summarise
 from impslam.observers.trajectory import LIVE
+from impslam.paths import written
 from impslam.types import Array, TrueLandmark
 
 NO_TRUTH = np.empty((0, 4))
@@ -53,10 +54,8 @@ def begin_summary(folder: Path) -> None:
         If it cannot be written.
     """
     path = folder / "summary.json"
-    try:
+    with written(path, "choose another -o"):
         path.write_text(json.dumps({"partial": "the run has not ended"}) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ImpError(f"{path}: cannot be written ({error.strerror}); choose another -o") from None
 
 
 def write_run(

@@ -18,6 +18,7 @@ import numpy as np
 
 from impslam.geometry.angles import wrap
 from impslam.geometry.kernels import kernel
+from impslam.recognition.bucket_queue import BucketQueue, empty_queue, pop, push
 from impslam.recognition.correlative import spread
 from impslam.recognition.ground import CHANCE, DIRECTIONS, SECTOR, Ground
 from impslam.recognition.pyramid import CELL, FULL, Bytes, Ints32
@@ -52,23 +53,12 @@ class Places(NamedTuple):
 
 
 class _Task(NamedTuple):
-    """Where is searched, and for what: directions, columns and rows of the points, turned."""
+    """Where is searched, for what (directions, columns and rows of the points, turned), and how far."""
 
     levels: Bytes
     room: Bytes
     turned: Ints32  # (HEADINGS, n, 3)
-
-
-class _Queue(NamedTuple):
-    """Blocks by their bound: a linked list for each; `first` (b,) and `after` (n,) are -1 at its end.
-
-    `state` (3,) is the number of blocks that were entered, the greatest bound, and the blocks judged.
-    """
-
-    first: Ints32
-    after: Ints32
-    keys: Ints
-    state: Ints
+    judged: Ints  # (1,) number of blocks
 
 
 def search_everywhere(ground: Ground, points: Features, room: Bytes | None = None) -> Places:
@@ -106,18 +96,13 @@ def _search(
     levels: Bytes, room: Bytes, points: Array, budget: int, found: Ints
 ) -> tuple[int, bool]:
     """Fill `found` (m, 4) with heading, column, row and sum of the places; return how many there are."""
-    task = _Task(levels, room, _turned(points))
+    task = _Task(levels, room, _turned(points), np.zeros(1, np.int64))
     full = FULL * len(points)
-    queue = _Queue(
-        np.full(full + 1, -1, np.int32),
-        np.empty(budget, np.int32),
-        np.empty(budget, np.int64),
-        np.zeros(3, np.int64),
-    )
+    queue = empty_queue(full, budget)
     least, number = int(LEAST * full), 0
     _enter_all(task, queue, least)
     while number < len(found):
-        bound, key = _pop(queue)
+        bound, key = pop(queue)
         if bound <= least:
             return number, True
         column, row = key & ((1 << _COLUMN) - 1), (key >> _COLUMN) & ((1 << _ROW) - 1)
@@ -131,7 +116,7 @@ def _search(
             number += 1
             least = max(least, int(SHARE * found[0, 3]))
             continue
-        if queue.state[2] > budget - 4:
+        if task.judged[0] > budget - 4:
             return number, False
         half = 1 << (level - 1)
         for quarter in range(4):
@@ -158,7 +143,7 @@ def _turned(points: Array) -> Ints32:
 
 
 @kernel
-def _enter_all(task: _Task, queue: _Queue, least: int) -> None:
+def _enter_all(task: _Task, queue: BucketQueue, least: int) -> None:
     """Enter the blocks of the highest level."""
     top, height, width = task.room.shape
     top -= 1
@@ -171,7 +156,7 @@ def _enter_all(task: _Task, queue: _Queue, least: int) -> None:
 
 @kernel
 def _enter(
-    task: _Task, queue: _Queue, block: tuple[int, int, int, int], bound: int, least: int
+    task: _Task, queue: BucketQueue, block: tuple[int, int, int, int], bound: int, least: int
 ) -> None:
     """Enter a block (heading, level, column, row) into the queue, if its bound exceeds `least`."""
     heading, level, column, row = block
@@ -184,15 +169,9 @@ def _enter(
     enough = least * some // n
     total = _sum(task.levels[level], points[:some], (column, row), 1 << level, enough) * n // some
     total = min(total, bound)
-    queue.state[2] += 1
-    k = queue.state[0]
-    if total <= least or k >= len(queue.keys):
-        return
-    key = ((heading << _LEVEL | level) << _ROW | row) << _COLUMN | column
-    queue.keys[k], queue.after[k] = key, queue.first[total]
-    queue.first[total] = k
-    queue.state[0] += 1
-    queue.state[1] = max(queue.state[1], total)
+    task.judged[0] += 1
+    if total > least:
+        push(queue, total, ((heading << _LEVEL | level) << _ROW | row) << _COLUMN | column)
 
 
 @kernel
@@ -213,20 +192,6 @@ def _sum(level: Bytes, points: Ints32, first: tuple[int, int], block: int, least
         if i & 7 == 7 and total + FULL * (len(points) - 1 - i) <= least:
             return 0
     return total
-
-
-@kernel
-def _pop(queue: _Queue) -> tuple[int, int]:
-    """Return the greatest bound and its block, and remove it; bound 0 if there is none."""
-    best = queue.state[1]
-    while best > 0 and queue.first[best] < 0:
-        best -= 1
-    queue.state[1] = best
-    if best == 0:
-        return 0, 0
-    k = queue.first[best]
-    queue.first[best] = queue.after[k]
-    return best, queue.keys[k]
 
 
 @kernel

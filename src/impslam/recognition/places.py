@@ -64,8 +64,8 @@ class Closure(NamedTuple):
     information : (3, 3) of an additive error on it
     support, verdict : what the two submaps say of it; a weak one needs others that agree
     score : of the search; NaN where alignment found the pose and nothing was searched
-    second, rival : score and agreement of the best pose elsewhere; 0 and -inf if there is none with a
-        score of `AMBIGUOUS` times the first one's, or none was sought
+    rival : agreement of the best pose elsewhere; -inf if there is none with a score of
+        `AMBIGUOUS` times the first one's, or none was sought
     """
 
     pose: Array
@@ -73,7 +73,6 @@ class Closure(NamedTuple):
     support: Support
     verdict: Verdict
     score: float
-    second: float
     rival: float
 
 
@@ -151,7 +150,7 @@ class Recogniser:
     def _against_rivals(
         self, query: Submap, guess: Array, find: Search, closure: Closure
     ) -> Closure:
-        """Return the closure with the score and the agreement of the best pose elsewhere."""
+        """Return the closure with the agreement of the best pose elsewhere."""
         least = AMBIGUOUS * closure.score
         pyramid = self._grid(find.window)
         peak = search(pyramid, find.points, guess, find.window, least, closure.pose, find.turn)
@@ -159,7 +158,7 @@ class Recogniser:
             return closure
         rival = self._settle(query, peak.pose, FINE, FINE_PRIOR)
         agreement = 0.0 if rival.verdict == Verdict.REFUSED else rival.support.agreement
-        return closure._replace(second=peak.score, rival=agreement)
+        return closure._replace(rival=agreement)
 
     def _settle(self, query: Submap, start: Array, how: Alignment, prior: Array) -> Closure:
         """Align the query from a pose on, and judge."""
@@ -168,7 +167,7 @@ class Recogniser:
         align(self._known, query.features, pose, prior, how, evidence)
         support = verify(self._known, self._reference, query, pose)
         verdict = judge(support, self._overlap)
-        return Closure(pose, information(evidence), support, verdict, math.nan, 0.0, -math.inf)
+        return Closure(pose, information(evidence), support, verdict, math.nan, -math.inf)
 
     def _load(self, reference: Submap) -> None:
         """Make the surface map of a reference, unless it is there."""

@@ -23,9 +23,8 @@ from impslam.simulation.body_motion import (
     roll,
     run,
 )
-from impslam.simulation.lidar import LidarSimulator
 from impslam.simulation.noise import build, quantise
-from impslam.simulation.robot import InertialUnit, Lidar, SimulatedRobot, WheelEncoders
+from impslam.simulation.robot import InertialUnit, SimulatedRobot, WheelEncoders
 from impslam.simulation.scene import Scene
 from impslam.simulation.world import World
 from impslam.types import Array
@@ -237,27 +236,3 @@ class _PassiveWheels:
     def angles(self) -> tuple[float, float]:
         left, right = quantise(self._state[ROLLED:], self._counts).tolist()
         return left, right
-
-
-class Sweeps:
-    """What the lidar on a body reads, as the body moves."""
-
-    def __init__(self, body: Body, seed: int = 0, lidar: Lidar | None = None) -> None:
-        self._body = body
-        rng = np.random.default_rng(seed)
-        self._simulator = LidarSimulator(
-            lidar or body.robot.lidar or Lidar(), body.scene, body, rng
-        )
-
-    def ranges(self, time: float) -> Array:
-        """Return what the beams (n,) of the sweep that began at `time` read, in m; 0: no echo.
-
-        Raises
-        ------
-        ValueError
-            If the sweep has not ended yet, or began before the body's memory does.
-        """
-        now = self._body.time
-        if not now - MEMORY + STEP <= time <= now - self._simulator.duration + STEP:
-            raise ValueError(f"a sweep that began at {time:.3f} s cannot be read at {now:.3f} s")
-        return self._simulator.ranges(time)

@@ -20,15 +20,8 @@ from impslam.columns import Columns
 from impslam.component import parameter, register
 from impslam.errors import MessageError
 from impslam.sources.base import Stream
-from impslam.sources.carmen_lines import (
-    Convert,
-    Shape,
-    line_laser,
-    odometry,
-    read_table,
-    robot_laser,
-    shapes,
-)
+from impslam.sources.carmen_lines import line_laser, odometry, robot_laser
+from impslam.sources.carmen_shapes import Convert, Shape, read_table, shapes
 from impslam.sources.parts import Located, Piece, single
 from impslam.sources.tables import Lines
 from impslam.sources.text import TextSource, head

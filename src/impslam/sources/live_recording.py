@@ -13,7 +13,7 @@ from rosbags.rosbag2.storage_mcap import McapWriter as McapStorage
 
 from impslam.errors import SourceError
 from impslam.sources.recording import McapWriter
-from impslam.sources.ros_writers import nanoseconds
+from impslam.sources.ros_build import nanoseconds
 
 if sys.version_info >= (3, 14):
     from compression import zstd

@@ -18,7 +18,9 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from impslam.errors import SourceError
-from impslam.sources.ros_writers import TYPES, Record
+from impslam.paths import written
+from impslam.sources.ros_build import TYPES
+from impslam.sources.ros_writers import Record
 
 _FOREVER = QosTime(2147483647, 4294967295)
 LATCHED = Qos(
@@ -47,12 +49,8 @@ class McapFile:
 
     def __enter__(self) -> Self:
         """Open a temporary folder beside the file, since rosbags writes folders."""
-        try:
+        with written(self._path, "check folder and permissions", SourceError):
             self._folder = tempfile.TemporaryDirectory(prefix=".imp-", dir=self._path.parent)
-        except OSError as error:
-            raise SourceError(
-                f"{self._path}: cannot be written ({error.strerror}); check folder and permissions"
-            ) from None
         # The name within is recorded in the file; a fixed one keeps the bytes the same.
         self._writer = Writer(
             Path(self._folder.name) / "log", version=9, storage_plugin=StoragePlugin.MCAP

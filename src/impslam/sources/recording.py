@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from impslam.sources.mcap_file import LATCHED, McapFile
-from impslam.sources.ros_writers import TYPES, Record, encode, nanoseconds, new
+from impslam.sources.ros_build import TYPES, nanoseconds, new
+from impslam.sources.ros_writers import Record, encode
 from impslam.sources.rosbag import PRESET_TOPIC, PRESET_TYPE
 from impslam.types import Message
 

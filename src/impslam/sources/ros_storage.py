@@ -12,13 +12,9 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from impslam.errors import SourceError
+from impslam.sources.mcap_reader import CutMcapReader
 from impslam.sources.ros1_files import BoundedReader1
-from impslam.sources.ros_files import (
-    BagFolder,
-    CutMcapReader,
-    PlainSqlite3Reader,
-    UnlistedFolder,
-)
+from impslam.sources.ros_files import BagFolder, PlainSqlite3Reader, UnlistedFolder
 from impslam.sources.unpack import LimitError
 
 Storage: TypeAlias = BoundedReader1 | BagFolder | CutMcapReader | PlainSqlite3Reader

@@ -5,16 +5,14 @@ The other half of `ros_messages`. Header stamps are the messages' own; frames fo
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
 
 from impslam.errors import MessageError
-from impslam.sources.ros_messages import LEFT, NANOSECONDS, RIGHT
+from impslam.sources.ros_build import TYPES, header_of, new, planar, time_of, topic_name, xyz
+from impslam.sources.ros_messages import LEFT, RIGHT
 from impslam.sources.ros_storage import RosMessage
 from impslam.types import (
     Acceleration,
@@ -35,38 +33,8 @@ from impslam.types import (
     WheelAngles,
 )
 
-TYPES = get_typestore(Stores.ROS2_HUMBLE)  # the oldest release in support, whose types last
-
 LEVELS = {"info": 20, "warning": 30, "error": 40}  # INFO, WARN and ERROR of rcl_interfaces/Log
 UNKNOWN_VARIANCE = 0.0  # what sensor_msgs takes for a variance that nobody has stated
-
-
-def new(kind: str, *values: Any) -> RosMessage:
-    """Return a message of this type with these fields."""
-    return TYPES.types[kind](*values)
-
-
-def nanoseconds(stamp: float) -> int:
-    """Return s as ns; `MessageError` outside the range of ROS, 1970 to 2038."""
-    if not 0.0 <= stamp < 2.0**31:
-        raise MessageError(f"a stamp of {stamp} s does not fit ROS; it must be in 0 to 2^31 s")
-    whole = math.floor(stamp)
-    return whole * NANOSECONDS + round((stamp - whole) * NANOSECONDS)
-
-
-def time_of(stamp: float) -> RosMessage:
-    """Return s as a time of ROS."""
-    return new("builtin_interfaces/msg/Time", *divmod(nanoseconds(stamp), NANOSECONDS))
-
-
-def header_of(stamp: float, frame: str) -> RosMessage:
-    """Return the header of a message in a frame."""
-    return new("std_msgs/msg/Header", time_of(stamp), frame)
-
-
-def xyz(kind: str, values: Array) -> RosMessage:
-    """Return numbers as a message of geometry_msgs whose fields they are: x, y, z (and w)."""
-    return new(f"geometry_msgs/msg/{kind}", *map(float, values))
 
 
 def _spacing(name: str, values: Array) -> float:
@@ -188,19 +156,6 @@ def _image(message: Image) -> RosMessage:
     return new("sensor_msgs/msg/CompressedImage", header, message.format, data)
 
 
-def planar(pose: Array) -> RosMessage:
-    """Return a pose (3,) in the plane as `geometry_msgs/Pose`."""
-    x, y, theta = map(float, pose)
-    place = xyz("Point", np.array([x, y, 0.0]))
-    return new("geometry_msgs/msg/Pose", place, turn(theta))
-
-
-def turn(theta: float) -> RosMessage:
-    """Return a heading as `geometry_msgs/Quaternion`."""
-    half = 0.5 * theta
-    return xyz("Quaternion", np.array([0.0, 0.0, math.sin(half), math.cos(half)]))
-
-
 def pose(message: OdometryPose | TruePose) -> RosMessage:
     """Return a pose in the plane as `nav_msgs/Odometry`, in map (the truth) or odom."""
     frame = "map" if isinstance(message, TruePose) else "odom"
@@ -272,9 +227,3 @@ def encode(message: Message) -> Iterator[Record]:
     for topic, kind, convert in CHANNELS[type(message)]:
         data = TYPES.serialize_cdr(convert(message), kind)
         yield Record(topic.format(device=device), kind, data)
-
-
-def topic_name(text: str) -> str:
-    """Return a text as a part of a ROS topic: letters, digits and _, not beginning with a digit."""
-    name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")
-    return name if name and not name[0].isdigit() else f"_{name}"

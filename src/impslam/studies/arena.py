@@ -6,15 +6,14 @@ from collections.abc import Mapping, Sequence
 
 from impslam.simulation.world import load_world
 from impslam.studies.arena_experiment import (
-    MIN_DRIFT,
     PRINTED_GATE,
     TEXT,
     THESIS,
     Experiment,
-    drifting_seeds,
     landmark_metrics,
     summary,
 )
+from impslam.studies.arena_seeds import MIN_DRIFT, drifting_seeds
 from impslam.studies.arena_tables import tables
 from impslam.studies.report import Picture, Section
 from impslam.studies.sweep import Run, simulate_and_map, sweep

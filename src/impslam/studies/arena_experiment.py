@@ -1,4 +1,4 @@
-"""The arena of the thesis: the controlled experiments, what their runs are measured by, and the seeds."""
+"""The arena of the thesis: the controlled experiments, and what their runs are measured by."""
 
 from __future__ import annotations
 
@@ -10,21 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from impslam.columns import batches
 from impslam.evaluation.landmarks import corners, score_landmarks
-from impslam.geometry.se2 import compose
-from impslam.simulation.robot import SimulatedRobot
-from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.studies.report import load_text
 from impslam.studies.sweep import Run, Variant, grid
-from impslam.sweeps.job import Job
 from impslam.sweeps.rows import Row
 from impslam.sweeps.statistics import Quantiles
-from impslam.types import TrueLandmark, TruePose
+from impslam.types import TrueLandmark
 
-MIN_DRIFT = 0.3
-"""m: only runs whose dead reckoning ends this far from the truth show what the map is worth."""
 GATE = 0.5
 """m: an estimate further from a landmark is of something else."""
 END = "end position"
@@ -116,35 +109,3 @@ def summary(rows: Sequence[Row], names: Sequence[str]) -> dict[str, Any]:
         "pose_nees": float(np.mean([row["nees"] for row in rows])),
         "pose_nees_within_95": float(np.mean([row["nees_within"] for row in rows])),
     }
-
-
-def dead_reckoning_error(seed: int) -> float:
-    """Return how far the wheels alone end from the truth, m; nothing is estimated for it."""
-    world, robot = load_world("arena"), SimulatedRobot(lidar=None, imu=None, truth_rate=1.0)
-    config = Variant(DEFAULT).config(world, seed)
-    blind, truth = config.make_robot(), np.zeros(3)
-    messages = ((type(message).__name__, message) for message in simulate(world, robot, seed))
-    for part in batches(messages):
-        blind.sense(part)
-        if TruePose.__name__ in part:
-            truth = part[TruePose.__name__]["pose"][-1]
-    pose = compose(np.array(config.start), blind.ahead().d_pose)
-    return float(math.dist(pose[:2], truth[:2]))
-
-
-_DRIFT: dict[int, float] = {}
-"""Dead reckoning's error by seed, m: the three experiments use the same seeds."""
-
-
-def drifting_seeds(job: Job, number: int) -> list[int]:
-    """Return the first seeds 0, 1, ... whose dead reckoning ends `MIN_DRIFT` or more off."""
-    found: list[int] = []
-    begin = 0
-    while len(found) < number:
-        batch = range(begin, begin + number)
-        unknown = [seed for seed in batch if seed not in _DRIFT]
-        drifts = job.map(dead_reckoning_error, unknown, "dead reckoning") if unknown else []
-        _DRIFT.update(zip(unknown, drifts, strict=True))
-        found += [seed for seed in batch if _DRIFT[seed] >= MIN_DRIFT]
-        begin += number
-    return found[:number]

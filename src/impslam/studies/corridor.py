@@ -17,11 +17,9 @@ from impslam.studies.corridor_metrics import (
     VARIANTS,
     WITHIN,
     corridor_metrics,
-    corridor_truth,
-    corridor_world,
-    total_counts,
 )
-from impslam.studies.corridor_truth import false_landmarks
+from impslam.studies.corridor_truth import corridor_truth, corridor_world, false_landmarks
+from impslam.studies.corridor_walls import total_counts
 from impslam.studies.report import Picture, ResultTable, Section, make_table
 from impslam.studies.sweep import Run, simulate_and_map, sweep
 from impslam.sweeps.job import Job

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -11,8 +12,9 @@ from impslam.geometry.se2 import rotation, transform
 from impslam.simulation.drive import drive
 from impslam.simulation.robot import Lidar
 from impslam.simulation.scene import Scene, distance_to_segments
-from impslam.simulation.world import World
+from impslam.simulation.world import World, load_world
 from impslam.studies.ground_truth import TracedSweep, trace_sweep
+from impslam.sweeps.cases import ROBOT
 from impslam.types import Array, Landmark, Mask, Observation
 
 MOSTLY = 0.5
@@ -62,6 +64,19 @@ class CorridorTruth:
     def sweep(self, time: float) -> TracedSweep:
         """Return the sweep that began at a time in s since the start of the run."""
         return trace_sweep(self.scene, self.lidar, self.path, time)
+
+
+@functools.cache
+def corridor_world() -> World:
+    """Return the world."""
+    return load_world("corridor")
+
+
+@functools.cache
+def corridor_truth() -> CorridorTruth:
+    """Return what is there, for the lidar of the robot that drives."""
+    assert ROBOT.lidar is not None
+    return CorridorTruth(corridor_world(), ROBOT.lidar)
 
 
 def judge(sweep: TracedSweep, seen: Observation) -> Verdict:

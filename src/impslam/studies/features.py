@@ -7,14 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.studies.arena_experiment import (
-    END,
-    MIN_DRIFT,
-    TEXT,
-    Experiment,
-    drifting_seeds,
-    landmark_metrics,
-)
+from impslam.studies.arena_experiment import END, TEXT, Experiment, landmark_metrics
+from impslam.studies.arena_seeds import MIN_DRIFT, drifting_seeds
 from impslam.studies.arena_tables import actual
 from impslam.studies.report import ResultTable, Section, load_text
 from impslam.studies.sweep import Variant, sweep

@@ -1,4 +1,4 @@
-"""What is tuned: a config on some logs, with others kept apart; and the config that comes of it."""
+"""What is tuned: a config on some logs, with others kept apart."""
 
 from __future__ import annotations
 
@@ -6,11 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
-import tomli_w
-
-from impslam.config import Config, load, merge, parse_setting, presets
+from impslam.config import Config, load, presets
 from impslam.errors import ConfigError
 from impslam.open_log import open_log
 from impslam.sources.base import recognise
@@ -18,8 +15,8 @@ from impslam.sweeps.cases import SIMULATED, Case, Log, Settings, cases
 from impslam.sweeps.measures import run_case
 from impslam.sweeps.pool import Lost, Pool
 from impslam.sweeps.rows import Row
-from impslam.sweeps.space import Space, parse_space, value_of
-from impslam.sweeps.tuning import best, finished, score_of
+from impslam.sweeps.searches import parse_space, value_of
+from impslam.sweeps.space import Space
 
 BEFORE, AFTER = "before", "after"
 
@@ -99,28 +96,6 @@ class Task:
             row = {**case.row(), "error": result.why} if isinstance(result, Lost) else result
             rows[index] = {**row, "config": when, "settings": {}}
         return rows
-
-    def tuned(self, found: Settings, rows: Sequence[Row], score: str, study: Any) -> str:
-        """Return the tuned config as TOML, with what speaks for it as comments."""
-        lines = [
-            f"# Found by imp tune in {len(finished(study))} trials; score: {score}, the less the better."
-        ]
-        lines.append(f"# Best trial: {best(study).number}, {best(study).value:.6g} over its logs.")
-        for log in [*self.logs, *self.holdout]:
-            kept = ", kept apart" if log in self.holdout else ""
-            before, after = (_score(rows, log, when, score) for when in (BEFORE, AFTER))
-            lines.append(f"# {Path(log.name).name}{kept}: {before} before, {after} after")
-        table: dict[str, Any] = {}
-        for setting in [*self.settings, *(f"{key}={value}" for key, value in found)]:
-            table = merge(table, parse_setting(setting))
-        base = self.base if self.base in presets() else str(Path(self.base).resolve())
-        return "\n".join(lines) + "\n" + tomli_w.dumps({"base": base, **table})
-
-
-def _score(rows: Sequence[Row], log: Log, when: str, score: str) -> str:
-    some = [row for row in rows if row["log"] == log.name and row["config"] == when]
-    failed = next((row["error"] for row in some if row["error"]), "")
-    return f"failed ({failed})" if failed else f"{score_of(some, score):.4g}"
 
 
 def _preset(log: Log) -> str:

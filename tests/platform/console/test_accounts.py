@@ -15,8 +15,9 @@ from impslam.platform.console.authenticator import (
     LoginRefused,
 )
 from impslam.platform.console.refusals import FIRST, LINES, MOST, WINDOW, Refusals, shown
-from impslam.platform.console.session import EACH, IDLE, LIFE, Session, Sessions
-from impslam.platform.console.session import MOST as MOST_SESSIONS
+from impslam.platform.console.session import IDLE, LIFE, Session
+from impslam.platform.console.session_store import EACH, Sessions
+from impslam.platform.console.session_store import MOST as MOST_SESSIONS
 from impslam.platform.console.throttle import FORGET, FREE, LONGEST, TOGETHER, Bucket, Throttle
 
 DRIVE, WATCH = "drive-password", "watch-password"

@@ -8,7 +8,7 @@ from playwright.sync_api import expect
 from tests.platform.console import browsing
 from tests.platform.console.browsing import until, visit
 
-from impslam.platform.console.drive_panel import _command
+from impslam.platform.console.drive_pad import pad_command
 from impslam.platform.console.link import age
 from impslam.platform.devices.base import now
 
@@ -21,8 +21,8 @@ def milliseconds(ago: float = 0.0) -> int:
 
 def test_a_command_is_two_fractions_and_the_robots_clock():
     soon = pytest.approx(0.05, abs=0.05)
-    assert _command([0.5, -1, milliseconds()]) == (0.5, -1.0, soon)
-    assert _command([7.0, -7.0, milliseconds()]) == (1.0, -1.0, soon)
+    assert pad_command([0.5, -1, milliseconds()]) == (0.5, -1.0, soon)
+    assert pad_command([7.0, -7.0, milliseconds()]) == (1.0, -1.0, soon)
 
 
 @pytest.mark.parametrize(
@@ -35,13 +35,13 @@ def test_a_command_is_two_fractions_and_the_robots_clock():
 def test_a_malformed_command_is_none(bad):
     if isinstance(bad, list) and len(bad) == 3:
         bad = [*bad[:2], milliseconds()]
-    assert _command(bad) is None
+    assert pad_command(bad) is None
 
 
 def test_a_command_tells_how_long_it_was_under_way():
-    assert _command([1.0, 0.0, milliseconds(0.7)])[2] == pytest.approx(0.74, abs=0.06)
-    assert _command([1.0, 0.0, milliseconds(-5.0)]) is None, "a beat that was never sent"
-    assert _command([1.0, 0.0, None]) is None
+    assert pad_command([1.0, 0.0, milliseconds(0.7)])[2] == pytest.approx(0.74, abs=0.06)
+    assert pad_command([1.0, 0.0, milliseconds(-5.0)]) is None, "a beat that was never sent"
+    assert pad_command([1.0, 0.0, None]) is None
     assert math.isnan(age(float(milliseconds())))
     assert age(milliseconds(-0.002)) == 0.0
 

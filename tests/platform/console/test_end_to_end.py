@@ -10,7 +10,7 @@ from tests.platform.console.pilot import ARENA, Pilot
 from tests.platform.console.robot_process import PASSWORD, RobotProcess, imp
 
 from impslam.evaluation.landmarks import corners, score_landmarks
-from impslam.maps.files import read_landmarks
+from impslam.maps.landmark_table import read_landmarks
 from impslam.simulation.world import load_world
 
 pytestmark = pytest.mark.browser

@@ -8,7 +8,7 @@ from impslam.platform.console import connection, guard
 from impslam.platform.console.accounts import Accounts
 from impslam.platform.console.authenticator import Authenticator
 from impslam.platform.console.guard import Guard
-from impslam.platform.console.request import plain
+from impslam.platform.console.request_checks import plain
 from impslam.platform.console.routes import SOCKET
 
 pytestmark = pytest.mark.anyio

@@ -15,7 +15,7 @@ from impslam.platform.console import page
 from impslam.platform.console.connection import MESSAGES
 from impslam.platform.console.model import Model
 from impslam.platform.console.refusals import FIRST, Refusals
-from impslam.platform.console.session import Sessions
+from impslam.platform.console.session_store import Sessions
 
 ARGUMENTS = [
     [], ["null"], ["5"], ["-1e999"], ['"x"'], ["{}"], ["[]"], ["[1,2]"], ["[1,2,3]"], ["true"],

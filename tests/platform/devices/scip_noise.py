@@ -3,14 +3,15 @@
 import numpy as np
 
 from impslam.platform.devices import scip
-from impslam.platform.devices.scip import DamagedError, Splitter
+from impslam.platform.devices.scip import Splitter
+from impslam.platform.devices.scip_encoding import DamagedError, encode, sealed
 
 ECHO = "MD0044072501000"
 VALUES = np.random.default_rng(1).integers(20, 5600, 682)
 CLEAN = (
     f"{ECHO}\n99b\n".encode("ascii")
-    + scip.sealed(scip.encode(np.array([123456]), 4))
-    + scip.in_lines(scip.encode(VALUES, 3))
+    + sealed(encode(np.array([123456]), 4))
+    + scip.in_lines(encode(VALUES, 3))
     + b"\n"
 )
 

@@ -13,14 +13,8 @@ from pathlib import Path
 import pytest
 
 from impslam.errors import ConfigError
-from impslam.platform.station.service import (
-    STATUS,
-    WATCHDOG,
-    Watchdog,
-    notify,
-    unit,
-    watchdog_period,
-)
+from impslam.platform.station.service import WATCHDOG, unit
+from impslam.platform.station.watchdog import STATUS, Watchdog, notify, watchdog_period
 
 USER = getpass.getuser()
 HERE = Path("/srv/imp")

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from impslam.errors import ConfigError
-from impslam.platform.virtual.faults import KINDS, Disturbance, Noise, Stall, parse_fault
+from impslam.platform.virtual.disturbance import KINDS, Disturbance
+from impslam.platform.virtual.faults import Noise, Stall, parse_fault
 
 DATA = bytes(range(256)) * 200
 

@@ -18,9 +18,11 @@ from impslam.platform.virtual.faults import (
     parse_fault,
 )
 from impslam.platform.virtual.imp import SLICE, VirtualImp
-from impslam.platform.virtual.line import PtyLine, TcpLine
+from impslam.platform.virtual.pty_line import PtyLine
+from impslam.platform.virtual.tcp_line import TcpLine
 from impslam.platform.virtual.urg import UrgEmulator
-from impslam.simulation.body import Body, Sweeps
+from impslam.simulation.body import Body
+from impslam.simulation.body_lidar import Sweeps
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.world import World
 

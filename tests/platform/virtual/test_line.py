@@ -10,7 +10,9 @@ import pytest
 from impslam.errors import ImpError
 from impslam.platform.devices.base import DeviceError
 from impslam.platform.devices.port import open_port, read_some, write_all
-from impslam.platform.virtual.line import Line, PtyLine, TcpLine
+from impslam.platform.virtual.line import Line
+from impslam.platform.virtual.pty_line import PtyLine
+from impslam.platform.virtual.tcp_line import TcpLine
 
 pytest.importorskip("serial")
 

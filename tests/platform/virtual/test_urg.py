@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from impslam.platform.devices import scip
+from impslam.platform.devices.scip_encoding import decode, encode, sealed
 from impslam.platform.virtual import urg, urg_memory
 from impslam.platform.virtual.urg import UrgEmulator
 from impslam.platform.virtual.urg_sensor import clustered
@@ -53,7 +54,7 @@ class Talk:
 
 def distances(text, width=3):
     lines = text.rstrip("\n").split("\n")[3:]
-    return scip.decode("".join(line[:-1] for line in lines).encode("ascii"), width)
+    return decode("".join(line[:-1] for line in lines).encode("ascii"), width)
 
 
 def stamp(text):
@@ -128,7 +129,7 @@ def test_statuses(request_, status):
     if status is None:
         assert said == ""
     else:
-        assert said == f"{request_}\n{scip.sealed(status.encode()).decode()}\n"
+        assert said == f"{request_}\n{sealed(status.encode()).decode()}\n"
 
 
 def test_the_laser_can_be_on_once():
@@ -304,7 +305,7 @@ def test_reset_begins_the_clock_anew_and_so_does_a_reboot():
     talk.hear(urg.BOOT)
     assert talk.ask("QT") == "QT\n00P\n\n"
     talk.ask("TM0")
-    assert talk.ask("TM1").split("\n")[2][:4] == scip.encode(np.array([500]), 4).decode()
+    assert talk.ask("TM1").split("\n")[2][:4] == encode(np.array([500]), 4).decode()
 
 
 def test_rs232_takes_its_time_and_scans_are_lost():

@@ -15,7 +15,8 @@ from collections.abc import Callable
 from impslam.errors import ImpError
 from impslam.platform.console.accounts import LONGEST, Accounts, AccountsError
 from impslam.platform.console.refusals import Refusals
-from impslam.platform.console.session import Right, Session, Sessions, digest
+from impslam.platform.console.session import Right, Session
+from impslam.platform.console.session_store import Sessions, digest
 from impslam.platform.console.throttle import Throttle
 
 log = logging.getLogger(__name__)

@@ -2,34 +2,16 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 from nicegui import ui
-from nicegui.element import Element
 from nicegui.events import GenericEventArguments
 
 from impslam.errors import ImpError
-from impslam.platform.console.link import age
+from impslam.platform.console.drive_pad import DrivePad, pad_command
 from impslam.platform.console.stop_button import StopButton
 from impslam.platform.console.viewer import Viewer
 from impslam.platform.console.widgets import button, card, line, show, text
 from impslam.platform.station.helm import HelmState
 from impslam.platform.station.station import Station
-
-
-class DrivePad(Element, component="drive_pad.js"):
-    """Joystick, keys and speed; tells commands as fractions of the limits, ten times a second."""
-
-    def __init__(self, limits: tuple[float, float]) -> None:
-        super().__init__()
-        self._props["limits"] = list(limits)
-        self._props["driving"] = False
-
-    def enable(self, *, driving: bool) -> None:
-        """Let the pad send commands, or make it let go."""
-        if driving != self._props["driving"]:
-            self._props["driving"] = driving
 
 
 class DrivePanel:
@@ -97,7 +79,7 @@ class DrivePanel:
 
     def _on_command(self, event: GenericEventArguments) -> None:
         """Pass a command on; it may come from anywhere, whatever the page shows."""
-        command = _command(event.args)
+        command = pad_command(event.args)
         if command is None or self._viewer.refused():
             return
         forward, left, late = command
@@ -106,13 +88,3 @@ class DrivePanel:
             self._station.helm.drive(self._viewer.driver, forward * speed, left * turn_rate, late)
         except ImpError:
             self.update()  # someone else has the helm by now: the page shows it
-
-
-def _command(args: Any) -> tuple[float, float, float] | None:
-    """Return fractions forward and left in [-1, 1] and s under way, None for what is malformed."""
-    if not isinstance(args, list) or len(args) != 3 or not math.isfinite(late := age(args[2])):
-        return None
-    if not all(isinstance(value, int | float) and math.isfinite(value) for value in args[:2]):
-        return None
-    forward, left = (max(-1.0, min(1.0, float(value))) for value in args[:2])
-    return forward, left, late

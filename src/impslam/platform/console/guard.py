@@ -29,7 +29,8 @@ from impslam.platform.console.connection import (
 )
 from impslam.platform.console.messages import opening
 from impslam.platform.console.pages import room
-from impslam.platform.console.request import IncomingRequest, Refusal, host, origin, shape
+from impslam.platform.console.request import IncomingRequest, Refusal
+from impslam.platform.console.request_checks import host, origin, shape
 from impslam.platform.console.routes import PAGE, route
 from impslam.platform.console.security_headers import SecurityHeaders
 from impslam.platform.console.session import Session

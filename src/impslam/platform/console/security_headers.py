@@ -7,7 +7,8 @@ from typing import Final
 
 from starlette.types import Message, Send
 
-from impslam.platform.console.request import HOST, IncomingRequest
+from impslam.platform.console.request import IncomingRequest
+from impslam.platform.console.request_checks import HOST
 
 PAGE_POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "

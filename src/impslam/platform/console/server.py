@@ -27,7 +27,7 @@ from impslam.platform.console.authenticator import Authenticator
 from impslam.platform.console.guard import BODY, Guard
 from impslam.platform.console.model import Model
 from impslam.platform.console.protocol import protocol
-from impslam.platform.console.request import HEADERS
+from impslam.platform.console.request_checks import HEADERS
 from impslam.platform.console.tls import CertificateFiles, own_certificate
 
 GRACE = 1  # s for open requests to end when the server stops; sockets are closed at once

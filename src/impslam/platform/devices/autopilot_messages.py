@@ -80,7 +80,18 @@ def _require(fits: bool, what: str, value: object) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Hello:
+class _Payload:
+    """What a frame carries, its fields in the order of the layout."""
+
+    LAYOUT: ClassVar[struct.Struct]
+
+    def pack(self) -> bytes:
+        """Return the payload."""
+        return self.LAYOUT.pack(*astuple(self))
+
+
+@dataclass(frozen=True, slots=True)
+class Hello(_Payload):
     """Who the autopilot is: at its start, every second, and after each `SetTime`.
 
     Scales are SI units per step: `gyro` rad/s, `accelerometer` and `accelerometer_2` m/s^2,
@@ -101,35 +112,20 @@ class Hello:
     clock: int
     host_offset: int
 
-    def pack(self) -> bytes:
-        """Return the payload."""
-        return self.LAYOUT.pack(*astuple(self))
-
     @classmethod
     def parse(cls, payload: bytes) -> Hello:
         """Read a payload; see the module for what is refused."""
-        boots, major, minor, reset, *scales, clock, offset = _unpack(cls.LAYOUT, "HELLO", payload)
+        boots, major, minor, reset, *rest = _unpack(cls.LAYOUT, "HELLO", payload)
+        *scales, clock, _ = rest
         _require(reset in set(Reset), "a reset reason", reset)
         for scale in scales:
             _require(math.isfinite(scale) and 0.0 < scale < 1.0, "a scale", scale)
         _require(clock < _FOREVER, "a clock", clock)
-        gyro, accelerometer, accelerometer_2, magnetometer = scales
-        return cls(
-            boots=boots,
-            major=major,
-            minor=minor,
-            reset=Reset(reset),
-            gyro=gyro,
-            accelerometer=accelerometer,
-            accelerometer_2=accelerometer_2,
-            magnetometer=magnetometer,
-            clock=clock,
-            host_offset=offset,
-        )
+        return cls(boots, major, minor, Reset(reset), *rest)
 
 
 @dataclass(frozen=True, slots=True)
-class Sensors:
+class Sensors(_Payload):
     """What the sensors read at `clock` (us since the start); 100 times a second.
 
     `counts` are the accumulators of the left and the right encoder, from 0 at the start, 4096 a
@@ -200,7 +196,7 @@ class Sensors:
 
 
 @dataclass(frozen=True, slots=True)
-class Ack:
+class Ack(_Payload):
     """The answer to a command: its type and sequence number, what became of it, and when (us)."""
 
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHQ")
@@ -209,10 +205,6 @@ class Ack:
     result: Result
     sequence: int
     clock: int
-
-    def pack(self) -> bytes:
-        """Return the payload."""
-        return self.LAYOUT.pack(*astuple(self))
 
     @classmethod
     def parse(cls, payload: bytes) -> Ack:
@@ -224,17 +216,13 @@ class Ack:
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
+class Drive(_Payload):
     """Surface speeds of the driven wheels a side, in mm/s, forward positive."""
 
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<hh")
 
     left: int
     right: int
-
-    def pack(self) -> bytes:
-        """Return the payload."""
-        return self.LAYOUT.pack(*astuple(self))
 
     @classmethod
     def parse(cls, payload: bytes) -> Drive:
@@ -245,16 +233,12 @@ class Drive:
 
 
 @dataclass(frozen=True, slots=True)
-class SetTime:
+class SetTime(_Payload):
     """The host's clock in us since 1970, as the frame is sent."""
 
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<Q")
 
     host: int
-
-    def pack(self) -> bytes:
-        """Return the payload."""
-        return self.LAYOUT.pack(self.host)
 
     @classmethod
     def parse(cls, payload: bytes) -> SetTime:

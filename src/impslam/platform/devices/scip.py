@@ -2,8 +2,7 @@
 
 A request is a command of two letters, its parameters, and a line feed. The response repeats it,
 gives a status of two characters, and data in lines of at most 64 characters, each line closed by a
-checksum; an empty line ends it (Hokuyo, SCIP 2.0, C-42-03320B, sections 6 to 8). Values are cut
-into digits of 6 bits, most significant first, each sent as the character 0x30 + digit.
+checksum; an empty line ends it (Hokuyo, SCIP 2.0, C-42-03320B, sections 6 to 8).
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from impslam.errors import ImpError
+from impslam.platform.devices.scip_encoding import DamagedError, decode, sealed, unsealed
 from impslam.types import Array, Ints
 
 Mode: TypeAlias = Literal["MD", "MS", "GD", "GS"]
@@ -25,63 +24,6 @@ STREAMS = ("MD", "MS")  # sent sweep by sweep until QT; the others answer once
 TEXT_LIMIT = 16  # characters of the user's own text in a request
 ERROR_CODES = 20  # distances below this are no distances (URG-04LX, table 3)
 LONGEST = 32768  # bytes; a response of 9999 steps of 3 characters with checksums is 31 kB
-
-
-class DamagedError(ImpError):
-    """A response that did not arrive as it was sent; it is counted and dropped."""
-
-
-# --------------------------------------------------------------------------- characters
-
-
-def checksum(data: bytes) -> int:
-    """Return the character that closes a line: the low 6 bits of the sum of its bytes, + 0x30."""
-    return (sum(data) & 0x3F) + 0x30
-
-
-def sealed(line: bytes) -> bytes:
-    """Return a line as it is sent: with its checksum and line feed."""
-    return b"%b%c\n" % (line, checksum(line))
-
-
-def unsealed(line: bytes) -> bytes:
-    """Return what a line says, without its checksum.
-
-    Raises
-    ------
-    DamagedError
-        If the checksum is wrong.
-    """
-    if len(line) < 2 or checksum(line[:-1]) != line[-1]:
-        raise DamagedError("a line has a wrong checksum")
-    return line[:-1]
-
-
-def encode(values: Ints, width: int) -> bytes:
-    """Return values (n,) as `width` characters each; the inverse of `decode`."""
-    digits = (values[:, None] >> _shifts(width)) & 0x3F
-    return (digits + 0x30).astype(np.uint8).tobytes()
-
-
-def decode(data: bytes, width: int) -> Ints:
-    """Return the values (n,) of characters, `width` each, most significant digit first.
-
-    Raises
-    ------
-    DamagedError
-        If a character is none of the 64 there are, or some are left over.
-    """
-    if len(data) % width:
-        raise DamagedError(f"{len(data)} characters are no whole number of values")
-    digits = np.frombuffer(data, np.uint8) - np.uint8(0x30)  # below 0x30 wraps to large
-    if (digits > 0x3F).any():
-        raise DamagedError("a character lies outside 0x30 to 0x6F")
-    shifted = digits.reshape(-1, width).astype(np.int64) << _shifts(width)
-    return np.asarray(shifted.sum(1), dtype=np.int64)
-
-
-def _shifts(width: int) -> Ints:
-    return 6 * np.arange(width - 1, -1, -1, dtype=np.int64)
 
 
 # --------------------------------------------------------------------------- requests

@@ -1,4 +1,4 @@
-"""What a SCIP sensor says of itself: version (VV), parameters (PP) and state (II)."""
+"""What a SCIP sensor says of itself: version (VV) and parameters (PP)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from impslam.platform.devices.base import DeviceError
-from impslam.platform.devices.scip import DamagedError, checksum
+from impslam.platform.devices.scip_encoding import DamagedError, checksum
 
 _LONGEST_TEXT = 120  # characters of a field that are kept; the longest known has 45
 
@@ -51,39 +51,17 @@ def to_line(key: str, value: str) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Version:
-    """VV: who made it and what runs on it."""
+    """VV: which one it is and what runs on it."""
 
-    vendor: str
     product: str
     firmware: str
-    protocol: str
     serial: str
 
     @classmethod
     def of(cls, body: tuple[bytes, ...]) -> Version:
         """Read the answer to VV; what it does not say is empty."""
         said = fields(body)
-        return cls(*(said.get(key, "") for key in ("VEND", "PROD", "FIRM", "PROT", "SERI")))
-
-
-@dataclass(frozen=True, slots=True)
-class State:
-    """II: how it is doing, in its own words."""
-
-    model: str
-    laser: str
-    speed: str
-    measuring: str
-    bit_rate: str
-    time: str
-    state: str
-
-    @classmethod
-    def of(cls, body: tuple[bytes, ...]) -> State:
-        """Read the answer to II; what it does not say is empty."""
-        said = fields(body)
-        keys = ("MODL", "LASR", "SCSP", "MESM", "SBPS", "TIME", "STAT")
-        return cls(*(said.get(key, "") for key in keys))
+        return cls(*(said.get(key, "") for key in ("PROD", "FIRM", "SERI")))
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 from impslam.platform.devices.base import DeviceError, now
 from impslam.platform.devices.port import read_some, write_all
-from impslam.platform.devices.scip import DamagedError, Response, Splitter, parse
+from impslam.platform.devices.scip import Response, Splitter, parse
+from impslam.platform.devices.scip_encoding import DamagedError
 
 if TYPE_CHECKING:
     import serial

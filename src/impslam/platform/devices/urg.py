@@ -13,7 +13,8 @@ from impslam.platform.devices import scip, scip_status
 from impslam.platform.devices.base import Device, DeviceError, now
 from impslam.platform.devices.clock import DeviceClock
 from impslam.platform.devices.port import opened
-from impslam.platform.devices.scip import DamagedError, Mode
+from impslam.platform.devices.scip import Mode
+from impslam.platform.devices.scip_encoding import DamagedError
 from impslam.platform.devices.scip_info import Parameters
 from impslam.platform.devices.scip_link import Heard, ScipLink, UnansweredError
 from impslam.platform.devices.urg_beams import Beams

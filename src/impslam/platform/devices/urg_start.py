@@ -8,8 +8,8 @@ from typing import Final
 
 from impslam.platform.devices import scip, scip_status
 from impslam.platform.devices.base import DeviceError
-from impslam.platform.devices.scip import DamagedError
-from impslam.platform.devices.scip_info import Parameters, State, Version
+from impslam.platform.devices.scip_encoding import DamagedError
+from impslam.platform.devices.scip_info import Parameters, Version, fields
 from impslam.platform.devices.scip_link import Heard, ScipLink, UnansweredError
 from impslam.platform.devices.urg_clock import SweepTimes
 
@@ -102,13 +102,13 @@ def read_version(link: ScipLink) -> Version:
     for _ in range(TRIES):
         with contextlib.suppress(DamagedError):
             return Version.of(link.ask(scip.request("VV")).response.body)
-    return Version("", "", "", "", "")
+    return Version("", "", "")
 
 
 def read_state(link: ScipLink) -> str:
     """Return how the sensor says that it is doing; empty if it cannot be read, or if well."""
     with contextlib.suppress(DamagedError, UnansweredError):
-        state = State.of(link.ask(scip.request("II")).response.body).state
+        state = fields(link.ask(scip.request("II")).response.body).get("STAT", "")
         if not any(word in state.lower() for word in ("well", "stable", "normal")):
             return state
     return ""

@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from impslam.errors import ImpError, in_a_line
-from impslam.paths import make_folder
+from impslam.paths import make_folder, written
 from impslam.platform.station.going_on import GoingOn
 from impslam.platform.station.map_store import FILE
 from impslam.platform.station.mapper import LiveMapper
@@ -127,12 +127,8 @@ class MapKeeper:
     def _within(self, save: Callable[[Path], Path]) -> Path:
         """Save into the folder of this map, which is made if need be; an empty one does not stay."""
         if self._target is None:
-            try:
+            with written(self._folder, "check it"):
                 self._target = make_folder(self._folder, time.strftime("map-%Y%m%d-%H%M%S"))
-            except OSError as error:
-                raise ImpError(
-                    f"{self._folder}: cannot be written ({error.strerror}); check it"
-                ) from None
         try:
             save(self._target)
         except ImpError:

@@ -159,7 +159,7 @@ class _Mapping:
         self.run = Run(self._config, [self._truth, view], known)
         robot = self.run.robot
         self._scans = tuple(sensor.consumes for sensor in robot.sensors.values())
-        self._wanted = (*robot.consumes, TruePose)
+        self._wanted = (*robot.streams.consumes, TruePose)
         self._inbox = Inbox()
         # Who copies the map takes the door first, so that the estimator lets them in.
         self._door, self._between = threading.Lock(), threading.Lock()

@@ -15,7 +15,7 @@ from impslam.errors import ImpError, MessageError
 from impslam.platform.devices.base import Reading, now
 from impslam.platform.station.recorder_queue import ReadingQueue
 from impslam.sources.live_recording import LiveMcapWriter
-from impslam.sources.ros_writers import topic_name
+from impslam.sources.ros_build import topic_name
 from impslam.types import DeviceTime, Event, Message
 
 log = logging.getLogger(__name__)

@@ -14,11 +14,14 @@ from impslam.platform.virtual.base import Emulator
 from impslam.platform.virtual.camera import CameraEmulator
 from impslam.platform.virtual.gps import GpsEmulator
 from impslam.platform.virtual.imp import VirtualImp
-from impslam.platform.virtual.line import Line, PtyLine, TcpLine
+from impslam.platform.virtual.line import Line
+from impslam.platform.virtual.pty_line import PtyLine
 from impslam.platform.virtual.rplidar import A1, RPLidarEmulator
+from impslam.platform.virtual.tcp_line import TcpLine
 from impslam.platform.virtual.urg import UrgEmulator
 from impslam.platform.virtual.wheel_speed import SpeedControl, SpeedController
-from impslam.simulation.body import Body, Sweeps
+from impslam.simulation.body import Body
+from impslam.simulation.body_lidar import Sweeps
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.world import World
 

@@ -1,26 +1,16 @@
-"""Lines between an emulator and the host: a pseudo-terminal, or a TCP server on loopback.
+"""Lines between an emulator and the host, with a plug and with faults.
 
 Nothing here waits: what the host does not take is lost and counted, as on a UART that nobody reads.
 """
 
 from __future__ import annotations
 
-import contextlib
-import os
-import socket
-import sys
 from abc import ABC, abstractmethod
 from collections import Counter, deque
-from pathlib import Path
 
 import numpy as np
 
-from impslam.errors import ImpError
-from impslam.platform.virtual.faults import Disturbance, Kind
-
-if sys.platform != "win32":  # where `TcpLine` serves
-    import termios
-    import tty
+from impslam.platform.virtual.disturbance import Disturbance, Kind
 
 CHUNK = 65536  # bytes read at once
 
@@ -36,7 +26,7 @@ class Line(ABC):
     Attributes
     ----------
     counts : bytes "sent" and "received" by the device's end; lost as "unplugged", "unheard" (no
-        host has the port open) and "overrun" (the host does not read); spoilt as `faults.KINDS`
+        host has the port open) and "overrun" (the host does not read); spoilt as `disturbance.KINDS`
     """
 
     def __init__(self, seed: int = 0, baud: int = 0) -> None:
@@ -141,135 +131,3 @@ class _Wire:
         """Lose what is under way."""
         self._under_way.clear()
         self._free = 0.0
-
-
-class PtyLine(Line):
-    """A pseudo-terminal behind a symbolic link, whose name stays when it is plugged in again."""
-
-    def __init__(self, path: Path, seed: int = 0, baud: int = 0) -> None:
-        super().__init__(seed, baud)
-        self._path = path
-        self._heard = False
-        self._plug()
-
-    @property
-    def url(self) -> str:
-        """Path of the link."""
-        return str(self._path)
-
-    def _plug(self) -> None:
-        self._master, slave = os.openpty()
-        tty.setraw(slave)
-        self._slave = os.ttyname(slave)
-        os.close(slave)  # while no end but the host's is open, the kernel tells whether one is
-        os.set_blocking(self._master, False)
-        fresh = self._path.with_name(self._path.name + ".new")
-        fresh.unlink(missing_ok=True)
-        fresh.symlink_to(self._slave)
-        fresh.replace(self._path)
-
-    def _pull(self) -> None:
-        self._path.unlink(missing_ok=True)
-        os.close(self._master)
-        self._heard = False
-
-    def _read(self) -> bytes:
-        try:
-            data = os.read(self._master, CHUNK)
-        except BlockingIOError:
-            data = b""
-        except OSError:  # EIO: no host has it open
-            if self._heard:
-                self._flush()
-            self._heard = False
-            return b""
-        self._heard = True
-        return data
-
-    def _write(self, data: bytes) -> int | None:
-        if not self._heard:
-            return None
-        try:
-            return os.write(self._master, data)
-        except BlockingIOError:
-            return 0
-        except OSError:  # the host has just closed it
-            return None
-
-    def _flush(self) -> None:
-        """Forget what the last host has not read, which the next would take for news."""
-        with contextlib.suppress(OSError):
-            slave = os.open(self._slave, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-            termios.tcflush(slave, termios.TCIOFLUSH)
-            os.close(slave)
-
-
-class TcpLine(Line):
-    """A TCP server on loopback, for one host at a time."""
-
-    def __init__(self, port: int = 0, seed: int = 0, baud: int = 0) -> None:
-        super().__init__(seed, baud)
-        self._host: socket.socket | None = None
-        self._reserve(port)
-        self._port: int = self._server.getsockname()[1]
-        self._plug()
-
-    @property
-    def url(self) -> str:
-        """As pyserial takes it."""
-        return f"socket://127.0.0.1:{self._port}"
-
-    def _reserve(self, port: int) -> None:
-        """Take the port without listening: connections are refused, and no one else gets it."""
-        self._server = socket.socket()
-        self._server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            self._server.bind(("127.0.0.1", port))
-        except OSError as error:
-            self._server.close()
-            raise ImpError(f"TCP port {port} of 127.0.0.1: {error}; choose another") from error
-
-    def _plug(self) -> None:
-        self._server.listen(1)
-        self._server.setblocking(False)
-
-    def _pull(self) -> None:
-        self._hang_up()
-        self._server.close()
-        self._reserve(self._port)
-
-    def close(self) -> None:
-        """Take the port away for good."""
-        super().close()
-        self._server.close()
-
-    def _hang_up(self) -> None:
-        if self._host is not None:
-            self._host.close()
-            self._host = None
-
-    def _read(self) -> bytes:
-        try:
-            if self._host is None:
-                self._host, _ = self._server.accept()
-                self._host.setblocking(False)
-                self._host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            data = self._host.recv(CHUNK)
-        except BlockingIOError:
-            return b""
-        except OSError:
-            data = b""
-        if not data:  # the host has hung up
-            self._hang_up()
-        return data
-
-    def _write(self, data: bytes) -> int | None:
-        if self._host is None:
-            return None
-        try:
-            return self._host.send(data)
-        except BlockingIOError:
-            return 0
-        except OSError:
-            self._hang_up()
-            return None

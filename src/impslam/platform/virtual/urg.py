@@ -12,7 +12,8 @@ import math
 import numpy as np
 
 from impslam.platform.devices import scip, scip_status
-from impslam.platform.virtual import urg_sensor
+from impslam.platform.devices.scip_encoding import encode, sealed
+from impslam.platform.virtual import urg_answers
 from impslam.platform.virtual.base import Surroundings
 from impslam.platform.virtual.urg_memory import BIT_RATES, COMMANDS, Line, Memory, Order, faulty
 from impslam.platform.virtual.urg_sensor import UrgSensor, clustered
@@ -150,13 +151,13 @@ class UrgEmulator:
         first, last, cluster = int(said[0:4]), int(said[4:8]), int(said[8:10])
         width = scip.WIDTH[order.command]
         values = clustered(self._sensor.values(sweep)[first : last + 1], cluster)
-        data = scip.encode(np.minimum(values, (1 << 6 * width) - 1), width)
+        data = encode(np.minimum(values, (1 << 6 * width) - 1), width)
         body = self._stamp(self._sensor.begin(sweep)) + scip.in_lines(data)
         status = scip_status.DATA if order.streams else scip_status.OK
         self._answer(order.echo(), status, body, ready)
 
     def _stamp(self, time: float) -> bytes:
-        return scip.sealed(scip.encode(np.array([self._sensor.clock(time)]), 4))
+        return sealed(encode(np.array([self._sensor.clock(time)]), 4))
 
     def _laser_off(self) -> None:
         self._sensor.laser_on, self._memory.order = math.inf, None
@@ -172,7 +173,7 @@ class UrgEmulator:
     def _answer(
         self, echo: str, status: str, body: bytes = b"", ready: float | None = None
     ) -> None:
-        data = b"%b\n%b%b\n" % (echo.encode("latin-1"), scip.sealed(status.encode("ascii")), body)
+        data = b"%b\n%b%b\n" % (echo.encode("latin-1"), sealed(status.encode("ascii")), body)
         self._send(data, ready)
 
     def _send(self, data: bytes, ready: float | None = None) -> None:
@@ -300,12 +301,12 @@ class UrgEmulator:
         return "01", b""
 
     def _do_vv(self, _: str) -> tuple[str, bytes]:
-        return scip_status.OK, urg_sensor.version()
+        return scip_status.OK, urg_answers.version()
 
     def _do_pp(self, _: str) -> tuple[str, bytes]:
-        return scip_status.OK, urg_sensor.parameters(self._sensor.parameters)
+        return scip_status.OK, urg_answers.parameters(self._sensor.parameters)
 
     def _do_ii(self, _: str) -> tuple[str, bytes]:
         memory = self._memory
-        said = urg_sensor.state(self._sensor, self._time, memory.bit_rate, memory.failure)
+        said = urg_answers.state(self._sensor, self._time, memory.bit_rate, memory.failure)
         return scip_status.OK, said

@@ -1,0 +1,34 @@
+"""The lidar on a body that is moved in real time: the sweeps that it reads as the body goes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from impslam.simulation.body import MEMORY, STEP, Body
+from impslam.simulation.lidar import LidarSimulator
+from impslam.simulation.robot import Lidar
+from impslam.types import Array
+
+
+class Sweeps:
+    """What the lidar on a body reads, as the body moves."""
+
+    def __init__(self, body: Body, seed: int = 0, lidar: Lidar | None = None) -> None:
+        self._body = body
+        rng = np.random.default_rng(seed)
+        self._simulator = LidarSimulator(
+            lidar or body.robot.lidar or Lidar(), body.scene, body, rng
+        )
+
+    def ranges(self, time: float) -> Array:
+        """Return what the beams (n,) of the sweep that began at `time` read, in m; 0: no echo.
+
+        Raises
+        ------
+        ValueError
+            If the sweep has not ended yet, or began before the body's memory does.
+        """
+        now = self._body.time
+        if not now - MEMORY + STEP <= time <= now - self._simulator.duration + STEP:
+            raise ValueError(f"a sweep that began at {time:.3f} s cannot be read at {now:.3f} s")
+        return self._simulator.ranges(time)

@@ -1,0 +1,64 @@
+"""The journal of a sweep: the rows of its runs as they come, with which it goes on where it ended."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from impslam.errors import ConfigError
+from impslam.evaluation.json_values import json_values
+from impslam.sweeps.rows import Row
+
+JOURNAL = "runs.jsonl"
+IDENTITY = ("log", "config", "settings", "seed", "log_sha256", "config_sha256")
+"""What says which run a row is of."""
+
+
+class Journal:
+    """The rows of a sweep so far, a line of JSON each; of a run that was repeated, the newest row counts.
+
+    It can be read whenever the program ends: a line that was cut is left out.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds something else, or cannot be written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._file = folder / JOURNAL
+        if not self._file.exists() and folder.exists() and any(folder.iterdir()):
+            raise ConfigError(
+                f"{folder}: is not the folder of a sweep (it holds no {JOURNAL}); give -o a new one"
+            )
+        folder.mkdir(parents=True, exist_ok=True)
+        whole = _whole_lines(self._file)
+        self._rows = {identity(row): row for row in map(json.loads, whole)}
+        self._file.write_text("".join(whole), encoding="utf-8")
+
+    def add(self, row: Row) -> None:
+        """Keep the row of a run."""
+        self._rows[identity(row)] = known = json_values(row)
+        with self._file.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(known, allow_nan=False) + "\n")
+
+    def has(self, run: Row) -> bool:
+        """Tell whether this run is done; one that failed is not."""
+        row = self._rows.get(identity(run))
+        return row is not None and not row["error"]
+
+    def rows(self) -> list[Row]:
+        """Return the newest row of each run."""
+        return list(self._rows.values())
+
+
+def _whole_lines(file: Path) -> list[str]:
+    if not file.exists():
+        return []
+    lines = file.read_text("utf-8").splitlines(keepends=True)
+    return [line for line in lines if line.endswith("}\n")]
+
+
+def identity(row: Row) -> str:
+    """Return text that is equal for rows of the same run."""
+    return json.dumps([row[name] for name in IDENTITY], sort_keys=True)

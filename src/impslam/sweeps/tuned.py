@@ -1,0 +1,38 @@
+"""The config that comes of tuning, as TOML with what speaks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from impslam.config import merge, parse_setting, presets
+from impslam.sweeps.cases import Log, Settings
+from impslam.sweeps.rows import Row
+from impslam.sweeps.task import AFTER, BEFORE, Task
+from impslam.sweeps.tuning import best, finished, score_of
+
+
+def tuned_config(task: Task, found: Settings, rows: Sequence[Row], score: str, study: Any) -> str:
+    """Return the tuned config as TOML, with what speaks for it as comments."""
+    lines = [
+        f"# Found by imp tune in {len(finished(study))} trials; score: {score}, the less the better."
+    ]
+    lines.append(f"# Best trial: {best(study).number}, {best(study).value:.6g} over its logs.")
+    for log in [*task.logs, *task.holdout]:
+        kept = ", kept apart" if log in task.holdout else ""
+        before, after = (_score(rows, log, when, score) for when in (BEFORE, AFTER))
+        lines.append(f"# {Path(log.name).name}{kept}: {before} before, {after} after")
+    table: dict[str, Any] = {}
+    for setting in [*task.settings, *(f"{key}={value}" for key, value in found)]:
+        table = merge(table, parse_setting(setting))
+    base = task.base if task.base in presets() else str(Path(task.base).resolve())
+    return "\n".join(lines) + "\n" + tomli_w.dumps({"base": base, **table})
+
+
+def _score(rows: Sequence[Row], log: Log, when: str, score: str) -> str:
+    some = [row for row in rows if row["log"] == log.name and row["config"] == when]
+    failed = next((row["error"] for row in some if row["error"]), "")
+    return f"failed ({failed})" if failed else f"{score_of(some, score):.4g}"

@@ -39,11 +39,14 @@ def wheels(seconds, rng=None, noise=0.0, true=TRUE):
     return exact, DifferentialDrive(stamps, known, left + off[0], right + off[1] / ratio)
 
 
-def twists(seconds, true=SCALES):
-    """Return odometry that gives motions."""
+def twists(seconds, true=SCALES, rng=None, noise=(0.0, 0.0)):
+    """Return odometry that gives motions; `noise` is that of the readings, m/sqrt(m) and rad/sqrt(rad)."""
     speed, rate = winding(seconds)
     x = speed / true[0]
     told = np.column_stack((x, np.zeros_like(x), (rate - true[2] * x) / true[1])) / RATE
+    if rng is not None:
+        for j, spread in ((0, noise[0]), (2, noise[1])):
+            told[:, j] += spread * np.sqrt(np.abs(told[:, j])) * rng.normal(size=len(told))
     names = ("distance_scale", "turn_scale", "turn_per_metre")
     return ScaledTwists(names, np.arange(len(x) + 1) / RATE, np.zeros(len(x), bool), told)
 

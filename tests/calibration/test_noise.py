@@ -11,7 +11,7 @@ from impslam.calibration.noise import (
     fitted,
     names,
     of_scans,
-    slopes_of_wheels,
+    slopes,
     spreads,
 )
 from impslam.calibration.residuals import residuals
@@ -65,11 +65,40 @@ def test_variances_are_found_again(rng):
 
 def test_slopes_of_wheel_noise():
     """By the track, at which turns spread as 1 / track^2; by the mount, through the lever alone."""
-    B, slopes, step = spreads(WHEELS, TRUE)[ODOMETRY], slopes_of_wheels(WHEELS, TRUE), 1e-6
-    np.testing.assert_allclose(slopes[0, :, 2, 2], 2.0 / TRUE[0] * B[:, 2, 2])
-    np.testing.assert_allclose(slopes[2, :, 2, 2], -2.0 / TRUE[2] * B[:, 2, 2], rtol=1e-4)
+    only = np.arange(len(names(WHEELS))) == ODOMETRY
+    B, found, step = spreads(WHEELS, TRUE)[ODOMETRY], slopes(WHEELS, TRUE, 1.0 * only), 1e-6
+    np.testing.assert_allclose(found[0, :, 2, 2], 2.0 / TRUE[0] * B[:, 2, 2])
+    np.testing.assert_allclose(found[2, :, 2, 2], -2.0 / TRUE[2] * B[:, 2, 2], rtol=1e-4)
     for j in (3, 4, 5):
         moved = TRUE + step * (np.arange(9) == j)
-        found = (spreads(WHEELS, moved)[ODOMETRY] - B) / step
-        np.testing.assert_allclose(slopes[j], found, atol=1e-4 * np.abs(found).max())
-    assert not slopes_of_wheels(TWISTS, SCALES).any()
+        by_hand = (spreads(WHEELS, moved)[ODOMETRY] - B) / step
+        np.testing.assert_allclose(found[j], by_hand, atol=1e-4 * np.abs(by_hand).max())
+
+
+@pytest.mark.parametrize(("of", "true"), [(WHEELS, TRUE), (TWISTS, SCALES)])
+def test_slopes_of_stamps_that_jitter(of, true):
+    """Stamps that are off by 1 ms: what that does to the lidar's motion, by the readings, squared."""
+    only, step = np.arange(len(names(of))) == MATCHING.index("jitter"), 1e-6
+    found, p = slopes(of, true, 1.0 * only), len(true) - 6
+    seconds = (of.motions.ends - of.motions.begins)[:, None]
+
+    def spread(parameters):
+        moved = of.motions.joint + residuals(of, parameters).values
+        return 2.0 * np.einsum("ki,kj->kij", moved / seconds, moved / seconds)
+
+    for j in (0, 1, 2, p, p + 1, p + 2, p + 5):
+        way = step * (np.arange(len(true)) == j)
+        by_hand = (spread(true + way) - spread(true - way)) / (2.0 * step)
+        np.testing.assert_allclose(found[j], by_hand, atol=1e-4 * np.abs(found).max())
+    assert not found[p + 3 : p + 5].any()
+
+
+def test_slopes_of_the_noise_of_poses():
+    """Noise in the readings spreads motions by the square of the scale that it goes through."""
+    for j, by in ((0, 0), (1, 0), (2, 1), (3, 1)):
+        only = 1.0 * (np.arange(len(names(TWISTS))) == ODOMETRY + j)
+        straight = np.array([*SCALES[:3], 0.0, 0.0, 0.0, *SCALES[6:]])
+        B, found = spreads(TWISTS, straight)[ODOMETRY + j], slopes(TWISTS, straight, only)
+        trace = np.einsum("kii->k", B[:, :2, :2]) if by == 0 else B[:, 2, 2]
+        slope = np.einsum("kii->k", found[by, :, :2, :2]) if by == 0 else found[by, :, 2, 2]
+        np.testing.assert_allclose(slope, 2.0 / SCALES[by] * trace, rtol=1e-9)

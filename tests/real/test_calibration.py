@@ -35,6 +35,17 @@ def test_the_track_of_the_lego_robot(data_folder):
     assert abs(got["track"].value - 0.176) < 3.0 * got["track"].sigma
 
 
+def test_stamps_that_run_back_and_forth(data_folder):
+    """Over 20 s the path of the scans and odometry agree with 0.963 and 0.986; stamps tell no latency."""
+    got = found(data_folder / "intel" / "intel.log", None)
+    assert abs(got["distance_scale"].value - 0.963) < 3.0 * np.hypot(
+        0.003, got["distance_scale"].sigma
+    )
+    assert abs(got["turn_scale"].value - 0.986) < 3.0 * np.hypot(0.005, got["turn_scale"].sigma)
+    assert got["turn_per_metre"].value == pytest.approx(0.059, abs=0.005)
+    assert not got["latency"].observable
+
+
 def test_the_published_calibration_of_censi(data_folder):
     """A laser at 90 degrees: within the scatter of the published thirds of the data, 2 sigma."""
     folder = data_folder / "calibration"

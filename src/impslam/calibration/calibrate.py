@@ -13,6 +13,7 @@ from impslam.calibration.gyro import gyro_of
 from impslam.calibration.least_squares import Prior, Solution, solve
 from impslam.calibration.lidar_path import lidar_path
 from impslam.calibration.odometry_models import covered, model_of
+from impslam.calibration.order_clock import MOST, in_order
 from impslam.calibration.recording import Recording, lidar_of
 from impslam.calibration.residuals import SENSOR, Drive
 from impslam.calibration.scan_pairs import matched_pairs
@@ -123,15 +124,17 @@ def drives_of(config: Config, recording: Recording, where: str) -> list[Drive]:
             f"{where}: has no {odometry.consumes.__name__} to calibrate; record odometry, or choose "
             "what the log has with --set odometry.kind="
         )
+    recording, disorder = in_order(recording)
     path = lidar_path(lidar, recording.scans)
     found, slack = matched_pairs(lidar, recording.scans, path), float(LATENCIES[-1])
-    gyro, out = gyro_of(recording.gyro, found, lidar.latency), list[Drive]()
+    gyro = gyro_of(recording.gyro, found, lidar.latency) if disorder <= MOST else None
+    out = list[Drive]()
     for readings in recording.odometry:
         if len(readings) > 1:
             model = model_of(odometry, readings)
             begins, ends = found.begins - lidar.latency, found.ends - lidar.latency
             inside = covered(model, begins - slack, ends + slack)
-            out.append(Drive(model, found.take(np.flatnonzero(inside)), path, gyro))
+            out.append(Drive(model, found.take(np.flatnonzero(inside)), path, gyro, disorder))
     count = sum(len(drive.motions.begins) for drive in out)
     if count < FEWEST:
         raise SourceError(
@@ -170,9 +173,14 @@ def calibrate(config: Config, drives: Sequence[Drive], keep: Sequence[str] = ())
         solution = solve(
             drives, np.where(observable, solution.parameters, start), observable, prior
         )
+    disorder = max(drive.disorder for drive in drives)
+    if disorder > MOST:
+        late = names.index("latency")
+        observable[late], sigmas[late] = False, disorder
     sigmas = np.where(
         observable, np.sqrt(np.diag(solution.covariance)), np.where(free, sigmas, np.inf)
     )
+    covariance = solution.covariance * np.outer(observable, observable)
     after = _in_config(solution.parameters, lidar)
     parameters = tuple(
         Parameter(*row)
@@ -181,9 +189,7 @@ def calibrate(config: Config, drives: Sequence[Drive], keep: Sequence[str] = ())
                        observable.tolist(), strict=True)
     )  # fmt: skip
     spreads = _spreads(drives[0], solution)
-    return Calibration(
-        name, parameters, solution.covariance, spreads, tuple(drives), solution, start
-    )
+    return Calibration(name, parameters, covariance, spreads, tuple(drives), solution, start)
 
 
 def _begin(drives: Sequence[Drive], prior: Prior, free: Mask) -> Array:

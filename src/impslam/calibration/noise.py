@@ -18,13 +18,14 @@ from impslam.calibration.odometry_models import (
     motion,
     sums,
 )
-from impslam.calibration.residuals import Drive
+from impslam.calibration.residuals import SENSOR, Drive, residuals
 from impslam.calibration.scan_pairs import LidarMotions
 from impslam.geometry.se2 import exp, log
 from impslam.types import Array
 
 MATCHING = ("matching", "matching_yaw", "matching_offset", "jitter")
 """What matches err by beyond what their scans say, m, rad and m; and what their stamps do, s."""
+_JITTER = MATCHING.index("jitter")
 WEAKEST = np.diag([1.0, 1.0, 1.0, 1.0])
 """Information that every motion has: of 1 m and 1 rad, so that it has an inverse along a corridor."""
 UNITS = {
@@ -84,43 +85,73 @@ def spreads(drive: Drive, parameters: Array) -> Array:
     that strays by q per metre leaves the place off by q d^3 / 12 across a way d.
     """
     base, lengths = _driven(drive, parameters)
-    across, way = np.abs(base.way) ** 2 / 12.0, lengths.way
-    Q = np.zeros((4, len(way), 4, 4))
+    Q = _of_twists(lengths, base)
     if isinstance(drive.model, DifferentialDrive):
-        Q[0] = _of_wheels(lengths, across, parameters[2])
-    else:
-        Q[0, :, 0, 0] = way
-    Q[1, :, 1, 1] = way
-    for j, spread in ((2, way), (3, lengths.turn)):
-        Q[j, :, 1, 1], Q[j, :, 2, 2] = across * spread, spread
+        Q[0] = _of_wheels(lengths, np.abs(base.way) ** 2 / 12.0, parameters[2])
     G = _into_lidar(base.way, base.turn, *_mount(drive, parameters))
     return np.concatenate((_of_matches(drive.motions), G @ Q @ np.swapaxes(G, -1, -2)))
 
 
-def slopes_of_wheels(drive: Drive, parameters: Array) -> Array:
-    """Return (n, k, 4, 4) how the covariance of wheel noise changes with the parameters (n,).
+def slopes(drive: Drive, parameters: Array, variances: Array) -> Array:
+    """Return (n, k, 4, 4) how the covariance of noise in the readings changes with the parameters (n,).
 
-    The noise is in the readings, and is as it is; what it does to a motion depends on the parameters.
-    Without these slopes least squares makes what it multiplies too small: a track seems wide by the
-    share that noise has of the squared turns (regression dilution; Fuller 1987, Sec. 1.1).
+    The noise of odometry, and stamps that jitter, are in the readings, and are as they are; what they do
+    to a motion depends on the parameters. Without these slopes least squares makes what it multiplies
+    too small: a scale is too small, and a track seems wide, by the share that noise has of the squared
+    motions (regression dilution; Fuller 1987, Sec. 1.1). `variances` (c,) are in the order of `names`.
     """
-    out = np.zeros((len(parameters), len(drive.motions.begins), 4, 4))
-    if not isinstance(drive.model, DifferentialDrive):
-        return out
     base, lengths = _driven(drive, parameters)
-    (radius, ratio, track), across = parameters[:3], np.abs(base.way) ** 2 / 12.0
-    m, yaw = _mount(drive, parameters)
-    G, Q = _into_lidar(base.way, base.turn, m, yaw), _of_wheels(lengths, across, track)
-    of_right = _of_wheels(lengths._replace(left=np.zeros_like(across)), across, track)
-    wider = _of_wheels(lengths, across, track * (1.0 + STEP)) - Q
-    for j, change in enumerate((2.0 / radius * Q, 2.0 / ratio * of_right, wider / (track * STEP))):
-        out[j] = G @ change @ np.swapaxes(G, -1, -2)
+    p, (m, yaw) = len(drive.model.names), _mount(drive, parameters)
+    G, of_odometry = _into_lidar(base.way, base.turn, m, yaw), variances[len(MATCHING) :]
+    if isinstance(drive.model, DifferentialDrive):
+        Q, Q_D = _slopes_of_wheels(lengths, base, parameters[:3])
+        Q, Q_D = of_odometry[0] * Q, of_odometry[0] * Q_D
+    else:
+        Q, Q_D = _slopes_of_twists(lengths, base, parameters[:p], of_odometry)
+    out: Array = variances[_JITTER] * _slopes_of_jitter(drive, parameters)
+    out[:p] += G @ Q_D @ np.swapaxes(G, -1, -2)
     for j, other in enumerate(((m + STEP, yaw), (m + 1j * STEP, yaw), (m, yaw + STEP))):
         moved = _into_lidar(base.way, base.turn, *other)
-        out[3 + j] = (
+        out[p + j] += (
             moved @ Q @ np.swapaxes(moved, -1, -2) - G @ Q @ np.swapaxes(G, -1, -2)
         ) / STEP
     return out
+
+
+def _slopes_of_wheels(lengths: _Lengths, base: Motion, values: Array) -> tuple[Array, Array]:
+    """Return the covariance (k, 4, 4) of wheel noise of unit variance, and (3, k, 4, 4) its slopes."""
+    (radius, ratio, track), across = values, np.abs(base.way) ** 2 / 12.0
+    Q = _of_wheels(lengths, across, track)
+    of_right = _of_wheels(lengths._replace(left=np.zeros_like(across)), across, track)
+    wider = _of_wheels(lengths, across, track * (1.0 + STEP)) - Q
+    return Q, np.array([2.0 / radius * Q, 2.0 / ratio * of_right, wider / (track * STEP)])
+
+
+def _slopes_of_twists(
+    lengths: _Lengths, base: Motion, values: Array, variances: Array
+) -> tuple[Array, Array]:
+    """Return the covariance (k, 4, 4) of the noise of poses or speeds, and (p, k, 4, 4) its slopes.
+
+    An error of a way grows with the scale of ways, that of a turn with the one of turns; a way that is
+    read wrong turns the robot by so much per metre.
+    """
+    Q = np.tensordot(variances, _of_twists(lengths, base), axes=1)
+    E = np.zeros((len(values), 4, 4))
+    E[0, 0, 0] = E[0, 1, 1] = 1.0 / values[0]
+    E[1, 2, 2] = 1.0 / values[1]
+    E[2:, 2, 0] = 1.0 / values[0]
+    half = E[:, None] @ Q
+    return Q, half + np.swapaxes(half, -1, -2)
+
+
+def _slopes_of_jitter(drive: Drive, parameters: Array) -> Array:
+    """Return (n, k, 4, 4) the slopes of what stamps that jitter by 1 s do: speeds grow with the scales."""
+    found, p = drive.motions, len(drive.model.names)
+    still = p + np.array([SENSOR.index("latency"), SENSOR.index("range_offset")])
+    speeds = residuals(drive, parameters).by_all / (found.ends - found.begins)[:, None, None]
+    speeds[:, :, still] = 0.0
+    half: Array = 2.0 * np.einsum("kin,kj->nkij", speeds, _speeds(found))
+    return half + np.swapaxes(half, -1, -2)
 
 
 def _mount(drive: Drive, parameters: Array) -> tuple[complex, float]:
@@ -136,6 +167,16 @@ def _driven(drive: Drive, parameters: Array) -> tuple[Motion, _Lengths]:
     left, right = (np.abs(turned) * parameters[0] for turned in model.travels())
     table = np.column_stack((np.abs(steps.way), np.abs(steps.turn), left, right))
     return base, _Lengths(*sums(model, table, found.begins - latency, found.ends - latency).T)
+
+
+def _of_twists(lengths: _Lengths, base: Motion) -> Array:
+    """Return (4, k, 4, 4) what errors of ways, sideways and of the heading do in the middle of a motion."""
+    across, way = np.abs(base.way) ** 2 / 12.0, lengths.way
+    Q = np.zeros((4, len(way), 4, 4))
+    Q[0, :, 0, 0] = Q[1, :, 1, 1] = way
+    for j, spread in ((2, way), (3, lengths.turn)):
+        Q[j, :, 1, 1], Q[j, :, 2, 2] = across * spread, spread
+    return Q
 
 
 def _of_wheels(lengths: _Lengths, across: Array, track: float) -> Array:
@@ -159,9 +200,15 @@ def _of_matches(found: LidarMotions) -> Array:
     offset = np.linalg.inv(found.information + WEAKEST)[:, 3]
     offset /= offset[:, 3:]
     B[2] = np.einsum("ki,kj->kij", offset, offset)
-    twist = found.T_begin_end / (found.ends - found.begins)[:, None]
-    B[3, :, :3, :3] = 2.0 * np.einsum("ki,kj->kij", twist, twist)
+    speeds = _speeds(found)
+    B[_JITTER] = 2.0 * np.einsum("ki,kj->kij", speeds, speeds)
     return B
+
+
+def _speeds(found: LidarMotions) -> Array:
+    """Return (k, 4) the motions per second; 0 last, as the range offset stays."""
+    still = np.zeros(len(found.begins))
+    return np.column_stack((found.T_begin_end, still)) / (found.ends - found.begins)[:, None]
 
 
 def _into_lidar(way: Complex, turn: Array, m: complex, yaw: float) -> Array:

@@ -25,12 +25,16 @@ SENSOR = ("x", "y", "yaw", "latency", "range_offset", "range_scale")
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One log: what odometry reads, what the lidar moved by, its path, and what is off with a gyro."""
+    """One log: what odometry reads, what the lidar moved by, its path, and what is off with a gyro.
+
+    `disorder` is how much its stamps run back and forth, s rms: no latency is known better.
+    """
 
     model: OdometryModel
     motions: LidarMotions
     path: LidarPath | None = None
     gyro: Gyro | None = None
+    disorder: float = 0.0
 
 
 class Residuals(NamedTuple):

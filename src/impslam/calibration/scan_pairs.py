@@ -7,8 +7,8 @@ all ranges moves each point along its beam u, so that de/do = n . (R u_b - u_a),
 tells both. An error of scale cannot be told from the motion: de/ds = -n . t.
 
 Pairs do not share scans, so that their errors are independent. Neither odometry nor the lidar's mount
-has a part in them, so that they can be held against both. The information is that of ranges with
-independent errors. In the simulated arena, errors are 1.2 to 1.4 times what it claims.
+has a part in them, so that they can be held against both. Points are smoothed along their surface, and the
+information counts those that share an error as one.
 """
 
 from __future__ import annotations
@@ -82,14 +82,15 @@ class LidarMotions(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """n points of a scan, their normals, and the points smoothed along the surface, all (n, 2).
+    """n points of a scan, smoothed along the surface, and their normals, both (n, 2).
 
-    Points are paired by the smoothed ones: the nearest of noisy points is one whose error is alike.
+    The nearest of noisy points is one whose error is alike, and what noise does to a pair beyond first
+    order makes ranges seem too short. `shared` is how many points have an error in common.
     """
 
     points: Array
     normals: Array
-    smooth: Array
+    shared: float
 
 
 class Alignment(NamedTuple):
@@ -170,9 +171,10 @@ def surface(features: Features) -> Surface:
             way = points[other] - points[this]
             same = _dot(normals[this], normals[other]) > FLAT
             same &= np.hypot(way[:, 0], way[:, 1]) < ALONG
-            total[this] += same * _dot(normals[this], way)
+            total[this] += same * 0.5 * _dot(normals[this] + normals[other], way)
             count[this] += same
-    return Surface(points, normals, points + (total / count)[:, None] * normals)
+    smooth = points + (total / count)[:, None] * normals
+    return Surface(smooth, normals, float(count.mean()) if len(count) else 1.0)
 
 
 def align(a: Surface, b: Surface, guess: Array, noise: tuple[float, float]) -> Alignment | None:
@@ -184,7 +186,7 @@ def align(a: Surface, b: Surface, guess: Array, noise: tuple[float, float]) -> A
     fewest = min(len(a.points), len(b.points))
     if fewest < FEWEST:
         return None
-    trees, pose, scale = (cKDTree(a.smooth), cKDTree(b.smooth)), np.array(guess), 1.0
+    trees, pose, scale = (cKDTree(a.points), cKDTree(b.points)), np.array(guess), 1.0
     for k in range(ROUNDS):
         e, J, _ = _misfit(a, b, trees, pose, max(REACH * 0.5**k, NEAR), noise)
         if len(e) < FEWEST:
@@ -205,7 +207,8 @@ def align(a: Surface, b: Surface, guess: Array, noise: tuple[float, float]) -> A
     joint = np.append(pose, 0.0) - np.linalg.pinv(H, 1e-9, hermitian=True) @ (
         0.5 * J[near].T @ e[near]
     )
-    return Alignment(pose, joint, H / chi2, float(off[near].std()), count / fewest)
+    H /= chi2 * 0.5 * (a.shared + b.shared)
+    return Alignment(pose, joint, H, float(off[near].std()), count / fewest)
 
 
 Trees: TypeAlias = tuple[cKDTree, cKDTree]
@@ -241,9 +244,9 @@ def _paired(a: Surface, b: Surface, trees: Trees, pose: Array, reach: float) -> 
     Points lie denser nearby, so that the nearest one is more often a near one that was measured too
     long; one way alone, ranges seem to be off by some sigma^2 / r.
     """
-    turn, of_a, of_b = rotation(float(pose[2])), np.arange(len(a.smooth)), np.arange(len(b.smooth))
-    to_a, j = trees[0].query(b.smooth @ turn.T + pose[:2], distance_upper_bound=reach)
-    to_b, i = trees[1].query((a.smooth - pose[:2]) @ turn, distance_upper_bound=reach)
+    turn, of_a, of_b = rotation(float(pose[2])), np.arange(len(a.points)), np.arange(len(b.points))
+    to_a, j = trees[0].query(b.points @ turn.T + pose[:2], distance_upper_bound=reach)
+    to_b, i = trees[1].query((a.points - pose[:2]) @ turn, distance_upper_bound=reach)
     there, back = np.isfinite(to_a), np.isfinite(to_b)
     return np.concatenate((of_b[there], i[back])), np.concatenate((j[there], of_a[back]))
 

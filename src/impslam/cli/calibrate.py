@@ -169,11 +169,15 @@ def _show(found: Calibration, keep: Sequence[str]) -> None:
 
 
 def _rows(found: Calibration, keep: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    from impslam.calibration.order_clock import MOST
+
+    back = max(drive.disorder for drive in found.drives)
+    advice = ADVICE if back <= MOST else {**ADVICE, "latency": f"stamps run back by {back:.2f} s"}
     for one in found.parameters:
         if one.observable:
             yield one.name, one.unit, "yes", *_rounded(one.sigma, one.before, one.value, one.sigma)
         else:
-            why = "kept" if one.name in keep else f"no: {ADVICE.get(one.name, 'drive more')}"
+            why = "kept" if one.name in keep else f"no: {advice.get(one.name, 'drive more')}"
             yield one.name, one.unit, why, f"{one.before:g}", "", ""
 
 

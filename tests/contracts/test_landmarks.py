@@ -56,6 +56,18 @@ def test_invert_is_the_inverse_of_observe(model, theta, rng):
         np.testing.assert_allclose(model.residual(one, seen), 0.0, atol=1e-12)
 
 
+def test_no_landmarks_are_predicted_as_none(model):
+    """From one pose, or from those of many particles."""
+    rng, pose = np.random.default_rng(0), np.array([1.0, 2.0, 0.5])
+    none = landmarks(model, rng, pose)[:0]
+    for lead in ((), (7,)):
+        poses, m = (np.broadcast_to(a, (*lead, *a.shape)) for a in (pose, none))
+        seen = model.predict(poses, m)
+        assert seen.z.shape == (*lead, 0, model.dim_z)
+        assert seen.z_D_pose.shape == (*lead, 0, model.dim_z, 3)
+        assert seen.z_D_m.shape == (*lead, 0, model.dim_z, none.shape[1])
+
+
 @pytest.mark.parametrize(("of_pose", "of_m"), list(product([(), (3,), (2, 3)], repeat=2)))
 def test_a_batch_is_its_parts_one_by_one(model, of_pose, of_m, rng):
     """Poses (..., 3) and landmarks (..., k, dim), whose leading axes broadcast."""

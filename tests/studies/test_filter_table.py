@@ -49,6 +49,11 @@ def test_a_filter_is_compared_with_the_optimum_where_that_is_known(rows):
     assert 0.5 < found["FastSLAM 2"].over_optimum < 2.0
 
 
+def test_a_filter_that_fails_does_not_cost_the_others(rows):
+    failed = {"world": "circle", "variant": "ukf", "seed": 0, "error": "no"}
+    assert list(standing([*rows, failed], "circle")) == list(standing(rows, "circle"))
+
+
 def test_intervals_hold_the_means(rows):
     for found in standing(rows, "circle").values():
         assert found.runs == 2

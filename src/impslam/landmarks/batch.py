@@ -20,5 +20,5 @@ def batched(
     lead = np.broadcast_shapes(pose.shape[:-1], m.shape[:-2])
     poses = np.ascontiguousarray(np.broadcast_to(pose, (*lead, 3))).reshape(-1, 3)
     states = np.ascontiguousarray(np.broadcast_to(m, (*lead, *m.shape[-2:])))
-    parts = predict(poses, states.reshape(-1, *m.shape[-2:]))
+    parts = predict(poses, states.reshape(len(poses), *m.shape[-2:]))
     return Prediction(*(part.reshape(*lead, *part.shape[1:]) for part in parts))

@@ -96,7 +96,8 @@ def installed() -> dict[str, Sequence[str]]:
 
 def standing(rows: Iterable[Row], data: str) -> dict[str, Standing]:
     """Return what each filter comes to on some data."""
-    groups = by_variant(row for row in rows if row["world"] == data)
+    # A filter whose runs have all failed is left out; `failures` tells why.
+    groups = by_variant(row for row in rows if row["world"] == data and not row["error"])
     best = groups.get(BATCH, ())
     optimum = _rms(best, "position2_at_checks")
     rng = np.random.default_rng(0)

@@ -10,7 +10,6 @@ process of its own; times are of its CPU, loading of kernels included, reading o
 from __future__ import annotations
 
 import argparse
-import resource
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -23,6 +22,7 @@ from impslam.columns import Batch, batches, messages
 from impslam.geometry.se2 import between, compose
 from impslam.open_log import open_log
 from impslam.run import Run
+from impslam.sweeps.memory import peak_memory
 from impslam.types import Message, OdometryPose
 
 BREAK = 0.2  # s between the last row of a drive and the first of the next
@@ -85,7 +85,7 @@ def _named(batch: Batch) -> Iterator[tuple[str, Message]]:
 
 
 def _peak() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return peak_memory() / 2**20
 
 
 def main() -> None:

@@ -129,7 +129,7 @@ class Landmarks(Estimator):
             self._counts["keyframes at which the wheels have slipped"] += 1
             return attempt.choice
         self._predict_anew(motion)
-        return self._filter.associate(observations, self._association)
+        return rolled.choice
 
     def _attempt(self, observations: tuple[Observation, ...], motion: Increment) -> Attempt:
         choice = self._filter.associate(observations, self._association)

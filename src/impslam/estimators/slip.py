@@ -29,7 +29,7 @@ DENSITY = 0.1
 RECENT = 5
 """Keyframes, 0.6 m of way, for which a landmark that is not seen is one that was seen just before."""
 LEAST = 2
-"""Observations that have to be left over, and to match: one may be a new thing beside a landmark."""
+"""Observations that have to be known then, if not seen just before: one may be new beside a landmark."""
 
 
 class Attempt(NamedTuple):

@@ -80,7 +80,10 @@ class HealthMonitor(Observer):
         """Record the scan of a keyframe."""
         lost, placed = self._carried[4:], bool(np.ravel(revision.placed)[-1])
         recognised = len(revision.ids) > 1  # a place is known
-        self._fresh |= self._is_sure(keyframe, revision, path) or recognised
+        self._driven += keyframe.motion.covariance[0, 0] + keyframe.motion.covariance[1, 1]
+        if self._is_sure(keyframe, revision, path):
+            self._fresh, self._driven = True, 0.0
+        self._fresh |= recognised
         if (revision.matches or recognised) and placed and lost[0] >= ELSEWHERE:
             lost[0] = NONE
         told = self._landmarks.revise(keyframe, revision)
@@ -104,13 +107,10 @@ class HealthMonitor(Observer):
 
         Those that are new since say nothing of that.
         """
-        self._driven += keyframe.motion.covariance[0, 0] + keyframe.motion.covariance[1, 1]
         variance = path.covariances[0, 0, 0] + path.covariances[0, 1, 1]
         unsure = min(self._driven, variance - self._carried[3]) > UNCERTAIN**2
-        if unsure or not is_located(keyframe.observations[m.observation] for m in revision.matches):
-            return False
-        self._driven = 0.0
-        return True
+        seen = (keyframe.observations[match.observation] for match in revision.matches)
+        return not unsure and is_located(seen)
 
     def _record(
         self, path: PathRows, seen: Mask, reasons: Reasons, amounts: Array, fresh: Mask

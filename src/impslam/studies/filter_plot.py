@@ -14,13 +14,19 @@ from impslam.evaluation.colours import INK
 from impslam.evaluation.plots import new_figure
 
 IDEAL = 3.0  # the pose's degrees of freedom
+COLUMNS = 4
 
 
 def draw_nees(cells: Mapping[str, Mapping[str, Sequence[float]]]) -> Figure:
     """Return a panel for each data set: mean NEES of each filter, low and high end of its interval."""
-    figure = new_figure(9.0, 3.4)
-    panels = figure.subplots(1, len(cells), sharey=True, squeeze=False)[0]
+    columns = min(COLUMNS, len(cells))
+    rows = -(-len(cells) // columns)
+    figure = new_figure(9.0, 3.4 * rows)
+    grid = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    panels, spare = grid.flat[: len(cells)], grid.flat[len(cells) :]
     names = list(dict.fromkeys(name for found in cells.values() for name in found))
+    for axes in spare:
+        axes.remove()
     for axes, (data, found) in zip(panels, cells.items(), strict=True):
         axes.axvline(IDEAL, color="#9aa5b1", lw=1.0)
         for name, (value, low, high) in found.items():

@@ -226,4 +226,10 @@ def _pictures(standings: Mapping[str, Mapping[str, Standing]]) -> list[Picture]:
     from impslam.studies.filter_plot import draw_nees  # noqa: PLC0415
 
     cells = {data: {n: s.nees for n, s in found.items()} for data, found in standings.items()}
+    # Where no true heading is known, as by a GPS, there is none.
+    cells = {
+        data: told
+        for data, told in cells.items()
+        if any(math.isfinite(cell.value) for cell in told.values())
+    }
     return [Picture("filters-nees", as_png(draw_nees(cells), dpi=160), TEXT["caption"])]

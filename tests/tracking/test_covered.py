@@ -13,7 +13,7 @@ from impslam.tracking.covered import hidden_beams, no_cover
 ROOM = room(-3.0, 6.0, -2.0, 2.5)
 ANGLES = np.linspace(-2.0, 2.0, 240)
 STEP = exp(np.array([0.04, 0.0, 0.03]))
-SECTOR = slice(80, 160)
+SECTOR, FEW = slice(80, 160), slice(80, 104)
 
 
 def driven(step=STEP, scans=60, lines=ROOM):
@@ -24,12 +24,12 @@ def driven(step=STEP, scans=60, lines=ROOM):
     return scans_of(out)
 
 
-def covered(scans, distance=0.3, begin=20):
+def covered(scans, distance=0.3, begin=20, sector=SECTOR):
     ranges, points = scans.ranges.copy(), scans.points.copy()
-    noise = 0.01 * np.random.default_rng(1).standard_normal((len(ranges) - begin, 80))
-    ranges[begin:, SECTOR] = distance + noise
-    along = np.stack((np.cos(scans.angles), np.sin(scans.angles)), axis=-1)[SECTOR]
-    points[begin:, SECTOR] = ranges[begin:, SECTOR, None] * along
+    noise = np.random.default_rng(1).standard_normal(ranges[begin:, sector].shape)
+    ranges[begin:, sector] = distance + 0.01 * noise
+    along = np.stack((np.cos(scans.angles), np.sin(scans.angles)), axis=-1)[sector]
+    points[begin:, sector] = ranges[begin:, sector, None] * along
     return ranges, points
 
 
@@ -45,13 +45,40 @@ def hidden(scans, told, cut=1000):
 
 
 @pytest.mark.parametrize("cut", [1, 7, 1000])
-def test_a_cover_is_left_out_after_less_than_a_metre_and_nothing_else(cut):
+def test_a_small_cover_is_left_out_after_less_than_a_metre_and_nothing_else(cut):
+    scans = driven()
+    out = hidden(scans, covered(scans, sector=FEW), cut)
+    assert not out[:25].any()
+    assert out[45:, FEW].mean() > 0.9
+    rest = np.delete(out, np.arange(len(ANGLES))[FEW], axis=1)
+    assert rest.mean() < 0.01
+
+
+@pytest.mark.parametrize("cut", [1, 7, 1000])
+def test_a_large_cover_is_left_out_at_once_for_as_long_as_it_stays(cut):
     scans = driven()
     out = hidden(scans, covered(scans), cut)
-    assert not out[:25].any()
-    assert out[45:, SECTOR].mean() > 0.9
+    assert not out[:20].any()
+    assert out[20:, SECTOR].mean() > 0.95
     rest = np.delete(out, np.arange(len(ANGLES))[SECTOR], axis=1)
     assert rest.mean() < 0.01
+
+
+def test_a_robot_carried_to_a_wall_has_no_cover():
+    scans = driven()
+    elsewhere = cast(ROOM, pose=np.array([5.5, 0.0, 0.0]), angles=ANGLES, sigma=0.005).scan
+    scans.ranges[20:], scans.points[20:] = elsewhere.ranges, scans_of([elsewhere]).points
+    assert (scans.ranges[20] < 1.0).mean() > 0.3
+    assert not hidden(scans, (scans.ranges, scans.points))[20].any()
+
+
+def test_a_wall_that_comes_into_view_in_a_turn_is_no_cover():
+    turn = exp(np.array([0.0, 0.0, 0.14]))
+    lines = np.concatenate((ROOM, [[[0.0, 0.6], [3.0, 0.6]]]))
+    scans = driven(turn, lines=lines)
+    steps, cover = np.tile(turn, (60, 1)), no_cover(len(ANGLES))
+    assert (scans.ranges.min(axis=1) < 1.0).any()
+    assert not hidden_beams(steps, scans, cover).any()
 
 
 def test_a_cover_that_is_taken_away_is_forgotten():

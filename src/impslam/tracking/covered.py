@@ -1,10 +1,16 @@
-"""Beams that end on what moves along with the robot: a cable, a cover, an arm, its own body.
+"""Finds beams that end on something that moves with the robot: a cable, a cover, an arm, its own body.
 
-Such points look like a wall that stands still, and hold the pose back. A reference scan is kept. When
-odometry has told of enough motion since, each of its points has another place in view. A beam that should
-measure something else by then and measures what it did is hidden from what follows. So are its neighbours
-on the same surface, because motion does not change all ranges of a round cover. A beam that has changed is
-free again. If nearly all beams measure what they did, the robot stands instead; see `standing`.
+Such points look like a wall that never moves, and they hold the estimated pose back. Two tests find them:
+
+- A reference scan is kept. Once odometry reports enough motion since, each of its points should appear
+  elsewhere in the scan. A beam that should measure another range by now, and does not, three times in a
+  row, is hidden. So are its neighbours on the same surface: motion does not change every range of a
+  round cover.
+- A large part of the beams becomes short from one scan to the next, while the others measure what they
+  did. Nothing in a room does this, so these beams are hidden at once.
+
+A hidden beam whose range changes is used again. If nearly all beams keep their ranges,
+the robot itself stands still; see `standing`.
 """
 
 from __future__ import annotations
@@ -17,41 +23,49 @@ import numpy as np
 from impslam.columns import Scans
 from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel, plain
-from impslam.tracking.reference_scan import Geometry, changed_beam, geometry_of
+from impslam.tracking.reference_scan import CHANGE, Geometry, changed_beam, geometry_of
 from impslam.types import Array, Ints, Mask
 
 TOLD = (0.2, 0.15)
-"""m, rad: motion that odometry tells of before scans are compared; ranges change by more than noise."""
+"""m, rad: motion by odometry before a scan is compared with the reference scan."""
 SAME = (0.04, 0.005)
-"""m, and share of the range: a range that changed by less is the same: 3 sigma of the noise of both."""
+"""m, and share of the range: a smaller difference is none. 3 sigma of the noise of both ranges."""
 NEAR = 1.0
 """m: nothing that a small robot carries is farther from its lidar."""
 TIMES = 3
-"""Comparisons in a row, 0.6 m of way, in which a beam has to measure the same."""
+"""Comparisons in a row, 0.6 m of travel, in which a beam has to measure the same."""
 LEAST = 0.02
-"""Share of the beams that have to, though they should not, at least: fewer may follow a table leg or a
-person, or a bush."""
+"""Share of the beams that have to, on one surface, at least; fewer may be a table leg or a person."""
 MOVES = 0.3
-"""Share of the other beams that should change, that have to have changed: the robot moves."""
+"""Share of the other beams that has to change where a change is due: else the robot does not move."""
 EDGE = 0.1
 """m between neighbours of one surface at most."""
+SUDDEN = (0.3, 1.2)
+"""m by which beams become short between two scans, and the angle in rad that they cover together, to be a
+cover. A person 0.4 m wide covers as much at 0.3 m, and takes several scans to come into view."""
+STEP = (0.3, 0.15)
+"""m, rad: motion between two scans, beyond which the scans are not compared beam by beam."""
+KEPT = 0.5
+"""Share of the other beams that has to measure what it did: else the robot is elsewhere."""
 
 
 class Cover(NamedTuple):
-    """The reference scan of one lidar, the motion since, and what is held against beams.
+    """State of one lidar; the kernels change it in place.
 
     Attributes
     ----------
     ranges, points : (n,) m and (n, 2) m in base_link, of the reference scan; 0 where invalid
-    told : (3,) motion since then, by odometry
+    last : (n,) m, ranges of the last scan; 0 where invalid
+    told : (3,) motion since the reference scan, by odometry
     same : (n,) comparisons in a row in which the range was the same
-    against : (n,) and in which it should not have been
+    against : (n,) comparisons in a row in which the range was the same and should not have been
     hidden : (n,) beams to be left out
     known : (1,) whether there is a reference scan
     """
 
     ranges: Array
     points: Array
+    last: Array
     told: Array
     same: Ints
     against: Ints
@@ -60,10 +74,10 @@ class Cover(NamedTuple):
 
 
 def no_cover(beams: int) -> Cover:
-    """Return what is known before the first scan of a lidar with so many beams."""
+    """Return the state before the first scan of a lidar with this number of beams."""
     counts = np.zeros((2, beams), np.int64)
     return Cover(
-        np.zeros(beams), np.zeros((beams, 2)), np.zeros(3), counts[0], counts[1],
+        np.zeros(beams), np.zeros((beams, 2)), np.zeros(beams), np.zeros(3), counts[0], counts[1],
         np.zeros(beams, np.bool_), np.zeros(1, np.bool_),
     )  # fmt: skip
 
@@ -90,21 +104,81 @@ def _hide(
     for k in range(len(d_pose)):
         advance_pose(cover.told, d_pose[k])
         far = math.hypot(cover.told[0], cover.told[1]) >= TOLD[0] or abs(cover.told[2]) >= TOLD[1]
-        if far or not cover.known[0]:
-            if cover.known[0]:
+        sudden = _hide_sudden(d_pose[k], ranges[k], valid[k], abs(geometry.spacing), cover)
+        for i in range(len(cover.last)):
+            cover.last[i] = ranges[k, i] if valid[k, i] else 0.0
+        if far or sudden or not cover.known[0]:
+            if cover.known[0] and not sudden:
                 _compare(ranges[k], valid[k], geometry, cover)
             cover.known[0], cover.told[:], cover.points[:] = True, 0.0, points[k]
-            for i in range(len(cover.ranges)):
-                cover.ranges[i] = ranges[k, i] if valid[k, i] else 0.0
+            cover.ranges[:] = cover.last
         if cover.hidden.any():
+            for i in range(len(cover.last)):
+                cover.hidden[i] &= abs(cover.last[i] - cover.ranges[i]) < CHANGE
             out[k] = cover.hidden & valid[k]
 
 
 @kernel
+def _hide_sudden(step: Array, ranges: Array, valid: Mask, spacing: float, cover: Cover) -> bool:
+    """Hide beams that have become short since the last scan, if they are many and the others have not."""
+    n, moved = len(ranges), math.hypot(step[0], step[1])
+    if moved > STEP[0] or abs(step[2]) > STEP[1] or not cover.known[0]:
+        return False
+    drop = SUDDEN[0] + moved
+    width = 1 + int(abs(step[2]) / spacing + 0.5)
+    many = SUDDEN[1] / spacing
+    if _count_short(ranges, valid, drop, cover) < many:  # nearly always; what follows is slower
+        return False
+    short, compared, kept = np.zeros(n, np.bool_), 0, 0
+    for i in range(n):
+        if not valid[i] or cover.last[i] <= 0.0:
+            continue
+        compared += 1
+        least = most = cover.last[i]
+        for j in range(max(i - width, 0), min(i + width + 1, n)):
+            if cover.last[j] > 0.0:
+                least, most = min(least, cover.last[j]), max(most, cover.last[j])
+        short[i] = ranges[i] < NEAR and ranges[i] < least - drop
+        kept += least - CHANGE - moved < ranges[i] < most + CHANGE + moved
+    found = short.sum()
+    if found < many or kept < KEPT * (compared - found):
+        return False
+    for i in range(n):
+        if short[i]:
+            cover.same[i] = cover.against[i] = TIMES
+            cover.hidden[i] = True
+            _spread_sudden(i, 1, ranges, valid, cover)
+            _spread_sudden(i, -1, ranges, valid, cover)
+    return True
+
+
+@kernel
+def _count_short(ranges: Array, valid: Mask, drop: float, cover: Cover) -> int:
+    """Return how many beams are shorter than in the last scan by `drop`."""
+    count = 0
+    for i in range(len(ranges)):
+        count += valid[i] and ranges[i] < NEAR and ranges[i] < cover.last[i] - drop
+    return count
+
+
+@kernel
+def _spread_sudden(first: int, step: int, ranges: Array, valid: Mask, cover: Cover) -> None:
+    """Hide the neighbours on one side that lie on the same surface."""
+    i = first + step
+    while 0 <= i < len(ranges) and valid[i] and abs(ranges[i] - ranges[i - step]) < EDGE:
+        if cover.hidden[i] or ranges[i] >= NEAR:
+            break
+        cover.same[i], cover.hidden[i] = TIMES, True
+        i += step
+
+
+@kernel
 def _compare(ranges: Array, valid: Mask, geometry: Geometry, cover: Cover) -> None:
-    """Hold a scan against the beams that measure the same, and find the hidden ones."""
+    """Compare a scan with the reference scan, and find the hidden beams."""
     n, should = len(ranges), np.zeros(len(ranges), np.bool_)
     for j in range(n):
+        if cover.hidden[j]:  # it moves with the robot, so it says nothing about other beams
+            continue
         k = changed_beam(j, cover.told, cover.points, cover.ranges, geometry)
         if k >= 0:
             should[k] = True
@@ -118,21 +192,29 @@ def _compare(ranges: Array, valid: Mask, geometry: Geometry, cover: Cover) -> No
         if should[i] and r >= NEAR:
             others += 1
             changed += not same
-    cover.hidden[:] = False
-    if np.sum(cover.against >= TIMES) < LEAST * n or changed < MOVES * others:
-        return
-    for i in range(n):
-        if cover.against[i] >= TIMES:
-            _spread(i, 1, ranges, cover)
-            _spread(i, -1, ranges, cover)
+    cover.hidden[:] &= cover.same > 0
+    if changed >= MOVES * others:
+        _hide_surfaces(ranges, cover)
 
 
 @kernel
-def _spread(first: int, step: int, ranges: Array, cover: Cover) -> None:
-    """Hide a beam and its neighbours on one side, as far as they have measured the same on one surface."""
-    i = first
-    while 0 <= i < len(ranges) and cover.same[i] >= TIMES:
-        if i != first and abs(ranges[i] - ranges[i - step]) > EDGE:
-            break
-        cover.hidden[i] = True
-        i += step
+def _hide_surfaces(ranges: Array, cover: Cover) -> None:
+    """Hide each surface on which enough beams have measured the same where they should not have."""
+    n, first, seeds = len(ranges), 0, 0
+    for i in range(n + 1):
+        if i == n or not _continues(i, first, ranges, cover):
+            if seeds >= LEAST * n:
+                cover.hidden[first:i] = True
+            first, seeds = i, 0
+        if i < n:
+            seeds += cover.against[i] >= TIMES
+
+
+@kernel
+def _continues(i: int, first: int, ranges: Array, cover: Cover) -> bool:
+    """Return whether beam i has measured the same and lies on the surface of the beams from `first` on."""
+    if cover.same[i] < TIMES:
+        return False
+    if i == first:
+        return True
+    return bool(cover.same[i - 1] >= TIMES and abs(ranges[i] - ranges[i - 1]) < EDGE)

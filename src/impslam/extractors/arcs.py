@@ -139,19 +139,19 @@ def _fit_without_ends(
 
     Returns whether enough points are left, the fit of `fit_circle_core` to the points [i, j), i and j.
     """
-    known, start = not math.isnan(limits[0]), _start(points, beams, limits, away)
-    edge = math.hypot(_EDGE * limits[6] * away, _FADE * start[2])
+    known, circle = not math.isnan(limits[0]), _start(points, beams, limits, away)
+    edge = math.hypot(_EDGE * limits[6] * away, _FADE * circle[2])
     i, j, enough = 0, len(points), True
     for _ in range(_FITS):
         if j - i < limits[3]:
             enough = False
             break
         edges = _edges(beams[i:j], sides[i:j], origin, edge)
-        fit = fit_circle_core(points[i:j], beams[i:j], variances[i:j], edges, start, known)
-        first, last = i, j
+        fit = fit_circle_core(points[i:j], beams[i:j], variances[i:j], edges, circle, known)
+        first, last, circle = i, j, fit[1]
         if not fit[0]:
             break
-        i, j = _trimmed(points, beams, variances, fit[1], i, j)
+        i, j = _trimmed(points, beams, variances, circle, i, j)
         if i == first and j == last:
             break
     return enough, fit, first, last

@@ -72,12 +72,16 @@ def _fit(
     variances: Array,
     flat2: float,
     label: Ints,
-    piece: int,
+    piece: tuple[int, int, int],
     out: Array,
 ) -> None:
-    """Fit the points labelled `piece`, unlabel its outliers and fit again; write the fit to out."""
+    """Fit the points with the label of a piece, unlabel its outliers and fit again.
+
+    `piece` is its label, its first point and the one past its last. Writes the fit to `out`.
+    """
+    number, first, last = piece
     for attempt in range(3):
-        which = np.flatnonzero(label == piece)
+        which = first + np.flatnonzero(label[first:last] == number)
         if len(which) < 3:
             out[:] = math.nan
             return
@@ -101,9 +105,10 @@ def _unlabel(
     line: Array,
 ) -> bool:
     """Take the label off points that are not on the line; tell if there were any."""
-    found = False
+    found, nx, ny = False, math.cos(line[1]), math.sin(line[1])
     for k in which:
-        if _off(points, beams, variances, flat2, k, line) > _OUTLIER**2:
+        off = line[0] - nx * points[k, 0] - ny * points[k, 1]
+        if off * off > _OUTLIER**2 * across(beams, variances, flat2, k, -ny, nx):
             label[k] = -1
             found = True
     return found
@@ -194,8 +199,8 @@ def _share_corners(
         if cut != pieces[a, 1] or cut != pieces[b, 0]:
             pieces[a, 1] = pieces[b, 0] = cut
             label[pieces[a, 0] : cut], label[cut : pieces[b, 1]] = a, b
-            _fit(points, beams, variances, flat2, label, a, one)
-            _fit(points, beams, variances, flat2, label, b, two)
+            _fit(points, beams, variances, flat2, label, (a, pieces[a, 0], cut), one)
+            _fit(points, beams, variances, flat2, label, (b, cut, pieces[b, 1]), two)
 
 
 @kernel
@@ -217,7 +222,7 @@ def _merge(
     label = np.full(len(points), -1, np.int64)
     for a in range(p):
         label[pieces[a, 0] : pieces[a, 1]] = a
-        _fit(points, beams, variances, flat2, label, a, lines[a])
+        _fit(points, beams, variances, flat2, label, (a, pieces[a, 0], pieces[a, 1]), lines[a])
     _share_corners(points, beams, variances, flat2, pieces, lines, label)
     ends = np.empty(4, np.int64)
     for a in range(p):
@@ -241,7 +246,15 @@ def _merge(
                         label[k] = a
                 lines[b] = np.nan
                 pieces[a, 1] = pieces[b, 1]
-                _fit(points, beams, variances, flat2, label, a, lines[a])
+                _fit(
+                    points,
+                    beams,
+                    variances,
+                    flat2,
+                    label,
+                    (a, pieces[a, 0], pieces[a, 1]),
+                    lines[a],
+                )
     return lines, label
 
 
@@ -258,12 +271,13 @@ def _find(
     ends = np.empty((len(keep), 2, 2))
     new = np.full(len(fits) + 1, -1, np.int64)
     new[keep] = np.arange(len(keep))
+    normals_x, normals_y = np.cos(lines[:, 1]), np.sin(lines[:, 1])
     for k in range(len(points)):
         piece = new[label[k]]
         label[k] = piece
         if piece < 0:
             continue
-        nx, ny = math.cos(lines[piece, 1]), math.sin(lines[piece, 1])
+        nx, ny = normals_x[piece], normals_y[piece]
         off = lines[piece, 0] - nx * points[k, 0] - ny * points[k, 1]
         side = 0 if counts[piece] == 0 else 1
         ends[piece, side, 0] = points[k, 0] + off * nx

@@ -21,6 +21,9 @@ from impslam.geometry.kernels import kernel
 Array = npt.NDArray[np.float64]
 
 _ITERATIONS = 25
+_SETTLED = (
+    1e-7  # m: steps shrink by a half or more each time, so that less than a micrometre is left
+)
 _GRAZING2 = 0.01  # cosine^2 at 84 deg: beyond, a beam's width counts for more than its range noise
 _LARGEST = 1e3  # m: what looks like a circle larger than this is a line
 _NO_EDGES = np.empty((0, 5))
@@ -49,14 +52,14 @@ class CircleFit:
 def _row(circle: Array, point: Array, beam: Array, variance: float, row: Array) -> float:
     """Write normal (2), residual and cosine of incidence of a point to `row`; return its variance."""
     dx, dy = point[0] - circle[0], point[1] - circle[1]
-    distance = max(math.hypot(dx, dy), 1e-12)
+    distance = max(math.sqrt(dx * dx + dy * dy), 1e-12)
     off = distance - circle[2]
     cosine = (dx * beam[0] + dy * beam[1]) / distance
     slide = -off * cosine / (cosine * cosine + _GRAZING2)
     # No farther than a quarter radius: a bad start must not throw points across the circle.
     slide = min(max(slide, -0.25 * circle[2]), 0.25 * circle[2])
     qx, qy = dx + slide * beam[0], dy + slide * beam[1]
-    length = max(math.hypot(qx, qy), 1e-12)
+    length = max(math.sqrt(qx * qx + qy * qy), 1e-12)
     row[0], row[1], row[2] = qx / length, qy / length, off
     row[3] = row[0] * beam[0] + row[1] * beam[1]
     off_variance: float = variance * (row[3] * row[3] + _GRAZING2)
@@ -85,22 +88,31 @@ def _normal_equations(
     sums: Array,
 ) -> float:
     """Write information (3, 3), right-hand sides (2, 3) of step and bias; return chi2."""
-    info[:], sums[:] = 0.0, 0.0
-    row, h = np.empty(4), np.ones(3)
-    chi2 = 0.0
+    row = np.empty(4)
+    chi2 = xx = xy = yy = xr = yr = rr = 0.0
+    sums[:] = 0.0
     for i in range(len(points) + len(edges)):
         if i < len(points):
             variance = _row(circle, points[i], beams[i], variances[i], row)
         else:
             variance = _edge_row(circle, edges[i - len(points)], row)
-        h[0], h[1] = row[0], row[1]
-        w = 1.0 / variance
-        chi2 += w * row[2] * row[2]
-        for a in range(3):
-            sums[0, a] += w * h[a] * row[2]
-            sums[1, a] += w * h[a] * row[3]
-            for b in range(3):
-                info[a, b] += w * h[a] * h[b]
+        hx, hy, off, cosine, w = row[0], row[1], row[2], row[3], 1.0 / variance
+        chi2 += w * off * off
+        xx += w * hx * hx
+        xy += w * hx * hy
+        yy += w * hy * hy
+        xr += w * hx
+        yr += w * hy
+        rr += w
+        sums[0, 0] += w * hx * off
+        sums[0, 1] += w * hy * off
+        sums[0, 2] += w * off
+        sums[1, 0] += w * hx * cosine
+        sums[1, 1] += w * hy * cosine
+        sums[1, 2] += w * cosine
+    info[0, 0], info[0, 1], info[0, 2] = xx, xy, xr
+    info[1, 0], info[1, 1], info[1, 2] = xy, yy, yr
+    info[2, 0], info[2, 1], info[2, 2] = xr, yr, rr
     return chi2
 
 
@@ -160,7 +172,7 @@ def fit_circle_core(
         step = _times(covariance, sums[0])
         longest = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
         circle += step * min(1.0, circle[2] / max(longest, 1e-300))
-        if longest < 1e-8:
+        if longest < _SETTLED:
             break
     chi2 = _normal_equations(circle, points, beams, variances, edges, info, sums)
     good = _inverse(info, known, covariance) and longest < 1e-4

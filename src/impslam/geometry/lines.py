@@ -24,6 +24,7 @@ Array = npt.NDArray[np.float64]
 
 _GRAZING2 = 1e-6  # (1e-3 rad)^2: no beam's direction is known better, so no point is noiseless
 _ITERATIONS = 10  # Gauss-Newton converges quadratically; three are typical
+_SETTLED = 1e-7  # m + rad: the step after this one would be below 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,9 +125,8 @@ def fit_line_core(
         _step(points, beams, variances, flat2, line, out)
         line[2] += out[0]
         line[3] += out[1]
-        if not abs(out[0]) + abs(out[1]) > 1e-10:
+        if not abs(out[0]) + abs(out[1]) > _SETTLED:
             break
-    _step(points, beams, variances, flat2, line, out)
     det = out[3] * out[5] - out[4] * out[4]
     if not det > 1e-9 * out[3] * out[5]:
         nan = math.nan

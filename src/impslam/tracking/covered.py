@@ -175,26 +175,40 @@ def _spread_sudden(first: int, step: int, ranges: Array, valid: Mask, cover: Cov
 @kernel
 def _compare(ranges: Array, valid: Mask, geometry: Geometry, cover: Cover) -> None:
     """Compare a scan with the reference scan, and find the hidden beams."""
-    n, should = len(ranges), np.zeros(len(ranges), np.bool_)
-    for j in range(n):
-        if cover.hidden[j]:  # it moves with the robot, so it says nothing about other beams
-            continue
-        k = changed_beam(j, cover.told, cover.points, cover.ranges, geometry)
-        if k >= 0:
-            should[k] = True
-    changed = others = 0
+    n, near, same = len(ranges), 0, np.zeros(len(ranges), np.bool_)
     for i in range(n):
         r = cover.ranges[i]
-        same = valid[i] and r > 0.0 and abs(ranges[i] - r) < SAME[0] + SAME[1] * r
-        near = same and r < NEAR
-        cover.same[i] = cover.same[i] + 1 if near else 0
-        cover.against[i] = cover.against[i] + should[i] if near else 0
-        if should[i] and r >= NEAR:
-            others += 1
-            changed += not same
+        same[i] = valid[i] and r > 0.0 and abs(ranges[i] - r) < SAME[0] + SAME[1] * r
+        if same[i] and r < NEAR:
+            near += 1
+            cover.same[i] += 1
+        else:
+            cover.same[i] = cover.against[i] = 0
     cover.hidden[:] &= cover.same > 0
+    if near < LEAST * n:  # they would be too few, whatever the motion
+        return
+    changed = others = 0
+    should = _should_change(geometry, cover)
+    for i in range(n):
+        if should[i] and cover.ranges[i] >= NEAR:
+            others += 1
+            changed += not same[i]
+        elif should[i] and cover.same[i] > 0:
+            cover.against[i] += 1
     if changed >= MOVES * others:
         _hide_surfaces(ranges, cover)
+
+
+@kernel
+def _should_change(geometry: Geometry, cover: Cover) -> Mask:
+    """Return the beams (n,) that the motion since the reference scan should have changed."""
+    should = np.zeros(len(cover.ranges), np.bool_)
+    for j in range(len(should)):
+        if not cover.hidden[j]:  # what moves with the robot says nothing about other beams
+            k = changed_beam(j, cover.told, cover.points, cover.ranges, geometry)
+            if k >= 0:
+                should[k] = True
+    return should
 
 
 @kernel

@@ -69,7 +69,7 @@ def test_observations_of_another_label_are_counted_where_labels_are_not_read(cir
 
 def test_each_filter_maps_each_robot_in_a_process_of_its_own(circle, monkeypatch):
     logs = {
-        "circle": RecordedData(circle.name, (*EXACT, *CAMERA), (1, 2)),
+        "circle": RecordedData(circle.name, (*EXACT, *CAMERA), robots=(1, 2)),
         "elsewhere": RecordedData("no-such-folder"),
     }
     monkeypatch.setattr(filter_logs, "LOGS", logs)

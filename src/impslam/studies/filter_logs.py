@@ -33,10 +33,20 @@ PARTS = 10
 
 
 class RecordedData(NamedTuple):
-    """A log, how it is mapped whatever the filter, the robots that it has, and filters for it alone."""
+    """A log of one or several robots, and how it is mapped.
+
+    Attributes
+    ----------
+    path : in the folder of `--data`
+    settings : of all filters, before their own
+    noise : of all filters, after their own: what their measurements are like, whatever the filter
+    robots : numbers of the robots
+    filters : that run on this log alone, and their settings
+    """
 
     path: str
     settings: Sequence[str] = ()
+    noise: Sequence[str] = ()
     robots: Sequence[int] = (0,)
     filters: Mapping[str, Sequence[str]] = {}
 
@@ -81,7 +91,7 @@ class LivePath(EndOfRun):
 def log_rows(filters: Mapping[str, Sequence[str]], job: Job) -> list[Row]:
     """Return a row for each filter on each robot of the logs in the folder of `job.data`."""
     drives = [
-        Drive(data, name, job.data / log.path, (*log.settings, *given), robot)
+        Drive(data, name, job.data / log.path, (*log.settings, *given, *log.noise), robot)
         for data, log in LOGS.items()
         if job.data and (job.data / log.path).exists()
         for (name, given), robot in product({**filters, **log.filters}.items(), log.robots)

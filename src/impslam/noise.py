@@ -10,6 +10,9 @@ from impslam.types import Array
 UNKNOWN = 1e6
 """m^2: motions with such a variance tell nothing; a robot without odometry has none other."""
 
+LONGEST = 3.0
+"""s between two readings or two sweeps, beyond which nobody knows by which path the robot has gone."""
+
 
 class MotionNoise(Parameters):
     """Random walk of dead reckoning (after Thrun et al. 2005, ch. 5.4, as variances per way).

@@ -18,6 +18,7 @@ from impslam.filters.ekf import Ekf
 from impslam.geometry.se2 import compose
 from impslam.lifecycle.immediate import Immediate
 from impslam.lifecycle.tentative import Tentative
+from impslam.noise import LONGEST
 from impslam.types import Increment, Match
 
 POSTS = [(1.0, 1.5), (2.0, -1.0), (3.5, 1.2), (4.5, -1.4), (6.0, 0.8), (7.0, -0.5)]
@@ -31,7 +32,7 @@ def attempt(matched, new=(), ambiguous=(), tentative=0, S=R_POINT):
     return Attempt(Assignment(tuple(matches), tuple(new), ambiguous=tuple(ambiguous)), again)
 
 
-def drive(slip, association=None, belief=None, more=(), posts=POSTS, lifecycle=None):
+def drive(slip, association=None, belief=None, more=(), posts=POSTS, lifecycle=None, seconds=0.2):
     """Drive 3 m past posts, the middle third of it with wheels that tell so much too much.
 
     From then on there are `more` posts. Returns the estimator and the true pose at the end.
@@ -49,7 +50,7 @@ def drive(slip, association=None, belief=None, more=(), posts=POSTS, lifecycle=N
         told = moved * (1.0 + slip * (8 <= step < 16)) + rng.multivariate_normal(np.zeros(3), Q)
         places = [*posts, *more] if step >= 8 else posts
         seen = [point(pose, place, rng=rng) for place in places]
-        slam.add(keyframe(Increment(float(step), told, Q, 0.2), seen))
+        slam.add(keyframe(Increment(float(step), told, Q, seconds), seen))
     return slam, pose
 
 
@@ -67,6 +68,11 @@ def test_every_filter_predicts_anew(kind):
     slam, pose = drive(0.5, belief=components("filter")[kind]())
     assert len(slam.landmarks()) == len(POSTS)
     assert math.dist(slam._filter.pose[:2], pose[:2]) < 0.03
+
+
+def test_a_gap_in_the_data_is_no_slip():
+    slam, _ = drive(0.5, seconds=LONGEST + 1.0)
+    assert SLIPS not in slam.counts()
 
 
 def test_new_things_are_no_slip():

@@ -113,6 +113,32 @@ def test_noise_grows_with_the_way_however_it_is_cut():
     assert variance[0] > 0
 
 
+def test_the_path_within_a_gap_is_unknown():
+    """The end of a path of 9 m that turns at random lies within the covariance."""
+    odometry = Encoders(wheel_radius=0.05, track=0.4)
+    rng, length, n = np.random.default_rng(0), 9.0, 300
+    headings = np.cumsum(0.15 * rng.standard_normal((200, n)), axis=1)
+    ends = length / n * np.stack((np.cos(headings).sum(1), np.sin(headings).sum(1)), axis=1)
+    angles = np.stack((length - 0.2 * headings[:, -1], length + 0.2 * headings[:, -1]), axis=1)
+    inside = []
+    for (left, right), end in zip(angles / 0.05, ends, strict=True):
+        steps = StepwiseOdometry(odometry)
+        steps.update(WheelAngles(0.0, 0.0, 0.0))
+        motion = steps.update(WheelAngles(30.0, left, right))
+        error = end - motion.d_pose[:2]
+        inside.append(error @ np.linalg.solve(motion.covariance[:2, :2], error) < 9.21)
+    assert np.mean(inside) > 0.97
+
+
+def test_half_a_second_is_no_gap():
+    motions = []
+    for seconds in (0.1, 0.5):
+        steps = StepwiseOdometry(Encoders(wheel_radius=0.05, track=0.4))
+        steps.update(WheelAngles(0.0, 0.0, 0.0))
+        motions.append(steps.update(WheelAngles(seconds, 4.0, 4.0)).covariance)
+    np.testing.assert_array_equal(*motions)
+
+
 def test_a_jump_is_left_out_and_the_next_increment_is_sound():
     encoders = StepwiseOdometry(Encoders(wheel_radius=0.05, track=0.4))
     encoders.update(WheelAngles(0.0, 0.0, 0.0))

@@ -9,6 +9,7 @@ import numpy as np
 
 from impslam.columns import Columns, Motions
 from impslam.component import Component, parameter
+from impslam.noise import LONGEST
 from impslam.odometry.gyro import Gyro
 from impslam.odometry.standstill import Band
 from impslam.types import Array, Mask
@@ -74,6 +75,16 @@ def durations(readings: Columns) -> Array:
     """Return the durations (m,) in s between m + 1 readings; 0 where stamps run backwards."""
     stamps = readings.stamps
     return np.maximum(stamps[1:] - stamps[:-1], 0.0)
+
+
+def by_an_unknown_path(covariance: Array, travel: Array, seconds: Array) -> None:
+    """Add to `covariance` (m, 3, 3) that nobody knows the path of travels (m,) in m over long intervals.
+
+    The end of a path lies anywhere within its length of the start: half of it is one standard deviation.
+    """
+    unseen = np.where(seconds > LONGEST, 0.5 * travel, 0.0) ** 2
+    covariance[:, 0, 0] += unseen
+    covariance[:, 1, 1] += unseen
 
 
 def known(motions: Motions, which: Mask) -> Motions:

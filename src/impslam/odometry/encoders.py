@@ -18,7 +18,7 @@ from impslam.columns import Columns, Motions
 from impslam.component import parameter, register
 from impslam.geometry.kernels import plain
 from impslam.noise import MotionNoise
-from impslam.odometry.base import DIAGONAL, Odometry, durations, known
+from impslam.odometry.base import DIAGONAL, Odometry, by_an_unknown_path, durations, known
 from impslam.odometry.gyro import Gyro
 from impslam.odometry.kernels import wheel_motions
 from impslam.odometry.standstill import Band
@@ -114,10 +114,12 @@ class Encoders(Odometry):
             covariance[DIAGONAL] += self.slip.variances(way, np.zeros(len(way)))
         else:
             covariance[DIAGONAL] += self.slip.variances(0.5 * (left + right), d_pose[:, 2])
+        travel = np.maximum(np.abs(left), np.abs(right))
+        by_an_unknown_path(covariance, travel, seconds)
         motions = Motions(readings.stamps[1:], d_pose, covariance, seconds)
         # Stamps jitter by tens of milliseconds on real robots, so short intervals overestimate the speed.
         limits = self.max_speed * np.maximum(seconds, 0.2)
-        return known(motions, np.maximum(np.abs(left), np.abs(right)) <= limits)
+        return known(motions, travel <= limits)
 
     def _travels(self, readings: Columns) -> tuple[Array, Array]:
         """Return the travels (m,) in m of both wheels between the readings, on the shorter way round."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from impslam.columns import Motions, Sweeps
 from impslam.health import COVERED, REPEATED, SKIPPED, Reasons
+from impslam.noise import LONGEST
 from impslam.sources.base import Problems
 from impslam.tracking.covered import Cover, hidden_beams, no_cover
 from impslam.tracking.scan_rows import Rows, first_row, judge_rows
@@ -16,8 +17,6 @@ from impslam.types import Array, Mask
 
 TOLD = 0.2
 """Share of the valid beams that may be covered without a loss worth telling."""
-LONGEST = 3.0
-"""s between two sweeps, beyond which nobody knows by which way the robot has gone."""
 MOVED = (0.2, 0.2)
 """m, rad: motion meanwhile that makes a difference."""
 _REPEATED = (

@@ -104,3 +104,10 @@ def test_a_wall_close_by_that_is_followed_is_no_cover():
 def test_a_robot_that_stands_while_its_wheels_turn_has_no_cover():
     scans = driven(np.zeros(3))
     assert not hidden(scans, (scans.ranges, scans.points)).any()
+
+
+@pytest.mark.parametrize("beams", [1, 4])
+def test_beams_in_one_direction_hide_nothing(beams):
+    """A sonar has one beam; a driver that knows no angles gives all beams the same one."""
+    scans = scans_of([cast(ROOM, pose=np.zeros(3), angles=np.zeros(beams)).scan] * 12)
+    assert not hidden_beams(np.tile(STEP, (12, 1)), scans, no_cover(beams)).any()

@@ -122,7 +122,7 @@ def _hide(
 def _hide_sudden(step: Array, ranges: Array, valid: Mask, spacing: float, cover: Cover) -> bool:
     """Hide beams that have become short since the last scan, if they are many and the others have not."""
     n, moved = len(ranges), math.hypot(step[0], step[1])
-    if moved > STEP[0] or abs(step[2]) > STEP[1] or not cover.known[0]:
+    if moved > STEP[0] or abs(step[2]) > STEP[1] or not cover.known[0] or spacing == 0.0:
         return False
     drop = SUDDEN[0] + moved
     width = 1 + int(abs(step[2]) / spacing + 0.5)

@@ -32,10 +32,10 @@ def geometry_of(scans: Scans) -> Geometry:
 def changed_beam(j: int, motion: Array, points: Array, ranges: Array, geometry: Geometry) -> int:
     """Return the beam that hits point j of a reference scan after a motion (3,), if its range changes.
 
-    -1 if it does not, or if there is no such beam. `points` (n, 2) are in base_link; `ranges` (n,), m,
-    are 0 where invalid.
+    -1 if it does not, if there is no such beam, or if all beams have one direction, as that of a single
+    beam. `points` (n, 2) are in base_link; `ranges` (n,), m, are 0 where invalid.
     """
-    if ranges[j] <= 0.0:
+    if ranges[j] <= 0.0 or geometry.spacing == 0.0:
         return -1
     n, laser, c, s = len(ranges), geometry.laser, math.cos(motion[2]), math.sin(motion[2])
     x, y = points[j, 0] - motion[0], points[j, 1] - motion[1]

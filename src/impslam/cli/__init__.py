@@ -19,5 +19,5 @@ for _library in ("OPENBLAS", "MKL", "OMP"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", _threads)
 
 # Nothing that is imported is garbage: looking for some took a fifth of a short run, half of it at exit.
-gc.set_threshold(100_000, 20, 20)
+gc.set_threshold(1_000_000, 20, 20)
 atexit.register(gc.freeze)

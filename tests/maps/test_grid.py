@@ -7,7 +7,10 @@ from hypothesis import strategies as st
 
 from impslam.maps import grid as module
 from impslam.maps.files import map_image
-from impslam.maps.grid import CLAMP, HIT, MISS, OccupancyGrid, PlacedScans
+from impslam.maps.grid import BALANCED, DRAWN, OccupancyGrid, PlacedScans
+
+HIT, MISS, CLAMP = DRAWN
+OCCUPIED, FREE = np.log(0.65 / 0.35), np.log(0.196 / 0.804)
 
 
 def placed(pose, points, origin=(0.0, 0.0)):
@@ -125,6 +128,57 @@ def test_certainty_is_bounded():
     grid = OccupancyGrid()
     draw(grid, *(placed([0.0, 0.011 * (i % 2), 0.0], [[1.0, 0.0]]) for i in range(100)))
     assert abs(grid.logodds).max() == pytest.approx(CLAMP)
+
+
+def seen(hits, passes, model=DRAWN):
+    """Return the log-odds of a cell that is hit and passed through, in turn and evenly spread."""
+    grid, scans = OccupancyGrid(0.1, model), []
+    ends = np.arange(hits + passes) * hits // (hits + passes)
+    for i, ends_here in enumerate(np.diff(np.append(ends, hits)) > 0):
+        scans.append(placed([0.05, 0.02 * (i % 2), 0.0], [[1.0 if ends_here else 2.0, 0.03]]))
+    draw(grid, *scans)
+    return value(grid, 1.05, 0.05)
+
+
+@pytest.mark.parametrize(("hits", "passes"), [(1, 2), (10, 20), (10, 29)])
+def test_a_cell_that_more_than_a_quarter_of_the_scans_hit_is_occupied(hits, passes):
+    assert seen(hits, passes) > OCCUPIED
+
+
+def test_a_cell_that_fewer_hit_is_not():
+    assert seen(10, 60) < OCCUPIED
+
+
+def test_two_passes_make_a_cell_free():
+    assert seen(0, 2) < FREE < seen(0, 1)
+
+
+def test_six_passes_clear_any_cell_and_one_stray_beam_does_not_fill_a_free_one():
+    scan = placed([0.05, 0.0, 0.0], [[1.0, 0.03]]), placed([0.05, 0.02, 0.0], [[1.0, 0.03]])
+    past = placed([0.05, 0.0, 0.0], [[2.0, 0.03]]), placed([0.05, 0.02, 0.0], [[2.0, 0.03]])
+    grid = OccupancyGrid(0.1)
+    draw(grid, *scan * 20, *past * 3)
+    assert value(grid, 1.05, 0.05) < OCCUPIED
+    draw(grid := OccupancyGrid(0.1), *past * 20, scan[0])
+    assert value(grid, 1.05, 0.05) < FREE
+
+
+def test_a_wall_on_the_border_of_two_cells_has_no_gap():
+    rng, grid, scans = np.random.default_rng(2), OccupancyGrid(0.05), []
+    y = np.arange(-1.0, 1.0, 0.01)
+    for k in range(60):
+        x = 0.02 * (k % 2)
+        points = np.column_stack([1.0 - x + 0.02 * rng.standard_normal(len(y)), y])
+        scans.append(placed([x, 0.0, 0.0], points))
+    draw(grid, *scans)
+    rows = np.floor(np.arange(-0.95, 0.95, 0.05) / 0.05).astype(int) - grid.corner[1]
+    columns = np.array([19, 20]) - grid.corner[0]  # either side of x = 1 m
+    assert (grid.logodds[np.ix_(rows, columns)] > OCCUPIED).any(axis=1).all()
+
+
+def test_balanced_log_odds_count_hits_against_passes():
+    assert seen(3, 0, BALANCED) == pytest.approx(3 * BALANCED.hit)
+    assert seen(4, 4, BALANCED) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_robot_at_rest_is_entered_a_few_times_only():

@@ -14,14 +14,14 @@ import numpy as np
 
 from impslam.building.free_space import profile, seen_through
 from impslam.map import Map
-from impslam.maps.grid import HIT, OccupancyGrid, PlacedScans
+from impslam.maps.grid import BALANCED, OccupancyGrid, PlacedScans
 from impslam.types import Array, Ints, Mask
 
 RESOLUTION = 0.05
 """m, side of the cells that are compared."""
-SURE = 2.5 * HIT
+SURE = 2.5 * BALANCED.hit
 """Log-odds of a wall, and of free space with the other sign: three more scans spoke for it than against."""
-STANDING = 0.5 * HIT
+STANDING = 0.5 * BALANCED.hit
 """Log-odds from which a cell of the other map may be the wall: one scan more."""
 SCANS = 3
 """That must have looked through a wall, or it may have been a beam's edge."""
@@ -64,11 +64,17 @@ class Changes(NamedTuple):
 
 def changes(before: Map, after: Map) -> Changes:
     """Return what has changed from one map to another of the same frame."""
-    grids = before.grid(RESOLUTION), after.grid(RESOLUTION)
+    grids = _drawn(before), _drawn(after)
     low = np.minimum(*(grid.corner for grid in grids))
     high = np.maximum(*(grid.corner + np.array(grid.logodds.shape[::-1]) for grid in grids))
     one, two = (_framed(grid, low, high) for grid in grids)
     return Changes(_vanished(one, two, after, low), _vanished(two, one, before, low))
+
+
+def _drawn(known: Map) -> OccupancyGrid:
+    grid = OccupancyGrid(RESOLUTION, BALANCED)
+    known.keyframes.draw(grid)
+    return grid
 
 
 def _framed(grid: OccupancyGrid, low: Ints, high: Ints) -> Array:

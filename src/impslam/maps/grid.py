@@ -1,8 +1,8 @@
 """An occupancy grid: what is free, what is occupied, what nobody has looked at.
 
 Each cell holds the log-odds of being occupied (Moravec & Elfes 1985; Thrun et al. 2005, Eq. 9.7).
-A scan changes a cell once at most, and a beam's end outweighs beams that pass: otherwise the many
-beams that graze a wall would wipe it out.
+A scan changes a cell at most once, and the end of a beam outweighs beams that pass: otherwise the many
+beams that graze a wall would erase it.
 """
 
 from __future__ import annotations
@@ -18,13 +18,6 @@ from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel, read_only
 from impslam.types import Array, Ints
 
-HIT = math.log(0.7 / 0.3)
-"""A beam ends here. With 2 cm of range noise the end falls in its own cell of 5 cm in 7 of 10."""
-MISS = math.log(0.3 / 0.7)
-"""A beam passes here. Counts like an end, so that what moved away is forgotten as fast as it was
-learnt; two passes make a cell free in a trinary map (p < 0.196)."""
-CLAMP = math.log(0.97 / 0.03)
-"""Certainty ends here (Hornung et al. 2013, 4.1), or the map could not follow a changed world."""
 STILL = (0.01, math.radians(0.2))
 """m and rad: less motion than this since the last scan entered is standing still."""
 STILL_SCANS = 5
@@ -41,6 +34,30 @@ STOOD, ENTER, REFUSE = 0, 1, 2
 Floats: TypeAlias = npt.NDArray[np.float32]
 Points: TypeAlias = npt.NDArray[np.float32]
 Stamps: TypeAlias = npt.NDArray[np.int32]
+
+
+class BeamModel(NamedTuple):
+    """How a scan changes the log-odds of a cell.
+
+    Attributes
+    ----------
+    hit, miss : change of a cell in which a beam ends, and of one through which beams pass
+    limit : log-odds beyond which the cell does not change, so that the map can follow a changed world
+        (Hornung et al. 2013, 4.1)
+    """
+
+    hit: float
+    miss: float
+    limit: float
+
+
+DRAWN = BeamModel(3.0 * math.log(0.67 / 0.33), math.log(0.33 / 0.67), math.log(0.99 / 0.01))
+"""For maps that are shown and planned on: a cell is occupied if more than a quarter of the scans that
+reach it end in it, as in GMapping. A wall on the border of two cells ends half of its beams in either,
+fewer with noise. Two passes make a cell free in a trinary map (p < 0.196), six clear any cell."""
+BALANCED = BeamModel(math.log(0.7 / 0.3), math.log(0.3 / 0.7), math.log(0.97 / 0.03))
+"""For questions of evidence: log-odds count by how many more scans hit a cell than passed through it.
+With 2 cm of range noise a beam ends in its own cell of 5 cm in 7 of 10."""
 
 
 class PlacedScans(NamedTuple):
@@ -100,12 +117,22 @@ def _select(scans: PlacedScans, size: float, box: Array, last: Array) -> Ints:
     return out
 
 
+class Cells(NamedTuple):
+    """The cells of a grid; `changed` is the number of the scan that changed each of them last.
+
+    `corner` (2,) is the column and row of cell (0, 0), counted from the origin of map, `size` a cell's side, m.
+    """
+
+    logodds: Floats
+    changed: Stamps
+    corner: Ints
+    size: float
+
+
 @kernel
-def _enter(
-    logodds: Floats, changed: Stamps, corner: Ints, size: float, first: int, scans: PlacedScans,
-    verdicts: Ints,
-) -> int:  # fmt: skip
+def _enter(cells: Cells, model: BeamModel, first: int, scans: PlacedScans, verdicts: Ints) -> int:
     """Enter the scans to ENTER, numbered from `first` on; return the number after the last."""
+    logodds, changed, corner, size = cells
     poses, origins, starts, points = scans
     number = first
     beams = np.empty((np.diff(starts).max(), 4), np.int64)
@@ -122,13 +149,13 @@ def _enter(
             beams[i, 0], beams[i, 1] = column, row
             beams[i, 2] = math.floor((poses[k, 0] + c * px - s * py) / size) - corner[0]
             beams[i, 3] = math.floor((poses[k, 1] + s * px + c * py) / size) - corner[1]
-        trace(logodds, changed, number, beams[:n])
+        trace(logodds, changed, number, beams[:n], model)
         number += 1
     return number
 
 
 @kernel
-def trace(logodds: Floats, last: Stamps, scan: int, beams: Ints) -> None:
+def trace(logodds: Floats, last: Stamps, scan: int, beams: Ints, model: BeamModel) -> None:
     """Enter beams (n, 4), cell to cell; `last` is the scan that changed a cell last.
 
     Between its cells a beam goes by one cell a step along its longer side (Bresenham 1965), in
@@ -141,7 +168,7 @@ def trace(logodds: Floats, last: Stamps, scan: int, beams: Ints) -> None:
         cell = beams[i, 3] * width + beams[i, 2]
         if changed[cell] != scan:
             changed[cell] = scan
-            cells[cell] = min(cells[cell] + HIT, CLAMP)
+            cells[cell] = min(cells[cell] + model.hit, model.limit)
     for i in range(len(beams)):
         dx, dy = beams[i, 2] - beams[i, 0], beams[i, 3] - beams[i, 1]
         steps = max(abs(dx), abs(dy), 1)
@@ -153,7 +180,7 @@ def trace(logodds: Floats, last: Stamps, scan: int, beams: Ints) -> None:
             )  # unsigned: no test for a negative index
             if changed[cell] != scan:
                 changed[cell] = scan
-                cells[cell] = max(cells[cell] + MISS, -CLAMP)
+                cells[cell] = max(cells[cell] + model.miss, -model.limit)
             x += step_x
             y += step_y
 
@@ -168,12 +195,12 @@ class OccupancyGrid:
     refused : beams that were not entered: their scan's pose has run away, or is not finite
     """
 
-    def __init__(self, resolution: float = 0.05) -> None:
+    def __init__(self, resolution: float = 0.05, model: BeamModel = DRAWN) -> None:
         if not (isinstance(resolution, int | float) and FINEST <= resolution <= COARSEST):
             raise ConfigError(
                 f"resolution = {resolution!r}: a cell's side is {FINEST:g} to {COARSEST:g} m"
             )
-        self.resolution = float(resolution)
+        self.resolution, self._model = float(resolution), model
         self._clear()
 
     def _clear(self) -> None:
@@ -202,8 +229,8 @@ class OccupancyGrid:
         self.refused += int(np.diff(new.starts)[verdicts == REFUSE].sum())
         if (verdicts == ENTER).any():
             self._cover(np.floor(self._box[:2]), np.floor(self._box[2:]))
-            cells = self.logodds, self._changed, self.corner, self.resolution
-            self._number = _enter(*cells, self._number, new, verdicts)
+            cells = Cells(self.logodds, self._changed, self.corner, self.resolution)
+            self._number = _enter(cells, self._model, self._number, new, verdicts)
 
     @property
     def origin(self) -> Array:

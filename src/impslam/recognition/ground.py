@@ -16,7 +16,7 @@ import numpy as np
 
 from impslam.geometry.se2 import transform
 from impslam.map import Keyframes
-from impslam.maps.grid import HIT, OccupancyGrid
+from impslam.maps.grid import BALANCED, OccupancyGrid
 from impslam.recognition.pyramid import CELL, FULL, Bytes, draw, pool
 from impslam.recognition.submap import FARTHEST, View
 from impslam.surfaces.surface_map import SurfaceMap, add, empty_surface_map
@@ -27,7 +27,7 @@ Floats: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 SIDE = 0.5 * CELL  # m, cells of the occupancy grid
 LEVELS = 5  # of the pyramids: blocks of up to 1.6 m, the width of a corridor
 UNKNOWN, FREE, OCCUPIED, SOLID = range(4)
-SURE = 2.9 * HIT
+SURE = 2.9 * BALANCED.hit
 """Log-odds of a wall that nothing can be behind: three beams more have ended here than passed."""
 CHANCE = 0.1
 """Likelihood of a point where nobody has looked: something to hit is there as often as within the
@@ -74,7 +74,7 @@ def survey(keyframes: Keyframes, views: Sequence[View]) -> Ground:
     """Return what keyframes that are placed, and what each of them saw, tell of the places around."""
     placed = np.flatnonzero(keyframes.placed)
     poses, views = keyframes.poses[placed], [views[k] for k in placed.tolist()]
-    grid = OccupancyGrid(SIDE)
+    grid = OccupancyGrid(SIDE, BALANCED)
     _shortened(keyframes).draw(grid)
     logodds = np.pad(grid.logodds, [(EDGE, EDGE + n % 2) for n in grid.logodds.shape])
     corner = grid.origin - EDGE * SIDE

@@ -120,7 +120,8 @@ def _select(scans: PlacedScans, size: float, box: Array, last: Array) -> Ints:
 class Cells(NamedTuple):
     """The cells of a grid; `changed` is the number of the scan that changed each of them last.
 
-    `corner` (2,) is the column and row of cell (0, 0), counted from the origin of map, `size` a cell's side, m.
+    `corner` (2,) is the column and row of cell (0, 0), counted from the origin of map; `size` m is the
+    side of a cell.
     """
 
     logodds: Floats

@@ -10,7 +10,7 @@ from impslam.types import Array
 UNKNOWN = 1e6
 """m^2: motions with such a variance tell nothing; a robot without odometry has none other."""
 
-LONGEST = 3.0
+MAX_GAP = 3.0
 """s between two readings or two sweeps, beyond which nobody knows by which path the robot has gone."""
 
 

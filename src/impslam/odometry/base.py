@@ -9,7 +9,7 @@ import numpy as np
 
 from impslam.columns import Columns, Motions
 from impslam.component import Component, parameter
-from impslam.noise import LONGEST
+from impslam.noise import MAX_GAP
 from impslam.odometry.gyro import Gyro
 from impslam.odometry.standstill import Band
 from impslam.types import Array, Mask
@@ -82,7 +82,7 @@ def by_an_unknown_path(covariance: Array, travel: Array, seconds: Array) -> None
 
     The end of a path lies anywhere within its length of the start: half of it is one standard deviation.
     """
-    unseen = np.where(seconds > LONGEST, 0.5 * travel, 0.0) ** 2
+    unseen = np.where(seconds > MAX_GAP, 0.5 * travel, 0.0) ** 2
     covariance[:, 0, 0] += unseen
     covariance[:, 1, 1] += unseen
 

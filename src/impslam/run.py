@@ -400,7 +400,7 @@ class Run:
             compile_seconds=self.clock.compiling,
             state_size=self.estimator.state_size,
             health=self._health.health,
-            lidar_alone=not self.robot.odometry.tells_motion,
+            lidar_alone=not self.robot.odometry.measures_motion,
         )
 
 

@@ -10,7 +10,7 @@ Such points look like a wall that never moves, and they hold the estimated pose 
   did. Nothing in a room does this, so these beams are hidden at once.
 
 A hidden beam whose range changes is used again. If nearly all beams keep their ranges,
-the robot itself stands still; see `standing`.
+the robot itself stands still; see `stall`.
 """
 
 from __future__ import annotations

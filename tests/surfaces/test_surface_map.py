@@ -12,9 +12,9 @@ from impslam.geometry.se2 import between, compose
 from impslam.surfaces.features import features
 from impslam.surfaces.surface_map import (
     CELL,
-    FACING,
-    LONE,
-    ODD,
+    LONE_WEIGHT,
+    MIN_NORMAL_COSINE,
+    MIXED_WEIGHT,
     Alignment,
     add,
     align,
@@ -180,10 +180,10 @@ def residuals(held, pose, facing_at):
     for surfel, row in held:
         e = pose[:2] + R @ row[:2] - surfel[:2]
         if surfel[5] > 0.0 and row[4] > 0.0:
-            if surfel[2:4] @ at @ row[2:4] >= FACING:
+            if surfel[2:4] @ at @ row[2:4] >= MIN_NORMAL_COSINE:
                 out.append((surfel[5] * row[4], np.array([surfel[2:4] @ e])))
         else:
-            out.append((LONE if surfel[5] == row[4] else ODD, e))
+            out.append((LONE_WEIGHT if surfel[5] == row[4] else MIXED_WEIGHT, e))
     return out
 
 

@@ -182,7 +182,7 @@ def test_a_search_cut_short_still_returns_compatible_pairs(budget):
 
 
 def test_where_the_pose_is_given_pairs_are_judged_one_by_one_by_the_same_gates():
-    alone = Jcbb(gate=0.99, new_gate=0.9999, odds=5.0).given_pose()
-    assert not alone.judges_jointly
+    alone = Jcbb(gate=0.99, new_gate=0.9999, odds=5.0).for_known_pose()
+    assert not alone.is_joint
     assert (alone.gate, alone.new_gate, alone.odds) == (0.99, 0.9999, 5.0)
-    assert alone.given_pose() is alone
+    assert alone.for_known_pose() is alone

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binom, multivariate_normal
 from tests.association.scenes import R_POINT, mapped, move, pairs, point, wall
 
-from impslam.association.assignment import decided
+from impslam.association.assignment import unambiguous_pairs
 from impslam.association.mahalanobis import Mahalanobis
 from impslam.geometry.se2 import compose
 
@@ -54,7 +54,7 @@ def test_choice_and_odds_equal_enumeration(seed, least):
     total, best = min(every, key=lambda one: one[0])
     expected = {p for p in best if all(t >= total + least for t, some in every if p not in some)}
     a, k = np.nonzero(allowed)
-    assert {(int(a[p]), int(k[p])) for p in decided(a, k, cost[a, k], least)} == expected
+    assert {(int(a[p]), int(k[p])) for p in unambiguous_pairs(a, k, cost[a, k], least)} == expected
 
 
 def test_collinear_walls_five_metres_apart_stay_two():

@@ -48,7 +48,7 @@ def test_place_undoes_points(rng):
         lat, lon = rng.uniform(-89, 89), rng.uniform(-180, 180)
         plane = LocalPlane(lat, lon, rng.uniform(-100, 3000))
         point = rng.uniform(-5000, 5000, 3)
-        place = plane.place(point)
+        place = plane.geodetic(point)
         back = plane.points(*(np.array(v) for v in place))
         np.testing.assert_allclose(back, point, atol=1e-6)
 

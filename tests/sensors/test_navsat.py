@@ -21,7 +21,7 @@ UNKNOWN = np.full((3, 3), math.nan)
 
 
 def on_earth(message, covariance=UNKNOWN, status=0):
-    lat, lon, height = PLANE.place(np.array([*message.position, 0.0]))
+    lat, lon, height = PLANE.geodetic(np.array([*message.position, 0.0]))
     return SatelliteFix(message.stamp, lat, lon, height, covariance, status)
 
 
@@ -69,7 +69,7 @@ def test_its_covariance_counts_and_is_never_below_sigma():
     ]
     found = []
     for k, (stamp, north, covariance) in enumerate(rows):
-        lat, lon, height = PLANE.place(np.array([0.0, north, 0.0]))
+        lat, lon, height = PLANE.geodetic(np.array([0.0, north, 0.0]))
         fix = SatelliteFix(stamp, lat, lon, height, covariance)
         (columns,) = single_row("/fix", fix, k).values()
         sensor.spans(columns)

@@ -1,1 +1,1 @@
-"""Landmark models: predict, initialise, retract, and report landmarks."""
+"""Landmark models: predict, initialise, perturb and report landmarks."""

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.geometry.algebra import between, invert, solve, turned
+from impslam.geometry.algebra import between, invert, rotate_covariance, solve
 from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.tracking.local_map import LocalMap, add, nearest, size
@@ -73,7 +73,7 @@ def _refine(
     d_pose: Array, covariance: Array, points: Array, local_map: LocalMap, settings: Settings
 ) -> int:
     angle = local_map.pose[2]
-    prior, guess = turned(covariance, angle), local_map.pose.copy()
+    prior, guess = rotate_covariance(covariance, angle), local_map.pose.copy()
     for a in range(3):
         prior[a, a] += _MIN_PRIOR_SIGMA**2
     advance_pose(guess, d_pose)
@@ -86,7 +86,7 @@ def _refine(
     if pairs < settings.min_share * len(points):
         return AS_GIVEN
     between(local_map.pose, pose, d_pose)
-    covariance[:] = turned(information, -angle)
+    covariance[:] = rotate_covariance(information, -angle)
     distance, turn = math.hypot(d_pose[0], d_pose[1]), abs(d_pose[2])
     covariance[0, 0] += settings.drift[0] ** 2 * distance
     covariance[1, 1] += settings.drift[1] ** 2 * distance

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.columns import Motions
-from impslam.geometry.algebra import between, solve, turned
+from impslam.geometry.algebra import between, rotate_covariance, solve
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
@@ -221,7 +221,7 @@ def _find_contradiction(
         advance_pose(chain[new], motion)
     history.time[new] = history.time[last] + pending.clock[0]
     total = pending.covariance + spread
-    history.spread[new] = history.spread[last] + turned(total, history.odometry[last, 2])
+    history.spread[new] = history.spread[last] + rotate_covariance(total, history.odometry[last, 2])
     history.ring[0] = max(history.ring[0], history.ring[1] - MAX_SCANS)
     while (
         history.ring[1] - history.ring[0] > 2
@@ -258,7 +258,7 @@ def _mahalanobis2(history: MatchHistory, odometry: Array, scans: Array) -> float
     """Return d^T S^-1 d of the two motions (3,) from the first pose to the newest."""
     first, new, d = history.ring[0] % MAX_SCANS, (history.ring[1] - 1) % MAX_SCANS, np.empty(3)
     between(odometry, scans, d)
-    S = turned(history.spread[new] - history.spread[first], -history.odometry[new, 2])
+    S = rotate_covariance(history.spread[new] - history.spread[first], -history.odometry[new, 2])
     distance = max(abs(odometry[0]), abs(scans[0]), abs(odometry[1]), abs(scans[1]))
     turn = max(abs(odometry[2]), abs(scans[2]))
     # At worst, odometry's heading was wrong from the start: the distance is its lever.

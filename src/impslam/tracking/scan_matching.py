@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.columns import Motions
-from impslam.geometry.algebra import between, invert, turned
+from impslam.geometry.algebra import between, invert, rotate_covariance
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
@@ -298,7 +298,7 @@ def _match(
     out.located[k] = share >= MIN_FIT * usual and well_constrained
     if not no_odometry:
         _learn(state, fit, out.located[k])
-    covariance = turned(state.covariance, state.matched[2])
+    covariance = rotate_covariance(state.covariance, state.matched[2])
     _fuse(state, settings, guess, H, W, covariance)
     between(state.matched, state.pose, state.velocity)
     far = W[0] * state.prior[0] < 0.1  # beyond three times the range of full weight
@@ -308,7 +308,10 @@ def _match(
     out.reasons[k], out.amounts[k] = check_motion(
         state.faults, odometry_motion, state.velocity, out.located[k], far, state.travelled[2]
     )
-    out.d_pose[k], out.covariance[k] = state.velocity, turned(covariance, -state.matched[2])
+    out.d_pose[k], out.covariance[k] = (
+        state.velocity,
+        rotate_covariance(covariance, -state.matched[2]),
+    )
     state.submaps.travelled[0] += math.hypot(state.velocity[0], state.velocity[1])
     _add_drift(state.velocity, settings.drift, out.covariance[k])
 

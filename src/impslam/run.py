@@ -286,7 +286,9 @@ class Run:
         if not self.scans:
             return None
         ahead = self.robot.ahead()
-        T, spread = compose_uncertain(*self.tracker.since, ahead.d_pose, ahead.covariance)
+        T, spread = compose_uncertain(
+            *self.tracker.motion_since_keyframe, ahead.d_pose, ahead.covariance
+        )
         odometry = compose(self.tracker.odometry, ahead.d_pose)
         return self._builder.locate(ahead.stamp, T, spread, odometry)
 

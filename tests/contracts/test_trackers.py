@@ -74,7 +74,14 @@ def test_any_cutting_gives_the_same_bytes(make):
                         key = track.keyframe
                         values = key.motion.d_pose, key.motion.covariance, key.odometry
                         keys.append((key.id, key.stamp, *(v.tobytes() for v in values)))
-            found.append((rows, keys, tracker.since[0].tobytes(), dict(tracker.problems.counts)))
+            found.append(
+                (
+                    rows,
+                    keys,
+                    tracker.motion_since_keyframe[0].tobytes(),
+                    dict(tracker.problems.counts),
+                )
+            )
         assert found[0] == found[1] == found[2]
         assert len(found[0][1]) >= 5
         follows_odometry = not tracker.matches_scans
@@ -129,7 +136,9 @@ def test_unused_keyframes_lose_no_motion_and_count_none_twice(make):
         duration += key.motion.duration
         np.testing.assert_allclose(moved, scene()[1][key.row], atol=2e-3)
         assert duration == pytest.approx(PERIOD * key.row)
-    np.testing.assert_allclose(compose(moved, tracker.since[0]), scene()[1][-1], atol=2e-3)
+    np.testing.assert_allclose(
+        compose(moved, tracker.motion_since_keyframe[0]), scene()[1][-1], atol=2e-3
+    )
 
 
 def test_covariances_are_symmetric_and_grow_from_nothing(make):

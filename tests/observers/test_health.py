@@ -17,7 +17,7 @@ from impslam.health import (
     UNPLACED,
     Health,
     Standing,
-    words,
+    describe,
 )
 from impslam.map import PathRows, Revision
 from impslam.observers.health import HealthMonitor
@@ -83,7 +83,7 @@ def match_landmarks(monitor, variance, walls, driven=0.1):
 
 def why(health):
     """Return the reason of the newest scan."""
-    return words(int(health.reasons[-1]), float(health.amounts[-1]))
+    return describe(int(health.reasons[-1]), float(health.amounts[-1]))
 
 
 @pytest.mark.parametrize("cuts", [(), (1,), (1, 2, 3, 4), (3,)])
@@ -129,7 +129,7 @@ def test_a_robot_that_is_lost_stays_so_until_a_place_is_recognised(cuts):
     monitor = HealthMonitor()
     health = watch([0.0] * 4, cuts, reasons=[NONE, UNEXPLAINED, ELSEWHERE, NONE], monitor=monitor)
     assert health.states.tolist() == [0, 1, 2, 2]
-    assert why(health) == words(ELSEWHERE, 0.1 * ELSEWHERE)
+    assert why(health) == describe(ELSEWHERE, 0.1 * ELSEWHERE)
     for ids, placed, state in (([4], False, 2), ([3, 4], False, 2), ([3, 4], True, 0)):
         revise(monitor, ids, placed=placed)
         assert monitor.health.states[-1] == state

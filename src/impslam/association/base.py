@@ -28,7 +28,7 @@ class Hypotheses(NamedTuple):
     observations_of_kind : (a,) indices of all observations of the kind in the given list
     observations : (p,) such an index
     landmarks : (p,) ids
-    labels : (p,) labels that sensors read off the landmarks, -1 where there is none
+    labels : (p,) labels that sensors read on the landmarks, -1 for none
     innovation : (p, dim_z)
     S : (p, dim_z, dim_z), covariance of the innovation
     distance2 : (p,), squared Mahalanobis distance

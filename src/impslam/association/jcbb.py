@@ -169,8 +169,8 @@ class Jcbb(Association):
             for pair in self._search(observations, hypotheses, options, joint):
                 chosen[pair.group].append(pair.p)
         near = [self._near(*one) for one in zip(hypotheses, chosen, strict=True)]
-        made = make_assignment(observations, zip(hypotheses, chosen, near, strict=True))
-        return made._replace(ambiguous=ambiguous(made.matches, hypotheses, inside))
+        assignment = make_assignment(observations, zip(hypotheses, chosen, near, strict=True))
+        return assignment._replace(ambiguous=ambiguous(assignment.matches, hypotheses, inside))
 
     def _inside(self, group: Hypotheses) -> Mask:
         """Return which pairs pass the gate individually."""

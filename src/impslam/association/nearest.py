@@ -32,8 +32,8 @@ class Nearest(Association):
     frame: Literal["map", "base_link"] = parameter(
         "map",
         "",
-        "where both are compared: in map (thesis 4.2.6), where the feet of walls move by heading "
-        "error times distance from the origin, or as seen from the robot (thesis 2.1.3)",
+        "frame of the comparison: map (thesis 4.2.6), in which the feet of walls move by heading "
+        "error times distance from the origin, or base_link, as seen from the robot (thesis 2.1.3)",
     )
 
     def assign(

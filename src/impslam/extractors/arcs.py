@@ -72,7 +72,7 @@ def _is_plausible(points: Array, sides: Array, limits: Array, origin: Array) -> 
 
 @kernel
 def _edges(beams: Array, sides: Array, origin: Array, sigma: float) -> Array:
-    """Return the rays half-way between the outermost hits and the misses beside them."""
+    """Return the rays halfway between the outermost hits and the misses beside them."""
     edges = np.empty((2, 5))
     for side in range(2):
         k = 0 if side == 0 else len(beams) - 1

@@ -30,15 +30,15 @@ def candidates(slope: Array, threshold: float) -> list[tuple[int, int]]:
     A second fall before the rise restarts the object, nearer to the laser; a rise without a fall
     before it is ignored.
     """
-    found: list[tuple[int, int]] = []
+    objects: list[tuple[int, int]] = []
     begin = -1
     for i in np.flatnonzero(np.abs(slope) > threshold):
         if slope[i] < 0.0:
             begin = int(i) + 1
         elif begin >= 0:
-            found.append((begin, int(i)))
+            objects.append((begin, int(i)))
             begin = -1
-    return found
+    return objects
 
 
 @register("jump")
@@ -88,10 +88,10 @@ class Jump(Extractor):
         del rng
         ranges = np.where(usable(scan), scan.ranges, 0.0)
         slope = derivative(scan.angles, ranges)
-        found = candidates(slope, self.threshold)
+        objects = candidates(slope, self.threshold)
         return [
             self._observation(scan, first, last)
-            for first, last in found
+            for first, last in objects
             if self._accepts(scan, ranges, first, last)
         ]
 

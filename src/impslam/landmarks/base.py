@@ -185,8 +185,8 @@ class LandmarkModel(Component):
         by the distance of the feet of their normals and the angle between them, pi for two walls that
         face each other.
         """
-        apart = m - observed
-        return np.hypot(apart[:, 0], apart[:, 1]), np.zeros(len(m))
+        difference = m - observed
+        return np.hypot(difference[:, 0], difference[:, 1]), np.zeros(len(m))
 
     def extents(self, pose: Array, m: Array, ends: Array) -> Array:
         """Return the begin and end (p, 2) of the observed pieces along landmarks (p, dim), m.

@@ -2,7 +2,7 @@
 
 The body moves on an arc: with wheel travels l and r and track w, it moves by d = (l + r)/2 while turning
 by a = (r - l)/w, so the increment is exp([d, 0, a]) in SE(2). That is thesis Eq. 3.1 and 3.3 (the
-latter with its sign corrected) in one form that is smooth through r = l, where the thesis switches
+latter with its sign corrected) in one form that is smooth through r = l, at which the thesis switches
 equations and divides by (r - l)^2. The state Jacobian, Eq. 3.5-3.7, is that of composing the
 increment with the pose, in the filter; the noise Jacobian, Eq. 3.8-3.18, is in `kernels`.
 """

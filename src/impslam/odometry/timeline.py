@@ -205,7 +205,7 @@ def mean_twist(
 
 @kernel
 def advance(twist: Array, seconds: float, out: Array) -> None:
-    """Write the pose and the duration of so many s at a constant twist (3,) m/s, m/s, rad/s."""
+    """Write the pose and the duration after `seconds` at a constant twist (3,) m/s, m/s, rad/s."""
     out[DURATION] = seconds
     _exp(twist, seconds, out[POSE:COVARIANCE])
 

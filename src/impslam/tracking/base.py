@@ -112,7 +112,7 @@ class Tracker(Component):
     """Whether `steps` finds the motion from the scans, with odometry as a prior."""
 
     _limits: Array = PrivateAttr()
-    _since: tuple[Array, Array] = PrivateAttr()
+    _motion_since_keyframe: tuple[Array, Array] = PrivateAttr()
     _reference: tuple[Array, Array] = PrivateAttr()
     _odometry: Array = PrivateAttr()
     _travelled: dict[str, Array] = PrivateAttr(default_factory=dict)
@@ -125,7 +125,7 @@ class Tracker(Component):
         """Begin at a pose (3,) of the dead-reckoned path; the first sweep is a keyframe."""
         self._limits = np.array([gate.distance, gate.angle, gate.seconds])
         self._travelled = {}
-        self._since = np.zeros(3), np.zeros((3, 3))
+        self._motion_since_keyframe = np.zeros(3), np.zeros((3, 3))
         self._reference = np.zeros(3), np.zeros((3, 3))
         self._odometry = np.array(start, dtype=np.float64)
         self._duration, self._keyframes = 0.0, 0
@@ -136,9 +136,9 @@ class Tracker(Component):
         return self._problems
 
     @property
-    def since(self) -> tuple[Array, Array]:
+    def motion_since_keyframe(self) -> tuple[Array, Array]:
         """The motion from the newest keyframe to the middle of the newest sweep: (3,) and (3, 3)."""
-        return self._since
+        return self._motion_since_keyframe
 
     @property
     def odometry(self) -> Array:
@@ -202,10 +202,10 @@ class Tracker(Component):
         m, keyframe = rows.stop - rows.start, None
         if has_keyframe:
             keyframe = self._keyframe(tracked, rows.stop, T[m], spread[m])
-            self._since, self._duration = (np.zeros(3), np.zeros((3, 3))), 0.0
+            self._motion_since_keyframe, self._duration = (np.zeros(3), np.zeros((3, 3))), 0.0
             self._reference = np.zeros(3), np.zeros((3, 3))
         elif m:
-            self._since = T[m - 1], spread[m - 1]
+            self._motion_since_keyframe = T[m - 1], spread[m - 1]
         track = Track(
             self._keyframes - 1,
             sweeps.columns.stamps[rows],

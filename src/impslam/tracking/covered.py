@@ -10,7 +10,7 @@ Such points look like a wall that never moves, and they hold the estimated pose 
   did. Nothing in a room does this, so these beams are hidden at once.
 
 A hidden beam whose range changes is used again. If nearly all beams keep their ranges,
-the robot itself stands still; see `stall`.
+the robot itself is stationary; see `stall`.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ def _count_short(ranges: Array, valid: Mask, drop: float, cover: Cover) -> int:
 
 @kernel
 def _spread_sudden(first: int, step: int, ranges: Array, valid: Mask, cover: Cover) -> None:
-    """Hide the neighbours on one side that lie on the same surface."""
+    """Hide the neighbours on one side that are on the same surface."""
     i = first + step
     while (
         0 <= i < len(ranges)
@@ -220,7 +220,7 @@ def _beams_to_change(geometry: Geometry, cover: Cover) -> Mask:
     """Return the beams (n,) that the motion since the reference scan should have changed."""
     should = np.zeros(len(cover.ranges), np.bool_)
     for j in range(len(should)):
-        if not cover.hidden[j]:  # what moves with the robot says nothing about other beams
+        if not cover.hidden[j]:  # hidden beams are no evidence for others
             k = changed_beam(j, cover.odometry, cover.points, cover.ranges, geometry)
             if k >= 0:
                 should[k] = True
@@ -229,7 +229,7 @@ def _beams_to_change(geometry: Geometry, cover: Cover) -> Mask:
 
 @kernel
 def _hide_surfaces(ranges: Array, cover: Cover) -> None:
-    """Hide each surface on which enough beams have measured the same where they should not have."""
+    """Hide each surface on which enough beams have measured the same although they should have changed."""
     n, first, seeds = len(ranges), 0, 0
     for i in range(n + 1):
         if i == n or not _continues(i, first, ranges, cover):
@@ -242,7 +242,7 @@ def _hide_surfaces(ranges: Array, cover: Cover) -> None:
 
 @kernel
 def _continues(i: int, first: int, ranges: Array, cover: Cover) -> bool:
-    """Return whether beam i has measured the same and lies on the surface of the beams from `first` on."""
+    """Return whether beam i measured the same and is on the surface of the beams from `first` on."""
     if cover.same[i] < MIN_COMPARISONS:
         return False
     if i == first:

@@ -122,12 +122,12 @@ def learn(
     ex, ey = matched[0] - learned.odometry[0], matched[1] - learned.odometry[1]
     et = wrap_in_kernel(matched[2] - learned.odometry[2])
     excess = 0.5 * (ex * ex + ey * ey) - MATCH_SIGMA[0] ** 2, et * et - MATCH_SIGMA[1] ** 2
-    seen = (
+    measured = (
         max(excess[0], 0.0) / (distance + 0.3 * turn),
         max(excess[1], 0.0) / (distance + 0.5 * turn),
     )
     for k in range(2):
-        new = min(seen[k], 4.0 * learned.noise[k]) / 0.92
+        new = min(measured[k], 4.0 * learned.noise[k]) / 0.92
         if k == 0 and learned.lengths[2] > 0.0:
             new = max(new, learned.noise[0])
         learned.noise[k] += NOISE_RATE * quality * (new - learned.noise[k])

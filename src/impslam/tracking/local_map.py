@@ -81,11 +81,11 @@ def nearest(
     `hint` is the row of a point that may be near, or -1: it bounds the search.
     The map's arrays are passed one by one, because unpacking a tuple costs as much as a look-up.
     """
-    best, found = limit * limit, -1
+    best, nearest_row = limit * limit, -1
     if hint >= 0:
         dx, dy = rows[hint, 0] - x, rows[hint, 1] - y
         if dx * dx + dy * dy < best:
-            best, found = dx * dx + dy * dy, hint
+            best, nearest_row = dx * dx + dy * dy, hint
     reach = math.sqrt(best)
     low, high = _cell(y - reach), _cell(y + reach)
     for i in range(_cell(x - reach), _cell(x + reach) + 1):
@@ -94,9 +94,9 @@ def nearest(
             while row >= 0:
                 dx, dy = rows[row, 0] - x, rows[row, 1] - y
                 if dx * dx + dy * dy < best:
-                    best, found = dx * dx + dy * dy, row
+                    best, nearest_row = dx * dx + dy * dy, row
                 row = older[row]
-    return found
+    return nearest_row
 
 
 @kernel

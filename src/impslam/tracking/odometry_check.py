@@ -1,4 +1,4 @@
-"""Check odometry against scan matching, and replace it where the two disagree.
+"""Check odometry against scan matching, and replace it if the two disagree.
 
 If a wheel slips, or an encoder freezes or goes silent, odometry reports little or no motion, with almost no
 covariance, because its noise grows with the reported distance. Here scans are matched with the last metres
@@ -120,7 +120,7 @@ class PendingMotion(NamedTuple):
 
 
 class OdometryCheck:
-    """Compares odometry with scans, and returns the motion from the scans where they disagree."""
+    """Compares odometry with scans, and returns the motion from the scans if they disagree."""
 
     spacing = SETTINGS.spacing
 

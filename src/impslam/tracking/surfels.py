@@ -48,11 +48,11 @@ def gaps(scans: Scans) -> Array:
     if n < 2:
         return np.zeros(m)
     spacing = abs(float(scans.angles[-1] - scans.angles[0])) / (n - 1)
-    ranges, seen = np.sort(np.where(scans.valid, scans.ranges, np.inf), axis=1), scans.valid.sum(1)
-    row, some = np.arange(m), np.maximum(seen, 1)
+    ranges, xy = np.sort(np.where(scans.valid, scans.ranges, np.inf), axis=1), scans.valid.sum(1)
+    row, some = np.arange(m), np.maximum(xy, 1)
     median = 0.5 * (ranges[row, (some - 1) // 2] + ranges[row, some // 2])
-    median[seen == 0] = 0.0
-    return np.where(seen > 0, 0.05 + 3.0 * spacing * median, 0.0)
+    median[xy == 0] = 0.0
+    return np.where(xy > 0, 0.05 + 3.0 * spacing * median, 0.0)
 
 
 @kernel
@@ -60,22 +60,22 @@ def _prepare(
     points: Array, valid: Mask, gap: Array, spacing: float, rows: Array, starts: Ints
 ) -> int:
     """Fill `rows` and `starts` of `Surfels` from points (m, n, 2); return the number of rows."""
-    seen = np.empty((points.shape[1], 2))
+    xy = np.empty((points.shape[1], 2))
     count = 0
     for k in range(len(points)):
         n = 0
         for i in range(points.shape[1]):
             if valid[k, i]:
-                seen[n, 0], seen[n, 1] = points[k, i, 0], points[k, i, 1]
+                xy[n, 0], xy[n, 1] = points[k, i, 0], points[k, i, 1]
                 n += 1
         begin, last = 0, -1
         while begin < n:
             end = begin + 1
-            while end < n and _distance2(seen[end - 1], seen[end]) < gap[k] ** 2:
+            while end < n and _distance2(xy[end - 1], xy[end]) < gap[k] ** 2:
                 end += 1
             for i in range(begin, end):
-                if last < 0 or _distance2(seen[last], seen[i]) >= spacing**2:
-                    _fill_row(rows[count], seen, i, begin, end)
+                if last < 0 or _distance2(xy[last], xy[i]) >= spacing**2:
+                    _fill_row(rows[count], xy, i, begin, end)
                     count += 1
                     last = i
             begin = end

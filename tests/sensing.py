@@ -13,7 +13,7 @@ from impslam.columns import single_row
 from impslam.geometry.se2 import compose, exp, inverse, log
 from impslam.odometry.clocks import Clocks
 from impslam.odometry.stream import OdometryStream
-from impslam.odometry.synchroniser import MAX_WAIT, SHORTEST
+from impslam.odometry.synchroniser import MAX_WAIT, MIN_DURATION
 from impslam.types import Increment
 
 
@@ -130,7 +130,7 @@ class Reference:
         since = timeline.take(middle)
         row.motion = replace(before.then(since), stamp=middle)
         missing = middle - until - since.duration
-        if missing > SHORTEST and timeline.newest >= middle:  # an overlapping sweep has used it
+        if missing > MIN_DURATION and timeline.newest >= middle:  # an overlapping sweep has used it
             used = Increment(middle, exp(missing * row.twist), np.zeros((3, 3)), missing)
             since = used.then(since)
         ahead = timeline.ahead(row.moment) if middle != row.moment else since

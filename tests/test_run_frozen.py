@@ -15,7 +15,7 @@ from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.types import LaserScan, TruePose, WheelAngles
 
-UNFIT = "most of what is seen fits no landmark from before"
+UNFIT = "most observations match no earlier landmark"
 """What is said where landmarks were entered from a pose that odometry had led astray."""
 
 

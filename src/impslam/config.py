@@ -110,7 +110,7 @@ class Config(Parameters):
     def _check_unique(self, estimator: Estimator) -> None:
         for name, table in self.sensors.items():
             sensor = build("sensor", table, f"sensors.{name}")
-            if sensor.tells_unique and not estimator.takes_unique:
+            if sensor.observes_unique and not estimator.takes_unique:
                 raise ConfigError(
                     f"sensors.{name}: the estimator {estimator.name!r} cannot use a {sensor.name}; "
                     "choose --set estimator.kind=landmarks"
@@ -296,7 +296,7 @@ def load(base: str | Path | Table = "default", settings: Sequence[str] = ()) -> 
     except ValidationError as error:
         raise ConfigError(explain(error, "", Config.model_fields)) from None
     robot, tracker = config.make_robot(), config.make_tracker()
-    if not robot.odometry.tells_motion and not tracker.matches_scans:
+    if not robot.odometry.measures_motion and not tracker.matches_scans:
         raise ConfigError(
             f"odometry.kind = {robot.odometry.name!r}: the tracker {tracker.name!r} needs odometry; "
             "match scans instead: --set tracker.kind=scan_to_map"

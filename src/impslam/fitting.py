@@ -77,7 +77,7 @@ def choices(config: Config, source: Source) -> str:
             where = _antenna_words(config, _antenna(robot, source)) if is_gnss else ""
             parts.append(f"{name} {read_as or 'finds nothing in the log'}{where}")
     stream = robot.odometry.stream or source.defaults().get(robot.odometry.consumes, "")
-    if not robot.odometry.tells_motion:
+    if not robot.odometry.measures_motion:
         wheels = source.defaults().get(WheelAngles)
         parts.append("no odometry: mapped by the lidar alone")
         if wheels:

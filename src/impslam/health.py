@@ -1,6 +1,6 @@
-"""Whether the pose of a scan can be trusted: a code for the reason, and the reason in words.
+"""Whether the pose of a scan can be trusted: codes of reasons, and their descriptions.
 
-The codes are ordered: of several reasons that hold for a scan, the greatest one is told.
+The codes are ordered: of several reasons that apply to a scan, the greatest one is reported.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ TRACKING, DEGRADED, LOST = range(3)
 STATES = ("TRACKING", "DEGRADED", "LOST")
 """The states of a pose.
 
-TRACKING: the pose is within its own ellipse. DEGRADED: it is the best there is, but part of what it rests
-on has failed. LOST: it may be anywhere; the map takes in nothing.
+TRACKING: the pose is within its covariance. DEGRADED: it is the best estimate, but part of its basis
+has failed. LOST: it may be anywhere; the map does not change.
 """
 (
     NONE,
@@ -45,16 +45,17 @@ on has failed. LOST: it may be anywhere; the map takes in nothing.
     UNPLACED,
     NOT_FINITE,
 ) = range(22)
-"""The reasons. `OPEN` and `GROWN` come with a way in m, `MISTIMED` and `SKIPPED` with s, `MISALIGNED` with
-degrees, `INCONSISTENT` with a ratio, `MISSCALED`, `COVERED`, `UNEXPLAINED` and `ELSEWHERE` with a share."""
-_WORDS = (
+"""The reasons. `OPEN` and `GROWN` come with a distance in m, `MISTIMED` and `SKIPPED` with s, `MISALIGNED`
+with degrees, `INCONSISTENT` with a ratio; `MISSCALED`, `COVERED`, `UNEXPLAINED` and `ELSEWHERE` with a
+share."""
+_DESCRIPTIONS = (
     "",
-    "the lidar is turned by {0:.1f} deg against what its mount says; the heading is off by as much",
+    "the lidar is rotated by {0:.1f} deg relative to its configured mount; the heading is off by as much",
     "odometry and ranges differ by {1:.1f} % in scale; distances are uncertain by as much",
-    "scans are stamped {0:.2f} s late or early on the clock of odometry; the pose is that of another time",
+    "scans are stamped {0:.2f} s late or early on the clock of odometry; the pose is for another time",
     "nothing to see along the corridor for {0:.1f} m",
     "the lidar sees nothing; the pose is dead-reckoned",
-    "{1:.0f} % of the beams show what moves along with the robot; they are left out",
+    "{1:.0f} % of the beams hit something that moves with the robot; they are left out",
     "stamps of scans run back and forth: which motion belongs to a scan is uncertain",
     "the lidar repeats one scan while odometry moves; the pose is dead-reckoned",
     "the scans show another motion than odometry; the pose follows the scans",
@@ -62,27 +63,27 @@ _WORDS = (
     "the wheels turn, the robot does not; the pose follows the scans",
     "odometry and scans turn opposite ways: wheels are swapped, or the lidar is mirrored",
     "no data for {0:.0f} s, and the robot has moved; the position is uncertain",
-    "landmarks are {0:.1f} times as far as expected from where they were; the position is uncertain",
+    "landmarks are {0:.1f} times as far from their positions as expected; the position is uncertain",
     "nothing known was seen for {0:.1f} m; the position is uncertain",
-    "most of what is seen fits no landmark from before; the position is uncertain",
-    "the place was lost, and the way since is by odometry alone; no place from before is recognised",
-    "only {1:.0f} % of the scan fits the map; the map takes in nothing",
+    "most observations match no earlier landmark; the position is uncertain",
+    "tracking was lost; the path since is by odometry alone, and no earlier place is recognised",
+    "only {1:.0f} % of the scan fits the map; the map is not updated",
     "only {1:.0f} % of the scan fits the map: the robot is elsewhere",
-    "it is not known yet where in the map the robot is",
+    "the robot's position in the map is not known yet",
     "the estimate is not finite; start a new map",
 )
 _SHARES = (UNEXPLAINED, ELSEWHERE)
 
 
 class Standing(NamedTuple):
-    """What is wrong throughout a run: a reason, `NONE` if nothing is, and the amount that goes with it."""
+    """A fault of the whole run: a reason (`NONE` without a fault) and the amount that goes with it."""
 
     reason: int = NONE
     amount: float = 0.0
 
 
 SOUND = Standing()
-"""Nothing is wrong throughout."""
+"""A run without such a fault."""
 
 
 class Span(NamedTuple):
@@ -90,9 +91,9 @@ class Span(NamedTuple):
 
     Attributes
     ----------
-    begin, end : s, stamps of the first and the last of them
-    reason, amount : the reason, and what is worst of its way or share
-    scans : how many they are
+    begin, end : s, stamps of the first and the last scan
+    reason, amount : the reason, and its worst amount
+    scans : number of scans
     """
 
     begin: float
@@ -107,9 +108,9 @@ class Span(NamedTuple):
         return STATES[state_of(self.reason)]
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """The reason in words."""
-        return words(self.reason, self.amount)
+        return describe(self.reason, self.amount)
 
 
 class Health(NamedTuple):
@@ -117,9 +118,9 @@ class Health(NamedTuple):
 
     Attributes
     ----------
-    stamps : (n,) s, the log's own
-    reasons : (n,) int8, why each pose cannot be trusted; `NONE` where it can
-    amounts : (n,) the way in m or the share that the reason comes with, else 0
+    stamps : (n,) s, those of the log
+    reasons : (n,) int8, why each pose cannot be trusted; `NONE` if it can
+    amounts : (n,) the amount that the reason comes with, else 0
     """
 
     stamps: Array
@@ -138,7 +139,7 @@ class Health(NamedTuple):
         return dict(zip(STATES, np.bincount(self.states, minlength=3).tolist(), strict=True))
 
     def spans(self) -> Iterator[Span]:
-        """Yield the stretches of scans that cannot be trusted, in their order."""
+        """Yield the spans of scans that cannot be trusted, in order."""
         edges = np.flatnonzero(np.diff(self.reasons, prepend=-1, append=-1))
         for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
             reason, amounts = int(self.reasons[a]), self.amounts[a:b]
@@ -154,12 +155,12 @@ class Health(NamedTuple):
         if not spans:
             return "TRACKING throughout"
         counts = self.counts()
-        told = ", ".join(f"{state} at {counts[state]} scans" for state in STATES if counts[state])
+        line = ", ".join(f"{state} at {counts[state]} scans" for state in STATES if counts[state])
         worst = max(spans, key=lambda span: (span.reason >= ELSEWHERE, span.scans))
-        told += f"; longest at {worst.begin:.3f} s: {worst.words}"
+        line += f"; longest at {worst.begin:.3f} s: {worst.description}"
         if self.reasons[-1] == NONE:
-            return told + "; TRACKING at the end"
-        return told + f"; at the end {spans[-1].state}: {spans[-1].words}"
+            return line + "; TRACKING at the end"
+        return line + f"; at the end {spans[-1].state}: {spans[-1].description}"
 
 
 def state_of(reason: int) -> int:
@@ -167,9 +168,9 @@ def state_of(reason: int) -> int:
     return LOST if reason >= ELSEWHERE else DEGRADED if reason else TRACKING
 
 
-def words(reason: int, amount: float) -> str:
-    """Return a reason in words, "" for `NONE`."""
-    return _WORDS[reason].format(amount, 100.0 * amount)
+def describe(reason: int, amount: float) -> str:
+    """Return the description of a reason, "" for `NONE`."""
+    return _DESCRIPTIONS[reason].format(amount, 100.0 * amount)
 
 
-ALL_WELL = Health(np.empty(0), np.empty(0, np.int8), np.empty(0))
+NO_SCANS = Health(np.empty(0), np.empty(0, np.int8), np.empty(0))

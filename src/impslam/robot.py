@@ -45,7 +45,7 @@ class Robot:
         self.name, self.odometry, self.sensors = name, odometry, sensors
         self.counts: dict[str, int] = {}
         self.problems = Problems()
-        fuses = odometry.gyro.use and odometry.tells_motion
+        fuses = odometry.gyro.use and odometry.measures_motion
         self.streams = Streams(
             Reader("odometry", odometry.consumes, odometry.stream),
             {n: Reader(f"sensors.{n}", s.consumes, s.stream) for n, s in sensors.items()},
@@ -93,7 +93,7 @@ class Robot:
 
     def flush(self) -> Iterator[tuple[Motions, Sweeps]]:
         """Return the sweeps that still wait for odometry, with the motion known so far."""
-        refused = self._gyro.refusal()
+        refused = self._gyro.rejection()
         if refused:
             self._faults.append((END, "gyro", refused, 1))
         found = self._synchronise(*self._motions([], {}), [], END)
@@ -106,13 +106,13 @@ class Robot:
         It gives the current pose while no sweeps arrive. The state does not change.
         """
         ahead = self._synchroniser.ahead()
-        if not self.odometry.tells_motion:
+        if not self.odometry.measures_motion:
             ahead = replace(ahead, covariance=np.diag((USUAL_TWIST * ahead.duration) ** 2))
         return replace(ahead, stamp=ahead.stamp - self._shift)
 
     def look(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
         """Extract the landmarks in row k of the sweeps, in base_link at the middle of the sweep."""
-        return self.sensors[sweeps.sensor].look(sweeps, k, rng)
+        return self.sensors[sweeps.sensor].observe(sweeps, k, rng)
 
     @property
     def pending(self) -> int:
@@ -180,7 +180,7 @@ class Robot:
         """Return the sweeps that odometry covers, with their motions."""
         pending = self._queue.push(rows)
         got = self._synchroniser.feed(order, motions, pending, last)
-        if not self.odometry.tells_motion:
+        if not self.odometry.measures_motion:
             ahead = np.abs(pending.stamps[: len(got.twists)] - got.motions.stamps)
             got = got._replace(stamp_covariance=diagonal(np.outer(ahead**2, USUAL_TWIST**2)))
         found = self._queue.pop(got)

@@ -286,7 +286,9 @@ class Run:
         if not self.scans:
             return None
         ahead = self.robot.ahead()
-        T, spread = compose_uncertain(*self.tracker.since, ahead.d_pose, ahead.covariance)
+        T, spread = compose_uncertain(
+            *self.tracker.motion_since_keyframe, ahead.d_pose, ahead.covariance
+        )
         odometry = compose(self.tracker.odometry, ahead.d_pose)
         return self._builder.locate(ahead.stamp, T, spread, odometry)
 
@@ -400,7 +402,7 @@ class Run:
             compile_seconds=self.clock.compiling,
             state_size=self.estimator.state_size,
             health=self._health.health,
-            lidar_alone=not self.robot.odometry.tells_motion,
+            lidar_alone=not self.robot.odometry.measures_motion,
         )
 
 

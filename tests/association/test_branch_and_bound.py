@@ -62,7 +62,7 @@ def test_equal_to_enumeration(gate):
         assert worth(case, gate, [p for p in found if p != NONE]) == pytest.approx(best, abs=1e-9)
 
 
-def test_a_set_is_judged_whole():
+def test_only_complete_sets_are_tested():
     """Two innovations of 3.2 sigma fail the gate of two, and pass that of six in any order."""
     nu = np.array([3.2, 3.2, 0.0, 0.0, 0.0, 0.0])
     one = np.ones(6, np.int64)
@@ -71,7 +71,7 @@ def test_a_set_is_judged_whole():
         assert (run(case, 0.999)[0] != NONE).all()
 
 
-def test_a_spent_budget_is_told_and_bounds_the_work():
+def test_a_spent_budget_is_reported_and_bounds_the_work():
     """Twenty observations of ten landmarks each, all alike: a full search would never end."""
     rng, n, k = np.random.default_rng(0), 20, 10
     size = np.full(n, 1)

@@ -1,4 +1,4 @@
-"""JCBB finds the largest jointly compatible set, where pairs judged alone are misled."""
+"""JCBB finds the largest jointly compatible set; tests of single pairs are misled."""
 
 import itertools
 
@@ -93,7 +93,7 @@ def test_the_order_of_observations_does_not_matter(seed):
     assert {int(order[a]): k for a, k in there.items()} == here
 
 
-def test_right_more_often_than_pairs_judged_alone():
+def test_right_more_often_than_tests_of_single_pairs():
     """Eight of twelve posts seen, pose off by more than their spacing, forty draws."""
     right = {Jcbb: 0, Mahalanobis: 0}
     for seed in range(0, 80, 2):
@@ -116,8 +116,8 @@ def test_spurious_observations_are_rejected():
     assert choice.new == ()  # too near the post to be new
 
 
-def test_points_and_walls_vote_together():
-    """A wall tells how far off the pose is, and so which post of two is seen."""
+def test_points_and_walls_are_tested_jointly():
+    """A wall shows the error of the pose, and so which of two posts is observed."""
     ends, posts = [[3, -2], [3, 2]], [(2.0, 0.0), (2.5, 0.0)]
     belief = mapped(
         [point(ORIGIN, p) for p in posts] + [wall(ORIGIN, ends)], sigma=(0.4, 0.4, 0.01)
@@ -181,8 +181,8 @@ def test_a_search_cut_short_still_returns_compatible_pairs(budget):
         assert d2 <= chi2.ppf(GATE, len(innovation))
 
 
-def test_where_the_pose_is_given_pairs_are_judged_one_by_one_by_the_same_gates():
-    alone = Jcbb(gate=0.99, new_gate=0.9999, odds=5.0).given_pose()
-    assert not alone.judges_jointly
+def test_for_a_known_pose_pairs_are_tested_one_by_one_by_the_same_gates():
+    alone = Jcbb(gate=0.99, new_gate=0.9999, odds=5.0).for_known_pose()
+    assert not alone.is_joint
     assert (alone.gate, alone.new_gate, alone.odds) == (0.99, 0.9999, 5.0)
-    assert alone.given_pose() is alone
+    assert alone.for_known_pose() is alone

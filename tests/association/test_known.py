@@ -8,7 +8,7 @@ from impslam.association.known import Known
 ORIGIN = np.zeros(3)
 
 
-def test_labels_decide_against_all_distance():
+def test_labels_decide_at_any_distance():
     belief = mapped([point(ORIGIN, (1, 0), 7), point(ORIGIN, (2, 0), 8)])
     seen = (point(ORIGIN, (1, 0), 8), point(ORIGIN, (50, 50), 7))
     assert pairs(belief.associate(seen, Known())) == {0: 1, 1: 0}
@@ -34,7 +34,7 @@ def test_a_label_read_twice_is_the_nearer_one_and_the_other_is_not_new():
     assert choice.new == ()
 
 
-def test_with_a_gate_a_misread_label_is_refused_and_is_not_new():
+def test_a_gate_rejects_a_misread_label_that_is_not_new():
     belief = mapped([point(ORIGIN, (1, 0), 7), point(ORIGIN, (2, 0), 8)])
     seen = (point(ORIGIN, (1, 0), 7), point(ORIGIN, (50, 50), 8), point(ORIGIN, (3, 3), 9))
     choice = belief.associate(seen, Known(gate=0.999999))

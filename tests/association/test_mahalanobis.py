@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binom, multivariate_normal
 from tests.association.scenes import R_POINT, mapped, move, pairs, point, wall
 
-from impslam.association.assignment import decided
+from impslam.association.assignment import unambiguous_pairs
 from impslam.association.mahalanobis import Mahalanobis
 from impslam.geometry.se2 import compose
 
@@ -26,7 +26,7 @@ def test_the_gate_passes_true_pairings_at_its_rate(gate, rng):
     assert low <= passed <= high
 
 
-def test_the_whole_choice_is_best_where_greedy_is_not():
+def test_the_assignment_is_optimal_and_not_greedy():
     """Landmarks at 0 and 1, seen at 0.9 and 1.9: the nearest pair (0.9, 1) would waste the other."""
     belief = mapped([point(ORIGIN, (2, 0)), point(ORIGIN, (3, 0))], sigma=(0.5, 0.5, 1e-3))
     seen = (point(ORIGIN, (2.9, 0)), point(ORIGIN, (3.9, 0)))
@@ -54,7 +54,7 @@ def test_choice_and_odds_equal_enumeration(seed, least):
     total, best = min(every, key=lambda one: one[0])
     expected = {p for p in best if all(t >= total + least for t, some in every if p not in some)}
     a, k = np.nonzero(allowed)
-    assert {(int(a[p]), int(k[p])) for p in decided(a, k, cost[a, k], least)} == expected
+    assert {(int(a[p]), int(k[p])) for p in unambiguous_pairs(a, k, cost[a, k], least)} == expected
 
 
 def test_collinear_walls_five_metres_apart_stay_two():
@@ -64,7 +64,7 @@ def test_collinear_walls_five_metres_apart_stay_two():
     assert choice.new == (0,)
 
 
-def test_a_wall_is_known_again_from_a_later_pose():
+def test_a_wall_is_recognised_from_a_later_pose():
     ends, later = [[4, -3], [4, 3]], np.array([1.5, 1.0, 0.8])
     belief = mapped([wall(ORIGIN, ends)], moved=later)
     assert pairs(belief.associate((wall(later, ends),), Mahalanobis())) == {0: 0}
@@ -130,7 +130,7 @@ def test_a_wide_gate_with_one_landmark_inside_does_not_suffice(sigma, expected):
 
 
 @pytest.mark.parametrize("landmark", ["point", "wall"])
-def test_the_density_decides_where_the_odds_are_even(landmark):
+def test_the_density_decides_at_even_odds(landmark):
     """Matched while N(nu; 0, S) is above the density, new once ten times below it."""
     if landmark == "point":
         first, again = point(ORIGIN, (2, 1)), point(ORIGIN, (2.2, 0.9))

@@ -12,7 +12,7 @@ ORIGIN = np.zeros(3)
 
 
 @pytest.mark.parametrize(("apart", "matched"), [(1.99, True), (2.01, False)])
-def test_points_within_two_metres_are_one(apart, matched):
+def test_points_within_two_metres_match(apart, matched):
     belief = mapped([point(ORIGIN, (3, 0))])
     choice = belief.associate((point(ORIGIN, (3 + apart, 0)),), Nearest())
     assert (len(choice.matches), len(choice.new)) == ((1, 0) if matched else (0, 1))
@@ -52,7 +52,7 @@ def test_parallel_walls_match_by_their_feet(distance, matched):
 
 
 @pytest.mark.parametrize("directed", [False, True])
-def test_the_two_sides_of_a_passage_are_told_apart_when_asked(directed):
+def test_directed_walls_distinguish_the_two_sides_of_a_passage(directed):
     """Walls 1 m apart that face each other: the thesis takes 180 degrees for 0."""
     belief = mapped([wall(ORIGIN, [[3, 0.5], [1, 0.5]])])
     other = wall(ORIGIN, [[1, -0.5], [3, -0.5]])
@@ -61,7 +61,7 @@ def test_the_two_sides_of_a_passage_are_told_apart_when_asked(directed):
 
 
 @pytest.mark.parametrize(("frame", "matched"), [("map", False), ("base_link", True)])
-def test_a_far_wall_is_known_again_from_the_robot_despite_the_heading(frame, matched):
+def test_a_far_wall_is_recognised_from_the_robot_despite_the_heading(frame, matched):
     """Half a degree 400 m away moves the foot in map by 3.5 m, and the wall before the robot by 2 cm."""
     pose = np.array([400.0, 0.0, 0.0])
     belief = mapped([wall(ORIGIN, [[402, -1], [402, 1]])], pose)

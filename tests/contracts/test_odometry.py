@@ -41,10 +41,10 @@ def reading(consumes, stamp, spoil=None):
     return OdometryPose(stamp, pose if spoil is None else np.array([spoil, *pose[1:]]))
 
 
-TELLING = sorted(name for name, kind in components("odometry").items() if kind.tells_motion)
+MEASURING = sorted(name for name, kind in components("odometry").items() if kind.measures_motion)
 
 
-@pytest.fixture(params=TELLING)
+@pytest.fixture(params=MEASURING)
 def make(request):
     """Return what makes an odometry, with parameters of its own."""
     name = request.param
@@ -69,7 +69,7 @@ def test_readings_give_one_motion_less(odometry):
     assert len(odometry.motions(readings.take(slice(1))).stamps) == 0
 
 
-def test_the_first_message_tells_no_motion(odometry):
+def test_the_first_message_gives_no_motion(odometry):
     assert StepwiseOdometry(odometry).update(reading(odometry.consumes, 1.0)) is None
 
 
@@ -101,7 +101,7 @@ def test_uncertainty_does_not_depend_on_the_rate(odometry):
     np.testing.assert_allclose(found[1], found[0], rtol=0.02, atol=1e-9)
 
 
-def test_no_motion_is_sure(odometry):
+def test_no_motion_has_no_uncertainty(odometry):
     motions = odometry.motions(stacked([reading(odometry.consumes, 1.0)] * 2))
     np.testing.assert_allclose(motions.d_pose, np.zeros((1, 3)), atol=1e-15)
     assert np.abs(motions.covariance).max() < 1e-12

@@ -1,4 +1,4 @@
-"""What every sensor keeps: rows are independent, spans are told once, nothing given is changed."""
+"""What every sensor guarantees: rows are independent, spans are queried once, arguments do not change."""
 
 import math
 
@@ -71,24 +71,24 @@ def test_any_cutting_gives_the_same_bytes(make):
             part = slice(k, k + cut)
             sweeps = swept(sensor, columns.take(part), TWISTS[part])
             for i in range(len(sweeps)):
-                looked = sensor.look(sweeps, i, np.random.default_rng(k + i))
+                looked = sensor.observe(sweeps, i, np.random.default_rng(k + i))
                 rows.append(plain(sweeps, i, looked))
         found.append(rows)
     assert found[0] == found[1] == found[2]
 
 
-def test_nothing_given_is_changed(make):
+def test_arguments_do_not_change(make):
     sensor = make()
     columns, twists = rows_of(sensor), TWISTS.copy()
     before = {name: column.copy() for name, column in columns.values.items()}
     sweeps = swept(sensor, columns, twists)
-    sensor.look(sweeps, 1, np.random.default_rng(0))
+    sensor.observe(sweeps, 1, np.random.default_rng(0))
     for name, column in before.items():
         np.testing.assert_array_equal(columns.values[name], column)
     np.testing.assert_array_equal(twists, TWISTS)
 
 
-def test_what_is_of_no_use_is_told_in_one_line(make):
+def test_an_unusable_row_is_described_in_one_line(make):
     sensor = make()
     assert sensor.usable(rows_of(sensor)).all()
     bad = message(sensor.consumes, len(TWISTS))

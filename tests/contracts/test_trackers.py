@@ -1,4 +1,4 @@
-"""What every tracker keeps: any cutting, exact drives, the keyframe gate, honest covariances."""
+"""What every tracker guarantees: any cutting, exact drives, the keyframe gate, honest covariances."""
 
 import math
 from functools import cache
@@ -34,7 +34,7 @@ def scene():
 
 
 def driven(step=STEP, spread=SPREAD):
-    """Return motions and sweeps of the scene, as an odometry has them that tells of `step`."""
+    """Return motions and sweeps of the scene, with odometry that reports `step`."""
     stamps = PERIOD * np.arange(SWEEPS)
     first = Increment(0.0, np.zeros(3), np.zeros((3, 3)), 0.0)
     increments = [first, *(Increment(t, step, spread, PERIOD) for t in stamps[1:].tolist())]
@@ -43,7 +43,7 @@ def driven(step=STEP, spread=SPREAD):
 
 @pytest.fixture(params=sorted(components("tracker")))
 def make(request):
-    """Return what makes a tracker that is ready for the first sweep."""
+    """Return a function that makes a tracker ready for the first sweep."""
 
     def make(gate=GATE, start=(0.0, 0.0, 0.0)):
         tracker = components("tracker")[request.param]()
@@ -58,12 +58,12 @@ def keyframes(tracks):
 
 
 def test_any_cutting_gives_the_same_bytes(make):
-    """Of odometry that lacks half of the way, too, so that the scans contradict it."""
+    """Also with odometry that reports half of the distance, so that the scans contradict it."""
     for step in (STEP, STEP * [0.5, 1.0, 1.0]):
         motions, sweeps = driven(step)
         found = []
         for cut in (1, 7, SWEEPS):
-            tracker, rows, ends = make(), [], []
+            tracker, rows, keys = make(), [], []
             for k in range(0, SWEEPS, cut):
                 part = slice(k, k + cut)
                 for track in tracker.follow(motions.take(part), sweeps.take(part)):
@@ -73,8 +73,15 @@ def test_any_cutting_gives_the_same_bytes(make):
                     if track.keyframe is not None:
                         key = track.keyframe
                         values = key.motion.d_pose, key.motion.covariance, key.odometry
-                        ends.append((key.id, key.stamp, *(v.tobytes() for v in values)))
-            found.append((rows, ends, tracker.since[0].tobytes(), dict(tracker.problems.counts)))
+                        keys.append((key.id, key.stamp, *(v.tobytes() for v in values)))
+            found.append(
+                (
+                    rows,
+                    keys,
+                    tracker.motion_since_keyframe[0].tobytes(),
+                    dict(tracker.problems.counts),
+                )
+            )
         assert found[0] == found[1] == found[2]
         assert len(found[0][1]) >= 5
         follows_odometry = not tracker.matches_scans
@@ -110,7 +117,7 @@ def test_a_noiseless_drive_is_exact(make):
     ],
     ids=["distance", "angle", "seconds", "each", "never"],
 )
-def test_keyframes_come_after_way_turn_or_time(make, gate, every):
+def test_keyframes_come_after_distance_turn_or_time(make, gate, every):
     """The first sweep is one always."""
     tracks = list(make(gate).follow(*driven()))
     rows = [k.row for k in keyframes(tracks)]
@@ -119,7 +126,7 @@ def test_keyframes_come_after_way_turn_or_time(make, gate, every):
     assert [t.anchor for t in tracks] == [-1, *range(len(rows))][: len(tracks)]
 
 
-def test_a_keyframe_that_nobody_uses_costs_no_motion_and_counts_none_twice(make):
+def test_unused_keyframes_lose_no_motion_and_count_none_twice(make):
     """Keyframes' motions begin where the one before ended, whatever became of it."""
     motions, sweeps = driven()
     tracker, moved = make(), np.zeros(3)
@@ -129,7 +136,9 @@ def test_a_keyframe_that_nobody_uses_costs_no_motion_and_counts_none_twice(make)
         duration += key.motion.duration
         np.testing.assert_allclose(moved, scene()[1][key.row], atol=2e-3)
         assert duration == pytest.approx(PERIOD * key.row)
-    np.testing.assert_allclose(compose(moved, tracker.since[0]), scene()[1][-1], atol=2e-3)
+    np.testing.assert_allclose(
+        compose(moved, tracker.motion_since_keyframe[0]), scene()[1][-1], atol=2e-3
+    )
 
 
 def test_covariances_are_symmetric_and_grow_from_nothing(make):
@@ -163,7 +172,7 @@ def test_a_sensor_without_scans_leaves_odometry_as_it_is(make):
 
 
 def test_the_poses_of_a_track_compose_to_the_keyframe(make):
-    """Each sweep a keyframe tells single motions; they add up to the tracks of a gate that is far."""
+    """With a keyframe per sweep, single motions add up to the tracks of a wide gate."""
     each = KeyframeGate(distance=0, angle=math.inf, seconds=math.inf)
     steps = [k.motion.d_pose for k in keyframes(make(each).follow(*driven()))]
     row = 0
@@ -181,7 +190,7 @@ def test_the_poses_of_a_track_compose_to_the_keyframe(make):
 
 
 def test_odometry_is_handed_on_beside_the_motion(make):
-    """Dead reckoning from the start, whatever scans say of it."""
+    """Dead reckoning from the start, whatever the scans show."""
     short, start = STEP * [0.5, 1.0, 1.0], np.array([2.0, -1.0, 3.0])
     reckoned = [start]
     for _ in range(SWEEPS - 1):
@@ -195,11 +204,11 @@ def test_odometry_is_handed_on_beside_the_motion(make):
     np.testing.assert_allclose(tracker.odometry, reckoned[-1], atol=1e-12)
 
 
-def test_a_way_without_data_is_told(make):
+def test_motion_during_a_gap_is_reported(make):
     motions, sweeps = driven()
-    for seconds, way, reason in ((10.0, 1.0, SKIPPED), (10.0, 0.0, NONE), (1.0, 1.0, NONE)):
+    for seconds, distance, reason in ((10.0, 1.0, SKIPPED), (10.0, 0.0, NONE), (1.0, 1.0, NONE)):
         duration, d_pose = motions.duration.copy(), motions.d_pose.copy()
-        duration[20], d_pose[20] = seconds, [way, 0.0, 0.0]
+        duration[20], d_pose[20] = seconds, [distance, 0.0, 0.0]
         changed = motions._replace(duration=duration, d_pose=d_pose)
         found = {}
         for track in make().follow(changed, sweeps):

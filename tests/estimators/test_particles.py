@@ -135,7 +135,7 @@ def _normalised(log_weights):
 class Joint(Mahalanobis):
     """Judges a scan as a whole, and not otherwise."""
 
-    judges_jointly = True
+    is_joint = True
 
 
 def test_what_it_cannot_do_is_refused():

@@ -18,7 +18,7 @@ from impslam.filters.ekf import Ekf
 from impslam.geometry.se2 import compose
 from impslam.lifecycle.immediate import Immediate
 from impslam.lifecycle.tentative import Tentative
-from impslam.noise import LONGEST
+from impslam.noise import MAX_GAP
 from impslam.types import Increment, Match
 
 POSTS = [(1.0, 1.5), (2.0, -1.0), (3.5, 1.2), (4.5, -1.4), (6.0, 0.8), (7.0, -0.5)]
@@ -71,7 +71,7 @@ def test_every_filter_predicts_anew(kind):
 
 
 def test_a_gap_in_the_data_is_no_slip():
-    slam, _ = drive(0.5, seconds=LONGEST + 1.0)
+    slam, _ = drive(0.5, seconds=MAX_GAP + 1.0)
     assert SLIPS not in slam.counts()
 
 

@@ -1,4 +1,4 @@
-"""Cylinders: found whole and honestly, and nothing else taken for one."""
+"""Cylinders: found completely, with consistent covariances, and nothing else mistaken for one."""
 
 import dataclasses
 
@@ -49,7 +49,7 @@ def test_cylinder_across_the_first_beam_of_a_full_turn(rng):
 
 
 @pytest.mark.parametrize(("radius", "floor"), [(None, 0.9), (0.15, 0.95)])
-def test_covariance_is_honest_and_most_are_found(rng, radius, floor):
+def test_covariance_is_consistent_and_most_are_found(rng, radius, floor):
     d2, tried = [], 0
     for _ in range(300):
         distance, bearing = rng.uniform(0.6, 2.5), rng.uniform(-1.8, 1.8)
@@ -64,7 +64,7 @@ def test_covariance_is_honest_and_most_are_found(rng, radius, floor):
     assert 1.3 < np.mean(d2) < 2.6
 
 
-def test_covariance_has_the_error_that_all_ranges_share(rng):
+def test_covariance_contains_the_error_common_to_all_ranges(rng):
     scan = cast(ROOM, np.array([[1.5, 0.0, 0.15]]), sigma=0.005).scan
     (own,) = cylinders(scan, rng, radius=0.15)
     (shared,) = cylinders(dataclasses.replace(scan, bias=0.02), rng, radius=0.15)
@@ -85,7 +85,7 @@ def test_rooms_corners_doors_boxes_and_wall_ends_are_no_cylinders(rng, sigma):
             assert cylinders(scene.scan, rng) == []
 
 
-def test_what_is_cut_occluded_or_touches_a_wall_is_skipped(rng):
+def test_cut_occluded_or_touching_arcs_are_skipped(rng):
     whole = np.array([[1.5, 0.0, 0.15]])
     cut_by_the_end = cast(NOTHING, whole, angles=URG_ANGLES[URG_ANGLES > 0.03], sigma=0.003)
     occluded = cast(NOTHING, np.vstack((whole, [[0.8, 0.06, 0.02]])), sigma=0.003)

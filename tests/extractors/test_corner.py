@@ -1,4 +1,4 @@
-"""Corners: exact, honest, and only where two walls meet."""
+"""Corners: exact, consistent, and only at meeting walls."""
 
 import dataclasses
 
@@ -61,7 +61,7 @@ def test_walls_that_do_not_meet_or_hardly_turn_make_no_corner(rng):
     assert corners(cast(short).scan, rng) == []
 
 
-def test_covariance_is_honest(rng):
+def test_covariance_is_consistent(rng):
     walls = np.array([[[2.0, -1.5], [2.0, 1.0]], [[2.0, 1.0], [0.2, 1.4]]])
     d2 = []
     for _ in range(200):
@@ -73,7 +73,7 @@ def test_covariance_is_honest(rng):
     assert 1.4 < np.mean(d2) < 2.6
 
 
-def test_covariance_has_the_error_that_all_ranges_share(rng):
+def test_covariance_contains_the_error_common_to_all_ranges(rng):
     scan = cast(ROOM[:2], laser=LASER, sigma=0.003).scan
     beams = np.column_stack((np.cos(scan.directions), np.sin(scan.directions)))
 

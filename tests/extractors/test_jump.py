@@ -60,7 +60,7 @@ def test_covariance_is_the_polar_one_turned_into_the_beam(rng: np.random.Generat
     assert beam @ seen.R @ across == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_gap_without_return_breaks_the_data_as_the_thesis_says(
+def test_a_gap_without_return_breaks_the_data_as_in_the_thesis(
     rng: np.random.Generator,
 ) -> None:
     scan = cast(WALLS, at((1.0, 0.0))).scan
@@ -70,7 +70,7 @@ def test_a_gap_without_return_breaks_the_data_as_the_thesis_says(
     assert Jump().extract(alone, rng) == []
 
 
-def test_a_second_fall_begins_anew_and_a_rise_alone_ends_nothing() -> None:
+def test_a_second_fall_restarts_and_a_lone_rise_is_ignored() -> None:
     slope = np.array([0.0, 9.0, -9.0, 0.0, -9.0, 0.0, 0.0, 9.0, 9.0])
     assert candidates(slope, 5.0) == [(5, 7)]
 

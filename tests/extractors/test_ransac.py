@@ -85,7 +85,7 @@ def test_noise_of_the_lidar_gives_walls_within_its_covariance() -> None:
     assert np.mean(squared) < 1.0
 
 
-def test_spurious_walls_exist_as_the_thesis_saw() -> None:
+def test_spurious_walls_exist_as_in_the_thesis() -> None:
     rng, spurious, total = np.random.default_rng(4), 0, 0
     for _ in range(100):
         scene = cast(WALLS, people(rng, 6), noise=0.01, rng=rng)

@@ -1,4 +1,4 @@
-"""Beacons by the brightness of their echoes: where, how sure, and what is none."""
+"""Beacons by the brightness of their echoes: position, covariance, and rejections."""
 
 import math
 
@@ -82,7 +82,7 @@ def test_brightness_that_is_no_number_is_not_bright():
     assert find(scan(5.0, [100], brightness=np.nan)) == []
 
 
-def test_lidars_that_do_not_tell_brightness_see_none():
+def test_lidars_without_brightness_find_none():
     message = LaserScan(0.0, ANGLES, np.full(len(ANGLES), 5.0), np.zeros(len(ANGLES)))
     assert find(Lidar2D().scan(message, STILL)) == []
 
@@ -119,7 +119,7 @@ def test_a_lone_beams_covariance_is_that_of_its_spacing(rng):
     assert np.mean(d2) == pytest.approx(2.0, abs=0.2)
 
 
-def test_what_is_not_known_of_its_surface_widens_it_both_ways():
+def test_uncertainty_of_the_surface_widens_both_axes():
     (seen,) = find(scan(6.0, [180], Lidar2D(sigma=0.01, bias=0.03)), sigma_surface=0.05)
     across = 36.0 * STEP**2 / 12.0 + 0.05**2
     expected = np.diag([0.01**2 + 0.03**2 + 0.05**2, across])

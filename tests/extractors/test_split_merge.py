@@ -1,4 +1,4 @@
-"""Split and merge: whole walls with honest covariances, and nothing that is no wall."""
+"""Split and merge: complete walls with consistent covariances, and nothing else."""
 
 import dataclasses
 
@@ -111,7 +111,7 @@ def longer(scan, by):
     return dataclasses.replace(scan, points=scan.points + by[:, None] * beams)
 
 
-def test_covariance_is_honest(rng):
+def test_covariance_is_consistent(rng):
     scene = cast(ASKEW, laser=LASER, sigma=0.01)
     d2 = []
     for _ in range(300):
@@ -123,7 +123,7 @@ def test_covariance_is_honest(rng):
     assert 1.5 < np.mean(d2) < 2.35
 
 
-def test_covariance_has_the_error_that_all_ranges_share(rng):
+def test_covariance_contains_the_error_common_to_all_ranges(rng):
     scan = cast(ASKEW, laser=LASER, sigma=0.01).scan
     (here,) = walls(scan, rng)
     (far,), (near,) = walls(longer(scan, 1e-4), rng), walls(longer(scan, -1e-4), rng)

@@ -1,4 +1,4 @@
-"""Circle fits: exact without noise, efficient and honest with it, better with a known radius."""
+"""Circle fits: exact without noise, efficient and consistent with it, better with a known radius."""
 
 import numpy as np
 import pytest

@@ -33,7 +33,7 @@ def test_a_degree_is_as_long_as_printed(latitude, north, east):
     assert up[0, 0] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_known_way_across_a_town():
+def test_a_known_distance():
     """Flinders Peak to Buninyong (Geoscience Australia's GDA manual): 54972.271 m on GRS 80."""
     lat = np.array([-(37 + 57 / 60 + 3.72030 / 3600), -(37 + 39 / 60 + 10.15610 / 3600)])
     lon = np.array([144 + 25 / 60 + 29.52440 / 3600, 143 + 55 / 60 + 35.38390 / 3600])
@@ -43,12 +43,12 @@ def test_a_known_way_across_a_town():
     assert arc == pytest.approx(54972.271, abs=0.05)
 
 
-def test_place_undoes_points(rng):
+def test_geodetic_inverts_points(rng):
     for _ in range(50):
         lat, lon = rng.uniform(-89, 89), rng.uniform(-180, 180)
         plane = LocalPlane(lat, lon, rng.uniform(-100, 3000))
         point = rng.uniform(-5000, 5000, 3)
-        place = plane.place(point)
+        place = plane.geodetic(point)
         back = plane.points(*(np.array(v) for v in place))
         np.testing.assert_allclose(back, point, atol=1e-6)
 

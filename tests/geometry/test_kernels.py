@@ -58,7 +58,7 @@ def test_a_read_only_package_keeps_its_code_with_the_user(read_only: Path, tmp_p
         assert any(home.rglob("*.nbc"))
 
 
-def test_without_a_folder_kernels_run_and_say_so_once(read_only: Path) -> None:
+def test_without_a_folder_kernels_run_and_warn_once(read_only: Path) -> None:
     said = fit(read_only, XDG_CACHE_HOME="/dev/null/none", HOME="/dev/null/none")
     assert said.stdout == "1.0 0\n"
     assert said.stderr.count("\n") == 1
@@ -101,7 +101,7 @@ def {name}(x):
 """
 
 
-def test_code_is_compiled_anew_where_a_kernel_that_it_calls_has_changed(tmp_path: Path) -> None:
+def test_code_is_recompiled_if_a_called_kernel_has_changed(tmp_path: Path) -> None:
     package = tmp_path / "parts"
     package.mkdir()
     (package / "caller.py").write_text(CALLER.format(package="parts", name="add"))
@@ -154,7 +154,7 @@ def length(x, y):
 """
 
 
-def test_only_what_python_calls_has_machine_code(tmp_path: Path) -> None:
+def test_only_entry_points_have_machine_code(tmp_path: Path) -> None:
     """And an error of a part reaches Python, compiled or loaded."""
     (tmp_path / "lengths.py").write_text(PARTS)
     code = """

@@ -1,4 +1,4 @@
-"""Line fits: exact without noise, efficient and honest with it."""
+"""Line fits: exact without noise, efficient and consistent with it."""
 
 import numpy as np
 import pytest
@@ -113,7 +113,7 @@ def test_line_through_the_origin_and_line_behind_it():
     assert behind.alpha == pytest.approx(-np.pi / 4)
 
 
-def test_a_beam_along_the_line_does_not_rule_the_fit():
+def test_a_beam_along_the_line_does_not_dominate_the_fit():
     directions = np.array([0.0, 1.2, 1.4, 1.6, 1.8])
     points = np.array([[3.0, 1.0], [0.4, 1.01], [0.2, 0.99], [0.0, 1.0], [-0.2, 1.0]])
     fit = fit_line(points, directions, np.full(5, SIGMA), flatness=0.01)

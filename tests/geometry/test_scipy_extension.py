@@ -19,5 +19,5 @@ def test_it_is_scipys_own_and_comes_alone() -> None:
     assert (said.stdout, said.stderr) == ("False\nTrue\n", "")
 
 
-def test_the_public_module_stands_in_where_scipy_keeps_it_elsewhere() -> None:
+def test_the_public_module_is_the_fallback() -> None:
     assert load("scipy.optimize._elsewhere", "scipy.optimize") is scipy.optimize

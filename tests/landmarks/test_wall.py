@@ -117,8 +117,8 @@ def local(m, other):
 
 
 @pytest.mark.parametrize("theta", [0.0, 3.0, math.pi - 1e-9, -math.pi + 1e-9, 5.9])
-def test_a_new_wall_moves_with_the_pose_and_what_is_seen_of_it(theta, rng):
-    """The whole frame, its place along the wall too, which no measurement tells."""
+def test_a_new_wall_moves_with_the_pose_and_the_observation(theta, rng):
+    """The whole frame, including its position along the wall, which is not measured."""
     wall, pose = Wall(), np.array([-2.0, 0.5, theta])
     for o in observations(rng):
         new = wall.initialise(pose, o)

@@ -48,23 +48,23 @@ def test_seen_from_a_moving_robot_it_is_the_same_landmark():
     assert sightings(lifecycle, [(2 - 0.1 * i, 1) for i in range(6)], moved=(0.1, 0, 0))[0] == 3
 
 
-def test_what_walks_is_never_confirmed():
+def test_a_walker_is_never_confirmed():
     lifecycle = started(Tentative())
     assert sightings(lifecycle, [(2 + 0.1 * i, 1) for i in range(40)]) == []
 
 
-def test_what_creeps_is_never_confirmed():
+def test_a_slow_walker_is_never_confirmed():
     """A walker is compared with where it was first seen, not with where it was last seen."""
     lifecycle = started(Tentative(sightings=8, persistence=0.7))
     assert sightings(lifecycle, [(2 + 0.02 * i, 1) for i in range(40)]) == []
 
 
-def test_what_is_seen_too_rarely_is_forgotten():
+def test_landmarks_seen_too_rarely_are_dropped():
     lifecycle = started(Tentative(sightings=3, patience=0.5))
     assert sightings(lifecycle, ([(2, 1)] + [None] * 8) * 5) == []
 
 
-def test_the_first_scan_of_a_run_enters_at_once():
+def test_landmarks_of_the_first_scan_are_added_at_once():
     lifecycle = started(Tentative())
     assert len(lifecycle.promote([cylinder(1, 1), cylinder(2, 0)], 0.0, lost=True)) == 2
 
@@ -88,11 +88,11 @@ def trial(scan, matched, lifecycle=None, ids=(7,), rate=0.25):
     return gone
 
 
-def test_what_only_the_first_scan_shows_goes_after_the_patience(scan_of_a_wall):
+def test_landmarks_only_in_the_first_scan_are_removed_after_the_patience(scan_of_a_wall):
     assert trial(scan_of_a_wall, [()] * 20, Tentative(patience=1.0)) == {7: 5}
 
 
-def test_what_the_first_scan_and_enough_others_show_stays(scan_of_a_wall):
+def test_landmarks_in_the_first_scan_and_enough_others_stay(scan_of_a_wall):
     assert trial(scan_of_a_wall, [(7,)] * 4 + [()] * 40) == {}
 
 
@@ -106,7 +106,7 @@ def test_trials_are_of_each_landmark_by_itself(scan_of_a_wall):
     assert trial(scan_of_a_wall, matched, ids=(7, 8, 9)) == {9: 5, 8: 7}
 
 
-def test_only_what_entered_untried_is_on_trial(scan_of_a_wall):
+def test_only_landmarks_of_the_first_scan_are_on_trial(scan_of_a_wall):
     lifecycle = started(Tentative())
     on_the_wall = np.full((1, 2, 2), [3.0, 0.0])
     for i in range(40):
@@ -115,7 +115,7 @@ def test_only_what_entered_untried_is_on_trial(scan_of_a_wall):
         assert seen == []
 
 
-def test_a_new_run_knows_nothing_of_the_trials_before(scan_of_a_wall):
+def test_a_new_run_starts_without_trials(scan_of_a_wall):
     lifecycle = started(Tentative())
     lifecycle.promote([cylinder(3, 0)], 0.0, lost=True)
     place = np.full((1, 2, 2), [3.0, 0.0])
@@ -161,17 +161,17 @@ def reviews(scan, ends, pose=(0, 0, 0), count=40):
         ([[-2.0, 0.0], [-2.0, 0.0]], False),  # behind the robot, out of view
     ],
 )
-def test_only_what_is_seen_through_goes(scan_of_a_wall, ends, goes):
+def test_only_landmarks_seen_through_are_removed(scan_of_a_wall, ends, goes):
     assert (reviews(scan_of_a_wall, ends) is not None) == goes
 
 
-def test_the_verdict_follows_the_pose(scan_of_a_wall):
+def test_the_check_follows_the_pose(scan_of_a_wall):
     pose = (5.0, 5.0, np.pi / 2)
     assert reviews(scan_of_a_wall, [[5.0, 7.0], [5.0, 7.0]], pose) is not None
     assert reviews(scan_of_a_wall, [[5.0, 9.0], [5.0, 9.0]], pose) is None
 
 
-def test_long_confirmed_landmarks_go_later_than_new_ones(scan_of_a_wall):
+def test_long_confirmed_landmarks_are_removed_later_than_new_ones(scan_of_a_wall):
     lifecycle = started(Tentative(confidence=10.0))
     gone, ids = np.array([[[2.0, 0.0], [2.0, 0.0]]]), np.array([7])
     for _ in range(50):

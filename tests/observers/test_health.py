@@ -17,7 +17,7 @@ from impslam.health import (
     UNPLACED,
     Health,
     Standing,
-    words,
+    describe,
 )
 from impslam.map import PathRows, Revision
 from impslam.observers.health import HealthMonitor
@@ -83,7 +83,7 @@ def match_landmarks(monitor, variance, walls, driven=0.1):
 
 def why(health):
     """Return the reason of the newest scan."""
-    return words(int(health.reasons[-1]), float(health.amounts[-1]))
+    return describe(int(health.reasons[-1]), float(health.amounts[-1]))
 
 
 @pytest.mark.parametrize("cuts", [(), (1,), (1, 2, 3, 4), (3,)])
@@ -91,7 +91,7 @@ def test_growth_since_the_first_pose_counts_and_no_cut_of_the_log(cuts):
     health = watch([9.0, 9.04, 9.09, 9.16, 9.0], cuts)
     (span,) = health.spans()
     assert (span.begin, span.end, span.scans, span.state) == (12.0, 13.0, 2, "DEGRADED")
-    assert span.words == "nothing known was seen for 3.0 m; the position is uncertain"
+    assert span.description == "nothing known was seen for 3.0 m; the position is uncertain"
     assert health.counts() == {"TRACKING": 3, "DEGRADED": 2, "LOST": 0}
     assert why(health) == ""
 
@@ -121,7 +121,7 @@ def test_growth_since_the_last_match_counts(cuts):
     located = np.array([False, True, True, False, False])
     (span,) = watch([9.0, 9.5, 10.0, 10.04, 10.09], cuts, located=located).spans()
     assert (span.begin, span.scans) == (14.0, 1)
-    assert span.words == "nothing known was seen for 2.0 m; the position is uncertain"
+    assert span.description == "nothing known was seen for 2.0 m; the position is uncertain"
 
 
 @pytest.mark.parametrize("cuts", [(), (2,), (1, 2, 3)])
@@ -129,7 +129,7 @@ def test_a_robot_that_is_lost_stays_so_until_a_place_is_recognised(cuts):
     monitor = HealthMonitor()
     health = watch([0.0] * 4, cuts, reasons=[NONE, UNEXPLAINED, ELSEWHERE, NONE], monitor=monitor)
     assert health.states.tolist() == [0, 1, 2, 2]
-    assert why(health) == words(ELSEWHERE, 0.1 * ELSEWHERE)
+    assert why(health) == describe(ELSEWHERE, 0.1 * ELSEWHERE)
     for ids, placed, state in (([4], False, 2), ([3, 4], False, 2), ([3, 4], True, 0)):
         revise(monitor, ids, placed=placed)
         assert monitor.health.states[-1] == state
@@ -175,9 +175,9 @@ def test_a_robot_whose_place_in_the_map_is_not_known_is_lost():
 def test_spans_tell_the_worst_way_and_the_least_share():
     reasons = np.array([OPEN, OPEN, NONE, UNEXPLAINED, UNEXPLAINED], np.int8)
     health = Health(np.arange(5.0), reasons, np.array([1.0, 2.0, 0.0, 0.12, 0.3]))
-    assert [span.words for span in health.spans()] == [
+    assert [span.description for span in health.spans()] == [
         "nothing to see along the corridor for 2.0 m",
-        "only 12 % of the scan fits the map; the map takes in nothing",
+        "only 12 % of the scan fits the map; the map is not updated",
     ]
     assert health.summary.startswith("TRACKING at 1 scans, DEGRADED at 4 scans; longest at 0.000 s")
-    assert health.summary.endswith("at the end DEGRADED: " + list(health.spans())[1].words)
+    assert health.summary.endswith("at the end DEGRADED: " + list(health.spans())[1].description)

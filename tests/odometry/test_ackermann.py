@@ -17,7 +17,7 @@ from impslam.odometry.kernels import bicycle, carried
 from impslam.types import Steering
 
 WHEELBASE, OFFSET = 2.83, 0.76
-SURE = MotionNoise(forward=0.0, sideways=0.0, turn_per_distance=0.0, turn_per_turn=0.0)
+NOISELESS = MotionNoise(forward=0.0, sideways=0.0, turn_per_distance=0.0, turn_per_turn=0.0)
 steering = st.floats(-0.6, 0.6)
 place = st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
 
@@ -50,7 +50,7 @@ def test_the_front_wheel_rolls_where_it_points():
     assert math.atan2(front[1], front[0]) == pytest.approx(angle, abs=1e-6)
 
 
-def test_a_wheel_on_the_inside_goes_a_shorter_way():
+def test_a_wheel_on_the_inside_travels_less():
     left, right = (bicycle(1.0, 0.3, WHEELBASE, side * OFFSET) for side in (1.0, -1.0))
     assert left[2] > right[2] > 0.0
 
@@ -60,8 +60,8 @@ def test_straight_on_the_offset_does_not_matter():
 
 
 @given(st.floats(-2.0, 2.0), steering, place)
-def test_base_link_moves_rigidly_with_the_axle(way, angle, axle):
-    d_axle = bicycle(way, angle, WHEELBASE, OFFSET)
+def test_base_link_moves_rigidly_with_the_axle(distance, angle, axle):
+    d_axle = bicycle(distance, angle, WHEELBASE, OFFSET)
     T_base_axle = np.array([*axle, 0.0])
     d_base, _ = carried(d_axle, np.array(axle))
     np.testing.assert_allclose(
@@ -70,13 +70,13 @@ def test_base_link_moves_rigidly_with_the_axle(way, angle, axle):
 
 
 @given(st.floats(-2.0, 2.0), steering, place)
-def test_jacobian_of_the_carried_increment(way, angle, axle):
-    d_axle, axle = bicycle(way, angle, WHEELBASE, OFFSET), np.array(axle)
+def test_jacobian_of_the_carried_increment(distance, angle, axle):
+    d_axle, axle = bicycle(distance, angle, WHEELBASE, OFFSET), np.array(axle)
     numeric = jacobian(lambda d: carried(d, axle)[0], d_axle, step=1e-5)
     np.testing.assert_allclose(carried(d_axle, axle)[1], numeric, atol=1e-8)
 
 
-def test_a_reading_holds_until_the_next_one():
+def test_a_reading_is_valid_until_the_next_one():
     car = StepwiseOdometry(Ackermann(wheelbase=WHEELBASE))
     assert car.update(Steering(1.0, 2.0, 0.0)) is None
     increment = car.update(Steering(1.5, 9.0, 0.5))
@@ -84,7 +84,7 @@ def test_a_reading_holds_until_the_next_one():
     assert (increment.stamp, increment.duration) == (1.5, 0.5)
 
 
-def test_where_base_link_is_does_not_change_the_cars_way():
+def test_the_position_of_base_link_does_not_change_the_cars_path():
     readings = [(2.0, 0.5 * math.sin(0.05 * i)) for i in range(200)]
     at_axle, _ = drive(
         StepwiseOdometry(Ackermann(wheelbase=WHEELBASE, encoder_offset=OFFSET)), readings
@@ -98,10 +98,10 @@ def test_where_base_link_is_does_not_change_the_cars_way():
 
 
 def test_scales_and_offset_are_those_of_a_calibration():
-    said = [(2.0, 0.1)] * 50
+    readings = [(2.0, 0.1)] * 50
     meant = [(2.0 * 1.1, 0.9 * 0.1 + 0.02)] * 50
     calibrated = {"speed_scale": 1.1, "steering_scale": 0.9, "steering_offset": 0.02}
-    one, _ = drive(StepwiseOdometry(Ackermann(wheelbase=WHEELBASE, **calibrated)), said)
+    one, _ = drive(StepwiseOdometry(Ackermann(wheelbase=WHEELBASE, **calibrated)), readings)
     two, _ = drive(StepwiseOdometry(Ackermann(wheelbase=WHEELBASE)), meant)
     np.testing.assert_allclose(one, two, atol=1e-12)
 
@@ -109,11 +109,11 @@ def test_scales_and_offset_are_those_of_a_calibration():
 def test_covariance_is_that_of_many_noisy_drives(rng):
     """The axle strays by its noise at every step; base_link is carried 4 m ahead of it."""
     noise = MotionNoise(forward=0.02, sideways=0.01, turn_per_distance=0.01, turn_per_turn=0.02)
-    axle, steps, way = np.array([-3.78, -0.5]), 40, 0.25
-    readings = [(10.0 * way, 0.2)] * (steps + 1)
+    axle, steps, distance = np.array([-3.78, -0.5]), 40, 0.25
+    readings = [(10.0 * distance, 0.2)] * (steps + 1)
     car = Ackermann(wheelbase=WHEELBASE, axle=tuple(axle), noise=noise)
     mean, covariance = drive(StepwiseOdometry(car), readings, step=0.1)
-    d_axle = bicycle(way, 0.2, WHEELBASE, 0.0)
+    d_axle = bicycle(distance, 0.2, WHEELBASE, 0.0)
     root = np.linalg.cholesky(noise.covariance(math.hypot(*d_axle[:2]), d_axle[2]))
     ends = []
     for _ in range(1500):
@@ -125,9 +125,9 @@ def test_covariance_is_that_of_many_noisy_drives(rng):
     assert np.mean(d2) == pytest.approx(3.0, abs=5.0 * math.sqrt(6.0 / 1500))
 
 
-def test_noiseless_parameters_make_it_sure():
+def test_noiseless_parameters_have_no_covariance():
     _, covariance = drive(
-        StepwiseOdometry(Ackermann(wheelbase=WHEELBASE, noise=SURE)), [(1.0, 0.2)] * 10
+        StepwiseOdometry(Ackermann(wheelbase=WHEELBASE, noise=NOISELESS)), [(1.0, 0.2)] * 10
     )
     assert not covariance.any()
 

@@ -88,7 +88,7 @@ def drive(encoders, readings, rate=10.0):
     ("per_turn", "wrap"),
     [(2 * math.pi, 0.0), (2000.0, 0.0), (2000.0, 65536.0), (5.0, 5.0), (4096.0, 4096.0)],
 )
-def test_every_encoder_tells_the_same_way(per_turn, wrap):
+def test_every_encoder_measures_the_same_distance(per_turn, wrap):
     """Angles, ticks, 16-bit ticks and the MA3's voltage, forward and back, all wrapping."""
     turns = np.cumsum(np.r_[0.0, np.full(40, 0.3), np.full(90, -0.2)])
     readings = np.stack([turns, 0.9 * turns], axis=1) * per_turn + 1.0
@@ -102,7 +102,7 @@ def test_every_encoder_tells_the_same_way(per_turn, wrap):
     np.testing.assert_allclose(drive(encoders, readings)[0], expected, atol=1e-9)
 
 
-def test_noise_grows_with_the_way_however_it_is_cut():
+def test_noise_grows_with_the_distance_however_it_is_cut():
     coarse = np.linspace(0, 50, 11)[:, None] * [1.0, 1.0]
     fine = np.linspace(0, 50, 101)[:, None] * [1.0, 1.0]
     make = {"wheel_radius": 0.05, "track": 0.4}
@@ -166,7 +166,7 @@ def test_constant_noise_is_that_of_a_drive_at_its_speed_whatever_the_wheels_do()
     _, wanted = drive(StepwiseOdometry(Encoders(**make)), driven)
     for readings in (driven, turning, standing):
         constant = StepwiseOdometry(Encoders(**make, constant_speed=0.3))
-        way, told = drive(constant, readings)
-        np.testing.assert_allclose(told, wanted, atol=1e-15)
-    assert not way.any()  # it stands, and is less and less sure of it
+        motion, noise = drive(constant, readings)
+        np.testing.assert_allclose(noise, wanted, atol=1e-15)
+    assert not motion.any()  # it stands, and is less and less sure of it
     assert wanted[2, 2] > 0.0

@@ -15,14 +15,14 @@ STAND = 3.0  # s at the beginning
 
 
 def drive(seconds=30.0, turn=0.4):
-    """Body speeds (m, 2) of a robot that stands, then drives and turns to and fro."""
+    """Body speeds (m, 2) of a robot that is stationary, then drives and turns to and fro."""
     t = np.arange(round(seconds * RATE)) / RATE
     moving = t >= STAND
     return np.column_stack([0.3 * moving, turn * np.sin(0.5 * (t - STAND)) * moving])
 
 
 def log(speeds, wheels=None, rates=None, gyro_first=False):
-    """(stream, message) of wheels that roll at body speeds (m, 2), and a gyro that tells `rates`."""
+    """(stream, message) of wheels that roll at body speeds (m, 2), and a gyro that measures `rates`."""
     v, w = (speeds if wheels is None else wheels).T
     rates = speeds[:, 1] if rates is None else rates
     left, right = (np.cumsum(v + side * 0.5 * TRACK * w) / RATE / RADIUS for side in (-1.0, 1.0))
@@ -102,7 +102,7 @@ def test_a_gyro_that_does_not_turn_as_the_wheels_is_not_used(scale, says):
     assert says in robot.problems.examples["gyro"]
 
 
-def test_upside_down_turns_it_round():
+def test_upside_down_inverts_the_gyro():
     speeds = drive()
     robot, _, _ = corrected(
         log(speeds, speeds * [1.0, 1.1], -speeds[:, 1]), "odometry.gyro.upside_down=true"

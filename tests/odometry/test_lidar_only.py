@@ -32,7 +32,7 @@ def columns(*scans):
 
 @pytest.fixture(scope="module")
 def room():
-    """A room of 3 m by 2.6 m, scanned with all the faults of a lidar; what odometry told is left out."""
+    """A room of 3 m by 2.6 m, scanned with all the faults of a lidar; its odometry is left out."""
     robot = SimulatedRobot(encoders=None, imu=None)
     return list(simulate(load_world("room"), robot, seed=1))
 
@@ -58,8 +58,8 @@ def test_a_motion_is_unknown_and_goes_from_middle_to_middle():
     assert motions.covariance[0, 2, 2] >= math.pi
 
 
-def test_it_says_that_it_tells_no_motion():
-    assert not LidarOnly.tells_motion
+def test_it_measures_no_motion():
+    assert not LidarOnly.measures_motion
 
 
 def test_stamps_that_run_backwards_take_no_time():
@@ -72,9 +72,9 @@ def test_a_scan_without_a_stamp_is_a_fault_in_one_line():
     made = LidarOnly()
     readings = made.readings(columns(scan(1.0), scan(math.nan)))
     assert made.usable(readings).tolist() == [True, False]
-    said = made.fault(readings)
-    assert "nan" in said
-    assert "\n" not in said
+    message = made.fault(readings)
+    assert "nan" in message
+    assert "\n" not in message
 
 
 # --------------------------------------------------------------------------- a room
@@ -85,7 +85,7 @@ def test_a_room_is_mapped_without_odometry(room, tmp_path):
     path = kept.known.path()
     truth = np.array([kept.truths[stamp] for stamp in path[:, 0]])
     assert len(path) == sum(isinstance(m, LaserScan) for m in room)
-    # A scan of 67 ms is stamped at its begin, and nobody tells how far the robot goes in it: 1 cm.
+    # A scan of 67 ms is stamped at its begin, and the robot's motion within it is unknown: 1 cm.
     assert np.hypot(*(path[:, 1:3] - truth[:, :2]).T).max() < 0.03
     kinds = [mark.kind for mark in kept.known.landmarks]
     assert (kinds.count("wall"), kinds.count("cylinder")) == (4, 2)
@@ -103,7 +103,7 @@ def test_covariances_are_those_of_matches_and_of_no_unknown_motion(room, tmp_pat
     assert all(np.linalg.eigvalsh(step.covariance)[0] > 0.0 for step in kept.results)
 
 
-def test_the_pose_between_scans_is_as_unsure_as_a_moment_s_drive(room):
+def test_the_pose_between_scans_is_as_uncertain_as_a_short_drive(room):
     """What is shown while no scan arrives, from the newest one on: 0.1 s, or 5 cm at 0.5 m/s."""
     run = Run(load("default", ["odometry.kind=lidar_only", MOUNT]))
     feed(run, [m for m in room if isinstance(m, LaserScan)][:20])

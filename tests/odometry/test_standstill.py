@@ -1,4 +1,4 @@
-"""A robot that stands has no motion and no growing covariance, and loses none of its drive."""
+"""A stationary robot has no motion and no growing covariance, and loses none of its drive."""
 
 import math
 from functools import reduce
@@ -57,7 +57,7 @@ def test_ten_minutes_at_rest_move_nothing():
     assert np.nansum(np.abs(d_pose[:, 2])) > 0.5  # what it would count for in a minute
 
 
-def test_a_drive_after_a_rest_keeps_all_of_its_way():
+def test_a_drive_after_a_rest_keeps_all_of_its_distance():
     rest = np.zeros(300)
     angles = np.concatenate([rest, np.linspace(0.0, 6.0, 400), np.full(300, 6.0)])
     left, right = read(angles)

@@ -123,7 +123,7 @@ def test_a_sweep_waits_for_odometry_to_reach_its_end():
 
 
 def test_a_sweep_waits_for_so_many_rows_of_any_stream_and_gets_no_later_motion():
-    """Rows that nobody reads count by their place in the log, whatever batch they are in."""
+    """Unused rows count by their position in the log, whatever their batch."""
     late = moving([1.0, 1.01])
     for place, expected in ((10 + MAX_WAIT, 1.01), (11 + MAX_WAIT, 1.0)):
         synchroniser = fed(np.linspace(0.0, 1.0, 11))
@@ -133,7 +133,7 @@ def test_a_sweep_waits_for_so_many_rows_of_any_stream_and_gets_no_later_motion()
         assert got.motions.duration[0] == pytest.approx(expected)
 
 
-def test_a_late_stamp_is_carried_to_by_what_is_known_and_nothing_is_used_up():
+def test_a_late_stamp_is_reached_by_pending_motion_without_using_it():
     stamps = np.linspace(0.0, 1.0, 11)
     synchroniser = fed(stamps)
     got = used(synchroniser, sweeps([0.25], stamps=[0.7]))
@@ -144,7 +144,7 @@ def test_a_late_stamp_is_carried_to_by_what_is_known_and_nothing_is_used_up():
     np.testing.assert_allclose(again.motions.covariance, got.stamp_covariance, atol=1e-15)
 
 
-def test_an_early_stamp_is_carried_back_to():
+def test_an_early_stamp_is_reached_backwards():
     """A sweep of 0.2 s stamped at its first beam: its stamp is 0.1 s before its middle."""
     got = used(fed(np.linspace(0.0, 1.0, 11)), sweeps([0.4], [0.6]))
     np.testing.assert_allclose(got.motions.d_pose[0], exp(0.5 * TWIST), atol=1e-12)
@@ -160,7 +160,7 @@ def test_without_motion_over_a_sweep_its_twist_is_the_newest():
     assert not used(Synchroniser(), sweeps([3.0], [3.1])).twists.any()
 
 
-def test_what_is_not_usable_is_passed_over_and_takes_no_motion():
+def test_unusable_sweeps_are_skipped_and_take_no_motion():
     synchroniser = fed(np.linspace(0.0, 1.0, 11))
     both = sweeps([0.35, 0.3])._replace(usable=np.array([False, True]))
     got = used(synchroniser, both)
@@ -168,7 +168,7 @@ def test_what_is_not_usable_is_passed_over_and_takes_no_motion():
     np.testing.assert_allclose(synchroniser.ahead().d_pose, exp(0.7 * TWIST), atol=1e-12)
 
 
-def test_where_no_motion_is_known_odometry_begins_anew():
+def test_odometry_restarts_after_an_unknown_motion():
     """Time goes on, so that sweeps are not kept waiting; the motion is lost."""
     synchroniser = fed([0.0, 1.0])
     stamps = np.array([2.0])
@@ -178,7 +178,7 @@ def test_where_no_motion_is_known_odometry_begins_anew():
 
 def test_motion_without_sweeps_takes_bounded_memory():
     stamps = 0.01 * np.arange(1001)
-    whole, folded = Synchroniser(), Synchroniser(most=50)
+    whole, folded = Synchroniser(), Synchroniser(max_motions=50)
     size = folded._state[0].nbytes
     for k in range(1000):
         motion = moving(stamps[k : k + 2])

@@ -14,7 +14,7 @@ from impslam.odometry.velocity import Velocities
 from impslam.types import OdometryPose, Velocity
 
 
-def test_a_velocity_holds_until_the_next_one():
+def test_a_velocity_is_valid_until_the_next_one():
     """A quarter of a circle of radius 2 m in 1 s; what is commanded at its end changes nothing."""
     odometry = StepwiseOdometry(Velocities())
     odometry.update(Velocity(1.0, math.pi, math.pi / 2))
@@ -31,7 +31,7 @@ def test_calibration_scales_and_delays():
     assert (increment.stamp, increment.duration) == (2.25, 1.0)
 
 
-def test_standing_still_is_sure_however_long():
+def test_standing_still_adds_no_uncertainty():
     odometry = StepwiseOdometry(Velocities())
     odometry.update(Velocity(1.0, 0.0, 0.0))
     increment = odometry.update(Velocity(2.0, 1.0, 1.0))
@@ -39,7 +39,7 @@ def test_standing_still_is_sure_however_long():
     assert not increment.covariance.any()
 
 
-def test_noise_is_that_of_the_true_way():
+def test_noise_is_that_of_the_true_distance():
     noise = MotionNoise(forward=0.1, sideways=0.2, turn_per_distance=0.0, turn_per_turn=0.3)
     odometry = StepwiseOdometry(Velocities(speed_scale=0.5, noise=noise))
     odometry.update(Velocity(1.0, 1.0, 0.0))

@@ -87,7 +87,7 @@ def test_estimators_that_cannot_use_it_say_so_at_once():
         Run(load("default", ['sensors.gps.kind="gps"']))
 
 
-def test_without_a_course_nothing_is_said():
+def test_without_a_course_nothing_is_observed():
     fixes = [Fix(float(k), np.array([0.5 * k, 0.0]), np.full((2, 2), math.nan)) for k in range(5)]
     wheels = [Velocity(0.1 * k, 0.5, 0.0) for k in range(60)]
     messages = sorted([*fixes, *wheels], key=lambda message: message.stamp)

@@ -147,13 +147,13 @@ class Whole(Extractor):
         return [Observation("point", np.zeros(2), np.eye(2), beams)]
 
 
-def test_an_observation_tells_when_its_beams_were_fired():
+def test_an_observation_has_the_time_of_its_beams():
     lidar = Lidar2D(extractors={"all": Whole()})
     columns = stacked([sweep(np.ones(4), rate=0.01)])
     empty = np.zeros((1, 3))
     scans = lidar.sweeps(columns, empty)
     sweeps = Sweeps("lidar", columns, np.zeros(1), empty, empty, np.zeros((1, 3, 3)), scans)
-    (seen,) = lidar.look(sweeps, 0, np.random.default_rng(0))
+    (seen,) = lidar.observe(sweeps, 0, np.random.default_rng(0))
     assert seen.delay == pytest.approx(0.025 - 0.015)
 
 

@@ -21,7 +21,7 @@ UNKNOWN = np.full((3, 3), math.nan)
 
 
 def on_earth(message, covariance=UNKNOWN, status=0):
-    lat, lon, height = PLANE.place(np.array([*message.position, 0.0]))
+    lat, lon, height = PLANE.geodetic(np.array([*message.position, 0.0]))
     return SatelliteFix(message.stamp, lat, lon, height, covariance, status)
 
 
@@ -38,7 +38,7 @@ def test_the_path_is_as_good_as_by_fixes_in_metres(rng):
     assert frame.observations > 180
 
 
-def test_without_a_fix_it_says_so_and_goes_on(rng):
+def test_without_a_fix_it_reports_a_problem_and_continues(rng):
     messages, truth = drive(rng)
     told = [
         (
@@ -69,11 +69,11 @@ def test_its_covariance_counts_and_is_never_below_sigma():
     ]
     found = []
     for k, (stamp, north, covariance) in enumerate(rows):
-        lat, lon, height = PLANE.place(np.array([0.0, north, 0.0]))
+        lat, lon, height = PLANE.geodetic(np.array([0.0, north, 0.0]))
         fix = SatelliteFix(stamp, lat, lon, height, covariance)
         (columns,) = single_row("/fix", fix, k).values()
         sensor.spans(columns)
-        found += sensor.look(_Row(columns), 0, np.random.default_rng(0))
+        found += sensor.observe(_Row(columns), 0, np.random.default_rng(0))
     np.testing.assert_allclose(found[0].R, np.diag([9.0, 16.0]))
     np.testing.assert_allclose(found[1].R, 1.5**2 * np.eye(2))
     np.testing.assert_allclose(found[0].z, [0.0, 40.0], atol=1e-6)

@@ -24,16 +24,16 @@ def detections(ranges, bearings, labels=None, diameters=None):
     )
 
 
-def look(sensor, message):
+def observe(sensor, message):
     columns, nothing = stacked([message]), np.zeros((1, 3))
     assert sensor.sweeps(columns, nothing) is None
     sweeps = Sweeps("camera", columns, nothing[0], nothing, nothing, np.zeros((1, 3, 3)), None)
-    return sensor.look(sweeps, 0, RNG)
+    return sensor.observe(sweeps, 0, RNG)
 
 
 def test_a_detection_is_where_the_mount_and_the_bearing_put_it():
     sensor = RangeBearing(mount=(1.0, 2.0, math.pi / 2))
-    (seen,) = look(sensor, detections([3.0], [math.pi / 2], [5], [0.4]))
+    (seen,) = observe(sensor, detections([3.0], [math.pi / 2], [5], [0.4]))
     np.testing.assert_allclose(seen.z, [-2.0, 2.0], atol=1e-12)
     assert (seen.kind, seen.label, dict(seen.attributes)) == ("point", 5, {"radius": 0.2})
 
@@ -42,7 +42,7 @@ def test_its_covariance_is_that_of_many_noisy_detections():
     sensor = RangeBearing(
         mount=(0.3, -0.2, 0.7), sigma_range=0.02, sigma_range_per_m=0.01, sigma_bearing=0.02
     )
-    (seen,) = look(sensor, detections([4.0], [0.5]))
+    (seen,) = observe(sensor, detections([4.0], [0.5]))
     noise = RNG.standard_normal((200_000, 2)) * [0.02 + 0.01 * 4.0, 0.02]
     r, bearing = 4.0 + noise[:, 0], 0.5 + noise[:, 1]
     places = transform(
@@ -54,7 +54,7 @@ def test_its_covariance_is_that_of_many_noisy_detections():
 def test_what_is_not_finite_or_out_of_limits_is_left_out():
     sensor = RangeBearing(range_min=0.5, range_max=6.0)
     message = detections([1.0, math.nan, 0.4, 6.1, -1.0, 2.0], [0.0, 0.0, 0.0, 0.0, 0.0, math.inf])
-    assert len(look(sensor, message)) == 1
+    assert len(observe(sensor, message)) == 1
 
 
 def test_a_row_of_nothing_finite_is_not_usable_and_an_empty_one_is():
@@ -63,7 +63,7 @@ def test_a_row_of_nothing_finite_is_not_usable_and_an_empty_one_is():
     assert sensor.usable(rows).tolist() == [False, True]
     assert "no detection at 7.000 s is finite" in sensor.fault(rows.row(0))
     assert sensor.usable(stacked([detections([], [])])).tolist() == [True]
-    assert look(sensor, detections([], [])) == ()
+    assert observe(sensor, detections([], [])) == ()
 
 
 def test_late_stamps_are_taken_back():
@@ -76,7 +76,7 @@ def test_depth_becomes_range_with_its_own_covariance():
     """A camera sees [3, 4] m at a depth of 3 m; the covariance is that of noise on depth, bearing."""
     depth, bearing = 3.0 / 1.25, math.atan2(4.0, 3.0)
     sensor = RangeBearing(depth=True, range_scale=1.25, sigma_range=0.02, sigma_bearing=0.005)
-    (seen,) = look(sensor, detections([depth], [bearing]))
+    (seen,) = observe(sensor, detections([depth], [bearing]))
     np.testing.assert_allclose(seen.z, [3.0, 4.0], atol=1e-12)
     noise = RNG.standard_normal((400_000, 2)) * [0.02, 0.005]
     x, b = 3.0 + noise[:, 0], bearing + noise[:, 1]
@@ -85,5 +85,5 @@ def test_depth_becomes_range_with_its_own_covariance():
 
 def test_nothing_has_a_depth_beside_or_behind_the_camera():
     message = detections([1.0, 1.0, 1.0], [0.5, 1.6, math.pi])
-    assert len(look(RangeBearing(depth=True), message)) == 1
-    assert len(look(RangeBearing(), message)) == 3
+    assert len(observe(RangeBearing(depth=True), message)) == 1
+    assert len(observe(RangeBearing(), message)) == 3

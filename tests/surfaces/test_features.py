@@ -24,7 +24,7 @@ def nearest_wall(rows, walls):
 
 @pytest.mark.parametrize("upside_down", [False, True])
 @pytest.mark.parametrize("laser", LASERS)
-def test_normals_stand_on_walls_and_point_to_the_lidar(laser, upside_down):
+def test_normals_are_perpendicular_to_walls_and_point_to_the_lidar(laser, upside_down):
     laser = np.array(laser)
     rows = features(cast(ROOM, laser=laser, upside_down=upside_down).scan, 0.04)
     surfaces = rows[rows[:, 4] > 0]
@@ -85,7 +85,7 @@ def test_a_gap_makes_two_ends():
 
 
 @pytest.mark.parametrize("lone", [1, 2])
-def test_a_point_with_fewer_than_two_neighbours_lies_on_no_surface(lone):
+def test_a_point_with_fewer_than_two_neighbours_is_on_no_surface(lone):
     gaps = [k for k in range(61) if not 30 <= k < 30 + lone]
     assert (features(wall_ahead(gaps), 0.0)[:, 4] == 0.0).all()
 
@@ -109,7 +109,7 @@ def test_a_corner_is_no_surface_and_its_sides_are():
     assert (rows[(apart > 0.3) & (apart < 0.6), 4] > 0.0).all()
 
 
-def test_grazing_beams_tell_no_normal():
+def test_grazing_beams_give_no_normal():
     """Beyond 83 degrees of incidence."""
     rows = features(cast(np.array([[[-0.5, 0.2], [5.0, 0.2]]])).scan, 0.0)
     cosine = 0.2 / np.hypot(rows[:, 0], rows[:, 1])

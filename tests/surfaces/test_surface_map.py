@@ -12,9 +12,9 @@ from impslam.geometry.se2 import between, compose
 from impslam.surfaces.features import features
 from impslam.surfaces.surface_map import (
     CELL,
-    FACING,
-    LONE,
-    ODD,
+    LONE_WEIGHT,
+    MIN_NORMAL_COSINE,
+    MIXED_WEIGHT,
     Alignment,
     add,
     align,
@@ -67,20 +67,20 @@ def test_a_surfel_is_the_mean_of_its_points():
     np.testing.assert_allclose(surfel[6:], [1.01, 1.02], atol=1e-6)
 
 
-def test_a_surfel_follows_what_changes():
-    """At most so many points are averaged: of an old place less than 2 % is left after 80 more."""
+def test_a_surfel_adapts_to_changes():
+    """The number of averaged points is limited: an old position weighs less than 2 % after 80 more."""
     known = map_of(*[(rows([1.01, 1.02, -1, 0, 1]), np.zeros(3))] * 100)
     for _ in range(80):
         add(known, rows([1.04, 1.02, -1, 0, 1]), np.zeros(3), 20.0)
     assert surfels(known)[0, 0] == pytest.approx(1.04, abs=0.02 * 0.03)
 
 
-def test_features_stand_in_the_frame_of_the_map():
+def test_features_are_in_the_frame_of_the_map():
     known = map_of((rows([3.0, 0.5, -1, 0, 1]), [1.0, 2.0, math.pi / 2]))
     np.testing.assert_allclose(surfels(known)[0, :4], [0.5, 5.0, 0.0, -1.0], atol=1e-6)
 
 
-def test_each_point_finds_the_nearest_surfel_within_reach(rng):
+def test_each_point_finds_the_nearest_surfel_within_the_radius(rng):
     points = rng.uniform(-4.0, 4.0, (150, 2))
     known = map_of((np.column_stack((points, np.tile([1.0, 0, 1], (150, 1)))).astype("f4"), PLACE))
     cells = np.floor((surfels(known)[:, 6:8] - known.corner) / CELL)
@@ -118,7 +118,7 @@ def test_a_map_used_again_is_as_good_as_new():
 
 
 @pytest.mark.parametrize("where", [np.nan, np.inf, -np.inf, 1e300, 19.9, -19.9, 21.0])
-def test_what_is_off_the_grid_or_nowhere_is_left_out(where):
+def test_points_off_the_grid_or_not_finite_are_left_out(where):
     point = rows([0.0, 0.0, -1, 0, 1])
     known = map_of((point, np.zeros(3)))
     for pose in ([where, 0.0, 0.0], [0.0, where, 0.0]):
@@ -180,10 +180,10 @@ def residuals(held, pose, facing_at):
     for surfel, row in held:
         e = pose[:2] + R @ row[:2] - surfel[:2]
         if surfel[5] > 0.0 and row[4] > 0.0:
-            if surfel[2:4] @ at @ row[2:4] >= FACING:
+            if surfel[2:4] @ at @ row[2:4] >= MIN_NORMAL_COSINE:
                 out.append((surfel[5] * row[4], np.array([surfel[2:4] @ e])))
         else:
-            out.append((LONE if surfel[5] == row[4] else ODD, e))
+            out.append((LONE_WEIGHT if surfel[5] == row[4] else MIXED_WEIGHT, e))
     return out
 
 
@@ -244,7 +244,7 @@ def test_solve_3x3_equals_numpy(rng):
 
 
 @pytest.mark.parametrize("diagonal", [[1, 1, 0], [1, -1, 1], [0, 1, 1], [np.nan, 1, 1]])
-def test_what_has_no_inverse_moves_nothing(diagonal):
+def test_a_singular_matrix_gives_no_step(diagonal):
     assert solve_3x3(np.diag(np.array(diagonal, float)), np.ones(3)) == (0.0, 0.0, 0.0)
 
 
@@ -273,7 +273,7 @@ def test_a_scan_from_elsewhere_aligns_within_a_millimetre(motion):
 
 
 @pytest.mark.parametrize("turn", [0.5, 2.0, -3.0])
-def test_a_rigid_motion_of_everything_moves_the_pose_alike(turn):
+def test_a_rigid_motion_of_everything_moves_the_pose(turn):
     """Cells fall elsewhere, and so do means of points: as far as half a millimetre."""
     move, truth = np.array([-3.0, 2.0, turn]), compose(PLACE, np.array([0.2, 0.0, 0.1]))
     first, scan, guess = (
@@ -287,8 +287,8 @@ def test_a_rigid_motion_of_everything_moves_the_pose_alike(turn):
     assert np.linalg.eigvalsh(e2.H) == pytest.approx(np.linalg.eigvalsh(e1.H), rel=0.1)
 
 
-def test_where_the_map_says_nothing_the_prior_stands():
-    """Along a bare corridor 0.2 m of error stay, across it and about they go."""
+def test_the_prior_determines_what_the_map_does_not():
+    """Along a bare corridor an error of 0.2 m stays; across it and in heading it vanishes."""
     sight = {"range_max": 3.0}
     known = map_of((features(cast(CORRIDOR, **sight).scan, 0.04), np.zeros(3)))
     truth = np.array([0.3, 0.04, 0.05])
@@ -311,7 +311,7 @@ def test_off_the_map_the_pose_stays():
     assert not evidence.H.any()
 
 
-def test_a_tight_prior_stands_and_one_with_heavy_tails_gives_way():
+def test_a_gaussian_prior_holds_and_one_with_heavy_tails_yields():
     """0.2 m off by a prior of 5 mm: held by a Gaussian, given up with slack."""
     scan, guess = features_at(PLACE), PLACE + np.array([0.2, 0.0, 0.0])
     known = map_of((scan, PLACE))
@@ -321,7 +321,7 @@ def test_a_tight_prior_stands_and_one_with_heavy_tails_gives_way():
     np.testing.assert_allclose(loose, PLACE, atol=0.01)
 
 
-def test_alignment_settles_where_the_gradient_is_zero():
+def test_alignment_converges_to_a_zero_gradient():
     truth = compose(PLACE, np.array([0.2, 0.0, 0.1]))
     known, scan = map_of((features_at(PLACE), PLACE)), features_at(truth)
     pose, _, _ = aligned(

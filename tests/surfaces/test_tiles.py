@@ -1,4 +1,4 @@
-"""Tiles say what one large map says; maps that share them stay apart."""
+"""Tiles are equivalent to one large map; maps that share tiles stay separate."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def seen(pose):
 
 
 def told(book, particle, rows, pose, scale=0.1):
-    """Return what a particle's map says of a scan at a pose, pairs found from 0.2 m off."""
+    """Return the evidence of a scan at a pose by a particle's map, paired from 0.2 m off."""
     out = no_evidence()
     guess = pose + np.array([0.2, -0.15, 0.01])
     some = sort(book.tables[book.maps[particle]], book.origin, rows, guess)
@@ -27,7 +27,7 @@ def told(book, particle, rows, pose, scale=0.1):
     return out
 
 
-def test_tiles_say_what_one_map_says():
+def test_tiles_give_the_same_evidence_as_one_map():
     book, known = SurfaceBook(1), empty_surface_map(40.0, 40.0, 20000)
     for pose in PLACES:
         rows = seen(pose)
@@ -42,7 +42,7 @@ def test_tiles_say_what_one_map_says():
         np.testing.assert_allclose(other.sums, one.sums, rtol=1e-6)
 
 
-def test_particles_share_a_map_until_they_part_and_keep_their_own_then():
+def test_particles_share_a_map_until_they_diverge():
     book, lines = SurfaceBook(3), np.zeros(3, np.int64)
     book.add(seen(PLACES[0]), np.tile(PLACES[0], (3, 1)), lines)
     assert len(book.tables) == 1
@@ -67,7 +67,7 @@ def test_particles_share_a_map_until_they_part_and_keep_their_own_then():
 
 
 @pytest.mark.parametrize("far", [200.0, -300.0])
-def test_the_tables_and_the_pool_grow_with_the_way(far):
+def test_the_tables_and_the_pool_grow_with_the_path(far):
     book, rows, aside = SurfaceBook(2), seen(PLACES[0]), np.array([0.3, 0.0, 0.0])
     for k in range(12):
         pose = PLACES[0] + np.array([k * far / 12, -k * far / 24, 0.0])

@@ -8,7 +8,7 @@ from tests.extractors.scans import cast, room
 from tests.tracking.sweeps import scans_of
 
 from impslam.geometry.se2 import compose, exp
-from impslam.tracking.covered import hidden_beams, no_cover
+from impslam.tracking.covered import hidden_beams, initial_cover
 
 ROOM = room(-3.0, 6.0, -2.0, 2.5)
 ANGLES = np.linspace(-2.0, 2.0, 240)
@@ -33,9 +33,9 @@ def covered(scans, distance=0.3, begin=20, sector=SECTOR):
     return ranges, points
 
 
-def hidden(scans, told, cut=1000):
-    cover, out = no_cover(len(ANGLES)), []
-    ranges, points = told
+def hidden(scans, columns, cut=1000):
+    cover, out = initial_cover(len(ANGLES)), []
+    ranges, points = columns
     scans = replace(scans, ranges=ranges, points=points)
     for k in range(0, len(ranges), cut):
         part = slice(k, k + cut)
@@ -76,7 +76,7 @@ def test_a_wall_that_comes_into_view_in_a_turn_is_no_cover():
     turn = exp(np.array([0.0, 0.0, 0.14]))
     lines = np.concatenate((ROOM, [[[0.0, 0.6], [3.0, 0.6]]]))
     scans = driven(turn, lines=lines)
-    steps, cover = np.tile(turn, (60, 1)), no_cover(len(ANGLES))
+    steps, cover = np.tile(turn, (60, 1)), initial_cover(len(ANGLES))
     assert (scans.ranges.min(axis=1) < 1.0).any()
     assert not hidden_beams(steps, scans, cover).any()
 
@@ -101,7 +101,7 @@ def test_a_wall_close_by_that_is_followed_is_no_cover():
     assert not hidden(scans, (scans.ranges, scans.points)).any()
 
 
-def test_a_robot_that_stands_while_its_wheels_turn_has_no_cover():
+def test_a_stalled_robot_has_no_cover():
     scans = driven(np.zeros(3))
     assert not hidden(scans, (scans.ranges, scans.points)).any()
 
@@ -110,4 +110,4 @@ def test_a_robot_that_stands_while_its_wheels_turn_has_no_cover():
 def test_beams_in_one_direction_hide_nothing(beams):
     """A sonar has one beam; a driver that knows no angles gives all beams the same one."""
     scans = scans_of([cast(ROOM, pose=np.zeros(3), angles=np.zeros(beams)).scan] * 12)
-    assert not hidden_beams(np.tile(STEP, (12, 1)), scans, no_cover(beams)).any()
+    assert not hidden_beams(np.tile(STEP, (12, 1)), scans, initial_cover(beams)).any()

@@ -4,17 +4,23 @@ import math
 
 import numpy as np
 import pytest
-from tests.tracking.test_scan_to_map import circle, drive, seen, straight, told
+from tests.tracking.test_scan_to_map import circle, drive, odometry_of, scans_from, straight
 
 from impslam.surfaces.surface_map import Alignment, no_evidence
-from impslam.tracking.hypotheses import STEADY, Prediction, chi2_of, cost, is_steady
+from impslam.tracking.hypotheses import (
+    MAX_VELOCITY_CHANGE,
+    Prediction,
+    chi2_of,
+    cost,
+    near_constant_velocity,
+)
 
 MATCH = Alignment(14, 0.4, 0.06, 0.035**-2, 1, 9.0)
 SIGMAS = np.array([0.01, 0.01, 0.005])
 
 
-def prediction(pose=(0.0, 0.0, 0.0), going=(0.0, 0.0, 0.0)):
-    return Prediction(np.array(pose), SIGMAS**-2, np.zeros(3), np.array(going), 0.8)
+def prediction(pose=(0.0, 0.0, 0.0), extrapolated=(0.0, 0.0, 0.0)):
+    return Prediction(np.array(pose), SIGMAS**-2, np.zeros(3), np.array(extrapolated), 0.8)
 
 
 def evidence(inliers):
@@ -25,13 +31,15 @@ def evidence(inliers):
 
 @pytest.mark.parametrize("heading", [0.0, 2.0, math.pi])
 def test_steady_is_near_constant_velocity_in_any_frame(heading):
-    predicted = prediction(going=(5.0, -3.0, heading))
+    predicted = prediction(extrapolated=(5.0, -3.0, heading))
     ahead = np.array([5.0, -3.0, heading])
-    for k, limit in enumerate((STEADY[0], STEADY[0], STEADY[1])):
+    for k, limit in enumerate(
+        (MAX_VELOCITY_CHANGE[0], MAX_VELOCITY_CHANGE[0], MAX_VELOCITY_CHANGE[1])
+    ):
         for share, steady in ((0.99, True), (-0.99, True), (1.01, False), (-1.01, False)):
             d = np.zeros(3)
             d[k] = share * limit
-            assert is_steady(ahead + d, predicted) is steady
+            assert near_constant_velocity(ahead + d, predicted) is steady
 
 
 def test_distance_from_odometry_wraps():
@@ -45,7 +53,7 @@ def test_each_point_that_fits_counts_what_alignment_weighs_it_by():
     assert costs[0] - costs[1] == pytest.approx(0.5 * MATCH.information * MATCH.narrow**2)
 
 
-def test_points_that_usually_do_not_fit_tell_nothing():
+def test_points_that_usually_do_not_fit_do_not_count():
     costs = {cost(np.zeros(3), prediction(), MATCH, evidence(n)) for n in (80.0, 85.0, 100.0)}
     assert costs == {0.0}
 
@@ -73,12 +81,12 @@ def test_slips_are_followed(slip):
     poses = circle(60)
     error = np.zeros((60, 3))
     error[40] = slip
-    _, _, off = drive(poses, told(poses, error), seen(poses))
+    _, _, off = drive(poses, odometry_of(poses, error), scans_from(poses))
     assert np.hypot(off[-1, 0], off[-1, 1]) < 0.03
 
 
 def test_a_robot_that_stops_at_once_is_where_it_stopped():
     poses = straight(40)
     poses = np.concatenate([poses, np.tile(poses[-1], (10, 1))])
-    _, _, off = drive(poses, told(poses), seen(poses))
+    _, _, off = drive(poses, odometry_of(poses), scans_from(poses))
     assert np.abs(off).max() < 0.03

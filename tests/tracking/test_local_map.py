@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from impslam.geometry.se2 import rotation
-from impslam.tracking.local_map import ROOM, add, empty_map, nearest, size
-from impslam.tracking.surfels import REACH, _prepare, thin
+from impslam.tracking.local_map import CAPACITY, add, empty_map, nearest, size
+from impslam.tracking.surfels import MIN_NEIGHBOURS, _prepare, thin
 
 METRES = st.floats(-20.0, 20.0, allow_subnormal=False)
 LIMIT = 0.5
@@ -28,25 +28,25 @@ def rows_of(places):
 
 def surfaces(places):
     """All points, however near to each other, in cells."""
-    known = empty_map()
-    add(known, rows_of(places), 1e-12, 1.0)
-    return known
+    local_map = empty_map()
+    add(local_map, rows_of(places), 1e-12, 1.0)
+    return local_map
 
 
-def look_up(x, y, limit, known, hint=-1):
+def look_up(x, y, limit, local_map, hint=-1):
     """Return the row of the nearest known point."""
-    return nearest(x, y, limit, hint, known.rows, known.older, known.cells)
+    return nearest(x, y, limit, hint, local_map.rows, local_map.older, local_map.cells)
 
 
-def held(known):
+def held(local_map):
     """Return the points (n, 2) in the order in which they came."""
-    return known.rows[np.arange(*known.ring) % ROOM, :2]
+    return local_map.rows[np.arange(*local_map.ring) % CAPACITY, :2]
 
 
-def assert_nearest(x, y, limit, known, hint=-1):
+def assert_nearest(x, y, limit, local_map, hint=-1):
     """The point found is as near as brute force's; the interpreter checks the bounds."""
-    found = look_up(x, y, limit, known, hint)
-    apart = np.hypot(*(held(known) - [x, y]).T)
+    found = look_up(x, y, limit, local_map, hint)
+    apart = np.hypot(*(held(local_map) - [x, y]).T)
     least = apart.min(initial=math.inf)
     if found >= 0:
         assert apart[found] == pytest.approx(least, abs=1e-12)
@@ -58,8 +58,8 @@ def assert_nearest(x, y, limit, known, hint=-1):
 @settings(max_examples=100, deadline=None)
 @given(points(), METRES, METRES, st.floats(0.01, 10.0), st.integers(-1, 39))
 def test_nearest_equals_brute_force_whatever_the_hint(places, x, y, limit, hint):
-    known = surfaces(places)
-    assert_nearest(x, y, limit, known, min(hint, size(known) - 1))
+    local_map = surfaces(places)
+    assert_nearest(x, y, limit, local_map, min(hint, size(local_map) - 1))
 
 
 @settings(max_examples=50, deadline=None)
@@ -70,31 +70,31 @@ def test_points_far_outside_have_no_partner_and_stay_in_bounds(places, x, y):
 
 @pytest.mark.parametrize("x", [np.nan, np.inf, -np.inf, 1e300])
 def test_what_is_no_place_has_no_nearest(x):
-    known = surfaces([[0.0, 0.0]])
-    assert look_up(x, 0.0, LIMIT, known, -1) == look_up(x, 0.0, LIMIT, known, 0) == -1
+    local_map = surfaces([[0.0, 0.0]])
+    assert look_up(x, 0.0, LIMIT, local_map, -1) == look_up(x, 0.0, LIMIT, local_map, 0) == -1
 
 
 def test_nearest_in_a_crowd(rng):
     """Many points to a cell, asked from inside, from the border and from beyond all four sides."""
-    known = surfaces(rng.uniform(-3.0, -1.0, (500, 2)))
+    local_map = surfaces(rng.uniform(-3.0, -1.0, (500, 2)))
     for x, y in rng.uniform(-4.0, 0.0, (300, 2)):
-        assert_nearest(float(x), float(y), LIMIT, known)
-    for x, y in held(known)[:50]:
-        assert known.rows[look_up(x, y, LIMIT, known, -1), :2].tolist() == [x, y]
+        assert_nearest(float(x), float(y), LIMIT, local_map)
+    for x, y in held(local_map)[:50]:
+        assert local_map.rows[look_up(x, y, LIMIT, local_map, -1), :2].tolist() == [x, y]
 
 
 def test_places_that_share_a_cell_are_told_apart():
     """Cells repeat every 32 m."""
     places = [[0.1, 0.1], [32.1, 0.1], [0.1, -31.9], [32.1, 64.1]]
-    known = surfaces(places)
+    local_map = surfaces(places)
     for k, (x, y) in enumerate(places):
-        assert look_up(x, y, LIMIT, known, -1) == k
+        assert look_up(x, y, LIMIT, local_map, -1) == k
 
 
 def test_an_empty_map_has_no_nearest():
-    known = surfaces([])
+    local_map = surfaces([])
     for x, y in ((0.0, 0.0), (-3.0, 2.0), (1e6, -1e6)):
-        assert look_up(x, y, LIMIT, known, -1) == -1
+        assert look_up(x, y, LIMIT, local_map, -1) == -1
 
 
 # --------------------------------------------------------------------------- normals
@@ -123,7 +123,9 @@ def test_normals_of_a_noisy_wall_are_units_within_its_noise(rng):
     directions, flat = normals(wall, 0.1)
     assert flat.all()
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, atol=1e-12)
-    assert np.abs(directions[REACH:-REACH, 0]).max() < 4 * 0.002 / (0.02 * math.sqrt(28))
+    assert np.abs(directions[MIN_NEIGHBOURS:-MIN_NEIGHBOURS, 0]).max() < 4 * 0.002 / (
+        0.02 * math.sqrt(28)
+    )
 
 
 def test_a_corner_is_no_surface_and_its_sides_are():
@@ -131,7 +133,7 @@ def test_a_corner_is_no_surface_and_its_sides_are():
     corner = np.vstack((steps * [1.0, 0.0], np.zeros((1, 2)), steps[::-1] * [0.0, 1.0]))
     directions, flat = normals(corner, 0.1)
     assert not flat[20]
-    away = np.abs(np.arange(41) - 20) >= REACH
+    away = np.abs(np.arange(41) - 20) >= MIN_NEIGHBOURS
     assert flat[away].all()
     np.testing.assert_allclose(np.abs(directions[:18, 1]), 1.0, atol=1e-12)
     np.testing.assert_allclose(np.abs(directions[23:, 0]), 1.0, atol=1e-12)
@@ -159,55 +161,55 @@ def test_surfaces_end_where_the_points_jump():
 # --------------------------------------------------------------------------- memory
 
 
-def entered(known, places, way):
-    known.way[0] = way
-    add(known, rows_of(places), 0.05, 6.0)
-    return held(known)
+def entered(local_map, places, travelled):
+    local_map.travelled[0] = travelled
+    add(local_map, rows_of(places), 0.05, 6.0)
+    return held(local_map)
 
 
 def test_points_near_to_known_ones_are_not_entered_again():
-    known = empty_map()
-    entered(known, [[0.0, 0.0], [1.0, 0.0]], 0.0)
-    seen = entered(known, [[0.049, 0.0], [1.051, 0.0]], 1.0)
+    local_map = empty_map()
+    entered(local_map, [[0.0, 0.0], [1.0, 0.0]], 0.0)
+    seen = entered(local_map, [[0.049, 0.0], [1.051, 0.0]], 1.0)
     np.testing.assert_array_equal(seen, [[0.0, 0.0], [1.0, 0.0], [1.051, 0.0]])
 
 
 def test_points_are_forgotten_after_the_memory():
-    known = empty_map()
-    entered(known, [[0.0, 0.0], [0.1, 0.0]], 0.0)
-    assert len(entered(known, [[1.0, 0.0]], 3.0)) == 3
-    assert len(entered(known, [[2.0, 0.0]], 5.9)) == 4
-    left = entered(known, [[3.0, 0.0]], 6.0)
+    local_map = empty_map()
+    entered(local_map, [[0.0, 0.0], [0.1, 0.0]], 0.0)
+    assert len(entered(local_map, [[1.0, 0.0]], 3.0)) == 3
+    assert len(entered(local_map, [[2.0, 0.0]], 5.9)) == 4
+    left = entered(local_map, [[3.0, 0.0]], 6.0)
     np.testing.assert_array_equal(left[:, 0], [1.0, 2.0, 3.0])
-    assert look_up(0.0, 0.0, LIMIT, known, -1) == -1
-    assert entered(known, np.empty((0, 2)), 100.0).shape == (0, 2)
+    assert look_up(0.0, 0.0, LIMIT, local_map, -1) == -1
+    assert entered(local_map, np.empty((0, 2)), 100.0).shape == (0, 2)
 
 
 def test_what_is_left_after_forgetting_is_found(rng):
     """Cells hold points of all ages; the chains of the ring's second lap are as good."""
-    known = empty_map()
+    local_map = empty_map()
     for lap in range(60):
-        left = entered(known, rng.uniform(-20.0, 20.0, (1000, 2)), 0.2 * lap)
-        assert size(known) <= ROOM
-    assert known.ring[1] > ROOM
+        left = entered(local_map, rng.uniform(-20.0, 20.0, (1000, 2)), 0.2 * lap)
+        assert size(local_map) <= CAPACITY
+    assert local_map.ring[1] > CAPACITY
     for k in range(0, len(left), 97):
-        row = look_up(*left[k], LIMIT, known, -1)
-        np.testing.assert_array_equal(known.rows[row, :2], left[k])
+        row = look_up(*left[k], LIMIT, local_map, -1)
+        np.testing.assert_array_equal(local_map.rows[row, :2], left[k])
 
 
 def test_a_full_map_forgets_the_oldest():
-    known = empty_map()
-    places = np.column_stack([0.1 * np.arange(ROOM + 10), np.zeros(ROOM + 10)])
-    assert len(entered(known, places, 0.0)) == ROOM
-    np.testing.assert_array_equal(held(known), places[10:])
-    assert look_up(0.0, 0.0, 0.09, known, -1) == -1
+    local_map = empty_map()
+    places = np.column_stack([0.1 * np.arange(CAPACITY + 10), np.zeros(CAPACITY + 10)])
+    assert len(entered(local_map, places, 0.0)) == CAPACITY
+    np.testing.assert_array_equal(held(local_map), places[10:])
+    assert look_up(0.0, 0.0, 0.09, local_map, -1) == -1
 
 
 def test_points_stand_in_the_frame_of_the_map():
-    known = empty_map()
-    known.pose[:] = 1.0, 2.0, math.pi / 2
-    np.testing.assert_allclose(entered(known, [[3.0, 0.5]], 0.0), [[0.5, 5.0]])
-    np.testing.assert_allclose(known.rows[0, 2:4], [0.0, 1.0], atol=1e-15)
+    local_map = empty_map()
+    local_map.pose[:] = 1.0, 2.0, math.pi / 2
+    np.testing.assert_allclose(entered(local_map, [[3.0, 0.5]], 0.0), [[0.5, 5.0]])
+    np.testing.assert_allclose(local_map.rows[0, 2:4], [0.0, 1.0], atol=1e-15)
 
 
 def test_thinning_keeps_points_apart_and_on_request_surfaces_only():

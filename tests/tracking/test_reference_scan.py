@@ -6,7 +6,7 @@ import pytest
 from impslam.tracking.reference_scan import Geometry, changed_beam
 
 ANGLES = np.linspace(-1.0, 1.0, 201)
-WALL = 3.0 / np.cos(ANGLES)  # a wall across the way, 3 m ahead
+WALL = 3.0 / np.cos(ANGLES)  # a wall across the path, 3 m ahead
 POINTS = WALL[:, None] * np.column_stack((np.cos(ANGLES), np.sin(ANGLES)))
 GEOMETRY = Geometry(np.zeros(3), -1.0, 0.01)
 
@@ -30,7 +30,7 @@ def test_an_invalid_point_changes_nothing():
 
 
 @pytest.mark.parametrize("beams", [1, 4])
-def test_beams_in_one_direction_tell_nothing(beams):
+def test_beams_in_one_direction_never_change(beams):
     """A sonar has one beam; a driver that knows no angles gives all beams the same one."""
     points, ranges = np.tile([3.0, 0.0], (beams, 1)), np.full(beams, 3.0)
     same = Geometry(np.zeros(3), 0.0, 0.0)

@@ -1,1 +1,1 @@
-"""Which observation belongs to which landmark."""
+"""Data association: match observations with landmarks."""

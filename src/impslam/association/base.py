@@ -1,4 +1,4 @@
-"""The role of association: it selects among the hypotheses that a filter has scored."""
+"""The interface of associations, which select among the hypotheses that a filter has scored."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ class Hypotheses(NamedTuple):
     """The p scored pairings of a observations with landmarks of one kind.
 
     They are in the order of the observations, then of the landmarks. Only pairings beyond the gate of
-    the association are left out.
+    the association are missing.
 
     Attributes
     ----------
     kind : of landmark
-    asked : (a,) indices of all observations of the kind in the given list
+    observations_of_kind : (a,) indices of all observations of the kind in the given list
     observations : (p,) such an index
     landmarks : (p,) ids
-    labels : (p,) labels that sensors read off the landmarks, -1 where there is none
+    labels : (p,) labels that sensors read on the landmarks, -1 for none
     innovation : (p, dim_z)
     S : (p, dim_z, dim_z), covariance of the innovation
     distance2 : (p,), squared Mahalanobis distance
     log_det : (p,), log determinant of S
-    apart : returns `LandmarkModel.distance` of the pairings, in base_link if True, else in map
+    distances : returns `LandmarkModel.distance` of the pairings, in base_link if True, else in map
     possible : (p,), false where extents rule the pairing out
     unique : whether a landmark of the kind exists once, so that no other one can have been observed
     in_pieces : whether several observations of a scan can show one landmark, as pieces of a wall do
     """
 
     kind: str
-    asked: Ints
+    observations_of_kind: Ints
     observations: Ints
     landmarks: Ints
     labels: Ints
@@ -48,7 +48,7 @@ class Hypotheses(NamedTuple):
     S: Array
     distance2: Array
     log_det: Array
-    apart: Callable[[bool], tuple[Array, Array]]
+    distances: Callable[[bool], tuple[Array, Array]]
     possible: Mask
     unique: bool = False
     in_pieces: bool = False
@@ -56,16 +56,15 @@ class Hypotheses(NamedTuple):
     def matches(self, pairs: Sequence[int]) -> list[Match]:
         """Return some of the p pairings."""
         innovation, S = self.innovation, self.S
-        asked, landmarks = self.observations.tolist(), self.landmarks.tolist()
+        observations, landmarks = self.observations.tolist(), self.landmarks.tolist()
         distance2 = self.distance2.tolist()
-        return [Match(asked[p], landmarks[p], innovation[p], S[p], distance2[p]) for p in pairs]
+        return [
+            Match(observations[p], landmarks[p], innovation[p], S[p], distance2[p]) for p in pairs
+        ]
 
 
 class Rivals(NamedTuple):
-    """Two landmarks (ids, the older first) that a scan shows in one place, once or `as_two`.
-
-    Each observation there could be either.
-    """
+    """Two landmarks (ids, the older first) that match one observation of a scan, or several (`as_two`)."""
 
     landmarks: tuple[int, int]
     as_two: bool
@@ -74,9 +73,9 @@ class Rivals(NamedTuple):
 class Assignment(NamedTuple):
     """Matches, and observations (indices) that match no landmark and may become a new one.
 
-    An observation in neither is too near a landmark to be new, and too far to match it, or it is
-    `ambiguous`: it passes the gate of a landmark alone, and not beside the other matches, or not
-    beyond doubt.
+    An observation in neither is too near a landmark to be new and too far to match it, or it is
+    `ambiguous`: it passes the gate of a landmark, but not jointly with the other matches, or another
+    choice is nearly as likely.
     """
 
     matches: tuple[Match, ...]
@@ -89,24 +88,24 @@ class Association(Component):
     """Selects among hypotheses."""
 
     role: ClassVar[str] = "association"
-    judges_jointly: ClassVar[bool] = False
-    """Whether the choice of a pairing depends on pairings of other observations and landmarks."""
+    is_joint: ClassVar[bool] = False
+    """Whether a pairing depends on pairings of other observations and landmarks."""
 
-    def reach(self, dof: int) -> float:
-        """Return the squared Mahalanobis distance beyond which no pairing matters here."""
+    def max_distance2(self, dof: int) -> float:
+        """Return the squared Mahalanobis distance beyond which pairings are ignored."""
         del dof
         return math.inf
 
-    def are_one(self, innovation: Array, S: Array) -> bool:
-        """Tell whether two landmarks, seen so far apart (dim_z,), with covariance, are the same.
+    def is_same_landmark(self, innovation: Array, S: Array) -> bool:
+        """Return whether two landmarks with an innovation (dim_z,) of covariance S are the same.
 
-        An association that cannot tell says no.
+        The default is False, for associations without such a test.
         """
         del innovation, S
         return False
 
-    def given_pose(self) -> Association:
-        """Return what judges pairings one by one: where the pose is given, they are independent."""
+    def for_known_pose(self) -> Association:
+        """Return an association for a known pose, given which pairings are independent."""
         return self
 
     @abstractmethod

@@ -1,14 +1,14 @@
 """Joint Compatibility Branch and Bound (Neira & Tardós 2001, IEEE Trans. Robotics 17(6)).
 
 Pairings that pass their gates one by one can still contradict one another: an error of the pose
-moves all innovations of a scan together, and the covariance between them says how. JCBB looks for
+moves all innovations of a scan together, as the covariance between them describes. JCBB searches
 the largest set of pairings that passes the gate as a whole, over all kinds of landmark at once.
 
-A pair of the set is left out where the odds are nearly even: where there is another set of as many pairs
-without it, nearly as likely. Pieces of walls are not; see `decided`.
+A pair of the set is left out if another set of as many pairs without it is nearly as likely. This does not
+apply to pieces of walls; see `unambiguous_pairs`.
 
-One departure from the paper: a set is judged when it is whole. The paper drops a branch as soon as
-its first pairings fail their own gate, which makes the answer depend on the order of observations.
+Unlike the paper, only complete sets are tested. The paper drops a branch as soon as
+its first pairings fail their own gate, which makes the result depend on the order of observations.
 """
 
 from __future__ import annotations
@@ -18,7 +18,13 @@ from typing import ClassVar, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from impslam.association.assignment import ODDS, ambiguous, collect, log_odds, unseen
+from impslam.association.assignment import (
+    MIN_ODDS,
+    ambiguous,
+    make_assignment,
+    odds_cost,
+    unclaimed_pairs,
+)
 from impslam.association.base import Assignment, Association, Hypotheses, Joint
 from impslam.association.branch_and_bound import NONE, search
 from impslam.association.mahalanobis import Mahalanobis
@@ -39,17 +45,17 @@ class _Pair(NamedTuple):
 
 
 def _starts(sizes: Ints) -> Ints:
-    """Return where each of some adjoining pieces starts, and where the last one ends."""
+    """Return the start of each of several consecutive blocks, and the end of the last one."""
     return np.concatenate([[0], np.cumsum(sizes)])
 
 
 def _remaining(values: npt.NDArray[T]) -> npt.NDArray[T]:
-    """Return the sum of the values from each on, and 0 for after the last."""
+    """Return the sums of the values from each index to the end, followed by 0."""
     return np.append(values, values[:1] * 0)[::-1].cumsum()[::-1]
 
 
 def _numbered(ids: list[int]) -> Ints:
-    """Return the ids' numbers, from 0."""
+    """Return the ids renumbered from 0."""
     return np.unique(ids, return_inverse=True)[1]
 
 
@@ -73,12 +79,12 @@ class _System:
         self._S, self._innovation, self._budget = S, innovation, budget
         self._dims = np.array([len(match.innovation) for match in matches])
         self._landmarks = _numbered([match.landmark for match in matches])
-        self._of = np.repeat(np.arange(len(options)), [len(some) for some in options])
+        self._observation_of = np.repeat(np.arange(len(options)), [len(some) for some in options])
         self._noise = np.array([some[0].noise for some in options])
         self._limits = quantiles(gate, int(self._dims.sum()))
-        alike = self._of[:, None] == self._of
-        alike |= self._landmarks[:, None] == self._landmarks
-        self.contested = alike.sum(axis=1) > 1
+        conflicts = self._observation_of[:, None] == self._observation_of
+        conflicts |= self._landmarks[:, None] == self._landmarks
+        self.contested = conflicts.sum(axis=1) > 1
 
     def search(self, among: Mask) -> tuple[list[int], float]:
         """Return the best set among some pairs (pairs,), and its d^2 + log det S."""
@@ -86,7 +92,7 @@ class _System:
         if not len(pairs):
             return [], 0.0
         rows = np.flatnonzero(np.repeat(among, self._dims))
-        which, sizes = np.unique(self._of[pairs], return_counts=True)
+        group_ids, sizes = np.unique(self._observation_of[pairs], return_counts=True)
         groups, dims = _starts(sizes), self._dims[pairs]
         rest = _remaining(dims[groups[:-1]])
         S, nu = self._S[np.ix_(rows, rows)], self._innovation[rows]
@@ -96,15 +102,15 @@ class _System:
             (starts, _numbered(self._landmarks[pairs].tolist())),
             groups,
             rest,
-            _remaining(self._noise[which]),
+            _remaining(self._noise[group_ids]),
             self._limits[: rest[0] + 1],
             self._budget,
         )
         chosen = [p for p in best.tolist() if p != NONE]
         taken = [row for p in chosen for row in range(starts[p], starts[p + 1])]
         index = np.array(taken, np.int64)
-        block, off = S[np.ix_(index, index)], nu[index]
-        score = float(off @ np.linalg.solve(block, off) + np.linalg.slogdet(block)[1])
+        block, residual = S[np.ix_(index, index)], nu[index]
+        score = float(residual @ np.linalg.solve(block, residual) + np.linalg.slogdet(block)[1])
         return pairs[chosen].tolist(), score
 
 
@@ -112,7 +118,7 @@ class _System:
 class Jcbb(Association):
     """The largest set of pairings that is compatible as a whole (Neira & Tardós 2001)."""
 
-    judges_jointly: ClassVar[bool] = True
+    is_joint: ClassVar[bool] = True
 
     gate: float = parameter(
         0.999,
@@ -131,31 +137,31 @@ class Jcbb(Association):
     budget: int = parameter(
         2000,
         "1",
-        "pairings that the search looks at (about 1 us each); then the best set so far is taken, "
+        "pairings that the search tries (about 1 us each); then it returns the best set so far, "
         "which is compatible but perhaps not the largest",
         ge=1,
     )
 
     odds: float = parameter(
-        ODDS,
+        MIN_ODDS,
         "1",
-        "a pair must make its set so many times as likely as another of as many pairs: so many unused "
-        "observations are worth a wrong match",
+        "a pair must make its set this many times as likely as another of as many pairs: a wrong match "
+        "costs as much as this many unused observations",
         ge=1,
     )
 
-    def reach(self, dof: int) -> float:
-        """Return the wider gate; see `Association.reach`."""
+    def max_distance2(self, dof: int) -> float:
+        """Return the wider gate; see `Association.max_distance2`."""
         return quantile(max(self.gate, self.new_gate), dof)
 
-    def given_pose(self) -> Mahalanobis:
-        """Return what has the same gates and odds; see `Association.given_pose`."""
+    def for_known_pose(self) -> Mahalanobis:
+        """Return an association with the same gates and odds; see `Association.for_known_pose`."""
         return Mahalanobis(gate=self.gate, new_gate=self.new_gate, odds=self.odds)
 
     def assign(
         self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
     ) -> Assignment:
-        """Match the most pairs that are jointly compatible; of as many, the likeliest."""
+        """Match the largest jointly compatible set of pairs; among equals, the likeliest."""
         chosen: list[list[int]] = [[] for _ in hypotheses]
         inside = [self._inside(group) for group in hypotheses]
         options = self._options(observations, hypotheses, inside)
@@ -163,11 +169,11 @@ class Jcbb(Association):
             for pair in self._search(observations, hypotheses, options, joint):
                 chosen[pair.group].append(pair.p)
         near = [self._near(*one) for one in zip(hypotheses, chosen, strict=True)]
-        made = collect(observations, zip(hypotheses, chosen, near, strict=True))
-        return made._replace(ambiguous=ambiguous(made.matches, hypotheses, inside))
+        assignment = make_assignment(observations, zip(hypotheses, chosen, near, strict=True))
+        return assignment._replace(ambiguous=ambiguous(assignment.matches, hypotheses, inside))
 
     def _inside(self, group: Hypotheses) -> Mask:
-        """Tell which pairs pass the gate, each alone."""
+        """Return which pairs pass the gate individually."""
         limit = quantile(self.gate, group.innovation.shape[-1])
         return np.asarray((group.distance2 <= limit) & group.possible)
 
@@ -179,17 +185,17 @@ class Jcbb(Association):
     ) -> list[list[_Pair]]:
         """Return the individually compatible pairs of each observation, the least ambiguous first.
 
-        The order rests on the scores alone, so that the observations' own order does not matter.
+        The order depends only on the scores, not on the order of the observations.
         """
         options: dict[int, list[_Pair]] = {}
         for g, group in enumerate(hypotheses):
             pairs = np.flatnonzero(inside[g])
             if not len(pairs):
                 continue
-            asked = group.observations[pairs].tolist()
-            noise = np.linalg.slogdet(np.array([observations[i].R for i in asked]))[1].tolist()
+            indices = group.observations[pairs].tolist()
+            noise = np.linalg.slogdet(np.array([observations[i].R for i in indices]))[1].tolist()
             costs = (group.distance2 + group.log_det)[pairs].tolist()
-            for i, *pair in zip(asked, pairs.tolist(), costs, noise, strict=True):
+            for i, *pair in zip(indices, pairs.tolist(), costs, noise, strict=True):
                 options.setdefault(i, []).append(_Pair(g, *pair))
         return sorted(options.values(), key=lambda some: (len(some), min(p.cost for p in some)))
 
@@ -203,17 +209,19 @@ class Jcbb(Association):
         pairs = [pair for some in options for pair in some]
         matches = [hypotheses[pair.group].matches([pair.p])[0] for pair in pairs]
         system = _System(options, matches, *joint(observations, matches), self.gate, self.budget)
-        every = np.ones(len(pairs), np.bool_)
-        best, score = system.search(every)
+        all_pairs = np.ones(len(pairs), np.bool_)
+        best, score = system.search(all_pairs)
 
-        def is_doubtful(p: int) -> bool:
-            if not system.contested[p] or hypotheses[pairs[p].group].in_pieces:  # see `decided`
+        def is_ambiguous(p: int) -> bool:
+            if (
+                not system.contested[p] or hypotheses[pairs[p].group].in_pieces
+            ):  # see `unambiguous_pairs`
                 return False
-            others, of_others = system.search(np.arange(len(pairs)) != p)
-            return len(others) == len(best) and of_others - score < log_odds(self.odds)
+            others, other_score = system.search(np.arange(len(pairs)) != p)
+            return len(others) == len(best) and other_score - score < odds_cost(self.odds)
 
-        return [pairs[p] for p in best if not is_doubtful(p)]
+        return [pairs[p] for p in best if not is_ambiguous(p)]
 
     def _near(self, group: Hypotheses, chosen: list[int]) -> list[int]:
         limit = quantile(self.new_gate, group.innovation.shape[-1])
-        return unseen(group, (group.distance2 < limit) & group.possible, chosen)
+        return unclaimed_pairs(group, (group.distance2 < limit) & group.possible, chosen)

@@ -1,14 +1,14 @@
-"""Association by the labels that a sensor reads (barcodes, simulation): the bound for the others.
+"""Association by the labels that a sensor reads (barcodes, simulation): an upper bound for the others.
 
-Labels that are read off the world can be misread, and then the landmark that bears the label is
-elsewhere. With a gate such an observation is refused: it neither corrects nor begins a landmark.
+Labels can be misread; the landmark with that label is then elsewhere. With a gate such an observation is
+rejected: it neither corrects nor creates a landmark.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from impslam.association.assignment import collect
+from impslam.association.assignment import make_assignment
 from impslam.association.base import Assignment, Association, Hypotheses, Joint
 from impslam.component import parameter, register
 from impslam.geometry.chi_square import quantile
@@ -22,7 +22,7 @@ class Known(Association):
     gate: float = parameter(
         1.0,
         "1",
-        "probability that a true pairing passes the chi-square gate; 1: no label is doubted",
+        "probability that a true pairing passes the chi-square gate; 1: all labels are trusted",
         gt=0,
         le=1,
     )
@@ -30,27 +30,27 @@ class Known(Association):
     def assign(
         self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
     ) -> Assignment:
-        """Pair each labelled observation with the landmark whose label it bears."""
+        """Match each labelled observation with the landmark of the same label."""
         del joint
-        return collect(
+        return make_assignment(
             observations, ((group, *self._choose(observations, group)) for group in hypotheses)
         )
 
     def _choose(
         self, observations: tuple[Observation, ...], group: Hypotheses
     ) -> tuple[list[int], list[int]]:
-        read = [observations[i].label for i in group.observations.tolist()]
-        labels = np.array([-1 if label is None else label for label in read], np.int64)
-        borne = (labels >= 0) & (labels == group.labels)
+        labels_read = [observations[i].label for i in group.observations.tolist()]
+        labels = np.array([-1 if label is None else label for label in labels_read], np.int64)
+        labelled = (labels >= 0) & (labels == group.labels)
         newest = {
-            int(group.observations[p]): int(group.landmarks[p]) for p in np.flatnonzero(borne)
+            int(group.observations[p]): int(group.landmarks[p]) for p in np.flatnonzero(labelled)
         }
-        best: dict[int, int] = {}  # a label that is read twice belongs to the nearer
-        for p in np.flatnonzero(borne).tolist():
+        best: dict[int, int] = {}  # a label read twice belongs to the nearer observation
+        for p in np.flatnonzero(labelled).tolist():
             k = int(group.landmarks[p])
-            if newest[int(group.observations[p])] == k:  # of several that bear its label
+            if newest[int(group.observations[p])] == k:  # of several landmarks with its label
                 rival = best.get(k, p)
                 best[k] = min(p, rival, key=lambda q: (group.distance2[q], q))
         limit = quantile(self.gate, group.innovation.shape[-1])
-        near = np.flatnonzero(borne | (labels < 0)).tolist()
+        near = np.flatnonzero(labelled | (labels < 0)).tolist()
         return [p for p in best.values() if group.distance2[p] <= limit], near

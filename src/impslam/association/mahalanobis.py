@@ -7,35 +7,35 @@ import math
 import numpy as np
 
 from impslam.association.assignment import (
-    ODDS,
+    MIN_ODDS,
     ambiguous,
-    collect,
-    decided,
-    log_odds,
+    make_assignment,
+    odds_cost,
     rivals,
-    unseen,
+    unambiguous_pairs,
+    unclaimed_pairs,
 )
 from impslam.association.base import Assignment, Association, Hypotheses, Joint, log_normal
 from impslam.component import parameter, register
 from impslam.geometry.chi_square import quantile
 from impslam.types import Array, Mask, Observation
 
-_ALONE = 1e6  # what exists once has no rival but itself
-_UNMAPPED = 0.1  # share of what is seen that is not in the map yet: most has been seen before
+_UNIQUE_BONUS = 1e6  # a unique landmark always beats a new one
+_UNMAPPED_SHARE = 0.1  # share of observed things that are not in the map yet
 
 
 @register("mahalanobis")
 class Mahalanobis(Association):
     """Chi-square gate on the innovation, then the most likely one-to-one assignment.
 
-    A gate alone takes the first wall it meets once the pose is uncertain by metres. So a pairing must
-    also be likelier than that the observation shows something else of its kind: N(nu; 0, S) above the
-    density of such things in measurement space (Bar-Shalom & Fortmann 1988, ch. 9; Reid 1979, Eq. 16).
+    Once the pose is uncertain by metres, a gate alone accepts any wall. So a pairing must also be likelier
+    than an observation of another object of the kind: N(nu; 0, S) above the
+    density of such objects in measurement space (Bar-Shalom & Fortmann 1988, ch. 9; Reid 1979, Eq. 16).
 
-    Most of them are in the map: a tenth of the density stands for those that are not. An assignment must
+    Most of them are in the map: a tenth of the density accounts for those that are not. An assignment must
     be `odds` times as likely as the likeliest one without the pairing: with another landmark, or with
-    something new. Where the odds are nearer to even, the observation is not used (Chow 1970),
-    unless it is a piece of a wall: of two walls the likelier one is taken.
+    a new one. If the odds are nearer to even, the observation is not used (Chow 1970),
+    unless it is a piece of a wall: of two walls the likelier one is chosen.
     """
 
     gate: float = parameter(
@@ -56,52 +56,59 @@ class Mahalanobis(Association):
         gt=0,
     )
     odds: float = parameter(
-        ODDS,
+        MIN_ODDS,
         "1",
-        "a match must be so many times as likely as the likeliest choice without it: so many unused "
-        "observations are worth a wrong match",
+        "a match must be this many times as likely as the likeliest choice without it: a wrong match "
+        "costs as much as this many unused observations",
         ge=1,
     )
 
-    def reach(self, dof: int) -> float:
-        """Return the wider gate; see `Association.reach`."""
+    def max_distance2(self, dof: int) -> float:
+        """Return the wider gate; see `Association.max_distance2`."""
         return quantile(max(self.gate, self.new_gate), dof)
 
     def assign(
         self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
     ) -> Assignment:
-        """Minimise the sum of d^2 + log|S| over the pairs inside the gate; take those beyond doubt."""
+        """Minimise the sum of d^2 + log|S| over the pairs inside the gate; keep unambiguous ones."""
         del joint
         inside = [self._inside(group) for group in hypotheses]
         chosen = [(g, *self._choose(g, here)) for g, here in zip(hypotheses, inside, strict=True)]
-        made = collect(observations, chosen)
-        if len(made.matches) == sum(map(np.count_nonzero, inside)):
-            return made  # each pair inside is a match: nothing is open
-        same = [r for g, here in zip(hypotheses, inside, strict=True) for r in rivals(g, here)]
-        open_ = ambiguous(made.matches, hypotheses, inside)
-        return made._replace(rivals=tuple(same), ambiguous=open_)
+        assignment = make_assignment(observations, chosen)
+        if len(assignment.matches) == sum(map(np.count_nonzero, inside)):
+            return assignment  # each pair inside is a match
+        ambiguous_pairs = [
+            r for g, here in zip(hypotheses, inside, strict=True) for r in rivals(g, here)
+        ]
+        unmatched = ambiguous(assignment.matches, hypotheses, inside)
+        return assignment._replace(rivals=tuple(ambiguous_pairs), ambiguous=unmatched)
 
     def _inside(self, group: Hypotheses) -> Mask:
-        """Tell which pairs pass the gate."""
+        """Return which pairs pass the gate."""
         return group.possible & (group.distance2 < quantile(self.gate, group.innovation.shape[1]))
 
     def _choose(self, group: Hypotheses, inside: Mask) -> tuple[list[int], list[int]]:
-        """Return the pairs that are matches, and those that may be what is seen all the same."""
+        """Return the matching pairs, and the pairs that keep their observation from being new."""
         dim = group.innovation.shape[1]
-        # -2 log of the odds that this is the landmark, against one like it that is not in the map.
-        new = dim * math.log(2.0 * math.pi) + 2.0 * math.log(_UNMAPPED * self.density)
+        # -2 log of the odds of this landmark against another one that is not in the map.
+        new = dim * math.log(2.0 * math.pi) + 2.0 * math.log(_UNMAPPED_SHARE * self.density)
         distance2, cost = group.distance2, group.distance2 + group.log_det + new
         if group.unique:
-            cost = distance2 - _ALONE
+            cost = distance2 - _UNIQUE_BONUS
         likely = group.possible & (cost < 0.0)
         pairs = (inside & likely).nonzero()[0]
-        seen = group.observations[pairs], group.landmarks[pairs], cost[pairs]
-        taken, of = decided(*seen, log_odds(self.odds), group.in_pieces), pairs.tolist()
-        chosen = [of[p] for p in taken]
-        return chosen, unseen(group, likely & (distance2 < quantile(self.new_gate, dim)), chosen)
+        arguments = group.observations[pairs], group.landmarks[pairs], cost[pairs]
+        taken, pair_list = (
+            unambiguous_pairs(*arguments, odds_cost(self.odds), group.in_pieces),
+            pairs.tolist(),
+        )
+        chosen = [pair_list[p] for p in taken]
+        return chosen, unclaimed_pairs(
+            group, likely & (distance2 < quantile(self.new_gate, dim)), chosen
+        )
 
-    def are_one(self, innovation: Array, S: Array) -> bool:
-        """Tell whether a difference within the gate is `odds` times as likely as two of the density."""
+    def is_same_landmark(self, innovation: Array, S: Array) -> bool:
+        """Return whether a difference in the gate is `odds` times as likely as two separate landmarks."""
         distance2 = float(innovation @ np.linalg.solve(S, innovation))
         if distance2 > quantile(self.gate, len(innovation)):
             return False

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from impslam.association.assignment import collect
+from impslam.association.assignment import make_assignment
 from impslam.association.base import Assignment, Association, Hypotheses, Joint
 from impslam.component import parameter, register
 from impslam.types import Observation
@@ -27,24 +27,26 @@ class Nearest(Association):
         gt=0,
     )
     directed: bool = parameter(
-        False, "", "tell walls seen from opposite sides apart; the thesis takes 180 deg for 0"
+        False, "", "distinguish walls seen from opposite sides; the thesis treats 180 deg as 0"
     )
     frame: Literal["map", "base_link"] = parameter(
         "map",
         "",
-        "where both are compared: in map (thesis 4.2.6), where the feet of walls move by heading "
-        "error times distance from the origin, or as seen from the robot (thesis 2.1.3)",
+        "frame of the comparison: map (thesis 4.2.6), in which the feet of walls move by heading "
+        "error times distance from the origin, or base_link, as seen from the robot (thesis 2.1.3)",
     )
 
     def assign(
         self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
     ) -> Assignment:
-        """Give each observation its nearest landmark; where two want one, the nearer has it."""
+        """Match each observation with its nearest landmark; of two with the same, the nearer one wins."""
         del joint
-        return collect(observations, ((group, *self._choose(group)) for group in hypotheses))
+        return make_assignment(
+            observations, ((group, *self._choose(group)) for group in hypotheses)
+        )
 
     def _choose(self, group: Hypotheses) -> tuple[list[int], list[int]]:
-        metres, radians = group.apart(self.frame == "base_link")
+        metres, radians = group.distances(self.frame == "base_link")
         if not self.directed:
             radians = np.minimum(radians, math.pi - radians)
         allowed = (metres < self.max_distance) & (radians < self.max_angle)

@@ -119,7 +119,7 @@ def drives_of(config: Config, recording: Recording, where: str) -> list[Drive]:
         If it has no odometry, or too little motion.
     """
     odometry, (_, lidar) = config.make_robot().odometry, lidar_of(config)
-    if not odometry.tells_motion or not recording.odometry:
+    if not odometry.measures_motion or not recording.odometry:
         raise SourceError(
             f"{where}: has no {odometry.consumes.__name__} to calibrate; record odometry, or choose "
             "what the log has with --set odometry.kind="

@@ -80,7 +80,7 @@ def evidence(config: Config, recording: Recording) -> Evidence:
     robot = config.make_robot()
     name, lidar = lidar_of(config)
     motion = laser(lidar_path(lidar, recording.scans))
-    counter = odometer(robot.odometry, recording.odometry if robot.odometry.tells_motion else ())
+    counter = odometer(robot.odometry, recording.odometry if robot.odometry.measures_motion else ())
     when = timing(motion, counter, lidar)
     begins, ends = _known(motion, counter, when.stamps)
     times = np.column_stack((when.stamps[begins], when.stamps[ends]))

@@ -50,6 +50,6 @@ def misfit(axle: np.ndarray, gone: np.ndarray) -> float:
 
 def _misfit_of(config: Config, e: Evidence) -> float:
     odometry = config.make_robot().odometry
-    if odometry.consumes is not e.odometry.consumes or not odometry.tells_motion:
+    if odometry.consumes is not e.odometry.consumes or not odometry.measures_motion:
         return math.inf
     return misfit(e.axle, gone_by(odometry, e.recording.odometry, e.times))

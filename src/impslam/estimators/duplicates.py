@@ -59,7 +59,7 @@ def _fuse(pair: tuple[int, int], tracker: Filter, association: Association) -> b
     """Make landmarks one if they are; tell whether they were."""
     try:
         apart = tracker.apart(*pair)
-        if apart is None or not association.are_one(*apart):
+        if apart is None or not association.is_same_landmark(*apart):
             return False
         tracker.fuse(*pair)
     except (

@@ -21,7 +21,7 @@ from impslam.filters.base import Filter
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
 from impslam.map import Keyframe, Map, Revision
-from impslam.noise import LONGEST
+from impslam.noise import MAX_GAP
 from impslam.types import Array, Increment, Landmark, Match, Observation
 
 
@@ -119,7 +119,7 @@ class Landmarks(Estimator):
     def _associate(self, observations: tuple[Observation, ...], motion: Increment) -> Assignment:
         """Associate; predict anew, as of wheels that have slipped, if that explains more."""
         rolled = self._attempt(observations, motion)
-        if rolled.left_over(len(observations)) == 0 or motion.duration > LONGEST:
+        if rolled.left_over(len(observations)) == 0 or motion.duration > MAX_GAP:
             return rolled.choice
         before = rolled.evidence(self._filter.joint, observations)
         self._predict_anew(slipped(motion))

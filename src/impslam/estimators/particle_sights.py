@@ -129,7 +129,7 @@ def associate(
     count, asked = len(cloud.poses), len(observations)
     stride = 1 + max((len(sight.book.ids) for sight in seen), default=0)
     hypotheses = [
-        _hypotheses(sight, cloud, asked, stride, association.reach(sight.book.model.dim_z))
+        _hypotheses(sight, cloud, asked, stride, association.max_distance2(sight.book.model.dim_z))
         for sight in seen
         if len(sight.book.ids)
     ]

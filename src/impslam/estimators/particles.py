@@ -87,8 +87,8 @@ class Particles(Estimator):
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
         self._refuse(known)
         asked: Association = parts["association"]
-        self._association, self._lifecycle = asked.given_pose(), parts["lifecycle"]
-        if self._association.judges_jointly:
+        self._association, self._lifecycle = asked.for_known_pose(), parts["lifecycle"]
+        if self._association.is_joint:
             raise ConfigError(
                 f"estimator 'particles' cannot ask association {self._association.name!r}, which judges a "
                 "scan as a whole; choose another one with --set association.kind=mahalanobis"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from impslam.surfaces.features import Features
-from impslam.surfaces.tiles import Tiles, begin, copy, empty_tiles, enter, touched
+from impslam.surfaces.tiles import Tiles, add_to_tiles, begin, copy, empty_tiles, touched_tiles
 from impslam.types import Array, Ints
 
 MOST = 20.0  # points that a surfel averages over
@@ -60,7 +60,7 @@ class SurfaceBook:
             self._write(k, features, pose)
 
     def _write(self, k: int, features: Features, pose: Array) -> None:
-        places = touched(features, pose)
+        places = touched_tiles(features, pose)
         if not len(places):
             return
         self._cover(places)
@@ -78,7 +78,7 @@ class SurfaceBook:
             self.users[new] = 1
         known[shared] = free
         self.tables[k, rows, columns] = known
-        enter(self.tiles, known, features, pose, MOST)
+        add_to_tiles(self.tiles, known, features, pose, MOST)
 
     def _cover(self, places: Ints) -> None:
         """Let the tables reach to some places (n, 2), column and row."""

@@ -1,1 +1,1 @@
-"""Scan to observations."""
+"""Extractors of landmarks from scans."""

@@ -1,4 +1,4 @@
-"""The whole visible arcs of cylinders in a scan, compiled."""
+"""Find the complete visible arcs of cylinders in a scan (compiled)."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from impslam.geometry.lines import fit_line_core
 from impslam.types import Array, Ints, Mask
 
 _OUTLIER = 3.5  # standard deviations
-_UNSEEN = 0.3  # of the half-width that may be missing at a side
-_FITS = 3  # the last two without an end point each, if it lies half on the background
+_MAX_UNSEEN = 0.3  # share of the half-width that may be missing at a side
+_MAX_FITS = 3  # the last two drop end points that are partly on the background
 _LINE_GAIN = 16.0  # chi-square by which a circle of any radius must beat a line: 4 sigma
-_CORNER_GAIN = 9.0  # chi-square by which a corner (a parameter more) beats a circle: 3 sigma
-_EDGE = 0.5  # of the beam spacing: an edge lies anywhere between a hit and the next miss
-_FADE = 0.1  # of the radius: beams that meet a round side beyond 64 deg may not come back
+_CORNER_GAIN = 9.0  # chi-square by which a corner (one more parameter) beats a circle: 3 sigma
+_EDGE_SIGMA = 0.5  # of the beam spacing: an edge is anywhere between a hit and the next miss
+_FADE_SIGMA = 0.1  # of the radius: beams that hit a round side beyond 64 deg may not return
 
 COLUMNS = 12  # first, past the last, x, y, radius, covariance (3), bias (3), reduced chi2
 
@@ -38,17 +38,17 @@ def find_arcs(
     Parameters
     ----------
     points, beams, variances, starts : as in `Cloud`
-    sides : (m, 2, 3) direction and range of the beams before and after each point, range inf where
-        nothing came back, 0 where the scan ends
-    limits : known radius (NaN if unknown), least and largest radius (m), fewest points, largest
-        mean chi2, largest relative sigma of the radius, beam spacing (rad)
+    sides : (m, 2, 3) direction and range of the beams before and after each point; the range is inf
+        without a return, and 0 at the end of the scan
+    limits : known radius (NaN if unknown), smallest and largest radius (m), minimum number of points,
+        largest mean chi2, largest relative sigma of the radius, beam spacing (rad)
     origin : (2,) m, laser
     """
     out = np.empty((len(starts), COLUMNS))
     count = 0
     for s in range(len(starts) - 1):
         i, j = starts[s], starts[s + 1]
-        if j - i < limits[3] or not _plausible(points[i:j], sides[i:j], limits, origin):
+        if j - i < limits[3] or not _is_plausible(points[i:j], sides[i:j], limits, origin):
             continue
         p, b, v, n = points[i:j], beams[i:j], variances[i:j], sides[i:j]
         if _fit_arc(p, b, v, n, limits, origin, out[count]):
@@ -58,8 +58,8 @@ def find_arcs(
 
 
 @kernel
-def _plausible(points: Array, sides: Array, limits: Array, origin: Array) -> bool:
-    """Tell whether a segment stands before what is beside it, as wide as cylinders may be."""
+def _is_plausible(points: Array, sides: Array, limits: Array, origin: Array) -> bool:
+    """Return whether a segment is in front of its neighbours, and of a cylinder's width."""
     first = math.hypot(points[0, 0] - origin[0], points[0, 1] - origin[1])
     last = math.hypot(points[-1, 0] - origin[0], points[-1, 1] - origin[1])
     if sides[0, 0, 2] <= first or sides[-1, 1, 2] <= last:
@@ -72,7 +72,7 @@ def _plausible(points: Array, sides: Array, limits: Array, origin: Array) -> boo
 
 @kernel
 def _edges(beams: Array, sides: Array, origin: Array, sigma: float) -> Array:
-    """Return the rays half-way between the outermost hits and the misses beside them."""
+    """Return the rays halfway between the outermost hits and the misses beside them."""
     edges = np.empty((2, 5))
     for side in range(2):
         k = 0 if side == 0 else len(beams) - 1
@@ -85,11 +85,11 @@ def _edges(beams: Array, sides: Array, origin: Array, sigma: float) -> Array:
 
 
 @kernel
-def _start(points: Array, beams: Array, limits: Array, away: float) -> Array:
-    """Return where the fit starts: the algebraic circle, or one as wide as the arc."""
+def _start(points: Array, beams: Array, limits: Array, distance: float) -> Array:
+    """Return the start of the fit: the algebraic circle, or one as wide as the arc."""
     start = circle_start(points, beams, limits[0])
     if math.isnan(limits[0]) and not (start[2] > 0.5 * limits[1] and start[2] < 2.0 * limits[2]):
-        start = circle_start(points, beams, 0.5 * away * limits[6] * len(points))
+        start = circle_start(points, beams, 0.5 * distance * limits[6] * len(points))
     return start
 
 
@@ -103,17 +103,17 @@ def _fit_arc(
     origin: Array,
     out: Array,
 ) -> bool:
-    """Fit a cylinder to a segment and write its row; tell whether it is one."""
-    known = not math.isnan(limits[0])
-    if not known and not fit_line_core(points, beams, variances, 0.0)[7] > _LINE_GAIN:
+    """Fit a cylinder to a segment and write its row; return whether it is one."""
+    known_radius = not math.isnan(limits[0])
+    if not known_radius and not fit_line_core(points, beams, variances, 0.0)[7] > _LINE_GAIN:
         return False
     middle = points[len(points) // 2]
-    away = math.hypot(middle[0] - origin[0], middle[1] - origin[1])
-    enough, fit, i, j = _fit_without_ends(points, beams, variances, sides, limits, origin, away)
+    distance = math.hypot(middle[0] - origin[0], middle[1] - origin[1])
+    enough, fit, i, j = _fit_without_ends(points, beams, variances, sides, limits, origin, distance)
     good, circle, cov, bias, chi2 = fit
     if not (good and enough):
         return False
-    dof = j - i + 2 - (2 if known else 3)
+    dof = j - i + 2 - (2 if known_radius else 3)
     if chi2 > limits[4] * dof or math.sqrt(cov[2, 2]) > limits[5] * circle[2]:
         return False
     if not _is_round(points[i:j], beams[i:j], variances[i:j], circle, limits, origin):
@@ -133,21 +133,21 @@ def _fit_without_ends(
     sides: Array,
     limits: Array,
     origin: Array,
-    away: float,
+    distance: float,
 ) -> tuple[bool, tuple[bool, Array, Array, Array, float], int, int]:
     """Fit to a segment without outliers at its ends.
 
     Returns whether enough points are left, the fit of `fit_circle_core` to the points [i, j), i and j.
     """
-    known, circle = not math.isnan(limits[0]), _start(points, beams, limits, away)
-    edge = math.hypot(_EDGE * limits[6] * away, _FADE * circle[2])
+    known_radius, circle = not math.isnan(limits[0]), _start(points, beams, limits, distance)
+    edge = math.hypot(_EDGE_SIGMA * limits[6] * distance, _FADE_SIGMA * circle[2])
     i, j, enough = 0, len(points), True
-    for _ in range(_FITS):
+    for _ in range(_MAX_FITS):
         if j - i < limits[3]:
             enough = False
             break
         edges = _edges(beams[i:j], sides[i:j], origin, edge)
-        fit = fit_circle_core(points[i:j], beams[i:j], variances[i:j], edges, circle, known)
+        fit = fit_circle_core(points[i:j], beams[i:j], variances[i:j], edges, circle, known_radius)
         first, last, circle = i, j, fit[1]
         if not fit[0]:
             break
@@ -162,14 +162,18 @@ def _trimmed(
     points: Array, beams: Array, variances: Array, circle: Array, i: int, j: int
 ) -> tuple[int, int]:
     """Return [i, j) without the outermost points if they are outliers."""
-    a = i + 1 if _off(points[i], beams[i], variances[i], circle) > _OUTLIER**2 else i
-    b = j - 1 if _off(points[j - 1], beams[j - 1], variances[j - 1], circle) > _OUTLIER**2 else j
+    a = i + 1 if _squared_error(points[i], beams[i], variances[i], circle) > _OUTLIER**2 else i
+    b = (
+        j - 1
+        if _squared_error(points[j - 1], beams[j - 1], variances[j - 1], circle) > _OUTLIER**2
+        else j
+    )
     return a, b
 
 
 @kernel
-def _off(point: Array, beam: Array, variance: float, circle: Array) -> float:
-    """Return the squared distance of a point from the circle, in its variances."""
+def _squared_error(point: Array, beam: Array, variance: float, circle: Array) -> float:
+    """Return the squared distance of a point from the circle, divided by its variance."""
     dx, dy = point[0] - circle[0], point[1] - circle[1]
     distance = max(math.hypot(dx, dy), 1e-12)
     cosine = (dx * beam[0] + dy * beam[1]) / distance
@@ -187,34 +191,34 @@ def _is_round(
     limits: Array,
     origin: Array,
 ) -> bool:
-    """Tell whether a fit is a cylinder: size, whole arc, better than a line or a corner."""
+    """Return whether a fit is a cylinder: size, complete arc, better than a line or a corner."""
     radius = circle[2]
     vx, vy = circle[0] - origin[0], circle[1] - origin[1]
     distance = math.hypot(vx, vy)
     if radius < limits[1] or radius > limits[2] or distance <= 1.05 * radius:
         return False
     half = math.asin(radius / distance)
-    slack = max(2.0 * limits[6], _UNSEEN * half)
+    slack = max(2.0 * limits[6], _MAX_UNSEEN * half)
     for k in (0, len(points) - 1):
         bearing = abs(vx * beams[k, 1] - vy * beams[k, 0]) / distance
         if bearing < math.sin(max(half - slack, 0.0)):
             return False
-    # That the width is that of the known radius speaks for a cylinder more than a shape that real
-    # surfaces (glossy, narrower than a few beams' footprints) blur: a line may be a little better.
-    known = not math.isnan(limits[0])
-    gain = -_LINE_GAIN if known else _LINE_GAIN
+    # With a known radius, the right width is stronger evidence than the shape, which real surfaces
+    # (glossy, narrower than a few beams' footprints) blur: a line may fit slightly better.
+    known_radius = not math.isnan(limits[0])
+    gain = -_LINE_GAIN if known_radius else _LINE_GAIN
     chi2 = 0.0
     for k in range(len(points)):
-        chi2 += _off(points[k], beams[k], variances[k], circle)
+        chi2 += _squared_error(points[k], beams[k], variances[k], circle)
     if not fit_line_core(points, beams, variances, 0.0)[7] > chi2 + gain:
         return False
-    gain = _CORNER_GAIN + _LINE_GAIN if known else _CORNER_GAIN
+    gain = _CORNER_GAIN + _LINE_GAIN if known_radius else _CORNER_GAIN
     return _corner_misfit(points, beams, variances) > chi2 - gain
 
 
 @kernel
 def _corner_misfit(points: Array, beams: Array, variances: Array) -> float:
-    """Return the least chi2 of two lines through a segment, each with three points or more."""
+    """Return the smallest chi2 of two lines through a segment, each with at least three points."""
     best, n = math.inf, len(points)
     for k in range(3, n - 2, max(1, n // 8)):
         left = fit_line_core(points[:k], beams[:k], variances[:k], 0.0)[7]
@@ -225,7 +229,7 @@ def _corner_misfit(points: Array, beams: Array, variances: Array) -> float:
 
 @kernel
 def neighbours(index: Ints, directions: Array, ranges: Array, valid: Mask, closed: bool) -> Array:
-    """Return the `sides` of `find_arcs`: what the beams next to each point saw."""
+    """Return the `sides` of `find_arcs`: measurements of the beams next to each point."""
     n = len(ranges)
     sides = np.empty((len(index), 2, 3))
     for k in range(len(index)):

@@ -1,4 +1,4 @@
-"""The role of an extractor: a scan in, observations out."""
+"""The interface of extractors, which find observations in a scan."""
 
 from __future__ import annotations
 

@@ -10,23 +10,23 @@ from pydantic import model_validator
 from impslam.component import parameter, register
 from impslam.extractors.arcs import find_arcs, neighbours
 from impslam.extractors.base import Extractor
-from impslam.extractors.segmentation import OBJECTS, beam_spacing, segment
+from impslam.extractors.segmentation import OBJECT_INCIDENCE, beam_spacing, segment
 from impslam.types import Array, Observation, Scan
 
 
 @register("circle")
 class Circle(Extractor):
-    """Cylinders: a circle fit to arcs that stand free before the background, seen edge to edge.
+    """Cylinders: a circle fit to arcs in front of the background that are visible from edge to edge.
 
     The default for cylinders. A known `radius` makes the range of a centre 4 to 6 times better.
-    What is cut by the end of the scan or by something in front, touches a wall, or fits a line or
-    a corner as well as a circle, is skipped.
+    Arcs that are cut by the end of the scan or occluded, that touch a wall, or that fit a line or
+    a corner as well as a circle, are skipped.
     """
 
     landmark = "cylinder"
 
     radius: float | None = parameter(
-        None, "m", "Radius, if all cylinders have the same and it is known.", gt=0.0
+        None, "m", "Radius, if known and the same for all cylinders.", gt=0.0
     )
     radius_min: float = parameter(
         0.03, "m", "Thinnest cylinder; below, a few millimetres of noise make a circle.", gt=0.0
@@ -37,7 +37,7 @@ class Circle(Extractor):
     min_points: int = parameter(
         5,
         "1",
-        "Fewest beams on a cylinder; three make a circle, two more show that it is one.",
+        "Minimum number of beams on a cylinder; three define a circle, two more confirm it.",
         ge=4,
     )
     max_chi2: float = parameter(
@@ -56,7 +56,7 @@ class Circle(Extractor):
     def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:
         """Return the cylinders of the scan; see `Extractor.extract`."""
         del rng
-        cloud, spacing = segment(scan, OBJECTS), beam_spacing(scan)
+        cloud, spacing = segment(scan, OBJECT_INCIDENCE), beam_spacing(scan)
         if len(cloud.index) < self.min_points:
             return []
         closed = len(scan.angles) * spacing > 2.0 * math.pi - 0.5 * spacing

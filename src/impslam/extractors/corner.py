@@ -1,4 +1,4 @@
-"""Corners where two walls really meet."""
+"""Corners at which two walls really meet."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _NOISE = 3.0  # standard deviations
 class Corner(StraightPieces):
     """Corners, concave and convex: intersections of neighbouring straight pieces that meet.
 
-    Few and sure: both pieces end at the intersection, within what beam spacing and noise explain.
-    Attributes: "angle", the free space's opening (rad, below pi in a room's corner, above pi at a
+    Few but reliable: both pieces must end at the intersection, within beam spacing and noise.
+    Attributes: "angle", the opening of the free space (rad, below pi in a room's corner, above pi at a
     pillar's), and "heading", its bisector in base_link (rad).
     """
 
@@ -34,12 +34,15 @@ class Corner(StraightPieces):
     min_angle: float = parameter(
         math.radians(50.0),
         "rad",
-        "Least angle between the sides' lines; flatter ones meet anywhere along a wall.",
+        "Smallest angle between the sides' lines; flatter ones meet anywhere along a wall.",
         gt=0.0,
         le=math.pi / 2.0,
     )
     reach: float = parameter(
-        0.03, "m", "Farthest end of a side from the intersection; skirting and mouldings.", ge=0.0
+        0.03,
+        "m",
+        "Largest distance of a side's end from the intersection; skirting and mouldings.",
+        ge=0.0,
     )
     max_sigma: float = parameter(
         0.05, "m", "Largest standard deviation of the corner in any direction.", gt=0.0
@@ -48,55 +51,55 @@ class Corner(StraightPieces):
     def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:
         """Return the corners of the scan; see `Extractor.extract`."""
         del rng
-        found, good = self._pieces(scan)
-        P = covariances(found, 0.0, self.flatness)
-        corners = [self._corner(found, P, pair, scan) for pair in self._pairs(found, good)]
+        segments, good = self._pieces(scan)
+        P = covariances(segments, 0.0, self.flatness)
+        corners = [self._corner(segments, P, pair, scan) for pair in self._pairs(segments, good)]
         return [corner for corner in corners if corner is not None]
 
-    def _pairs(self, found: Segments, first: Ints) -> Iterator[tuple[int, int]]:
-        """Return neighbouring pieces at the angle of corners."""
+    def _pairs(self, segments: Segments, first: Ints) -> Iterator[tuple[int, int]]:
+        """Return neighbouring pieces at an angle of at least `min_angle`."""
         second = np.concatenate((first[1:], first[:1]))
-        alpha = found.lines[:, 1]
+        alpha = segments.lines[:, 1]
         steep = np.abs(np.sin(alpha[second] - alpha[first])) >= math.sin(self.min_angle)
         return zip(first[steep].tolist(), second[steep].tolist(), strict=True)
 
     def _corner(
-        self, found: Segments, P: Array, pair: tuple[int, int], scan: Scan
+        self, segments: Segments, P: Array, pair: tuple[int, int], scan: Scan
     ) -> Observation | None:
         a, b = pair
-        one, two = found.lines[a].tolist(), found.lines[b].tolist()
+        one, two = segments.lines[a].tolist(), segments.lines[b].tolist()
         c1, s1, c2, s2 = math.cos(one[1]), math.sin(one[1]), math.cos(two[1]), math.sin(two[1])
         det = c1 * s2 - s1 * c2
         x, y = (s2 * one[0] - s1 * two[0]) / det, (c1 * two[0] - c2 * one[0]) / det
         point = np.array([x, y])
-        sigma = float(scan.sigmas[found.index[(found.label == b).argmax()]])
+        sigma = float(scan.sigmas[segments.index[(segments.label == b).argmax()]])
         if not (
-            self._meets(point, found.end_points[a, 1], (c1, s1), sigma, scan)
-            and self._meets(point, found.end_points[b, 0], (c2, s2), sigma, scan)
+            self._meets(point, segments.end_points[a, 1], (c1, s1), sigma, scan)
+            and self._meets(point, segments.end_points[b, 0], (c2, s2), sigma, scan)
         ):
             return None
-        # n . p = rho, so N dp = drho - (t . p) dalpha, t being the normal turned left.
+        # n . p = rho, so N dp = drho - (t . p) dalpha, with t the normal rotated left.
         J = np.array(
             [
                 [s2 / det, -s2 * (c1 * y - s1 * x) / det, -s1 / det, s1 * (c2 * y - s2 * x) / det],
                 [-c2 / det, c2 * (c1 * y - s1 * x) / det, c1 / det, -c1 * (c2 * y - s2 * x) / det],
             ]
         )
-        shift = scan.bias * (J @ np.array(one[5:7] + two[5:7]))
-        R: Array = np.outer(shift, shift)
+        shared = scan.bias * (J @ np.array(one[5:7] + two[5:7]))
+        R: Array = np.outer(shared, shared)
         for side, k in ((J[:, :2], a), (J[:, 2:], b)):
             R += side @ P[k] @ side.T
         if _largest_eigenvalue(R) > self.max_sigma**2:
             return None
-        beams = np.concatenate((found.beams(a), found.beams(b)))
-        far = np.array([found.end_points[a, 0], found.end_points[b, 1]])
-        shape = _shape(point, far, scan.laser[:2])
-        return Observation("corner", point, R, beams, None, shape, shared=shift)
+        beams = np.concatenate((segments.beams(a), segments.beams(b)))
+        far_ends = np.array([segments.end_points[a, 0], segments.end_points[b, 1]])
+        shape = _shape(point, far_ends, scan.laser[:2])
+        return Observation("corner", point, R, beams, None, shape, shared=shared)
 
     def _meets(
         self, point: Array, end: Array, normal: tuple[float, float], sigma: float, scan: Scan
     ) -> bool:
-        """Tell whether a side ends at the intersection, but for beam spacing and noise."""
+        """Return whether a side ends at the intersection, within beam spacing and noise."""
         dx, dy = float(end[0] - scan.laser[0]), float(end[1] - scan.laser[1])
         distance = max(math.hypot(dx, dy), 1e-9)
         cosine = abs(dx * normal[0] + dy * normal[1]) / distance
@@ -112,15 +115,15 @@ def _largest_eigenvalue(R: Array) -> float:
     return half + math.hypot(0.5 * float(R[0, 0] - R[1, 1]), float(R[0, 1]))
 
 
-def _shape(point: Array, far: Array, laser: Array) -> dict[str, float]:
-    """Return the opening and the heading of the free space, on whose side the laser is."""
-    (ax, ay), (bx, by) = (far - point).tolist()
+def _shape(point: Array, far_ends: Array, laser: Array) -> dict[str, float]:
+    """Return the opening and the heading of the free space, which contains the laser."""
+    (ax, ay), (bx, by) = (far_ends - point).tolist()
     lx, ly = (laser - point).tolist()
     a, b = math.hypot(ax, ay), math.hypot(bx, by)
     cross = ax * by - ay * bx
     angle = abs(math.atan2(cross, ax * bx + ay * by))
     heading = math.atan2(ay / a + by / b, ax / a + bx / b)
-    # In the wedge between the sides the laser is a positive sum of both.
+    # In the wedge between the sides the laser is a positive combination of both.
     if (lx * by - ly * bx) * cross < 0.0 or (ax * ly - ay * lx) * cross < 0.0:
         angle, heading = 2.0 * math.pi - angle, wrap(heading + math.pi)
     return {"angle": angle, "heading": heading}

@@ -1,4 +1,4 @@
-"""Cylinders as jumps of the range, thinned by what a cylinder must look like (thesis 4.1.2)."""
+"""Cylinders as jumps of the range, filtered by the expected shape (thesis 4.1.2)."""
 
 from __future__ import annotations
 
@@ -17,15 +17,14 @@ from impslam.types import Array, Scan
 class FilteredJump(Jump):
     """Cylinders from small jumps, filtered by count, width and curvature (thesis 4.1.2, 5.2.1).
 
-    A low threshold makes many candidates. One stays if it has enough readings, if its angular width
-    is that of a cylinder of the known radius at its distance (2 asin(radius / d) with d to the
-    axis), and if it is not straight. For the last, the thesis gives 9 % without saying of what.
-    Here it is the root mean square distance of the points from their least-squares line, relative
-    to the chord from the first to the last: 11.2 % for a cylinder seen from afar
-    (sqrt(2/3 - pi^2/16) / 2), 0 for a wall, so 9 % lies where it parts them. A candidate that has
-    lost a tenth of the radius at each side falls below, and so does one whose axis is nearer than
-    0.8 m, since less of its curve shows (8.5 % at 0.6 m, 5.9 % at 0.3 m): the filter is
-    conservative, as the thesis says of its own (5.2.1).
+    A low threshold gives many candidates. A candidate is kept if it has enough readings, if its angular
+    width is that of a cylinder of the known radius at its distance (2 asin(radius / d) with d to the
+    axis), and if it is not straight. For the last test, the thesis gives 9 % without a reference quantity.
+    Here it is the root mean square distance of the points from their least-squares line, relative to the
+    chord from the first to the last: 11.2 % for a cylinder seen from afar (sqrt(2/3 - pi^2/16) / 2), 0 for
+    a wall, so 9 % separates them. A candidate that has lost a tenth of the radius at each side is below
+    it, and so is one whose axis is nearer than 0.8 m, since less of its curve is visible (8.5 % at 0.6 m,
+    5.9 % at 0.3 m): the filter is conservative, like that of the thesis (5.2.1).
 
     Beams without return count as range 0, as for `jump`.
     """
@@ -34,17 +33,17 @@ class FilteredJump(Jump):
         15.0,
         "m/rad",
         "Jump of the range per angle that bounds a candidate: 0.09 m between two beams of a "
-        "URG-04LX, low as the thesis asks, above the steps over a cylinder's own curve at 4 m",
+        "URG-04LX, low as in the thesis, above the steps over a cylinder's own curve at 4 m",
         gt=0.0,
     )
     min_points: int = parameter(
-        11, "1", "Readings that must lie on a candidate (thesis 5.2.1)", ge=2
+        11, "1", "Minimum number of readings on a candidate (thesis 5.2.1)", ge=2
     )
     narrowest: float = parameter(
         0.7,
         "1",
         "Smallest angular width of a candidate relative to the predicted one: of 11 readings, the "
-        "fewest allowed, up to two at each edge are lost to the curve and to mixed ranges",
+        "minimum, up to two at each edge are lost to the curve and to mixed ranges",
         ge=0.0,
         le=1.0,
     )
@@ -58,7 +57,7 @@ class FilteredJump(Jump):
     curvature: float = parameter(
         0.09,
         "1",
-        "Least root mean square distance from the least-squares line, relative to the chord "
+        "Smallest root mean square distance from the least-squares line, relative to the chord "
         "(thesis 5.2.1: 9 %); 0.112 for a cylinder, 0 for a wall",
         ge=0.0,
     )
@@ -74,7 +73,7 @@ class FilteredJump(Jump):
         )
 
     def _width_fits(self, scan: Scan, first: int, last: int) -> bool:
-        # Each reading stands for one step, so n of them are n steps wide, not n - 1.
+        # Each reading covers one step, so n of them are n steps wide, not n - 1.
         between = abs(wrap(float(scan.angles[last] - scan.angles[first])))
         width = between * (last - first + 1) / (last - first)
         r = float(scan.ranges[(first + last) // 2])

@@ -22,7 +22,7 @@ def _bias(size: int, bins: float, angle_bin: float) -> float:
     """Return the distance that OpenCV reports for the image's first column, which is at 0, in px.
 
     Some versions (4.10, not 4.14) count votes about bin (count - 1) // 2 and report distances from
-    (count - 1) / 2, half a bin apart where the number of bins is even.
+    (count - 1) / 2, which differ by half a bin if the number of bins is even.
     """
     image = np.zeros((size, size), np.uint8)
     image[:, 0] = 255
@@ -30,8 +30,8 @@ def _bias(size: int, bins: float, angle_bin: float) -> float:
     return 0.0 if found is None else float(np.asarray(found).flat[0])
 
 
-CELLS_LIMIT = 1e7
-"""Of the accumulator, 40 MB of them: the thesis has 36 000; bins of 1 cm and 1 deg over 10 m, 720 000."""
+MAX_CELLS = 1e7
+"""Cells of the accumulator, 40 MB: the thesis has 36 000; bins of 1 cm and 1 deg over 10 m, 720 000."""
 
 
 @register("hough")
@@ -39,16 +39,16 @@ class Hough(Extractor):
     """Walls by the Hough transform of a raster image of the scan (thesis 4.2.4).
 
     Points become white pixels of a square binary image with the robot in its middle (Eq. 4.13);
-    cv2.HoughLines finds the cells of distance and angle that hold more pixels than the threshold,
-    and every line comes back through two of its points by the inverse of Eq. 4.13. What lies
-    outside the image is not seen.
+    cv2.HoughLines finds the cells of distance and angle with more pixels than the threshold,
+    and two points of every line are transformed back by the inverse of Eq. 4.13. Points
+    outside the image are ignored.
 
-    The thesis relies on wide bins to show a wall only once. A wall at an angle between two bins
+    The thesis relies on wide bins to find a wall only once. A wall at an angle between two bins
     still gives several peaks, so here a line, strongest first, takes the readings that its cell of
-    the accumulator cannot tell from it: those off it by less than one bin of distance, plus half a
-    bin of angle times how far along they are from the middle of its votes. A later line counts only
-    if the readings in its cell that are not taken exceed the threshold too. Walls are thus as far
-    apart as the bins, which is what the thesis says they stand for (5.2.2).
+    the accumulator cannot distinguish from it: those nearer than one bin of distance plus half a
+    bin of angle times their distance along the line from the middle of its votes. A later line counts only
+    if the remaining readings in its cell exceed the threshold, too. Walls are thus as far
+    apart as the bins, as the thesis intends (5.2.2).
     """
 
     landmark: ClassVar[str] = "wall"
@@ -76,15 +76,15 @@ class Hough(Extractor):
         20,
         "px",
         "Pixels in a cell that a wall must exceed. The worst wall, 5 deg off its bin of angle, "
-        "crosses the 2 cm bin in 0.23 m: 23 pixels of 1 cm, if beams are that dense. Lower finds "
-        "more of the walls that lie between bins or far away, and more lines that are none",
+        "crosses the 2 cm bin in 0.23 m: 23 pixels of 1 cm, if beams are that dense. A lower value finds "
+        "more walls between bins or far away, and more spurious lines",
         ge=1,
     )
     sigma_rho: float = parameter(
         0.05,
         "m",
         "Standard deviation of rho, thesis Eq. 4.9: the bin of distance (20 mm / sqrt 12) and that "
-        "of the angle at 1 m, how far from the foot of its normal a wall is typically seen",
+        "of the angle at 1 m, the typical distance of readings from the foot of the wall's normal",
         gt=0.0,
     )
     sigma_alpha: float = parameter(
@@ -96,10 +96,10 @@ class Hough(Extractor):
 
     @model_validator(mode="after")
     def _has_room(self) -> Self:
-        """Refuse an accumulator that takes minutes for a scan, or more memory than there is."""
+        """Reject an accumulator that would take minutes per scan or exhaust the memory."""
         distances = 4.0 * self.size * self.resolution / self.rho_bin
         cells = distances * math.pi / self.angle_bin
-        if cells > CELLS_LIMIT:
+        if cells > MAX_CELLS:
             raise ValueError(f"rho_bin and angle_bin make {cells:.2g} cells; make them wider")
         return self
 
@@ -111,11 +111,11 @@ class Hough(Extractor):
         free = np.ones(len(beams), dtype=bool)
         walls = []
         for rho, alpha in self._lines(self._image(scan.points[beams])):
-            held = self._held(scan.points[beams], rho, alpha, free)
-            if held is not None:
-                free &= ~held
+            supporting = self._supporting(scan.points[beams], rho, alpha, free)
+            if supporting is not None:
+                free &= ~supporting
                 sigmas = (self.sigma_rho, self.sigma_alpha)
-                walls.append(wall_observation(scan, rho, alpha, beams[held], sigmas))
+                walls.append(wall_observation(scan, rho, alpha, beams[supporting], sigmas))
         return in_beam_order(walls)
 
     def _to_pixels(self, points: Array) -> Array:
@@ -152,7 +152,7 @@ class Hough(Extractor):
         return [self._line(rho - bias, theta) for rho, theta in peaks]
 
     def _line(self, rho: float, theta: float) -> tuple[float, float]:
-        """Return the normal form in base_link of a line in the image, through two points of it."""
+        """Return the normal form in base_link of a line in the image, from two of its points."""
         normal = np.array([math.cos(theta), math.sin(theta)])
         first = rho * normal
         second = first + self.size * np.array([-normal[1], normal[0]])
@@ -160,14 +160,16 @@ class Hough(Extractor):
         alpha = math.atan2(x - x2, y2 - y)
         return x * math.cos(alpha) + y * math.sin(alpha), alpha
 
-    def _held(self, points: Array, rho: float, alpha: float, free: Mask) -> Mask | None:
-        """Return which free points the line takes, or None if too few of them voted for it."""
+    def _supporting(self, points: Array, rho: float, alpha: float, free: Mask) -> Mask | None:
+        """Return which free points support the line, or None if it has too few votes."""
         c, s = math.cos(alpha), math.sin(alpha)
-        off = np.abs(points[:, 0] * c + points[:, 1] * s - rho)
-        along = points[:, 1] * c - points[:, 0] * s
-        votes = free & (off <= 0.5 * self.rho_bin + self.resolution / math.sqrt(2.0))
+        distance = np.abs(points[:, 0] * c + points[:, 1] * s - rho)
+        position = points[:, 1] * c - points[:, 0] * s
+        votes = free & (distance <= 0.5 * self.rho_bin + self.resolution / math.sqrt(2.0))
         if np.count_nonzero(votes) <= self.threshold:
             return None
-        lever = np.abs(along - along[votes].mean())
-        held: Mask = free & (off <= self.rho_bin + lever * math.tan(0.5 * self.angle_bin))
-        return held
+        lever = np.abs(position - position[votes].mean())
+        supporting: Mask = free & (
+            distance <= self.rho_bin + lever * math.tan(0.5 * self.angle_bin)
+        )
+        return supporting

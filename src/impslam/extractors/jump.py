@@ -1,4 +1,4 @@
-"""Cylinders as jumps of the range (thesis 4.1.2), with all the drawbacks that it names."""
+"""Cylinders as jumps of the range (thesis 4.1.2), with the drawbacks described there."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from impslam.types import Array, Observation, Scan
 def derivative(angles: Array, ranges: Array) -> Array:
     """Return (n - 1,) dr/d(angle) from each beam to the next, m/rad, along increasing beam index.
 
-    Beams that turn clockwise give the same signs, so a fall always begins an object; two beams at
+    Clockwise beams give the same signs, so a fall always begins an object; two beams at
     one angle give 0.
     """
     steps = np.abs(np.diff(angles))
@@ -27,18 +27,18 @@ def derivative(angles: Array, ranges: Array) -> Array:
 def candidates(slope: Array, threshold: float) -> list[tuple[int, int]]:
     """Return the first and last beam of every object: a fall of the range, then a rise.
 
-    A second fall before the rise begins the object anew, nearer to the laser; a rise without a fall
-    before it ends nothing.
+    A second fall before the rise restarts the object, nearer to the laser; a rise without a fall
+    before it is ignored.
     """
-    found: list[tuple[int, int]] = []
+    objects: list[tuple[int, int]] = []
     begin = -1
     for i in np.flatnonzero(np.abs(slope) > threshold):
         if slope[i] < 0.0:
             begin = int(i) + 1
         elif begin >= 0:
-            found.append((begin, int(i)))
+            objects.append((begin, int(i)))
             begin = -1
-    return found
+    return objects
 
 
 @register("jump")
@@ -50,10 +50,10 @@ class Jump(Extractor):
     range of the reading there. The thesis stops at the surface; here the known radius is added
     along the beam, since the landmark is the axis.
 
-    Beams without return count as range 0, as the thesis leaves them. They break the data, the
-    drawback it names: a gap looks like an object, which is dropped for having no range in its
-    middle, and a cylinder beside a gap is missed. An object across the ends of a scan of a full
-    turn is not seen either.
+    Beams without return count as range 0, as in the thesis. This causes the drawback described
+    there: a gap looks like an object, which is dropped because it has no range in its
+    middle, and a cylinder beside a gap is missed. An object across the ends of a full-turn
+    scan is missed, too.
     """
 
     landmark: ClassVar[str] = "cylinder"
@@ -88,15 +88,15 @@ class Jump(Extractor):
         del rng
         ranges = np.where(usable(scan), scan.ranges, 0.0)
         slope = derivative(scan.angles, ranges)
-        found = candidates(slope, self.threshold)
+        objects = candidates(slope, self.threshold)
         return [
             self._observation(scan, first, last)
-            for first, last in found
+            for first, last in objects
             if self._accepts(scan, ranges, first, last)
         ]
 
     def _accepts(self, scan: Scan, ranges: Array, first: int, last: int) -> bool:
-        """Tell whether the candidate has a place: a range in its middle."""
+        """Return whether the candidate has a range in its middle."""
         del scan
         return bool(np.all(ranges[_middle(first, last)] > 0.0))
 
@@ -117,5 +117,5 @@ class Jump(Extractor):
 
 
 def _middle(first: int, last: int) -> list[int]:
-    """Return the two beams next to the middle, which are one where their number is odd."""
+    """Return the two beams next to the middle, which are the same for an odd number."""
     return [(first + last) // 2, (first + last + 1) // 2]

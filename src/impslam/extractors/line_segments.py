@@ -1,4 +1,4 @@
-"""The straight pieces of a scan: split, merge and fit, compiled."""
+"""Find the straight pieces of a scan: split, merge and fit (compiled)."""
 
 from __future__ import annotations
 
@@ -7,18 +7,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from impslam.extractors.line_splitting import MIN_PIECE, across, split
+from impslam.extractors.line_splitting import MIN_PIECE, split, variance_across
 from impslam.extractors.segmentation import Cloud
 from impslam.geometry.kernels import kernel
 from impslam.geometry.lines import fit_line_core
 from impslam.types import Array, Ints
 
-_OUTLIER = 3.5  # standard deviations: 1 of 2000 Gaussian residuals is beyond
+_OUTLIER = 3.5  # standard deviations: exceeded by 1 of 2000 Gaussian residuals
 _COLLINEAR = 13.8  # chi-square of two degrees of freedom at 99.9 %
-_THROUGH = 0.05  # m: a beam this far beyond a wall (and its noise) went through an opening
-_MANY = 20  # points from which on the outermost, perhaps half on what is behind, are not needed
-_AHEAD = 6  # pieces to look past for the other side of something in front of a wall
-_LINE = 8  # columns of a fit: rho, alpha, rr, ra, aa, bias r, bias a, chi2
+_PASS_THROUGH = 0.05  # m: a beam this far beyond a wall, plus noise, passed through an opening
+_TRIM_FROM = (
+    20  # points; from this number on, the outermost, perhaps mixed with the background, are dropped
+)
+_LOOK_AHEAD = 6  # pieces to search for the continuation of a wall behind an obstacle
+_COLUMNS = 8  # columns of a fit: rho, alpha, rr, ra, aa, bias r, bias a, chi2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +57,7 @@ def find_segments(cloud: Cloud, flatness: float, gap: float) -> Segments:
     ----------
     cloud : the scan's points, cut where the surface ends
     flatness : m, standard deviation of a wall from a straight line
-    gap : m, widest hidden stretch across which collinear pieces are one
+    gap : m, widest occlusion across which collinear pieces are one
     """
     lines, ends, counts, label = _find(
         cloud.points, cloud.beams, cloud.variances, cloud.starts, flatness, gap
@@ -85,10 +87,10 @@ def _fit(
         if len(which) < 3:
             out[:] = math.nan
             return
-        if len(which) >= _MANY:
+        if len(which) >= _TRIM_FROM:
             which = which[1:-1]
         fit = fit_line_core(points[which], beams[which], variances[which], math.sqrt(flat2))
-        for c in range(_LINE):
+        for c in range(_COLUMNS):
             out[c] = fit[c]
         if attempt == 2 or not _unlabel(points, beams, variances, flat2, label, which, out):
             return
@@ -104,19 +106,19 @@ def _unlabel(
     which: Ints,
     line: Array,
 ) -> bool:
-    """Take the label off points that are not on the line; tell if there were any."""
-    found, nx, ny = False, math.cos(line[1]), math.sin(line[1])
+    """Remove the label of points that are not on the line; return whether there were any."""
+    removed, nx, ny = False, math.cos(line[1]), math.sin(line[1])
     for k in which:
-        off = line[0] - nx * points[k, 0] - ny * points[k, 1]
-        if off * off > _OUTLIER**2 * across(beams, variances, flat2, k, -ny, nx):
+        distance = line[0] - nx * points[k, 0] - ny * points[k, 1]
+        if distance * distance > _OUTLIER**2 * variance_across(beams, variances, flat2, k, -ny, nx):
             label[k] = -1
-            found = True
-    return found
+            removed = True
+    return removed
 
 
 @kernel
-def _about(line: Array, x: float, y: float, flat2: float, length: float) -> Array:
-    """Return rho, rr, ra, aa of a line about (x, y), the wall's own shape included."""
+def _line_at(line: Array, x: float, y: float, flat2: float, length: float) -> Array:
+    """Return rho, rr, ra, aa of a line about (x, y), including the wall's own shape."""
     arm = math.cos(line[1]) * y - math.sin(line[1]) * x
     rho = line[0] - math.cos(line[1]) * x - math.sin(line[1]) * y
     ra = line[3] - arm * line[4]
@@ -126,23 +128,23 @@ def _about(line: Array, x: float, y: float, flat2: float, length: float) -> Arra
 
 @kernel
 def _collinear(points: Array, one: Array, two: Array, ends: Ints, flat2: float) -> bool:
-    """Tell whether two pieces are on one line, by their covariances at the middle of the gap.
+    """Return whether two pieces are on one line, by their covariances at the middle of the gap.
 
     `ends` are the first and last points of both pieces.
     """
     turn = two[1] - one[1]
-    flip = 1.0 if math.cos(turn) > 0.0 else -1.0
-    turn = math.asin(flip * math.sin(turn))
+    sign = 1.0 if math.cos(turn) > 0.0 else -1.0
+    turn = math.asin(sign * math.sin(turn))
     if abs(turn) > 0.35:
         return False
     p, q = points[ends[1]], points[ends[2]]
     x, y = 0.5 * (p[0] + q[0]), 0.5 * (p[1] + q[1])
     first = math.hypot(p[0] - points[ends[0], 0], p[1] - points[ends[0], 1])
     second = math.hypot(q[0] - points[ends[3], 0], q[1] - points[ends[3], 1])
-    a = _about(one, x, y, flat2, max(first, 1e-3))
-    b = _about(two, x, y, flat2, max(second, 1e-3))
-    shift = flip * b[0] - a[0]
-    rr, ra, aa = a[1] + b[1], a[2] + flip * b[2], a[3] + b[3]
+    a = _line_at(one, x, y, flat2, max(first, 1e-3))
+    b = _line_at(two, x, y, flat2, max(second, 1e-3))
+    shift = sign * b[0] - a[0]
+    rr, ra, aa = a[1] + b[1], a[2] + sign * b[2], a[3] + b[3]
     d2 = (aa * shift * shift - 2.0 * ra * shift * turn + rr * turn * turn) / (rr * aa - ra * ra)
     return bool(d2 < _COLLINEAR)
 
@@ -151,23 +153,25 @@ def _collinear(points: Array, one: Array, two: Array, ends: Ints, flat2: float) 
 def _open_between(
     points: Array, beams: Array, variances: Array, line: Array, i: int, j: int
 ) -> bool:
-    """Tell whether a beam of the points (i, j) went through the line."""
+    """Return whether a beam of the points (i, j) passed through the line."""
     nx, ny = math.cos(line[1]), math.sin(line[1])
     for k in range(i + 1, j):
         beyond = nx * points[k, 0] + ny * points[k, 1] - line[0]
         if nx * beams[k, 0] + ny * beams[k, 1] < 0.0:
             beyond = -beyond
-        if beyond > _THROUGH + _OUTLIER * math.sqrt(variances[k]):
+        if beyond > _PASS_THROUGH + _OUTLIER * math.sqrt(variances[k]):
             return True
     return False
 
 
 @kernel
-def _off(points: Array, beams: Array, variances: Array, flat2: float, k: int, line: Array) -> float:
-    """Return the squared distance of a point from a line, in its variances."""
+def _squared_error(
+    points: Array, beams: Array, variances: Array, flat2: float, k: int, line: Array
+) -> float:
+    """Return the squared distance of a point from a line, divided by its variance."""
     nx, ny = math.cos(line[1]), math.sin(line[1])
-    off = line[0] - nx * points[k, 0] - ny * points[k, 1]
-    off2: float = off * off / across(beams, variances, flat2, k, -ny, nx)
+    distance = line[0] - nx * points[k, 0] - ny * points[k, 1]
+    off2: float = distance * distance / variance_across(beams, variances, flat2, k, -ny, nx)
     return off2
 
 
@@ -181,13 +185,13 @@ def _share_corners(
     lines: Array,
     label: Ints,
 ) -> None:
-    """Give the points where two pieces meet to the line that they are nearer to; fit again.
+    """Assign the points between two adjacent pieces to the nearer line; fit again.
 
-    Pieces of one segment, that is: column 2 of `pieces` is its number.
+    Only for pieces of the same segment, whose number is column 2 of `pieces`.
     """
     for a in range(len(pieces) - 1):
         b, cut = a + 1, pieces[a, 1]
-        # Fragments too short for a piece are shared too.
+        # Fragments too short for a piece are shared, too.
         if pieces[b, 2] != pieces[a, 2] or pieces[b, 0] - cut >= MIN_PIECE:
             continue
         first, last = pieces[a, 0] + MIN_PIECE, pieces[b, 1] - MIN_PIECE
@@ -207,18 +211,18 @@ def _share_corners(
 def _nearer(
     points: Array, beams: Array, variances: Array, flat2: float, k: int, one: Array, two: Array
 ) -> bool:
-    """Tell whether a point is nearer to line one than to line two, in its variances."""
-    to_one = _off(points, beams, variances, flat2, k, one)
-    return to_one < _off(points, beams, variances, flat2, k, two)
+    """Return whether a point is nearer to line one than to line two, relative to its variance."""
+    to_one = _squared_error(points, beams, variances, flat2, k, one)
+    return to_one < _squared_error(points, beams, variances, flat2, k, two)
 
 
 @kernel
 def _merge(
     points: Array, beams: Array, variances: Array, flat2: float, pieces: Ints, gap: float
 ) -> tuple[Array, Ints]:
-    """Fit the pieces and merge collinear ones; return the fits (NaN if gone) and the labels."""
+    """Fit the pieces and merge collinear ones; return the fits (NaN if merged) and the labels."""
     p = len(pieces)
-    lines = np.full((p, _LINE), np.nan)
+    lines = np.full((p, _COLUMNS), np.nan)
     label = np.full(len(points), -1, np.int64)
     for a in range(p):
         label[pieces[a, 0] : pieces[a, 1]] = a
@@ -226,7 +230,7 @@ def _merge(
     _share_corners(points, beams, variances, flat2, pieces, lines, label)
     ends = np.empty(4, np.int64)
     for a in range(p):
-        for b in range(a + 1, min(p, a + 1 + _AHEAD)):
+        for b in range(a + 1, min(p, a + 1 + _LOOK_AHEAD)):
             if not (lines[a, 0] == lines[a, 0] and lines[b, 0] == lines[b, 0]):
                 continue
             ends[0], ends[1], ends[2], ends[3] = (
@@ -262,7 +266,7 @@ def _merge(
 def _find(
     points: Array, beams: Array, variances: Array, starts: Ints, flatness: float, gap: float
 ) -> tuple[Array, Array, Ints, Ints]:
-    """Split, merge and fit; return lines, end points, counts and labels of what is left."""
+    """Split, merge and fit; return lines, end points, counts and labels."""
     flat2 = flatness * flatness
     pieces = split(points, beams, variances, starts, flat2)
     fits, label = _merge(points, beams, variances, flat2, pieces, gap)
@@ -278,9 +282,9 @@ def _find(
         if piece < 0:
             continue
         nx, ny = normals_x[piece], normals_y[piece]
-        off = lines[piece, 0] - nx * points[k, 0] - ny * points[k, 1]
+        distance = lines[piece, 0] - nx * points[k, 0] - ny * points[k, 1]
         side = 0 if counts[piece] == 0 else 1
-        ends[piece, side, 0] = points[k, 0] + off * nx
-        ends[piece, side, 1] = points[k, 1] + off * ny
+        ends[piece, side, 0] = points[k, 0] + distance * nx
+        ends[piece, side, 1] = points[k, 1] + distance * ny
         counts[piece] += 1
     return lines, ends, counts, label

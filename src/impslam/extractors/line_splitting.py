@@ -1,4 +1,4 @@
-"""Where the straight pieces of a scan end: split and bend, compiled."""
+"""Split a scan into straight pieces, at corners and bends (compiled)."""
 
 from __future__ import annotations
 
@@ -9,17 +9,19 @@ import numpy as np
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
 
-_CORNER = 4.5  # standard deviations off the chord: 1 of 500 straight segments of 300 points
-_BEND_GAIN = 25.0  # chi-square of three parameters (two lines for one, and where): p = 1.5e-5
-_BEND_FLAT = 3.0  # a bend that stands out less than this many `flatness` is the wall's own shape
-MIN_PIECE = 4  # points: two make a line, two more tell that it is one
+_MIN_CORNER = (
+    4.5  # standard deviations off the chord: exceeded by 1 of 500 straight segments of 300 points
+)
+_MIN_BEND_GAIN = 25.0  # chi-square of three parameters (a second line, and its start): p = 1.5e-5
+_MIN_BEND_HEIGHT = 3.0  # in units of `flatness`: a smaller bend is the wall's own shape
+MIN_PIECE = 4  # points: two define a line, two more confirm it
 
 
 @kernel
 def _farthest(
     points: Array, beams: Array, variances: Array, flat2: float, i: int, j: int
 ) -> tuple[int, float]:
-    """Return the point of [i, j) farthest off the chord, and by how many standard deviations."""
+    """Return the point of [i, j) farthest from the chord, and its distance in standard deviations."""
     cx, cy = points[j - 1, 0] - points[i, 0], points[j - 1, 1] - points[i, 1]
     length = math.hypot(cx, cy)
     if length == 0.0:
@@ -27,20 +29,22 @@ def _farthest(
     tx, ty = cx / length, cy / length
     best, where = 0.0, i
     for k in range(i + 1, j - 1):
-        off = abs(tx * (points[k, 1] - points[i, 1]) - ty * (points[k, 0] - points[i, 0]))
-        if off > best:
-            best, where = off, k
+        distance = abs(tx * (points[k, 1] - points[i, 1]) - ty * (points[k, 0] - points[i, 0]))
+        if distance > best:
+            best, where = distance, k
     along = (
         tx * (points[where, 0] - points[i, 0]) + ty * (points[where, 1] - points[i, 1])
     ) / length
-    variance = across(beams, variances, flat2, where, tx, ty)
-    variance += (1.0 - along) ** 2 * across(beams, variances, flat2, i, tx, ty)
-    variance += along**2 * across(beams, variances, flat2, j - 1, tx, ty)
+    variance = variance_across(beams, variances, flat2, where, tx, ty)
+    variance += (1.0 - along) ** 2 * variance_across(beams, variances, flat2, i, tx, ty)
+    variance += along**2 * variance_across(beams, variances, flat2, j - 1, tx, ty)
     return where, best / math.sqrt(variance)
 
 
 @kernel
-def across(beams: Array, variances: Array, flat2: float, k: int, tx: float, ty: float) -> float:
+def variance_across(
+    beams: Array, variances: Array, flat2: float, k: int, tx: float, ty: float
+) -> float:
     """Return the variance of a point across a line along (tx, ty)."""
     cosine = tx * beams[k, 1] - ty * beams[k, 0]
     variance: float = variances[k] * (cosine * cosine + 1e-6) + flat2
@@ -70,14 +74,14 @@ def _sums(points: Array, beams: Array, variances: Array, flat2: float, i: int, j
     for k in range(i, j):
         dx, dy = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1]
         x, y = tx * dx + ty * dy, tx * dy - ty * dx
-        w = 1.0 / across(beams, variances, flat2, k, tx, ty)
-        at = k - i
-        sums[at + 1, 0] = sums[at, 0] + w
-        sums[at + 1, 1] = sums[at, 1] + w * x
-        sums[at + 1, 2] = sums[at, 2] + w * y
-        sums[at + 1, 3] = sums[at, 3] + w * x * x
-        sums[at + 1, 4] = sums[at, 4] + w * x * y
-        sums[at + 1, 5] = sums[at, 5] + w * y * y
+        w = 1.0 / variance_across(beams, variances, flat2, k, tx, ty)
+        row = k - i
+        sums[row + 1, 0] = sums[row, 0] + w
+        sums[row + 1, 1] = sums[row, 1] + w * x
+        sums[row + 1, 2] = sums[row, 2] + w * y
+        sums[row + 1, 3] = sums[row, 3] + w * x * x
+        sums[row + 1, 4] = sums[row, 4] + w * x * y
+        sums[row + 1, 5] = sums[row, 5] + w * y * y
     return sums
 
 
@@ -85,7 +89,7 @@ def _sums(points: Array, beams: Array, variances: Array, flat2: float, i: int, j
 def _bend(
     points: Array, beams: Array, variances: Array, flat2: float, i: int, j: int
 ) -> tuple[int, float, float]:
-    """Return where [i, j) is best taken as two lines, the gain in chi2, and the gain per point."""
+    """Return the best split of [i, j) into two lines, the gain in chi2, and the gain per weight."""
     sums = _sums(points, beams, variances, flat2, i, j)
     n = j - i
     one = _misfit(sums, 0, n)
@@ -94,20 +98,20 @@ def _bend(
         two = _misfit(sums, 0, k) + _misfit(sums, k, n)
         if two < best:
             best, where = two, k
-    # Mean square that the second line takes away, in m^2: the square of the bend's height.
+    # Mean square removed by the second line, in m^2: the square of the bend's height.
     return i + where, one - best, (one - best) / max(sums[n, 0], 1e-300)
 
 
 @kernel
 def _split_at(points: Array, beams: Array, variances: Array, flat2: float, i: int, j: int) -> int:
     """Return where to split [i, j), or i if it is straight."""
-    where, off = _farthest(points, beams, variances, flat2, i, j)
-    if off > _CORNER:
+    where, distance = _farthest(points, beams, variances, flat2, i, j)
+    if distance > _MIN_CORNER:
         return where
     if j - i >= 2 * MIN_PIECE:
         where, gain, height2 = _bend(points, beams, variances, flat2, i, j)
         # A hat of height h has the mean square h^2 / 12 about its best line.
-        if gain > _BEND_GAIN and 12.0 * height2 > _BEND_FLAT * _BEND_FLAT * flat2:
+        if gain > _MIN_BEND_GAIN and 12.0 * height2 > _MIN_BEND_HEIGHT * _MIN_BEND_HEIGHT * flat2:
             return where
     return i
 

@@ -1,4 +1,4 @@
-"""Walls by random samples and consensus (thesis Algorithm 1), spurious ones included."""
+"""Walls by random sample consensus (thesis Algorithm 1), including spurious ones."""
 
 from __future__ import annotations
 
@@ -17,43 +17,45 @@ from impslam.types import Array, Ints, Observation, Scan
 
 
 @kernel
-def _sample(near: Ints, size: int, dice: Array) -> None:
-    """Bring `dice.size` entries, drawn without replacement, to the front of near[:size]."""
-    for k in range(len(dice)):
-        j = k + int(dice[k] * (size - k))
+def _sample(near: Ints, size: int, random: Array) -> None:
+    """Bring `random.size` entries, drawn without replacement, to the front of near[:size]."""
+    for k in range(len(random)):
+        j = k + int(random[k] * (size - k))
         near[k], near[j] = near[j], near[k]
 
 
 @kernel
 def associate(
-    points: Array, angles: Array, dice: Array, within: float, distance: float, consensus: int
+    points: Array, angles: Array, random: Array, within: float, distance: float, consensus: int
 ) -> Ints:
     """Run the loop of Algorithm 1 and return (n,) the line each reading belongs to, -1 for none.
 
     Parameters
     ----------
     points, angles : (n, 2) m and (n,) rad
-    dice : (N, S + 1) uniform in [0, 1): of each trial, the first reading and its S samples
+    random : (N, S + 1) uniform in [0, 1): of each trial, the first reading and its S samples
     within, distance, consensus : D in rad, X in m, C
     """
     line_of = np.full(len(points), -1)
-    samples = dice.shape[1] - 1
+    samples = random.shape[1] - 1
     ones = np.ones(len(points))
     lines = 0
-    for trial in range(len(dice)):
-        left = np.flatnonzero(line_of < 0)
-        if len(left) <= consensus:
+    for trial in range(len(random)):
+        unassigned = np.flatnonzero(line_of < 0)
+        if len(unassigned) <= consensus:
             break
-        seed = left[int(dice[trial, 0] * len(left))]
-        apart = np.abs(wrap_in_kernel(angles[left] - angles[seed]))
-        near = left[(apart <= within) & (left != seed)]
+        seed = unassigned[int(random[trial, 0] * len(unassigned))]
+        separation = np.abs(wrap_in_kernel(angles[unassigned] - angles[seed]))
+        near = unassigned[(separation <= within) & (unassigned != seed)]
         if len(near) < samples:
             continue
-        _sample(near, len(near), dice[trial, 1:])
+        _sample(near, len(near), random[trial, 1:])
         chosen = np.append(near[:samples], seed)
         x, y, alpha = principal_direction(points[chosen], ones[: samples + 1])
-        off = (points[left, 0] - x) * math.cos(alpha) + (points[left, 1] - y) * math.sin(alpha)
-        close = left[np.abs(off) <= distance]
+        distances = (points[unassigned, 0] - x) * math.cos(alpha) + (
+            points[unassigned, 1] - y
+        ) * math.sin(alpha)
+        close = unassigned[np.abs(distances) <= distance]
         if len(close) > consensus:
             line_of[close] = lines
             lines += 1
@@ -62,15 +64,15 @@ def associate(
 
 @register("ransac")
 class Ransac(Extractor):
-    """Walls by random samples and consensus (thesis 4.2.2, Algorithm 1).
+    """Walls by random sample consensus (thesis 4.2.2, Algorithm 1).
 
     The loop is as printed: while more readings than C are unassociated and fewer than N trials are
     done, a random reading and S random ones within D degrees of it give a least-squares line; if
     more than C unassociated readings lie within X of it, a new line is fitted to them, and they are
-    removed. A trial that finds fewer than S readings within D is spent. Fits are orthogonal least
-    squares, every reading with the same weight.
+    removed. A trial with fewer than S readings within D counts, too. Fits are orthogonal least
+    squares, with equal weights.
 
-    A reading off the walls, or one near a corner, can give a line across the room that still gathers
+    A reading off the walls, or one near a corner, can give a line across the room that still has more than
     C readings: spurious walls, which made the thesis prefer `hough` (4.2.3). Lines are infinite:
     collinear walls are one, and the end points are the outermost readings.
     """
@@ -80,21 +82,21 @@ class Ransac(Extractor):
     trials: int = parameter(
         100,
         "1",
-        "N, most attempts to find lines in a scan: with 6 walls, the last of them a tenth of the "
-        "readings, all are tried with more than 99.9 %",
+        "N, maximum number of attempts in a scan: with 6 walls, the last of them a tenth of the "
+        "readings, all are tried with a probability above 99.9 %",
         ge=1,
     )
     samples: int = parameter(
         8,
         "1",
-        "S, readings sampled beside the first one to make a line: with noise of 20 mm over 0.7 m "
+        "S, readings sampled beside the first one for a line: with noise of 20 mm over 0.7 m "
         "they give its direction to 2 deg",
         ge=1,
     )
     degrees: float = parameter(
         10.0,
         "deg",
-        "D, how far from the first reading to sample: 57 beams of a URG-04LX, 0.7 m of a wall "
+        "D, angle from the first reading within which to sample: 57 beams of a URG-04LX, 0.7 m of a wall "
         "2 m away, less than most walls",
         gt=0.0,
         le=180.0,
@@ -102,22 +104,21 @@ class Ransac(Extractor):
     distance: float = parameter(
         0.05,
         "m",
-        "X, how far a reading may be from a line to belong to it: 2.5 standard deviations of a "
+        "X, largest distance of a reading from its line: 2.5 standard deviations of a "
         "URG-04LX at 2 m (1 %)",
         gt=0.0,
     )
     consensus: int = parameter(
         50,
         "1",
-        "C, readings that a line must exceed to be a wall: one metre of wall 3 m away from a "
-        "URG-04LX",
+        "C, number of readings that a wall must exceed: one metre of wall 3 m away from a URG-04LX",
         ge=2,
     )
     sigma_rho: float = parameter(
         0.02,
         "m",
-        "Standard deviation of rho, thesis Eq. 4.9: the error that a URG-04LX's readings share at "
-        "2 m (1 %), which no number of them averages out",
+        "Standard deviation of rho, thesis Eq. 4.9: the error common to a URG-04LX's readings at "
+        "2 m (1 %), which does not average out",
         gt=0.0,
     )
     sigma_alpha: float = parameter(
@@ -130,12 +131,12 @@ class Ransac(Extractor):
 
     def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:
         """Return the walls in the order of the beams; the same rng state gives the same walls."""
-        dice = rng.random((self.trials, self.samples + 1))
+        random = rng.random((self.trials, self.samples + 1))
         beams = np.flatnonzero(usable(scan))
         line_of = associate(
             scan.points[beams],
             scan.angles[beams],
-            dice,
+            random,
             math.radians(self.degrees),
             self.distance,
             self.consensus,

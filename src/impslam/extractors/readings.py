@@ -1,4 +1,4 @@
-"""What the thesis's extractors share: usable readings, and a wall as an observation."""
+"""Shared by the thesis's extractors: usable readings, and a wall as an observation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from impslam.types import Array, Ints, Mask, Observation, Scan
 
 
 def usable(scan: Scan) -> Mask:
-    """Tell which beams (n,) are valid and have a finite range and point."""
+    """Return which beams (n,) are valid and have a finite range and point."""
     return scan.valid & np.isfinite(scan.ranges) & np.isfinite(scan.points).all(axis=1)
 
 
@@ -21,7 +21,7 @@ def wall_observation(
     """Return the wall {p : p . n(alpha) = rho}, of either sign, seen by these beams.
 
     The normal is turned to point away from the laser. The end points are the outermost of the
-    beams' points, projected on the line, in the order in which the beams sweep over them.
+    beams' points, projected on the line, in the order of the beams.
     R is thesis Eq. 4.9 with the diagonal squared (it prints standard deviations): `sigmas` are
     those of rho (m) and alpha (rad).
     """
@@ -30,9 +30,9 @@ def wall_observation(
         rho, alpha = -rho, alpha + math.pi
     normal = np.array([math.cos(alpha), math.sin(alpha)])
     tangent = np.array([-normal[1], normal[0]])
-    along = scan.points[beams] @ tangent
-    ends = np.array([along.min(), along.max()])
-    if along[0] > along[-1]:
+    positions = scan.points[beams] @ tangent
+    ends = np.array([positions.min(), positions.max()])
+    if positions[0] > positions[-1]:
         ends = ends[::-1]
     return Observation(
         kind="wall",
@@ -44,7 +44,7 @@ def wall_observation(
 
 
 def in_beam_order(observations: list[Observation]) -> list[Observation]:
-    """Return the observations by the first beam that each rests on."""
+    """Return the observations sorted by their first beam."""
     return sorted(observations, key=lambda observation: int(observation.beams[0]))
 
 

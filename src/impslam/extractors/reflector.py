@@ -1,9 +1,9 @@
 """Retro-reflective beacons, by the brightness of their echoes.
 
-A lidar that tells how bright an echo was sees a reflector as one beam or a few that are far brighter
-than all else, so that nothing about its shape needs to be known, and nothing else looks like it: the
-surest of landmarks. What remains open is where within the beams it stands: the beam's spacing is what
-its direction is known by (Guivant et al. 2000, sec. 3).
+A lidar that measures the brightness of echoes sees a reflector as one or a few beams that are far brighter
+than all others: its shape need not be known, and nothing else looks like it, so that it is the most
+reliable landmark. Its position within the beams is unknown, so that the spacing of the beams limits the
+accuracy of its direction (Guivant et al. 2000, sec. 3).
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class Reflector(Extractor):
     landmark = "point"
 
     threshold: float = parameter(
-        1.0, "device", "Echoes at least so bright are a reflector's, in the lidar's unit.", gt=0.0
+        1.0, "device", "Smallest brightness of a reflector's echo, in the lidar's unit.", gt=0.0
     )
     max_gap: float = parameter(
-        0.5, "m", "Bright echoes further apart than this are of two reflectors.", gt=0.0
+        0.5, "m", "Bright echoes farther apart than this belong to two reflectors.", gt=0.0
     )
     max_size: float = parameter(
         1.0,
@@ -40,13 +40,13 @@ class Reflector(Extractor):
         gt=0.0,
     )
     min_beams: int = parameter(
-        1, "1", "Fewest bright beams; from 10 m on a post is met by one beam or none.", ge=1
+        1, "1", "Minimum number of bright beams; from 10 m on one beam or none hits a post.", ge=1
     )
     radius: float = parameter(
-        0.0, "m", "Radius of the post: so far behind its surface stands its axis.", ge=0.0
+        0.0, "m", "Radius of the post: distance of its axis behind the surface.", ge=0.0
     )
     sigma_surface: float = parameter(
-        0.02, "m", "Standard deviation of where a reflector is hit, from its middle.", ge=0.0
+        0.02, "m", "Standard deviation of the hit point from the middle of the reflector.", ge=0.0
     )
 
     def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:
@@ -68,13 +68,19 @@ class Reflector(Extractor):
         return len(beams) >= self.min_beams and math.hypot(*width) <= self.max_size
 
     def _beacon(self, scan: Scan, beams: Ints, spacing: float) -> Observation:
-        """Return the middle of the beams, and what noise and the beams' spacing leave open."""
+        """Return the middle of the beams, with covariance from noise and the spacing of beams."""
         n, first = len(beams), float(scan.directions[beams[0]])
         direction = first + float(np.mean(wrap(scan.directions[beams] - first)))
         distance = float(scan.ranges[beams].mean())
-        along = float(np.mean(scan.sigmas[beams] ** 2)) / n + scan.bias**2 + self.sigma_surface**2
-        # One beam tells the direction to a spacing: uniform, 1/12 of its square. More are a little surer.
-        across = spacing**2 / 12.0 + (self.sigma_surface / max(distance, self.sigma_surface)) ** 2
-        point, R = to_cartesian(distance + self.radius, direction, np.diag([along, across]))
+        range_variance = (
+            float(np.mean(scan.sigmas[beams] ** 2)) / n + scan.bias**2 + self.sigma_surface**2
+        )
+        # The direction from one beam is uniform within a spacing; more beams are slightly better.
+        bearing_variance = (
+            spacing**2 / 12.0 + (self.sigma_surface / max(distance, self.sigma_surface)) ** 2
+        )
+        point, R = to_cartesian(
+            distance + self.radius, direction, np.diag([range_variance, bearing_variance])
+        )
         origin: Array = scan.origins[beams].mean(axis=0)
         return Observation("point", origin + point, R + 1e-12 * np.eye(2), beams)

@@ -1,7 +1,7 @@
-"""What extractors of geometry share: the valid points in beam order, cut where the surface ends.
+"""Segment scans for geometric extractors: valid points in beam order, split at the ends of surfaces.
 
-A scan that goes all the way round is a ring: it is cut open at its widest gap, so that a wall
-across the first beam stays whole.
+A full-turn scan is a ring: it is cut at its widest gap, so that a wall
+across the first beam is not split.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Mask, Scan
 
-WALLS = math.radians(10.0)  # below 10 deg of incidence range noise rules the spacing
-OBJECTS = math.radians(25.0)  # what is steeper from point to point is the edge of an object
-_HOLE = math.radians(5.0)  # beams lost in a row over more than this may hide anything
-_HOLE_SLOPE = 2.0  # across lost beams a surface is taken to be met at 30 deg or steeper
+WALL_INCIDENCE = math.radians(10.0)  # below 10 deg of incidence, range noise dominates the spacing
+OBJECT_INCIDENCE = math.radians(25.0)  # a steeper step between points is the edge of an object
+_MAX_HOLE = math.radians(5.0)  # a wider run of lost beams may hide anything
+_HOLE_SLOPE = 2.0  # across lost beams the incidence is assumed to be at least 30 deg
 _NOISE = 3.0  # standard deviations
 
 
@@ -46,33 +46,33 @@ class Cloud:
 def _gap_ratios(
     points: Array, angles: Array, ranges: Array, variances: Array, spacing: float, grazing: float
 ) -> Array:
-    """Return each point's distance to the next (cyclic) over what one surface explains.
+    """Return each point's distance to the next (cyclic), divided by the largest on one surface.
 
-    A surface met at `grazing` spreads neighbours over r spacing / sin(grazing)
+    A surface at incidence `grazing` spreads neighbours over r spacing / sin(grazing)
     (Borges and Aldon 2004, adaptive breakpoint detector), plus the noise of both.
     """
     n = len(ranges)
     out = np.empty(n)
-    hole = max(_HOLE, 2.5 * spacing)
+    max_hole = max(_MAX_HOLE, 2.5 * spacing)
     for i in range(n):
         j = (i + 1) % n
         turn = abs(wrap_in_kernel(angles[j] - angles[i]))
-        if turn > hole:
+        if turn > max_hole:
             out[i] = math.inf
             continue
         lost = max(0.0, turn - spacing)
-        reach = min(ranges[i], ranges[j]) * (spacing / math.sin(grazing) + _HOLE_SLOPE * lost)
+        expected = min(ranges[i], ranges[j]) * (spacing / math.sin(grazing) + _HOLE_SLOPE * lost)
         noise = _NOISE * math.sqrt(variances[i] + variances[j])
         distance = math.hypot(points[j, 0] - points[i, 0], points[j, 1] - points[i, 1])
-        out[i] = distance / (reach + noise)
+        out[i] = distance / (expected + noise)
     return out
 
 
 @kernel
-def _ring(ratios: Array, ranges: Array) -> tuple[Ints, Ints]:
-    """Return the order of the points once the ring is cut open, and where segments start in it.
+def _cut_ring(ratios: Array, ranges: Array) -> tuple[Ints, Ints]:
+    """Return the order of the points after cutting the ring, and the starts of segments in it.
 
-    It is cut after the widest gap, else, in a closed convex room, at a corner: the farthest point.
+    It is cut after the widest gap, or, in a closed convex room, at a corner: the farthest point.
     """
     n = len(ratios)
     last = np.argmax(ratios)
@@ -89,7 +89,7 @@ def _ring(ratios: Array, ranges: Array) -> tuple[Ints, Ints]:
 
 
 @kernel
-def _cut(
+def _build_cloud(
     columns: tuple[Array, Array, Array, Array],
     points: Array,
     valid: Mask,
@@ -101,9 +101,11 @@ def _cut(
     index = np.flatnonzero(valid)
     starts = np.array([0, len(index)])
     if len(index) > 1:
-        met, variances = ranges[index], sigmas[index] ** 2
-        ratios = _gap_ratios(points[index], angles[index], met, variances, spacing, grazing)
-        order, starts = _ring(ratios, met)
+        point_ranges, variances = ranges[index], sigmas[index] ** 2
+        ratios = _gap_ratios(
+            points[index], angles[index], point_ranges, variances, spacing, grazing
+        )
+        order, starts = _cut_ring(ratios, point_ranges)
         index = index[order]
     beams = np.empty((len(index), 2))
     for i in range(len(index)):
@@ -113,13 +115,13 @@ def _cut(
 
 
 def beam_spacing(scan: Scan) -> float:
-    """Return the mean angle between neighbouring beams, rad; 0 where there are none."""
+    """Return the mean angle between neighbouring beams, rad; 0 for fewer than two beams."""
     n = len(scan.angles)
     return abs(float(scan.angles[-1] - scan.angles[0])) / (n - 1) if n > 1 else 0.0
 
 
-def segment(scan: Scan, grazing: float = WALLS) -> Cloud:
-    """Return the valid points of a scan, cut where no surface met at `grazing` explains the gap.
+def segment(scan: Scan, grazing: float = WALL_INCIDENCE) -> Cloud:
+    """Return the valid points of a scan, split at gaps that no surface at incidence `grazing` explains.
 
     Computed once for all extractors of the scan.
     """
@@ -128,7 +130,7 @@ def segment(scan: Scan, grazing: float = WALLS) -> Cloud:
 
 def _segment(scan: Scan, grazing: float) -> Cloud:
     return Cloud(
-        *_cut(
+        *_build_cloud(
             (scan.angles, scan.directions, scan.ranges, scan.sigmas),
             scan.points,
             scan.valid,

@@ -1,4 +1,4 @@
-"""Walls by split and merge, each step decided by the beams' noise."""
+"""Walls by split and merge, with thresholds from the beams' noise."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from impslam.types import Array, Ints, Observation, Scan
 
 
 def segments_of(scan: Scan, flatness: float, gap: float) -> Segments:
-    """Return the straight pieces of a scan, whatever their length; computed once for a scan."""
+    """Return the straight pieces of a scan of any length; computed once per scan."""
     return scan.derive(_segments, flatness, gap)
 
 
@@ -25,20 +25,23 @@ def _segments(scan: Scan, flatness: float, gap: float) -> Segments:
 
 
 class StraightPieces(Extractor):
-    """What extractors that look for straight pieces have in common."""
+    """Base class of extractors that use straight pieces."""
 
     min_length: float = parameter(0.4, "m", "Shortest piece.", gt=0.0)
     min_points: int = parameter(
-        6, "1", "Fewest beams on a piece; from 6 on the residuals tell a line from a curve.", ge=3
+        6,
+        "1",
+        "Minimum number of beams on a piece; from 6 on residuals distinguish a line from a curve.",
+        ge=3,
     )
     flatness: float = parameter(
         0.005,
         "m",
-        "Standard deviation of a wall from a straight line; finished walls keep 5 mm over 1 m.",
+        "Standard deviation of a wall from a straight line; finished walls are within 5 mm over 1 m.",
         ge=0.0,
     )
     gap: float = parameter(
-        1.0, "m", "Widest hidden stretch across which collinear pieces are one wall.", ge=0.0
+        1.0, "m", "Widest occlusion across which collinear pieces are one wall.", ge=0.0
     )
     max_chi2: float = parameter(
         3.0, "1", "Largest mean squared residual, in variances, of a straight surface.", gt=1.0
@@ -46,11 +49,11 @@ class StraightPieces(Extractor):
 
     def _pieces(self, scan: Scan) -> tuple[Segments, Ints]:
         """Return the straight pieces of a scan, and which are long and straight enough."""
-        found = segments_of(scan, self.flatness, self.gap)
-        return found, np.flatnonzero(
-            (found.lengths >= self.min_length)
-            & (found.counts >= self.min_points)
-            & (found.reduced_chi2 <= self.max_chi2)
+        segments = segments_of(scan, self.flatness, self.gap)
+        return segments, np.flatnonzero(
+            (segments.lengths >= self.min_length)
+            & (segments.counts >= self.min_points)
+            & (segments.reduced_chi2 <= self.max_chi2)
         )
 
 
@@ -58,9 +61,9 @@ class StraightPieces(Extractor):
 class SplitMerge(StraightPieces):
     """Walls by split and merge: range gaps, corners, a merge of collinear pieces, an ML line fit.
 
-    The default for walls. A segment between two gaps is split where a point stands off its chord,
+    The default for walls. A segment between two gaps is split at a point off its chord,
     or where two lines explain it better than one, by more than noise and flatness allow; pieces
-    that are collinear by their covariances are merged unless a beam went through between them.
+    that are collinear by their covariances are merged unless a beam passed between them.
     """
 
     landmark = "wall"
@@ -72,24 +75,26 @@ class SplitMerge(StraightPieces):
     def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:
         """Return the walls of the scan; see `Extractor.extract`."""
         del rng
-        found, good = self._pieces(scan)
-        P = covariances(found, scan.bias, self.flatness)
-        z, R, slopes = _facing(found.lines, P, scan.laser)
+        segments, good = self._pieces(scan)
+        P = covariances(segments, scan.bias, self.flatness)
+        z, R, slopes = _oriented_walls(segments.lines, P, scan.laser)
         shared = scan.bias * slopes
         return [
-            Observation("wall", z[k], R[k], found.beams(k), found.end_points[k], shared=shared[k])
+            Observation(
+                "wall", z[k], R[k], segments.beams(k), segments.end_points[k], shared=shared[k]
+            )
             for k in good.tolist()
         ]
 
 
-def covariances(found: Segments, bias: float, flatness: float) -> Array:
-    """Return the covariances (k, 2, 2) of [rho, alpha] of the pieces, of all that is not known of them.
+def covariances(segments: Segments, bias: float, flatness: float) -> Array:
+    """Return the covariances (k, 2, 2) of [rho, alpha] of the pieces.
 
-    Noise of the beams (scaled up where the residuals are larger than it), the error that all
-    ranges share, and the wall's own shape: each end is no better known than `flatness`.
+    They include the noise of the beams (scaled up if the residuals are larger), the error common to all
+    ranges, and the wall's own shape: an uncertainty of `flatness` at each end.
     """
-    sizes = found.lengths, found.reduced_chi2
-    return _covariances(found.lines, found.end_points, sizes, bias, flatness * flatness)
+    sizes = segments.lengths, segments.reduced_chi2
+    return _covariances(segments.lines, segments.end_points, sizes, bias, flatness * flatness)
 
 
 @kernel
@@ -101,7 +106,7 @@ def _covariances(
         _, alpha, rr, ra, aa, b_r, b_a, _ = lines[k]
         x, y = ends[k, 0, 0] + ends[k, 1, 0], ends[k, 0, 1] + ends[k, 1, 1]
         arm = 0.5 * (math.cos(alpha) * y - math.sin(alpha) * x)
-        length = max(lengths[k], 1e-9)  # some pieces are points, which are no walls
+        length = max(lengths[k], 1e-9)  # some pieces are points
         scale, tilt = max(1.0, reduced_chi2[k]), 2.0 * flat2 / length**2
         off = scale * ra + bias * bias * b_r * b_a + arm * tilt
         out[k, 0, 0] = scale * rr + bias * bias * b_r * b_r + 0.5 * flat2 + arm * arm * tilt
@@ -111,10 +116,10 @@ def _covariances(
 
 
 @kernel
-def _facing(lines: Array, P: Array, laser: Array) -> tuple[Array, Array, Array]:
+def _oriented_walls(lines: Array, P: Array, laser: Array) -> tuple[Array, Array, Array]:
     """Return z (k, 2) and R (k, 2, 2) of walls whose normals point away from the laser.
 
-    The last value (k, 2) is how z changes by an error that all ranges share.
+    The last value (k, 2) is the derivative of z by an error common to all ranges.
     """
     z, R, slopes = np.empty((len(lines), 2)), P.copy(), lines[:, 5:7].copy()
     for k in range(len(lines)):

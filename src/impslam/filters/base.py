@@ -110,7 +110,7 @@ class Filter(Component):
         self, observations: tuple[Observation, ...], association: Association
     ) -> Assignment:
         """Match observations with landmarks; a filter with several hypotheses does so for each."""
-        hypotheses = self.hypothesise(observations, association.reach)
+        hypotheses = self.hypothesise(observations, association.max_distance2)
         return association.assign(observations, hypotheses, self.joint)
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""Poses [x, y, theta] and symmetric (3, 3) matrices in compiled loops, written out."""
+"""Operations on poses [x, y, theta] and symmetric (3, 3) matrices for compiled loops, written out."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def between(T_a_b: Array, T_a_c: Array, T_b_c: Array) -> None:
 
 
 @kernel
-def turned(C: Array, angle: float) -> Array:
-    """Return a covariance (3, 3) of [x, y, theta] along axes turned back by an angle in rad."""
+def rotate_covariance(C: Array, angle: float) -> Array:
+    """Return a covariance (3, 3) of [x, y, theta] rotated by an angle in rad."""
     c, s = math.cos(angle), math.sin(angle)
     out = np.empty((3, 3))
     out[0, 0] = c * c * C[0, 0] - 2.0 * c * s * C[0, 1] + s * s * C[1, 1]
@@ -37,8 +37,8 @@ def turned(C: Array, angle: float) -> Array:
 
 @kernel
 def solve(A: Array, b: Array) -> bool:
-    """Turn b (3,) into x of A x = b; False unless A (3, 3) is symmetric positive definite."""
-    # A = L L^T by Cholesky, of L only the entries below its diagonal and the inverse of that.
+    """Replace b (3,) by x of A x = b; return False unless A (3, 3) is symmetric positive definite."""
+    # A = L L^T by Cholesky, with only the entries below the diagonal of L and its inverse diagonal.
     p = A[0, 0]
     if not 0.0 < p < math.inf:
         return False
@@ -62,7 +62,7 @@ def solve(A: Array, b: Array) -> bool:
 
 @kernel
 def invert(A: Array) -> bool:
-    """Turn A (3, 3) into its inverse; False, and nothing done, unless it is positive definite."""
+    """Replace A (3, 3) by its inverse; return False, without changes, unless it is positive definite."""
     inverse = np.eye(3)
     for k in range(3):
         if not solve(A, inverse[k]):

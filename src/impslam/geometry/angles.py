@@ -1,4 +1,4 @@
-"""Angles are plain floats in radians; they are wrapped here and nowhere else."""
+"""Wrap angles, which are plain floats in radians; no other module wraps angles."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Chains of uncertain motions, for compiled loops: poses [x, y, theta] with additive errors.
 
-With T_a_c = T_a_b * T_b_c the errors of both parts carry over by the derivatives of `se2.compose`
-(Smith, Self and Cheeseman 1990, Eq. 17), here written out for their few entries that are not zero.
+With T_a_c = T_a_b * T_b_c the errors of both parts propagate by the derivatives of `se2.compose`
+(Smith, Self and Cheeseman 1990, Eq. 17), here written out for their few non-zero entries.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Array = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 
 @kernel
 def advance(pose: Array, P: Array, d_pose: Array, Q: Array) -> None:
-    """Let a motion d_pose (3,) with covariance Q (3, 3) follow, in place of pose (3,) and P (3, 3)."""
+    """Compose pose (3,) and P (3, 3) with a motion d_pose (3,) of covariance Q (3, 3), in place."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     dx, dy = c * d_pose[0] - s * d_pose[1], s * d_pose[0] + c * d_pose[1]
     xx, xy, xt = P[0, 0], P[0, 1], P[0, 2]
@@ -42,7 +42,7 @@ def advance(pose: Array, P: Array, d_pose: Array, Q: Array) -> None:
 
 @kernel
 def advance_pose(pose: Array, d_pose: Array) -> None:
-    """Let a motion d_pose (3,) follow, in place of pose (3,)."""
+    """Compose pose (3,) with a motion d_pose (3,), in place."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     pose[0] += c * d_pose[0] - s * d_pose[1]
     pose[1] += s * d_pose[0] + c * d_pose[1]

@@ -1,4 +1,4 @@
-"""Chi-square quantiles, remembered: a scan asks for many, and always for the same few."""
+"""Cached chi-square quantiles: a scan needs many, but always the same few."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def quantile(probability: float, dof: int) -> float:
     """Return the chi-square quantile for one number of degrees of freedom."""
     if (
         dof == 2 and probability < 1.0
-    ):  # walls and points; a run that needs no other is spared an import of 0.1 s
+    ):  # walls and points; saves runs with only these an import of 0.1 s
         return -2.0 * math.log1p(-probability)
     return float(quantiles(probability, dof)[dof])
 

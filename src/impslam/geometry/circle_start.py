@@ -1,4 +1,4 @@
-"""Where the fit of a circle starts: Taubin's algebraic fit, or a circle of known radius.
+"""Start of a circle fit: Taubin's algebraic fit, or a circle of known radius.
 
 Taubin 1991; Newton's method on the characteristic polynomial, Chernov 2010, section 5.10.
 """
@@ -57,7 +57,7 @@ def circle_start(points: Array, beams: Array, radius: float) -> Array:
     """Return a circle [x, y, radius] to start from; `radius` is NaN if unknown."""
     circle = np.empty(3)
     if not math.isnan(radius):
-        # The mean of a whole visible arc lies pi / 4 of the radius before the centre.
+        # The mean of a whole visible arc is pi / 4 of the radius in front of the centre.
         bx, by = beams[:, 0].sum(), beams[:, 1].sum()
         depth = 0.785 * radius / max(math.hypot(bx, by), 1e-12)
         circle[0], circle[1] = points[:, 0].mean() + depth * bx, points[:, 1].mean() + depth * by

@@ -2,8 +2,8 @@
 
 A circle is [x, y, radius], perturbed by addition. As for lines, noise of beam i moves its point
 along the beam, hence off the circle by sigma_i times the cosine of incidence, and each point's
-normal is taken where the beam meets the *estimated* circle. The fit is Gauss-Newton's, from a start by
-`circle_start`. Where a beam goes just past the circle is a measurement too: its tangent ("edge").
+normal is that at the intersection of the beam with the *estimated* circle. The fit is by Gauss-Newton, from
+`circle_start`. A beam that just misses the circle is a measurement, too: a tangent ("edge").
 """
 
 from __future__ import annotations
@@ -21,17 +21,15 @@ from impslam.geometry.kernels import kernel
 Array = npt.NDArray[np.float64]
 
 _ITERATIONS = 25
-_SETTLED = (
-    1e-7  # m: steps shrink by a half or more each time, so that less than a micrometre is left
-)
-_GRAZING2 = 0.01  # cosine^2 at 84 deg: beyond, a beam's width counts for more than its range noise
-_LARGEST = 1e3  # m: what looks like a circle larger than this is a line
+_CONVERGED = 1e-7  # m: each step is at most half the last, so that less than a micrometre remains
+_GRAZING2 = 0.01  # cosine^2 at 84 deg: beyond, a beam's width matters more than its range noise
+_MAX_RADIUS = 1e3  # m: a larger circle is a line
 _NO_EDGES = np.empty((0, 5))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CircleFit:
-    """A circle and how well it is known.
+    """A circle with its covariance.
 
     Attributes
     ----------
@@ -118,7 +116,7 @@ def _normal_equations(
 
 @kernel
 def _inverse(info: Array, known: bool, out: Array) -> bool:
-    """Write the covariance, by cofactors; tell whether there is one."""
+    """Write the covariance, by cofactors; return whether it exists."""
     if known:
         info[0, 2] = info[1, 2] = info[2, 0] = info[2, 1] = 0.0
         info[2, 2] = 1.0
@@ -138,8 +136,8 @@ def _inverse(info: Array, known: bool, out: Array) -> bool:
 
 
 @kernel
-def _times(matrix: Array, vector: Array) -> Array:
-    """Return matrix (3, 3) times vector (3,); BLAS costs more, and the import of scipy.linalg."""
+def _multiply(matrix: Array, vector: Array) -> Array:
+    """Return matrix (3, 3) times vector (3,); BLAS is slower, and imports scipy.linalg."""
     out = np.empty(3)
     for a in range(3):
         out[a] = matrix[a, 0] * vector[0] + matrix[a, 1] * vector[1] + matrix[a, 2] * vector[2]
@@ -162,21 +160,21 @@ def fit_circle_core(
     circle = start.copy()
     info, sums, covariance = np.empty((3, 3)), np.empty((2, 3)), np.zeros((3, 3))
     bias = np.zeros(3)
-    longest = math.inf
+    step_length = math.inf
     for _ in range(_ITERATIONS):
-        if not (circle[2] > 0.0 and circle[2] < _LARGEST):
+        if not (circle[2] > 0.0 and circle[2] < _MAX_RADIUS):
             return False, circle, covariance, bias, math.nan
         _normal_equations(circle, points, beams, variances, edges, info, sums)
         if not _inverse(info, known, covariance):
             return False, circle, covariance, bias, math.nan
-        step = _times(covariance, sums[0])
-        longest = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
-        circle += step * min(1.0, circle[2] / max(longest, 1e-300))
-        if longest < _SETTLED:
+        step = _multiply(covariance, sums[0])
+        step_length = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+        circle += step * min(1.0, circle[2] / max(step_length, 1e-300))
+        if step_length < _CONVERGED:
             break
     chi2 = _normal_equations(circle, points, beams, variances, edges, info, sums)
-    good = _inverse(info, known, covariance) and longest < 1e-4
-    bias = _times(covariance, sums[1])
+    good = _inverse(info, known, covariance) and step_length < 1e-4
+    bias = _multiply(covariance, sums[1])
     return good, circle, covariance, bias, chi2
 
 
@@ -195,14 +193,14 @@ def fit_circle(
     Raises
     ------
     ShapeError
-        If the arrays do not fit each other, or define no circle (points on a line).
+        If the shapes do not match, or the points define no circle (points on a line).
     """
     n = len(points)
-    least = 3 if radius is None else 2
-    if points.shape != (n, 2) or directions.shape != (n,) or sigmas.shape != (n,) or n < least:
+    min_points = 3 if radius is None else 2
+    if points.shape != (n, 2) or directions.shape != (n,) or sigmas.shape != (n,) or n < min_points:
         raise ShapeError(
             f"points {points.shape}, directions {directions.shape}, sigmas {sigmas.shape}; "
-            f"expected (n, 2), (n,), (n,) with n >= {least}"
+            f"expected (n, 2), (n,), (n,) with n >= {min_points}"
         )
     beams = np.column_stack((np.cos(directions), np.sin(directions)))
     start = circle_start(points, beams, math.nan if radius is None else radius)

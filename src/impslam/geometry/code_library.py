@@ -1,8 +1,8 @@
-"""The machine code of a kernel: made once, for what Python calls, out of all that it calls.
+"""The machine code of a kernel: generated once for each entry point, with all functions that it calls.
 
-numba optimises each function and makes its machine code, then does so again in every function that
-calls it. Here a function that only other functions call stays unoptimised bitcode, and what is left to
-optimise is optimised once, as a whole.
+numba optimises each function and generates its machine code, then does so again in every function that
+calls it. Here a function that is only called by others stays unoptimised bitcode, and an entry point is
+optimised once, as a whole.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import Any
 from numba.core import environment
 from numba.core.codegen import JITCodeLibrary
 
-_ENVIRONMENT = "_ZN08NumbaEnv"  # what the names of numba's environments in machine code begin with
+_ENVIRONMENT = "_ZN08NumbaEnv"  # prefix of numba's environments in machine code
 
 
 class CodeLibrary(JITCodeLibrary):
-    """The code of one kernel and of what it calls; machine code when its address is asked for."""
+    """The code of one kernel and its callees; machine code is generated when its address is requested."""
 
     _codegen: Any
 
@@ -28,11 +28,11 @@ class CodeLibrary(JITCodeLibrary):
 
     @property
     def codegen(self) -> Any:
-        """The code generator; environments are set once there is machine code that uses them."""
+        """The code generator; environments are set only once machine code uses them."""
         return self._codegen if self._is_machine_code else _WithoutEnvironments()
 
     def finalize(self) -> None:
-        """Link what the kernel calls; nothing can be added any more."""
+        """Link the callees; nothing can be added afterwards."""
         self._raise_if_finalized()
         for library in dict.fromkeys(self._linking_libraries):
             self._reload_init.update(library._reload_init)
@@ -40,11 +40,11 @@ class CodeLibrary(JITCodeLibrary):
         self._finalized = True
 
     def _optimize_functions(self, ll_module: Any) -> None:
-        """Leave it to the optimisation of the whole kernel, which is no slower for that."""
+        """Only set the data layout; the whole kernel is optimised later, at no loss of speed."""
         ll_module.data_layout = self._codegen._data_layout
 
     def get_pointer_to_function(self, name: str) -> int:
-        """Return the address of the kernel's wrapper for Python, 0 where it has none."""
+        """Return the address of the kernel's wrapper for Python, 0 if it has none."""
         self._ensure_finalized()
         if not self._is_machine_code:
             if not _defines(self._final_module, name):
@@ -65,7 +65,7 @@ class CodeLibrary(JITCodeLibrary):
                     self._codegen.set_env(variable.name, known)
 
     def serialize_using_object_code(self) -> tuple[str, str, tuple[bytes]]:
-        """Return what `_unserialize` makes a library of: no other kernel is compiled from it."""
+        """Return the state for `_unserialize`: object code alone, as no other kernel links to it."""
         return self.name, "object", (self._get_compiled_object(),)
 
     @classmethod
@@ -80,7 +80,7 @@ class CodeLibrary(JITCodeLibrary):
 
 
 class _WithoutEnvironments:
-    """Stands for the code generator of a library that has no machine code."""
+    """Placeholder for the code generator of a library without machine code."""
 
     def set_env(self, name: str, environment: object) -> None:
         """Do nothing."""
@@ -95,7 +95,7 @@ def _defines(module: Any, name: str) -> bool:
 
 @contextmanager
 def code_libraries(codegen: Any) -> Iterator[None]:
-    """Have all that is compiled or loaded meanwhile in libraries of this kind."""
+    """Use `CodeLibrary` for all code compiled or loaded within the context."""
     before = codegen._library_class
     codegen._library_class = CodeLibrary
     try:

@@ -1,4 +1,4 @@
-"""A kernel that Python calls, or that is compiled into another one."""
+"""A kernel that is called from Python, or compiled into another kernel."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ _PART = _ENTRY | {"no_cpython_wrapper": True}
 
 
 class Kernel(CPUDispatcher):
-    """Compiles a function for Python, and apart from that as a part of the kernels that call it.
+    """Compiles a function for Python, and separately as a part of the kernels that call it.
 
-    A part has no wrapper for Python, no machine code of its own, and is not kept: that of its
-    caller is.
+    A part has no wrapper for Python and no machine code of its own, and is not cached; its caller is.
     """
 
     _compiler: Any
@@ -47,7 +46,7 @@ class Kernel(CPUDispatcher):
         return template, signature, types, {}
 
     def get_overload(self, sig: Any) -> Any:
-        """Return what the call of a part is known by."""
+        """Return the entry point of a part."""
         types, _ = sigutils.normalize_signature(sig)
         return self._part(tuple(types)).entry_point
 

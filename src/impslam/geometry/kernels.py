@@ -21,35 +21,35 @@ event.register("numba:compile", _COMPILING)
 
 
 def compile_seconds() -> float:
-    """Return how long this process has compiled by now, s; loading what was compiled before is none."""
+    """Return the time that this process has spent compiling, s, without loading cached code."""
     return float(_COMPILING.duration) if _COMPILING.done else 0.0
 
 
 def kernel(function: F) -> F:
-    """Compile a small function on plain arrays; the machine code is kept between runs.
+    """Compile a small function on plain arrays; the machine code is cached between runs.
 
     No `fastmath`, so that results do not depend on how a compiler reorders sums, and no
-    `parallel`, whose compile time (5 s) no kernel here earns back.
+    `parallel`, whose compile time (5 s) does not pay off for these kernels.
     """
-    if getattr(config, "DISABLE_JIT", False):  # set by numba's own name in the environment
+    if getattr(config, "DISABLE_JIT", False):  # by numba's environment variable
         return function
     dispatcher: Any = Kernel(function)
     try:
         dispatcher._cache = MachineCode(function)  # what njit(cache=True) does with numba's own
-    except RuntimeError:  # numba's word for: neither the package nor a cache folder can be written
+    except RuntimeError:  # neither the package nor a cache folder is writable
         warn_once("no folder for compiled code can be written")
     return cast("F", dispatcher)
 
 
 def plain(array: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Return an array as kernels are compiled for: float64, contiguous, writable; copied if need be."""
+    """Return an array in the layout of kernels: float64, contiguous, writable; copied if necessary."""
     if isinstance(array, np.ndarray) and array.dtype == _FLOAT64 and array.flags.carray:
-        return array  # as most are: `np.require` takes ten times as long to say so
+        return array  # the usual case; `np.require` takes ten times as long
     return np.require(array, np.float64, ["C", "W"])
 
 
 def read_only(*arrays: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
-    """Return views that cannot be written to: one type for a kernel, whatever each array allows."""
+    """Return read-only views: one type for a kernel, whether the arrays are writable or not."""
     views = [array.view() for array in arrays]
     for view in views:
         view.flags.writeable = False

@@ -1,11 +1,11 @@
-"""Lines through range measurements, with the covariance that the beams' noise gives them.
+"""Lines through range measurements, with their covariance from the noise of the beams.
 
 A line is {p : p . n(alpha) = rho} with n(alpha) = (cos alpha, sin alpha); its parameters [rho,
 alpha] are perturbed by addition. Noise of beam i moves its point along the beam u_i by sigma_i, so
 off the line by sigma_i |n . u_i| (Arras and Siegwart 1997; Pfister et al. 2003). The estimate is
 the maximum-likelihood one of the ranges r_i = (rho - n . o_i) / (n . u_i): orthogonal least squares
-with these weights, where each point's lever arm is that of its *estimated* place on the line. With
-the measured place, as in the papers, noise enters twice and turns the line towards the beams.
+with these weights, in which each point's lever arm is that of its *estimated* position on the line. With
+the measured position, as in the papers, noise enters twice and turns the line towards the beams.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from impslam.geometry.kernels import kernel
 
 Array = npt.NDArray[np.float64]
 
-_GRAZING2 = 1e-6  # (1e-3 rad)^2: no beam's direction is known better, so no point is noiseless
+_GRAZING2 = 1e-6  # (1e-3 rad)^2: lower bound of the noise of a beam's direction
 _ITERATIONS = 10  # Gauss-Newton converges quadratically; three are typical
-_SETTLED = 1e-7  # m + rad: the step after this one would be below 1e-12
+_CONVERGED = 1e-7  # m + rad: the step after this one would be below 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineFit:
-    """A line and how well it is known.
+    """A line with its covariance.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ def _step(
         cosine = nx * beams[i, 0] + ny * beams[i, 1]
         variance = variances[i] * (cosine * cosine + _GRAZING2) + flat2
         off = line[2] - (nx * dx + ny * dy)
-        # The point slides along its beam to where the line is; `lever` is its place on the line.
+        # The point slides along its beam to the line; `lever` is its position on the line.
         slide = off * variances[i] * cosine / variance
         lever = nx * dy - ny * dx + slide * (nx * beams[i, 1] - ny * beams[i, 0])
         w = 1.0 / variance
@@ -109,7 +109,7 @@ def fit_line_core(
 ) -> tuple[float, float, float, float, float, float, float, float]:
     """Fit a line and return rho, alpha, their variances rr, ra, aa, bias r, a, and chi2.
 
-    rho has the sign that alpha gives it; NaN throughout where the points define no line.
+    The sign of rho follows from alpha; all values are NaN if the points define no line.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def fit_line_core(
         _step(points, beams, variances, flat2, line, out)
         line[2] += out[0]
         line[3] += out[1]
-        if not abs(out[0]) + abs(out[1]) > _SETTLED:
+        if not abs(out[0]) + abs(out[1]) > _CONVERGED:
             break
     det = out[3] * out[5] - out[4] * out[4]
     if not det > 1e-9 * out[3] * out[5]:
@@ -163,13 +163,13 @@ def fit_line(points: Array, directions: Array, sigmas: Array, flatness: float = 
     Raises
     ------
     ShapeError
-        If the arrays do not fit each other, or define no line (all points in one place).
+        If the shapes do not match, or the points define no line (all points coincide).
     """
     _check(points, directions, sigmas)
     beams = np.column_stack((np.cos(directions), np.sin(directions)))
     rho, alpha, rr, ra, aa, b_r, b_a, chi2 = fit_line_core(points, beams, sigmas**2, flatness)
     if not math.isfinite(rho):
-        raise ShapeError("the points define no line; give points in two places at least")
+        raise ShapeError("the points define no line; give at least two distinct points")
     sign = -1.0 if rho < 0.0 else 1.0
     return LineFit(
         sign * rho,

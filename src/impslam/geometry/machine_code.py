@@ -1,7 +1,7 @@
-"""Where the machine code of kernels is kept between runs, and how it is loaded in little time.
+"""Cache the machine code of kernels between runs, and load it fast.
 
-numba's own cache knows the file of a function, not the kernels of other files that are compiled into
-it; and it loads machine code as if it were to compile: 0.3 s of imports, much of scipy among them.
+numba's own cache tracks the file of a function, but not the kernels of other files that are compiled into
+it; and loading machine code imports all that compiling needs: 0.3 s, much of it scipy.
 """
 
 from __future__ import annotations
@@ -28,14 +28,13 @@ from impslam.geometry.scipy_extension import load
 class MachineCode(FunctionCache):
     """Compiled code in NUMBA_CACHE_DIR, beside the module, or in the user's cache folder.
 
-    The first of these that can be written is used. Code that cannot be kept still runs.
+    The first of these that is writable is used. Code that cannot be cached still runs.
     """
 
     def load_overload(self, sig: object, target_context: Any) -> object:
-        """Return a function compiled before from the same source, or None.
+        """Return a cached function of the same source, or None.
 
-        Machine code needs the runtime alone. Where there is none, numba imports the rest itself when
-        it compiles.
+        Machine code only needs numba's runtime; numba imports the rest when it has to compile.
         """
         self._cache_file._source_stamp = source_stamp(self._py_func)
         rtsys.initialize(target_context)
@@ -47,7 +46,7 @@ class MachineCode(FunctionCache):
             return self._load_overload(sig, target_context)
 
     def save_overload(self, sig: object, data: object) -> None:
-        """Keep a compiled function for the next run."""
+        """Save a compiled function for the next run."""
         try:
             super().save_overload(sig, data)
         except OSError as error:
@@ -56,9 +55,9 @@ class MachineCode(FunctionCache):
 
 @functools.cache
 def _load_linear_algebra() -> None:
-    """Load what numba's runtime looks up when a kernel first multiplies matrices.
+    """Load the modules that numba's runtime looks up when a kernel first multiplies matrices.
 
-    It would import all of `scipy.linalg` for it: 0.2 s and 25 MB.
+    It would otherwise import all of `scipy.linalg`: 0.2 s and 25 MB.
     """
     for name in ("scipy.linalg.cython_blas", "scipy.linalg.cython_lapack"):
         load(name, name)
@@ -66,8 +65,8 @@ def _load_linear_algebra() -> None:
 
 @functools.cache
 def warn_once(problem: str) -> None:
-    """Warn that this run's compiled code is lost."""
-    if multiprocessing.parent_process() is None:  # a worker's parent has said so
+    """Warn that compiled code is not cached."""
+    if multiprocessing.parent_process() is None:  # a worker's parent has warned already
         logging.getLogger(__name__).warning(
             "%s, so every run compiles anew (a minute or two); set NUMBA_CACHE_DIR to a folder of yours",
             problem,
@@ -77,8 +76,8 @@ def warn_once(problem: str) -> None:
 def source_stamp(function: FunctionType) -> str:
     """Return a hash of all source that is compiled into a function.
 
-    That is its file, the files of the kernels that it calls, and the constants it takes from others;
-    and what makes machine code of them, and reads it again.
+    It covers the function's file, the files of the kernels that it calls, constants from other modules, and
+    the module that generates and reads the machine code.
     """
     digest, seen = hashlib.sha256(_file_hash(code_library.__file__)), {function}
     waiting = [function]
@@ -103,10 +102,10 @@ def _file_hash(path: str) -> bytes:
 
 @contextmanager
 def _bare_environments() -> Iterator[None]:
-    """Load functions of numba that are part of machine code without importing their modules.
+    """Load numba's functions in machine code without importing their modules.
 
-    Their module's names are needed by code that was not compiled, which no kernel is. numba holds its
-    lock meanwhile, so that nobody else loads anything.
+    Only interpreted code needs the names of these modules. numba holds its lock in this context, so that
+    no other thread loads anything.
     """
     whole: Callable[..., Any] = environment._rebuild_env
     environment._rebuild_env = _rebuild_bare

@@ -1,4 +1,4 @@
-"""Points measured as range and bearing, in Cartesian coordinates with their covariance."""
+"""Convert range and bearing to Cartesian coordinates with covariance."""
 
 from __future__ import annotations
 

@@ -9,6 +9,6 @@ Array = npt.NDArray[np.float64]
 
 
 def root(P: Array) -> Array:
-    """Return an A (n, n) with A A^T = P, of a positive semidefinite P (n, n)."""
+    """Return A (n, n) with A A^T = P for a positive semidefinite P (n, n)."""
     values, vectors = np.linalg.eigh(P)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

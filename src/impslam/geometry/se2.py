@@ -3,9 +3,9 @@
 A pose is `[x, y, theta]` (m, m, rad): the position and heading of a frame seen from another,
 `T_a_b` being frame b in frame a. The manifold is R^2 x S^1 with the group law of SE(2). Closed forms
 for `exp` and `log` follow Solà et al. 2018, "A micro Lie theory", Eq. 152-158; near theta = 0 they
-switch to their Taylor series, where the closed forms lose their digits.
+switch to their Taylor series, because the closed forms lose precision there.
 
-All functions batch: poses are (..., 3), their leading axes broadcast as numpy's do. Each is one
+All functions batch: poses are (..., 3), and leading axes broadcast as in numpy. Each is one
 compiled loop over the poses, so that one pose costs little more than arithmetic on plain floats.
 """
 
@@ -21,7 +21,7 @@ from impslam.geometry.kernels import kernel
 
 Array = npt.NDArray[np.float64]
 
-_ONE = (3,)  # the shape of a single pose, which most calls are for
+_SINGLE = (3,)  # the shape of a single pose, the most frequent case
 _SMALL = 1e-4  # rad: the series below is exact to 1e-17 there, the closed form only to 1e-12
 
 
@@ -95,16 +95,16 @@ def log(pose: Array) -> Array:
 
 def _flat(poses: Array) -> tuple[Array, tuple[int, ...]]:
     """Return poses (..., 3) as rows (n, 3), and their shape."""
-    if poses.shape == _ONE:
-        return poses.reshape(1, 3), _ONE
+    if poses.shape == _SINGLE:
+        return poses.reshape(1, 3), _SINGLE
     poses = np.ascontiguousarray(poses, dtype=np.float64)
     return poses.reshape(-1, 3), poses.shape
 
 
 def _paired(one: Array, two: Array) -> tuple[Array, Array, tuple[int, ...]]:
     """Return two batches of poses as rows (n, 3) side by side, and the shape of their broadcast."""
-    if one.shape == two.shape == _ONE:
-        return one.reshape(1, 3), two.reshape(1, 3), _ONE
+    if one.shape == two.shape == _SINGLE:
+        return one.reshape(1, 3), two.reshape(1, 3), _SINGLE
     if one.shape != two.shape:
         one, two = (poses.copy() for poses in np.broadcast_arrays(one, two))  # writable
     first, shape = _flat(one)
@@ -113,7 +113,7 @@ def _paired(one: Array, two: Array) -> tuple[Array, Array, tuple[int, ...]]:
 
 def _matrices(P: Array, shape: tuple[int, ...]) -> Array:
     """Return matrices (..., 3, 3) as rows (n, 3, 3) for poses of a shape."""
-    if shape == _ONE:
+    if shape == _SINGLE:
         return P.reshape(1, 3, 3)
     if P.shape != (*shape, 3):
         P = np.broadcast_to(P, (*shape, 3))

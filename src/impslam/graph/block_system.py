@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.geometry.algebra import turned
+from impslam.geometry.algebra import rotate_covariance
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Mask
 
@@ -71,7 +71,7 @@ def add_relative(system: BlockSystem, row: int, poses: Array, H: Array, g: Array
     i, j, fixed = system.i[row], system.j[row], system.fixed
     c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
     dx, dy = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]
-    M = turned(H, poses[i, 2])
+    M = rotate_covariance(H, poses[i, 2])
     u, v = c * g[0] - s * g[1], s * g[0] + c * g[1]
     block = system.off[row]
     for a in range(3):

@@ -1,1 +1,1 @@
-"""Landmark models: predict, initialise, retract, and how they are reported."""
+"""Landmark models: predict, initialise, perturb and report landmarks."""

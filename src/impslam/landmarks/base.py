@@ -1,8 +1,8 @@
-"""The role of a landmark model: the measurement model of one kind of landmark, and its inverse.
+"""The interface of landmark models: the measurement model of one kind of landmark, and its inverse.
 
-A kind needs three methods: `observe`, its inverse `invert`, and `outline`. Everything else follows
-from them; a kind may override it (Jacobians in closed form, for example).
-Models return local blocks; only the filter knows their place in the state.
+A kind needs three methods: `observe`, its inverse `invert`, and `outline`. All other methods have defaults
+based on them; a kind may override these (Jacobians in closed form, for example).
+Models return local blocks; the filter manages their position in the state.
 
 Shapes: poses are `T_map_base` (..., 3), perturbed by addition. k landmarks of the kind at once,
 m (..., k, dim), are perturbed by `retract`; every `m_D_...` and `..._D_m` is taken in that
@@ -39,8 +39,8 @@ class Prediction(NamedTuple):
 class Initial:
     """A new landmark: m (dim,), m_D_pose (dim, 3), m_D_z (dim, dim_z) and `slack` (dim, dim).
 
-    `slack` is the covariance of the directions that the observation leaves open (the place of a
-    wall's frame along the wall); zero for landmarks that one observation fixes.
+    `slack` is the covariance of the directions that the observation does not determine (the position of
+    a wall's frame along the wall); zero for landmarks that one observation determines.
     """
 
     m: Array
@@ -51,10 +51,10 @@ class Initial:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Overlap:
-    """How far p landmarks and what is seen of them lie apart along the landmarks.
+    """Gaps between p landmarks and their observed pieces, along the landmarks.
 
-    `gap` (p,) m is negative where they overlap; `gap_D_pose` (p, 3) and `gap_D_m` (p, dim) are the
-    Jacobians of the place along the landmark; `allowed` is the gap that still makes one landmark, m.
+    `gap` (p,) m is negative for an overlap; `gap_D_pose` (p, 3) and `gap_D_m` (p, dim) are the
+    Jacobians of the position along the landmark; `allowed` is the largest gap within one landmark, m.
     """
 
     gap: Array
@@ -65,7 +65,7 @@ class Overlap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Report:
-    """A landmark in the form users read, and the Jacobian (2, dim) of its two estimated values."""
+    """A landmark in the form shown to users, and the Jacobian (2, dim) of its two estimated values."""
 
     position: Array
     values: dict[str, float]
@@ -83,14 +83,14 @@ class LandmarkModel(Component):
     is_place: ClassVar[bool] = True
     """Whether m begins with a position [x, y] in map, perturbed by addition."""
     unique: ClassVar[bool] = False
-    """Whether it exists once: it is added at once, and observations that do not fit it are outliers."""
+    """Whether only one exists: it is added at once, and observations that do not fit it are outliers."""
     has_extent: ClassVar[bool] = False
     """Whether it is observed in pieces that must overlap to match; see `extents` and `overlap`."""
     values: ClassVar[tuple[str, ...]] = ()
     """Names of the entries of m after the position, for reports."""
 
     def __deepcopy__(self, memo: dict[int, object] | None = None) -> Self:
-        """Return itself: a model holds parameters alone, which do not change."""
+        """Return itself: a model holds only parameters, which do not change."""
         del memo
         return self
 
@@ -104,9 +104,9 @@ class LandmarkModel(Component):
 
     @abstractmethod
     def outline(self, m: Array, extents: Array) -> Array:
-        """Return the landmarks' visible ends in map, (..., k, 2, 2); twice the place of a point.
+        """Return the landmarks' visible ends in map, (..., k, 2, 2); for a point twice its position.
 
-        `extents` (..., k, 2), m, are the extents along each landmark that have been observed.
+        `extents` (..., k, 2), m, are the observed extents along each landmark.
         """
 
     def predict(self, pose: Array, m: Array) -> Prediction:
@@ -134,7 +134,7 @@ class LandmarkModel(Component):
         """Return the landmark that gives this observation from a pose (3,).
 
         With z = h(pose, m) and h's Jacobian by m square, dm = z_D_m^-1 (dz - z_D_pose dpose). A kind
-        that one observation does not fix (dim > dim_z) overrides this with its `slack`.
+        that one observation does not determine (dim > dim_z) overrides this with its `slack`.
         """
         m = self.invert(pose, observation.z[None])
         prediction = self.predict(pose, m)
@@ -143,9 +143,9 @@ class LandmarkModel(Component):
         return Initial(m[0], m_D_pose, m_D_z, np.zeros((self.dim, self.dim)))
 
     def z_D_motion(self, z: Array) -> Array:
-        """Return (k, dim_z, 3): how observations z (k, dim_z) change as base_link moves a little.
+        """Return the Jacobians (k, dim_z, 3) of observations z (k, dim_z) by a motion of base_link.
 
-        By [dx, dy, dtheta] from where it is: `z_D_pose` at the origin.
+        The motion is [dx, dy, dtheta] in base_link: `z_D_pose` at the origin.
         """
         origin = np.zeros(3)
         return self.predict(origin, self.invert(origin, z)).z_D_pose
@@ -159,11 +159,11 @@ class LandmarkModel(Component):
         return other - m
 
     def m_D_motion(self, m: Array) -> Array:
-        """Return how landmarks m (k, dim) change as the whole map moves rigidly by a little.
+        """Return the Jacobians (k, dim, 3) of landmarks m (k, dim) by a rigid motion of the whole map.
 
-        (k, dim, 3), by a motion [x, y, theta] about the map origin. Such a motion of map and
-        robot together is not observable; consistent filters need it.
-        For a robot at the origin the motion is that of its pose, and z stays.
+        The motion is [x, y, theta] about the map origin. Such a motion of map and robot together is not
+        observable; consistent filters need it. For a robot at the origin the motion is that of its pose,
+        and z stays.
         """
         prediction = self.predict(np.zeros(3), m)
         return np.asarray(-np.linalg.solve(prediction.z_D_m, prediction.z_D_pose), np.float64)
@@ -174,22 +174,22 @@ class LandmarkModel(Component):
         return after, self.m_D_motion(after) - self.m_D_motion(m)
 
     def report(self, m: Array) -> Report:
-        """Return one landmark (dim,) in the form users read."""
+        """Return one landmark (dim,) in the form shown to users."""
         values = dict(zip(self.values, m[2:].tolist(), strict=True))
         return Report(m[:2].copy(), values, np.eye(2, self.dim))
 
-    def distance(self, m: Array, seen: Array) -> tuple[Array, Array]:
-        """Return (p,) metres and (p,) rad between landmarks m and seen ones (p, dim), in one frame.
+    def distance(self, m: Array, observed: Array) -> tuple[Array, Array]:
+        """Return (p,) metres and (p,) rad between landmarks m and observed ones (p, dim), in one frame.
 
         The thesis associates by these (4.1.4, 5.2.2): points by their distance, with angle 0; walls
-        by the distance of the feet of their normals and the angle between them, pi where two walls
+        by the distance of the feet of their normals and the angle between them, pi for two walls that
         face each other.
         """
-        apart = m - seen
-        return np.hypot(apart[:, 0], apart[:, 1]), np.zeros(len(m))
+        difference = m - observed
+        return np.hypot(difference[:, 0], difference[:, 1]), np.zeros(len(m))
 
     def extents(self, pose: Array, m: Array, ends: Array) -> Array:
-        """Return (p, 2), where along each landmark (p, dim) what is seen of it begins and ends, m.
+        """Return the begin and end (p, 2) of the observed pieces along landmarks (p, dim), m.
 
         `ends` (p, 2, 2) are the observations' end points in base_link. The default is that of a
         point: no extent.
@@ -197,6 +197,6 @@ class LandmarkModel(Component):
         del pose, ends
         return np.zeros((len(m), 2))
 
-    def overlap(self, pose: Array, m: Array, known: Array, seen: Array) -> Overlap:
-        """Return how landmarks m (p, dim) of `known` extents (p, 2) overlap what is `seen` (p, 2)."""
+    def overlap(self, pose: Array, m: Array, known: Array, observed: Array) -> Overlap:
+        """Return the overlap of landmarks m (p, dim): `known` extents (p, 2) and `observed` ones (p, 2)."""
         raise NotImplementedError(f"{type(self).__name__} has no extent")

@@ -1,4 +1,4 @@
-"""Compiled predictions over leading axes."""
+"""Batch compiled predictions over leading axes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from impslam.types import Array
 def batched(
     predict: Callable[[Array, Array], tuple[Array, Array, Array]], pose: Array, m: Array
 ) -> Prediction:
-    """Return the prediction of a kernel on poses (b, 3) and m (b, k, dim), for any leading axes."""
+    """Apply a kernel for poses (b, 3) and m (b, k, dim) to any leading axes."""
     if pose.ndim == 1 and m.ndim == 2:
         z, z_D_pose, z_D_m = predict(pose[None], m[None])
         return Prediction(z[0], z_D_pose[0], z_D_m[0])

@@ -4,7 +4,7 @@ State m = [x, y] in map, perturbed by addition. Measured as z = [x, y] in base_l
 
     z = R(theta)^T (m - t)    for the pose [t, theta].
 
-This is thesis Eq. 4.2 in Cartesian instead of polar form: it holds the same information (an
+This is thesis Eq. 4.2 in Cartesian instead of polar form: it contains the same information (an
 extractor rotates its polar covariance into R), has no singularity at range 0 and no angle to wrap,
 and is linear in everything but the heading. The Jacobians correct Eq. 4.4-4.8.
 """
@@ -93,4 +93,4 @@ class Cylinder(Point):
 
 @register("corner")
 class Corner(Point):
-    """Where two walls meet."""
+    """A corner of two walls."""

@@ -9,12 +9,12 @@ and measured as z = [rho, alpha] in base_link (thesis Eq. 4.15, signed):
 
     rho = n . (p - t),    alpha = phi - theta    for the pose [t, theta].
 
-The thesis's state, the foot of the normal from the map origin, is singular where a wall passes the
-origin, and its covariance is nearly so for every wall far from its foot; this form is regular
-everywhere, and the signed rho stays smooth when the robot passes through the wall's line (a door).
+The thesis's state, the foot of the normal from the map origin, is singular if a wall passes through the
+origin, and its covariance is nearly singular for every wall far from its foot; this form is regular
+everywhere, and the signed rho stays smooth when the robot crosses the wall's line (a door).
 A surface is seen from one side only, so its normal has a direction and no +-pi ambiguity.
 
-The place of the frame along the wall (dt) is not observed. It is kept in the state all the same: it
+The position of the frame along the wall (dt) is not observed. It is still part of the state: it
 is correlated with the robot's pose when the wall was first seen, so that a wall moves along itself
 when a loop closes, and its end points, stored along the wall from p, move with it. The perturbation
 in the wall's own frame keeps that direction free of false information when phi is corrected.
@@ -55,7 +55,7 @@ def _predict(poses: Array, m: Array) -> tuple[Array, Array, Array]:
 
 @kernel
 def _extents(pose: Array, m: Array, ends: Array) -> Array:
-    """Return (p, 2) where along walls m (p, 3) the ends (p, 2, 2), in base_link, lie, in order."""
+    """Return the sorted positions (p, 2) of ends (p, 2, 2), in base_link, along walls m (p, 3)."""
     out = np.empty((len(m), 2))
     for p in range(len(m)):
         dx, dy = pose[0] - m[p, 0], pose[1] - m[p, 1]
@@ -68,7 +68,7 @@ def _extents(pose: Array, m: Array, ends: Array) -> Array:
 
 
 @kernel
-def _put_m_D_motion(m: Array, c: float, s: float, out: Array) -> None:
+def _fill_m_D_motion(m: Array, c: float, s: float, out: Array) -> None:
     """Fill out (3, 3) with R(phi)^T [I, (-y, x)] over [0, 0, 1] of a wall, c and s those of phi."""
     out[0, 0], out[0, 1], out[0, 2] = c, s, s * m[0] - c * m[1]
     out[1, 0], out[1, 1], out[1, 2] = -s, c, c * m[0] + s * m[1]
@@ -80,7 +80,7 @@ def _m_D_motion(m: Array) -> Array:
     """Return `LandmarkModel.m_D_motion` (k, 3, 3) of walls m (k, 3)."""
     out = np.empty((len(m), 3, 3))
     for k in range(len(m)):
-        _put_m_D_motion(m[k], math.cos(m[k, 2]), math.sin(m[k, 2]), out[k])
+        _fill_m_D_motion(m[k], math.cos(m[k, 2]), math.sin(m[k, 2]), out[k])
     return out
 
 
@@ -93,20 +93,20 @@ def _carry(m: Array, delta: Array) -> tuple[Array, Array]:
         after[k, 0] = m[k, 0] + c * delta[k, 0] - s * delta[k, 1]
         after[k, 1] = m[k, 1] + s * delta[k, 0] + c * delta[k, 1]
         after[k, 2] = wrap_in_kernel(m[k, 2] + delta[k, 2])
-        _put_m_D_motion(m[k], c, s, before)
-        _put_m_D_motion(after[k], math.cos(after[k, 2]), math.sin(after[k, 2]), change[k])
+        _fill_m_D_motion(m[k], c, s, before)
+        _fill_m_D_motion(after[k], math.cos(after[k, 2]), math.sin(after[k, 2]), change[k])
         change[k] -= before
     return after, change
 
 
 @kernel
-def _overlap(pose: Array, m: Array, known: Array, seen: Array) -> tuple[Array, Array, Array]:
+def _overlap(pose: Array, m: Array, known: Array, observed: Array) -> tuple[Array, Array, Array]:
     """Return gap (p,), gap_D_pose (p, 3) and gap_D_m (p, 3); see `Overlap`."""
     p = len(m)
     gap, gap_D_pose, gap_D_m = np.empty(p), np.empty((p, 3)), np.zeros((p, 3))
     for k in range(p):
         c, s = math.cos(m[k, 2]), math.sin(m[k, 2])
-        gap[k] = max(seen[k, 0] - known[k, 1], known[k, 0] - seen[k, 1])
+        gap[k] = max(observed[k, 0] - known[k, 1], known[k, 0] - observed[k, 1])
         gap_D_pose[k, 0], gap_D_pose[k, 1] = -s, c
         gap_D_pose[k, 2] = c * (m[k, 0] - pose[0]) + s * (m[k, 1] - pose[1])
         gap_D_m[k, 1] = -1.0
@@ -133,7 +133,7 @@ class Wall(LandmarkModel):
     dim_z: ClassVar[int] = 2
     z_angles: ClassVar[tuple[int, ...]] = (1,)
     has_extent: ClassVar[bool] = True
-    is_place: ClassVar[bool] = False  # the frame's place, perturbed in its own axes
+    is_place: ClassVar[bool] = False  # the position is perturbed in the frame's own axes
 
     max_gap: float = parameter(
         1.0,
@@ -160,7 +160,7 @@ class Wall(LandmarkModel):
         return batched(_predict, pose, m)
 
     def initialise(self, pose: Array, observation: Observation) -> Initial:
-        """Return the wall with its frame at the middle of what was seen (thesis Algorithm 2)."""
+        """Return the wall with its frame at the middle of the observed piece (thesis Algorithm 2)."""
         rho, alpha = observation.z
         along = np.array([-math.sin(alpha), math.cos(alpha)])
         ends = observation.end_points if observation.end_points is not None else np.zeros((2, 2))
@@ -202,21 +202,21 @@ class Wall(LandmarkModel):
         foot = np.array([distance * c, distance * s])
         return Report(foot, {"r": sign * distance, "alpha": alpha}, values_D_m)
 
-    def distance(self, m: Array, seen: Array) -> tuple[Array, Array]:
+    def distance(self, m: Array, observed: Array) -> tuple[Array, Array]:
         """Return distances of feet (thesis 5.2.2), and angles between normals in [0, pi]."""
         feet = []
-        for walls in (m, seen):
+        for walls in (m, observed):
             c, s = np.cos(walls[:, 2]), np.sin(walls[:, 2])
             feet.append((c * walls[:, 0] + s * walls[:, 1]) * np.stack([c, s]))
-        return np.hypot(*(feet[0] - feet[1])), np.abs(wrap(m[:, 2] - seen[:, 2]))
+        return np.hypot(*(feet[0] - feet[1])), np.abs(wrap(m[:, 2] - observed[:, 2]))
 
     def extents(self, pose: Array, m: Array, ends: Array) -> Array:
-        """Return where along each wall its observed piece begins and ends, from the frame, m."""
+        """Return the begin and end of each observed piece along its wall, from the frame, m."""
         return _extents(pose, m, ends)
 
-    def overlap(self, pose: Array, m: Array, known: Array, seen: Array) -> Overlap:
-        """Return the gaps between known and seen pieces; see `LandmarkModel.overlap`."""
-        return Overlap(*_overlap(pose, m, known, seen), self.max_gap)
+    def overlap(self, pose: Array, m: Array, known: Array, observed: Array) -> Overlap:
+        """Return the gaps between known and observed pieces; see `LandmarkModel.overlap`."""
+        return Overlap(*_overlap(pose, m, known, observed), self.max_gap)
 
     def outline(self, m: Array, extents: Array) -> Array:
         """Return the walls' two ends in map."""

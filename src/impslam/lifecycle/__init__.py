@@ -1,1 +1,1 @@
-"""When a landmark enters the map, and when it leaves."""
+"""Lifecycles: add landmarks to the map, and remove them."""

@@ -1,4 +1,4 @@
-"""The role of a lifecycle: when an observation becomes a landmark, and when one is removed."""
+"""The interface of lifecycles, which decide when landmarks are added and removed."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ class Lifecycle(Component):
     def recognise(
         self, observations: tuple[Observation, ...], motion: Increment
     ) -> tuple[Match, ...]:
-        """Match unmatched observations with what is not in the map yet, if the robot has moved so.
+        """Match unmatched observations with candidates that are not in the map yet, after a motion.
 
-        Nothing changes by asking.
+        The state does not change.
         """
         del observations, motion
         return ()
 
     @abstractmethod
     def promote(self, observations: Sequence[Observation], stamp: float, lost: bool) -> list[int]:
-        """Return which of the unmatched observations (indices) are to become landmarks now.
+        """Return the unmatched observations (indices) that become landmarks now.
 
         `lost` is true while the map is empty: no landmark relates the robot to its start yet.
         """

@@ -1,4 +1,4 @@
-"""The thesis's lifecycle: what matches nothing is a landmark at once, and stays (2.1.3, 5.1)."""
+"""The thesis's lifecycle: an unmatched observation becomes a landmark at once, and stays (2.1.3, 5.1)."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from impslam.types import Array, Increment, Ints, Match, Observation, Scan
 
 @register("immediate")
 class Immediate(Lifecycle):
-    """Every unmatched observation begins a landmark; none is ever removed."""
+    """Every unmatched observation becomes a landmark; none is ever removed."""
 
     def start(
         self, models: Mapping[str, LandmarkModel], association: Association, tracker: Filter
     ) -> None:
-        """Need nothing."""
+        """Do nothing; there is no state."""
 
     def move(self, increment: Increment) -> None:
-        """Keep nothing that moves."""
+        """Do nothing; there is no state."""
 
     def promote(self, observations: Sequence[Observation], stamp: float, lost: bool) -> list[int]:
-        """Return them all."""
+        """Return all observations."""
         del stamp, lost
         return list(range(len(observations)))
 

@@ -1,13 +1,13 @@
-"""Landmarks are tentative until seen often enough, and go when they are seen through (2.1.3).
+"""Landmarks are tentative until seen often enough, and are removed when beams pass through them (2.1.3).
 
-A tentative landmark lives in a small filter that only dead-reckons: it is compared with later scans
-with the right uncertainty, and nothing of it reaches the map before it is confirmed. It stays where
-it was first seen, so that what walks does not become a landmark. The first scan is the exception:
-what it shows enters at once, for every step without a landmark turns the whole map against its start.
-It is on trial there: what is not seen again as often and as soon as others must be goes.
+A tentative landmark is kept in a small filter that only dead-reckons: it is compared with later scans
+with the right uncertainty, and does not affect the map before it is confirmed. It stays at its first
+position, so that people do not become landmarks. The first scan is the exception: its landmarks are added
+at once, because every step without a landmark turns the whole map relative to its start. They are on trial:
+those that are not seen again as often and as soon as tentative ones are removed.
 
-A confirmed one has a score: it rises when the landmark is matched and falls when beams that should
-have hit it end behind it. Occlusion says nothing and changes nothing.
+A confirmed landmark has a score: it rises with each match and falls when beams that should have hit the
+landmark end behind it. Occlusion changes nothing.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
 from impslam.types import Array, Increment, Ints, Mask, Match, Observation, Scan
 
-_SAMPLES = 9  # places looked at along a wall
-_NEIGHBOUR = 0.01  # rad: a beam this near to a bearing (a little over a beam's spacing) tells of it
-_HEADING_LIMIT = 0.3**2  # rad^2: beyond it the dead-reckoning filter's linearisation is worthless
+_SAMPLES = 9  # along a wall
+_NEIGHBOUR_ANGLE = 0.01  # rad from a bearing within which beams count; a little over their spacing
+_HEADING_LIMIT = 0.3**2  # rad^2: beyond, the linearisation of the dead-reckoning filter is invalid
 
 
 @kernel
-def _verdict(
-    place: Array,
+def _check_beams(
+    position: Array,
     normal: Array,
     half: float,
     directions: Array,
@@ -42,20 +42,20 @@ def _verdict(
     valid: Mask,
     margin: float,
 ) -> int:
-    """Return -1 if all beams toward a place (2,) end behind it, +1 if some end on it, else 0."""
-    bearing = math.atan2(place[1], place[0])
+    """Return -1 if all beams towards a position (2,) end behind it, +1 if some end on it, else 0."""
+    bearing = math.atan2(position[1], position[0])
     seen, behind, before = 0, 0, 0
-    reach = half + _NEIGHBOUR
+    margin_angle = half + _NEIGHBOUR_ANGLE
     for turn in (-2.0 * math.pi, 0.0, 2.0 * math.pi):
-        if not directions[0] - reach <= bearing + turn <= directions[-1] + reach:
+        if not directions[0] - margin_angle <= bearing + turn <= directions[-1] + margin_angle:
             continue
         low = np.searchsorted(directions, bearing + turn - half)
         high = np.searchsorted(directions, bearing + turn + half)
         for b in range(max(int(low) - 1, 0), min(int(high) + 1, len(directions))):
-            if valid[b] and abs(directions[b] - bearing - turn) <= reach:
+            if valid[b] and abs(directions[b] - bearing - turn) <= margin_angle:
                 seen += 1
-                offset = normal[0] * (points[b, 0] - place[0]) + normal[1] * (
-                    points[b, 1] - place[1]
+                offset = normal[0] * (points[b, 0] - position[0]) + normal[1] * (
+                    points[b, 1] - position[1]
                 )
                 if offset > margin:
                     behind += 1
@@ -67,23 +67,25 @@ def _verdict(
 
 
 @kernel
-def _hidden(
+def _is_hidden(
     ends: Array, directions: Array, ranges: Array, valid: Mask, margin: float, width: float
 ) -> bool:
-    """Tell whether no beam toward a landmark can end behind it: most are in other rooms.
+    """Return whether no beam towards a landmark can end behind it: most landmarks are in other rooms.
 
-    A beam shorter than the way to the landmark's nearest place ends before it, up to what the
-    beam's distance from a sample's bearing may make of it.
+    A beam shorter than the distance to the landmark's nearest point ends in front of it, up to the effect
+    of the beam's angle from a sample's bearing.
     """
     x, y = ends[0]
     dx, dy = ends[1, 0] - x, ends[1, 1] - y
     length2 = dx * dx + dy * dy
     s = min(max(-(x * dx + y * dy) / length2, 0.0), 1.0) if length2 > 0.0 else 0.0
     nearest = math.hypot(x + s * dx, y + s * dy)
-    reach = _NEIGHBOUR + (math.atan2(width, max(nearest, 1e-9)) if length2 == 0.0 else 0.0)
+    margin_angle = _NEIGHBOUR_ANGLE + (
+        math.atan2(width, max(nearest, 1e-9)) if length2 == 0.0 else 0.0
+    )
     begin = math.atan2(y, x)
     across = wrap_in_kernel(math.atan2(ends[1, 1], ends[1, 0]) - begin)
-    low, high = begin + min(across, 0.0) - reach, begin + max(across, 0.0) + reach
+    low, high = begin + min(across, 0.0) - margin_angle, begin + max(across, 0.0) + margin_angle
     for turn in (-2.0 * math.pi, 0.0, 2.0 * math.pi):
         if directions[-1] < low + turn or directions[0] > high + turn:
             continue
@@ -91,41 +93,41 @@ def _hidden(
         for b in range(max(int(first) - 1, 0), len(directions)):
             if directions[b] > high + turn:
                 break
-            if valid[b] and (ranges[b] > nearest or ranges[b] * reach > margin):
+            if valid[b] and (ranges[b] > nearest or ranges[b] * margin_angle > margin):
                 return False
     return True
 
 
 @kernel
-def _seen_through(
+def _visibility_balance(
     ends: Array, directions: Array, points: Array, valid: Mask, margin: float, width: float
 ) -> float:
-    """Return the balance of a landmark's places seen through (-) and hit (+), in [-1, 1].
+    """Return the balance of a landmark's samples seen through (-) and hit (+), in [-1, 1].
 
-    ends (2, 2), points (n, 2) and directions (n,), ascending, all in the laser frame.
+    ends (2, 2), points (n, 2) and directions (n,), ascending, are all in the laser frame.
     """
-    out, place, normal = 0.0, np.empty(2), np.empty(2)
-    along = ends[1] - ends[0]
-    length = math.hypot(along[0], along[1])
+    out, position, normal = 0.0, np.empty(2), np.empty(2)
+    direction = ends[1] - ends[0]
+    length = math.hypot(direction[0], direction[1])
     samples = _SAMPLES if length > 0.0 else 1
     for j in range(samples):
-        place[:] = ends[0] + (j + 0.5) / samples * along
-        distance = max(math.hypot(place[0], place[1]), 1e-9)
-        # A point counts as seen through only if every beam beside it is: one side of a convex
+        position[:] = ends[0] + (j + 0.5) / samples * direction
+        distance = max(math.hypot(position[0], position[1]), 1e-9)
+        # A point counts as seen through only if all beams beside it pass: one side of a convex
         # corner is always free.
         half = math.atan2(width, distance) if length == 0.0 else 0.0
-        normal[:] = place / distance
+        normal[:] = position / distance
         if length > 0.0:
-            normal[0], normal[1] = -along[1] / length, along[0] / length
-            if normal[0] * place[0] + normal[1] * place[1] < 0.0:
+            normal[0], normal[1] = -direction[1] / length, direction[0] / length
+            if normal[0] * position[0] + normal[1] * position[1] < 0.0:
                 normal *= -1.0
-        out += _verdict(place, normal, half, directions, points, valid, margin)
+        out += _check_beams(position, normal, half, directions, points, valid, margin)
     return out / samples
 
 
 @kernel
-def _into(pose: Array, points: Array, out: Array) -> None:
-    """Fill out (n, 2) with points (n, 2) as seen from a pose (3,)."""
+def _transform_into(pose: Array, points: Array, out: Array) -> None:
+    """Fill out (n, 2) with points (n, 2) in the frame of a pose (3,)."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for i in range(len(points)):
         x, y = points[i, 0] - pose[0], points[i, 1] - pose[1]
@@ -140,17 +142,17 @@ def _balances(
     matched: Ints,
     limits: tuple[float, float],
 ) -> Array:
-    """Return for each landmark (k,) the balance of its places where it is negative, else 0 or more.
+    """Return the balance of each landmark (k,) if it is negative, else 0 or more.
 
-    `beams` are points (n, 2) and directions (n,) in base_link and which are valid; `poses` are
+    `beams` are points (n, 2), directions (n,) in base_link and valid flags; `poses` are
     `T_map_base` and `T_base_laser`, (3,); `known` are the landmarks' ids (k,) and outlines; `limits` are
-    margin and width, m. A landmark farther than the farthest beam ends is left out, as is one whose id
-    is among the `matched`.
+    margin and width, m. Landmarks beyond the end of the farthest beam, and those with an id in `matched`,
+    are left out.
     """
     (points, directions, valid), (base, laser), (ids, outlines) = beams, poses, known
-    out, met = np.zeros(len(ids)), np.zeros(len(ids), np.bool_)
+    out, is_matched = np.zeros(len(ids)), np.zeros(len(ids), np.bool_)
     for number in matched:
-        met |= ids == number
+        is_matched |= ids == number
     if valid.sum() < 2:
         return out
     limit2 = 0.0
@@ -161,39 +163,39 @@ def _balances(
         order = np.argsort(directions, kind="mergesort")
         points, directions, valid = points[order], directions[order], valid[order]
     in_laser, ends = np.empty((len(points), 2)), np.empty((len(outlines), 2, 2))
-    _into(laser, points, in_laser)
-    _into(base, outlines.reshape(-1, 2), ends.reshape(-1, 2))
+    _transform_into(laser, points, in_laser)
+    _transform_into(base, outlines.reshape(-1, 2), ends.reshape(-1, 2))
     directions, ranges = directions - laser[2], np.hypot(in_laser[:, 0], in_laser[:, 1])
     for i in range(len(out)):
         x, y = 0.5 * (ends[i, 0, 0] + ends[i, 1, 0]), 0.5 * (ends[i, 0, 1] + ends[i, 1, 1])
-        if x * x + y * y >= limit2 or met[i]:
+        if x * x + y * y >= limit2 or is_matched[i]:
             continue
         seen = np.empty((2, 2))
-        _into(laser, ends[i], seen)
-        if not _hidden(seen, directions, ranges, valid, limits[0], limits[1]):
-            out[i] = _seen_through(seen, directions, in_laser, valid, limits[0], limits[1])
+        _transform_into(laser, ends[i], seen)
+        if not _is_hidden(seen, directions, ranges, valid, limits[0], limits[1]):
+            out[i] = _visibility_balance(seen, directions, in_laser, valid, limits[0], limits[1])
     return out
 
 
 @register("tentative")
 class Tentative(Lifecycle):
-    """Confirmed after enough sightings over enough time; removed when seen through."""
+    """Confirms landmarks after enough sightings over enough time; removes those seen through."""
 
-    sightings: int = parameter(4, "1", "scans that must show a landmark before it is one", ge=1)
+    sightings: int = parameter(4, "1", "scans that must show a landmark to confirm it", ge=1)
     persistence: float = parameter(
         0.4, "s", "time from the first to the last of them; a walker's foot rests for 0.3 s", ge=0
     )
     patience: float = parameter(
-        1.0, "s", "a tentative landmark that is not seen for so long is forgotten", gt=0
+        1.0, "s", "a tentative landmark that is not seen for this long is dropped", gt=0
     )
     margin: float = parameter(
-        0.3, "m", "a beam that ends so far behind a landmark has gone through it", gt=0
+        0.3, "m", "a beam that ends this far behind a landmark has passed through it", gt=0
     )
     width: float = parameter(
-        0.1, "m", "beams that pass a point within this must all go through to count", gt=0
+        0.1, "m", "all beams that pass a point within this distance must pass through", gt=0
     )
     confidence: float = parameter(
-        15.0, "scans", "the most that a landmark's score rises to: so many misses remove it", gt=0
+        15.0, "scans", "upper limit of a landmark's score: this many misses remove it", gt=0
     )
     _candidates: Filter = PrivateAttr()
     _association: Association = PrivateAttr()
@@ -201,7 +203,7 @@ class Tentative(Lifecycle):
     _seen: dict[int, tuple[int, float, float]] = PrivateAttr(default_factory=dict)
     _scores: dict[int, float] = PrivateAttr(default_factory=dict)
     _trials: dict[int, tuple[int, float, float]] = PrivateAttr(default_factory=dict)
-    _untried: bool = PrivateAttr(default=False)
+    _starts_trial: bool = PrivateAttr(default=False)
     _now: float = PrivateAttr(default=0.0)
 
     def start(
@@ -211,13 +213,13 @@ class Tentative(Lifecycle):
         self._models, self._association, self._candidates = models, association, tracker
         self._scores.clear()
         self._trials.clear()
-        self._untried = False
-        self._forget()
+        self._starts_trial = False
+        self._restart()
 
     def move(self, increment: Increment) -> None:
-        """Dead-reckon; start anew once the heading is too uncertain to compare anything."""
+        """Dead-reckon; restart once the heading is too uncertain for comparisons."""
         if not self._seen or self._candidates.covariance[2, 2] > _HEADING_LIMIT:
-            self._forget()
+            self._restart()
         self._candidates.predict(increment)
 
     def recognise(
@@ -233,7 +235,7 @@ class Tentative(Lifecycle):
 
     def promote(self, observations: Sequence[Observation], stamp: float, lost: bool) -> list[int]:
         """Return the observations (indices) whose landmark has now been seen often enough."""
-        self._now, self._untried = stamp, lost
+        self._now, self._starts_trial = stamp, lost
         if lost:
             return list(range(len(observations)))
         if not observations and not self._seen:
@@ -247,7 +249,7 @@ class Tentative(Lifecycle):
                 promoted.append(match.observation)
                 leaving.append(match.landmark)
         leaving += [i for i, (_, _, last) in self._seen.items() if stamp - last > self.patience]
-        self._drop(leaving)
+        self._remove(leaving)
         if self.sightings == 1 and self.persistence == 0.0:
             return [*promoted, *choice.new]
         for number in self._candidates.extend([observations[i] for i in choice.new], stamp):
@@ -261,19 +263,19 @@ class Tentative(Lifecycle):
         matched = {match.landmark for match in matches}
         for number in matched:
             self._scores[number] = min(self._score(number) + 1.0, self.confidence)
-        failed = self._try(ids, matched)
-        through = self._through(scan, pose, ids, outlines, matched)
-        lost = failed + [number for number in through if number not in failed]
+        failed = self._update_trials(ids, matched)
+        seen_through = self._seen_through(scan, pose, ids, outlines, matched)
+        lost = failed + [number for number in seen_through if number not in failed]
         for number in lost:
             self._scores.pop(number, None)
             self._trials.pop(number, None)
         return lost
 
-    def _try(self, ids: Ints, matched: set[int]) -> list[int]:
-        """Return the landmarks that entered untried and were not seen again in time."""
-        if self._untried:
+    def _update_trials(self, ids: Ints, matched: set[int]) -> list[int]:
+        """Return the landmarks of the first scan that were not seen again in time."""
+        if self._starts_trial:
             self._trials = dict.fromkeys(ids.tolist(), (1, self._now, self._now))
-            self._untried = False
+            self._starts_trial = False
         known = set(ids.tolist()) if self._trials else set[int]()
         self._trials = {i: trial for i, trial in self._trials.items() if i in known}
         for number in matched & self._trials.keys():
@@ -283,10 +285,10 @@ class Tentative(Lifecycle):
                 del self._trials[number]
         return [i for i, (_, _, last) in self._trials.items() if self._now - last > self.patience]
 
-    def _through(
+    def _seen_through(
         self, scan: Scan, pose: Array, ids: Ints, outlines: Array, matched: set[int]
     ) -> list[int]:
-        """Lower the scores of what is seen through; return those that have sunk too low."""
+        """Lower the scores of landmarks seen through; return those whose score is too low."""
         balance = _balances(
             (scan.points, scan.directions, scan.valid),
             (pose, scan.laser),
@@ -305,11 +307,11 @@ class Tentative(Lifecycle):
     def _score(self, number: int) -> float:
         return self._scores.get(number, float(self.sightings))
 
-    def _drop(self, ids: list[int]) -> None:
+    def _remove(self, ids: list[int]) -> None:
         self._candidates.remove(ids)
         for number in ids:
             del self._seen[number]
 
-    def _forget(self) -> None:
+    def _restart(self) -> None:
         self._seen.clear()
         self._candidates.start(np.zeros(3), np.zeros((3, 3)), self._models)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from impslam.health import ALL_WELL, Health
+from impslam.health import NO_SCANS, Health
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.types import Array, TruePose
 
@@ -50,7 +50,7 @@ class Outcome:
     log_seconds: float
     wall_seconds: float
     state_size: int
-    health: Health = ALL_WELL
+    health: Health = NO_SCANS
     lidar_alone: bool = False
     partial: str = ""
     compile_seconds: float = 0.0

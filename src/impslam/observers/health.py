@@ -20,7 +20,7 @@ from impslam.health import (
     Health,
     Reasons,
     Standing,
-    words,
+    describe,
 )
 from impslam.map import Keyframe, PathRows, Revision, Track
 from impslam.observers.base import Observer
@@ -65,7 +65,7 @@ class HealthMonitor(Observer):
         if not len(self._reasons):
             return NONE, ""
         reason = int(self._reasons.array[-1])
-        return reason, words(reason, float(self._amounts.array[-1]))
+        return reason, describe(reason, float(self._amounts.array[-1]))
 
     def follow(self, track: Track, path: PathRows) -> None:
         """Record the scans of a track."""

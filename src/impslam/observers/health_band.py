@@ -39,7 +39,7 @@ def _band(stamps: Array, spans: list[Span]) -> str:
     for span in sorted(spans, key=lambda span: span.state != "DEGRADED"):  # LOST on top
         x = 1000.0 * (min(span.begin, span.end) - first) / seconds
         width = max(1000.0 * abs(span.end - span.begin) / seconds, LEAST)
-        said = f"{span.begin - first:.1f} s: {span.state}, {span.words}"
+        said = f"{span.begin - first:.1f} s: {span.state}, {span.description}"
         marks.append(
             f'<rect class="{span.state}" x="{x:.1f}" y="0" width="{width:.1f}" height="100">'
             f"<title>{escape(said)}</title></rect>"
@@ -64,7 +64,13 @@ def _reasons(spans: list[Span], first: float) -> str:
         return "<p>The pose could be trusted throughout.</p>"
     longest = sorted(spans, key=lambda span: (span.state != "LOST", -span.scans))[:ROWS]
     rows = [
-        (span.state, span.words, f"{span.begin - first:.1f}", f"{span.end - first:.1f}", span.scans)
+        (
+            span.state,
+            span.description,
+            f"{span.begin - first:.1f}",
+            f"{span.end - first:.1f}",
+            span.scans,
+        )
         for span in sorted(longest, key=spans.index)
     ]
     hidden = len(spans) - len(longest)

@@ -12,7 +12,7 @@ from impslam.errors import ConfigError, ImpError, in_a_line
 from impslam.evaluation.colours import INK, PATH, POINT, TRUTH, WALL
 from impslam.extras import install
 from impslam.geometry.se2 import transform
-from impslam.health import Health, state_of, words
+from impslam.health import Health, describe, state_of
 from impslam.map import Map
 from impslam.maps.files import MapImage, map_image
 from impslam.observers.accuracy import laid_in_map
@@ -129,7 +129,7 @@ class RerunFile(Truth):
                 recording.log("map/scan", rr.Points3D(flat, colors=[_rgb(SCAN)], radii=[WIDTH]))
             if health.reasons[k] != told:
                 told = int(health.reasons[k])
-                said = words(told, float(health.amounts[k])) or "TRACKING"
+                said = describe(told, float(health.amounts[k])) or "TRACKING"
                 level = LEVELS[state_of(told)]
                 recording.log("health", rr.TextLog(said, level=level))
 

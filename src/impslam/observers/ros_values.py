@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from impslam.health import STATES, state_of, words
+from impslam.health import STATES, describe, state_of
 from impslam.maps.files import MapImage
 from impslam.observers.grid_picture import occupancy
 from impslam.sources.ros_build import header_of, new, planar, time_of, turn, xyz
@@ -49,6 +49,6 @@ def health(stamp: float, reason: int, amount: float) -> RosMessage:
     TRACKING is OK, DEGRADED a warning, LOST an error; the message is the reason.
     """
     state = state_of(reason)
-    said = ": ".join(filter(None, (STATES[state], words(reason, amount))))
+    said = ": ".join(filter(None, (STATES[state], describe(reason, amount))))
     status = new("diagnostic_msgs/msg/DiagnosticStatus", state, "impslam: pose", said, "", [])
     return new("diagnostic_msgs/msg/DiagnosticArray", header_of(stamp, ""), [status])

@@ -63,7 +63,7 @@ def _health(health: Health) -> dict[str, Any]:
             "begin": _round(span.begin),
             "end": _round(span.end),
             "state": span.state,
-            "reason": span.words,
+            "reason": span.description,
             "scans": span.scans,
         }
         for span in health.spans()

@@ -79,7 +79,7 @@ def scene(history: History, outcome: Outcome, image: MapImage, laid: Laid | None
         "loops": _loops(known, start),
         "landmarks": [_landmark(mark, start) for mark in known.landmarks],
         "spans": [
-            [span.begin - start, span.end - start, span.state, span.words]
+            [span.begin - start, span.end - start, span.state, span.description]
             for span in outcome.health.spans()
         ],
         "grid": _grid(image),

@@ -1,1 +1,1 @@
-"""Messages to increments of motion with covariance."""
+"""Odometry: messages to increments of motion with covariance."""

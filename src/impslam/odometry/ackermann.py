@@ -6,8 +6,7 @@ another arc: at a distance H to the left of the middle it rolls at v (1 - H tan(
 2001, Eq. 27). Over dt the axle moves by exp([v dt, 0, v dt tan(s)/L]) in SE(2).
 
 base_link may be elsewhere on the body, e.g. at a GPS antenna, and then moves sideways in turns. With t
-the position of the axle in base_link, the increment is [p + t - R(a) t, a] for that
-of the axle, [p, a].
+the position of the axle in base_link, an increment [p, a] of the axle is [p + t - R(a) t, a] in base_link.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import numpy as np
 from impslam.columns import Columns, Motions
 from impslam.component import parameter, register
 from impslam.noise import MotionNoise
-from impslam.odometry.base import Odometry, durations, known, silence
+from impslam.odometry.base import Odometry, durations, gap_message, mask_unknown
 from impslam.odometry.kernels import axle_motions, carry
 from impslam.types import Mask, Steering
 
@@ -44,10 +43,10 @@ class Ackermann(Odometry):
         (0.0, 0.0), "m", "position [x, y] of the middle of the rear axle in base_link"
     )
     speed_scale: float = parameter(
-        1.0, "1", "true speed over the one in the log, from a calibration", gt=0
+        1.0, "1", "true speed over logged speed, from a calibration", gt=0
     )
     steering_scale: float = parameter(
-        1.0, "1", "true steering angle over the one in the log, from a calibration", gt=0
+        1.0, "1", "true steering angle over logged angle, from a calibration", gt=0
     )
     steering_offset: float = parameter(
         0.0, "rad", "added to the scaled steering angle, from a calibration"
@@ -79,12 +78,12 @@ class Ackermann(Odometry):
         variances = self.noise.variances(np.hypot(d_axle[:, 0], d_axle[:, 1]), d_axle[:, 2])
         d_pose, covariance = carry(d_axle, variances, np.array(self.axle))
         motions = Motions(readings.stamps[1:], d_pose, covariance, seconds)
-        return known(motions, usable[:-1] & usable[1:] & (seconds <= self.max_hold))
+        return mask_unknown(motions, usable[:-1] & usable[1:] & (seconds <= self.max_hold))
 
     def fault(self, readings: Columns) -> str:
         """Describe the fault; see `Odometry.fault`."""
         if self.usable(readings)[-1]:
-            return silence(readings, "speed and steering")
+            return gap_message(readings, "speed and steering")
         speed, angle, stamp = (float(readings[name][-1]) for name in (*_FIELDS, "stamp"))
         finite = math.isfinite(speed) and math.isfinite(angle)
         return (

@@ -1,4 +1,4 @@
-"""The role of odometry: turns proprioceptive readings into motions (thesis 3.5)."""
+"""The interface of odometry, which turns proprioceptive readings into motions (thesis 3.5)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from impslam.columns import Columns, Motions
 from impslam.component import Component, parameter
-from impslam.noise import LONGEST
+from impslam.noise import MAX_GAP
 from impslam.odometry.gyro import Gyro
 from impslam.odometry.standstill import Band
 from impslam.types import Array, Mask
@@ -29,7 +29,7 @@ class Odometry(Component):
     unusable reading are then unknown. Otherwise an unusable reading is skipped, and the motion is that
     between its neighbours."""
 
-    tells_motion: ClassVar[bool] = True
+    measures_motion: ClassVar[bool] = True
     """Whether its readings contain motion."""
 
     stream: str = parameter(
@@ -42,13 +42,13 @@ class Odometry(Component):
         return rows
 
     @property
-    def standing(self) -> Band:
-        """The noise of the readings of a standing robot; see `odometry.standstill`."""
+    def standstill_band(self) -> Band:
+        """The noise of the readings of a stationary robot; see `odometry.standstill`."""
         return Band()
 
     @property
     def lever(self) -> float:
-        """How far the robot goes, m, when a slipping wheel turns it by 1 rad."""
+        """Distance that the robot moves when a slipping wheel turns it by 1 rad, m."""
         return 0.0
 
     @abstractmethod
@@ -65,7 +65,7 @@ class Odometry(Component):
 
     @abstractmethod
     def fault(self, readings: Columns) -> str:
-        """Return one line that says why a reading, or the motion to it, is unusable, and what to do.
+        """Return one line that describes why a reading, or the motion to it, is unusable, and the remedy.
 
         `readings` is the row, preceded by the reading where the motion starts, if there is one.
         """
@@ -77,28 +77,28 @@ def durations(readings: Columns) -> Array:
     return np.maximum(stamps[1:] - stamps[:-1], 0.0)
 
 
-def by_an_unknown_path(covariance: Array, travel: Array, seconds: Array) -> None:
-    """Add to `covariance` (m, 3, 3) that nobody knows the path of travels (m,) in m over long intervals.
+def add_path_uncertainty(covariance: Array, travel: Array, seconds: Array) -> None:
+    """Add the uncertainty of travels (m,) m with unknown paths over long gaps to `covariance` (m, 3, 3).
 
-    The end of a path lies anywhere within its length of the start: half of it is one standard deviation.
+    The end of a path is anywhere within its length from the start: half of it is one standard deviation.
     """
-    unseen = np.where(seconds > LONGEST, 0.5 * travel, 0.0) ** 2
-    covariance[:, 0, 0] += unseen
-    covariance[:, 1, 1] += unseen
+    variance = np.where(seconds > MAX_GAP, 0.5 * travel, 0.0) ** 2
+    covariance[:, 0, 0] += variance
+    covariance[:, 1, 1] += variance
 
 
-def known(motions: Motions, which: Mask) -> Motions:
-    """Return the motions with NaN where `which` (m,) is false."""
-    if which.all():
+def mask_unknown(motions: Motions, known: Mask) -> Motions:
+    """Return the motions with NaN where `known` (m,) is false."""
+    if known.all():
         return motions
-    nothing = np.where(which, 0.0, np.nan)
+    nothing = np.where(known, 0.0, np.nan)
     return motions._replace(
         d_pose=motions.d_pose + nothing[:, None],
         covariance=motions.covariance + nothing[:, None, None],
     )
 
 
-def silence(readings: Columns, what: str) -> str:
+def gap_message(readings: Columns, what: str) -> str:
     """Return the message for a gap that is too long for a reading to be valid until the next one."""
     last, stamp = map(float, readings.stamps[-2:])
     return (

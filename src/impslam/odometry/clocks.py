@@ -21,11 +21,11 @@ SLAM benchmarks) although its clock was not set."""
 LEAP = 2.0 * JITTER
 """s: jitter moves stamps ahead by less than this, from a late one to an early one."""
 
-# Columns of a stream's newest row: its shift, its stamp, when that was, how far behind the newest of
-# all, its period, and how far other streams have leapt ahead since; all in s.
-_SHIFT, _STAMP, _TIME, _LAG, _PERIOD, _LEAPT = range(6)
-# Of all streams: the first and the newest time; whose the newest leap ahead was, a pause or a step, at
-# which stamp, and what time it was before.
+# Columns of a stream's newest row: its shift, stamp, time, lag behind the newest time of all streams,
+# period, and how far other streams have leapt ahead since; all in s.
+_SHIFT, _STAMP, _TIME, _LAG, _PERIOD, _LEAPED = range(6)
+# Shared by all streams: the first and the newest time; the stream of the newest leap ahead (a pause or a
+# step), its stamp, and the time before it.
 _FIRST, _NOW, _LEAPER, _LEAP_STAMP, _LEAP_BEFORE = range(5)
 
 
@@ -74,7 +74,7 @@ class Clocks:
 def _shift(
     table: Array,
     known: int,
-    every: Array,
+    shared: Array,
     streams: Ints,
     stamps: Array,
     shifts: Array,
@@ -83,18 +83,18 @@ def _shift(
     """Write the shift of each row, and the steps; return the number of steps."""
     count = 0
     for k in range(len(stamps)):
-        name, stamp = streams[k], stamps[k]
-        if name >= known:
-            now = every[_NOW] if known else stamp
+        stream_index, stamp = streams[k], stamps[k]
+        if stream_index >= known:
+            now = shared[_NOW] if known else stamp
             shift = _nearest(table[:known], stamp, now, -np.inf, np.inf)
-            table[name, _SHIFT], table[name, _STAMP] = shift, stamp
-            table[name, _TIME] = stamp + shift
-            known = name + 1
+            table[stream_index, _SHIFT], table[stream_index, _STAMP] = shift, stamp
+            table[stream_index, _TIME] = stamp + shift
+            known = stream_index + 1
         else:
             steps[count, 0] = k
-            count += _follow(table[:known], every, name, stamp, steps[count, 1:])
-        _advance(table[:known], every, name, stamp)
-        shifts[k] = table[name, _SHIFT]
+            count += _follow(table[:known], shared, stream_index, stamp, steps[count, 1:])
+        _advance(table[:known], shared, stream_index, stamp)
+        shifts[k] = table[stream_index, _SHIFT]
     return count
 
 
@@ -104,11 +104,11 @@ def _nearest(table: Array, stamp: float, goal: float, low: float, high: float) -
 
     0 is always a candidate, because a clock that was set wrongly may be corrected again.
     """
-    best, least = np.nan, np.inf
+    best, smallest = np.nan, np.inf
     for i in range(-1, len(table)):
         shift = 0.0 if i < 0 else table[i, _SHIFT]
-        if low <= stamp + shift <= high and abs(stamp + shift - goal) < least:
-            best, least = shift, abs(stamp + shift - goal)
+        if low <= stamp + shift <= high and abs(stamp + shift - goal) < smallest:
+            best, smallest = shift, abs(stamp + shift - goal)
     return best
 
 
@@ -121,14 +121,14 @@ def _expected(stream: Array, now: float) -> float:
 
 
 @kernel
-def _follow(table: Array, every: Array, name: int, stamp: float, entry: Array) -> int:
+def _follow(table: Array, shared: Array, stream_index: int, stamp: float, entry: Array) -> int:
     """Update the stream's shift if its clock or the others' was set; return 1 if a step is detected."""
-    stream = table[name]
-    step, leapt, before = stamp - stream[_STAMP], stream[_LEAPT], stream[_SHIFT]
-    expected = _expected(stream, every[_NOW])
-    low, high = expected - JITTER, max(expected, every[_NOW]) + JITTER
-    if step >= 0.5 * leapt:  # it went along: a pause of all
-        stream[_LEAPT] = 0.0
+    stream = table[stream_index]
+    step, leaped, before = stamp - stream[_STAMP], stream[_LEAPED], stream[_SHIFT]
+    expected = _expected(stream, shared[_NOW])
+    low, high = expected - JITTER, max(expected, shared[_NOW]) + JITTER
+    if step >= 0.5 * leaped:  # the stream leapt, too: all streams paused
+        stream[_LEAPED] = 0.0
     if abs(step) > JITTER and not low <= stamp + before <= high:
         fitting = _nearest(table, stamp, expected, low, high)
         if not np.isnan(fitting):
@@ -136,12 +136,12 @@ def _follow(table: Array, every: Array, name: int, stamp: float, entry: Array) -
         elif step < 0.0:
             stream[_SHIFT] = expected - stamp
         if stream[_SHIFT] > before:
-            entry[0], entry[1], entry[2] = name, step - stream[_PERIOD], stamp
+            entry[0], entry[1], entry[2] = stream_index, step - stream[_PERIOD], stamp
             return 1
-    elif leapt != 0.0 and step < 0.5 * leapt and every[_LEAP_BEFORE] < stamp + before:
-        stream[_SHIFT] += leapt
-        stream[_LEAPT] = 0.0
-        entry[0], entry[1], entry[2] = every[_LEAPER], leapt, every[_LEAP_STAMP]
+    elif leaped != 0.0 and step < 0.5 * leaped and shared[_LEAP_BEFORE] < stamp + before:
+        stream[_SHIFT] += leaped
+        stream[_LEAPED] = 0.0
+        entry[0], entry[1], entry[2] = shared[_LEAPER], leaped, shared[_LEAP_STAMP]
         return 1
     elif step > 0.0:
         stream[_PERIOD] += (0.1 if stream[_PERIOD] else 1.0) * (step - stream[_PERIOD])
@@ -149,16 +149,20 @@ def _follow(table: Array, every: Array, name: int, stamp: float, entry: Array) -
 
 
 @kernel
-def _advance(table: Array, every: Array, name: int, stamp: float) -> None:
+def _advance(table: Array, shared: Array, stream_index: int, stamp: float) -> None:
     """Advance the time to a stamp of a stream."""
-    stream = table[name]
+    stream = table[stream_index]
     time = stamp + stream[_SHIFT]
-    if time > max(every[_NOW], stream[_TIME] + stream[_PERIOD]) + LEAP:
-        every[_LEAPER], every[_LEAP_STAMP], every[_LEAP_BEFORE] = name, stamp, every[_NOW]
-        leap = time - _expected(stream, every[_NOW])
+    if time > max(shared[_NOW], stream[_TIME] + stream[_PERIOD]) + LEAP:
+        shared[_LEAPER], shared[_LEAP_STAMP], shared[_LEAP_BEFORE] = (
+            stream_index,
+            stamp,
+            shared[_NOW],
+        )
+        leap = time - _expected(stream, shared[_NOW])
         for i in range(len(table)):
-            if i != name:
-                table[i, _LEAPT] += leap
-    every[_FIRST], every[_NOW] = min(every[_FIRST], time), max(every[_NOW], time)
+            if i != stream_index:
+                table[i, _LEAPED] += leap
+    shared[_FIRST], shared[_NOW] = min(shared[_FIRST], time), max(shared[_NOW], time)
     stream[_STAMP], stream[_TIME] = stamp, max(stream[_TIME], time)
-    stream[_LAG] = every[_NOW] - time
+    stream[_LAG] = shared[_NOW] - time

@@ -2,9 +2,9 @@
 
 The body moves on an arc: with wheel travels l and r and track w, it moves by d = (l + r)/2 while turning
 by a = (r - l)/w, so the increment is exp([d, 0, a]) in SE(2). That is thesis Eq. 3.1 and 3.3 (the
-latter with its sign corrected) in one form that is smooth through r = l, where the thesis switches
+latter with its sign corrected) in one form that is smooth through r = l, at which the thesis switches
 equations and divides by (r - l)^2. The state Jacobian, Eq. 3.5-3.7, is that of composing the
-increment to the pose and lives in the filter; the noise Jacobian, Eq. 3.8-3.18, is in `kernels`.
+increment with the pose, in the filter; the noise Jacobian, Eq. 3.8-3.18, is in `kernels`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from impslam.columns import Columns, Motions
 from impslam.component import parameter, register
 from impslam.geometry.kernels import plain
 from impslam.noise import MotionNoise
-from impslam.odometry.base import DIAGONAL, Odometry, by_an_unknown_path, durations, known
+from impslam.odometry.base import DIAGONAL, Odometry, add_path_uncertainty, durations, mask_unknown
 from impslam.odometry.gyro import Gyro
 from impslam.odometry.kernels import wheel_motions
 from impslam.odometry.standstill import Band
@@ -64,8 +64,8 @@ class Encoders(Odometry):
     trembling: float = parameter(
         0.0,
         "reading",
-        "how far the readings of a standing wheel are apart at most: noise and one step of the "
-        "encoder. A robot whose readings stay within it stands, and its covariance does not grow",
+        "largest difference between readings of a stationary wheel: noise and one step of the encoder. "
+        "While readings stay within it, the robot is stationary and its covariance does not grow",
         ge=0,
     )
     wheel_noise: float = parameter(
@@ -80,7 +80,7 @@ class Encoders(Odometry):
         0.0,
         "m/s",
         "above 0, each motion has the noise of a straight drive at this speed, whatever the robot "
-        "does: the constant Q of thesis Eq. 2.23; 0: the noise of its own way",
+        "does: the constant Q of thesis Eq. 2.23; 0: the noise of the measured distance",
         ge=0,
     )
     max_speed: float = parameter(
@@ -95,10 +95,10 @@ class Encoders(Odometry):
         return 0.5 * self.track
 
     @property
-    def standing(self) -> Band:
-        """Both wheels tremble in opposite directions at worst; see `Odometry.standing`."""
-        way = 2.0 * math.pi * self.wheel_radius / self.per_turn * self.trembling
-        return Band(way, 2.0 * way / self.track)
+    def standstill_band(self) -> Band:
+        """The worst case, both wheels trembling in opposite directions; see `Odometry.standstill_band`."""
+        distance = 2.0 * math.pi * self.wheel_radius / self.per_turn * self.trembling
+        return Band(distance, 2.0 * distance / self.track)
 
     def usable(self, readings: Columns) -> Mask:
         """Return which readings are finite; see `Odometry.usable`."""
@@ -109,20 +109,20 @@ class Encoders(Odometry):
         left, right, seconds = *self._travels(readings), durations(readings)
         d_pose, covariance = wheel_motions(left, right, self.track, self.wheel_noise**2)
         if self.constant_speed:
-            way = self.constant_speed * seconds
-            _, covariance = wheel_motions(way, way, self.track, self.wheel_noise**2)
-            covariance[DIAGONAL] += self.slip.variances(way, np.zeros(len(way)))
+            distance = self.constant_speed * seconds
+            _, covariance = wheel_motions(distance, distance, self.track, self.wheel_noise**2)
+            covariance[DIAGONAL] += self.slip.variances(distance, np.zeros(len(distance)))
         else:
             covariance[DIAGONAL] += self.slip.variances(0.5 * (left + right), d_pose[:, 2])
         travel = np.maximum(np.abs(left), np.abs(right))
-        by_an_unknown_path(covariance, travel, seconds)
+        add_path_uncertainty(covariance, travel, seconds)
         motions = Motions(readings.stamps[1:], d_pose, covariance, seconds)
         # Stamps jitter by tens of milliseconds on real robots, so short intervals overestimate the speed.
         limits = self.max_speed * np.maximum(seconds, 0.2)
-        return known(motions, travel <= limits)
+        return mask_unknown(motions, travel <= limits)
 
     def _travels(self, readings: Columns) -> tuple[Array, Array]:
-        """Return the travels (m,) in m of both wheels between the readings, on the shorter way round."""
+        """Return the travels (m,) in m of both wheels between the readings, in the shorter direction."""
         per_reading = 2.0 * math.pi * self.wheel_radius / self.per_turn
         left, right = self._changes(readings)
         return per_reading * left, per_reading * right * self.right_left_ratio
@@ -133,7 +133,7 @@ class Encoders(Odometry):
         return 2.0 * math.pi / self.per_turn * left, 2.0 * math.pi / self.per_turn * right
 
     def _changes(self, readings: Columns) -> tuple[Array, Array]:
-        """Return how the readings of the left and the right wheel change, forward positive, (m,)."""
+        """Return the changes (m,) of the readings of the left and the right wheel, forward positive."""
         left, right = np.diff(plain(readings["left"])), np.diff(plain(readings["right"]))
         if self.wrap:
             left -= self.wrap * np.rint(left / self.wrap)

@@ -1,12 +1,12 @@
-"""A gyro beside the wheels: it measures turns, which the wheels infer from rolling without slip.
+"""Fuse a gyro with wheel odometry: it measures turns, which wheels only infer from rolling without slip.
 
-Each motion's turn is corrected by that of the gyro between the same two stamps, a Kalman update of
-[x, y, theta] with a scalar measurement. Where the two disagree beyond their noise, the wheels slip or
-the robot is pushed: the heading follows the gyro, and the way becomes as uncertain as slip makes it.
+The turn of each motion is corrected by that of the gyro between the same two stamps, a Kalman update of
+[x, y, theta] with a scalar measurement. If the two disagree beyond their noise, the wheels slip or
+the robot is pushed: the heading follows the gyro, and the distance becomes as uncertain as the slip.
 
-The gyro's bias is learned while the robot stands, where the wheels know the turn without error. On the
-way they do not: a track that is 10 % off would count as bias in every turn. Until the gyro has shown that
-it turns as the wheels do, in sign and in unit, it is not used: a log seldom tells how it is mounted.
+The gyro's bias is learned while the robot is stationary, when the turn of the wheels is exact. While
+driving it is not: a track that is 10 % off would count as bias in every turn. The gyro is not used until
+its turns have agreed with the wheels in sign and in unit: a log seldom contains how it is mounted.
 """
 
 from __future__ import annotations
@@ -19,50 +19,50 @@ import numpy as np
 from impslam.columns import Columns, Motions
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
-from impslam.odometry.standstill import SECONDS
+from impslam.odometry.standstill import STANDSTILL_TIME
 from impslam.parameters import Parameters, parameter
 from impslam.types import Array, Ints
 
-GAP = 0.25
-"""s; a gyro that is silent for longer does not tell the turn in between."""
+MAX_GAP = 0.25
+"""s; after a longer gap between readings the turn in between is unknown."""
 WINDOW = 1.0
 """s of motion over which the turns of wheels and gyro are compared; some hundred readings."""
-SIGMAS2 = 16.0
-"""Four standard deviations, squared: beyond, two turns contradict each other."""
-MOVED2 = 180.0
-"""The same where the wheels stand: six standard deviations, so that hours at rest move nothing, of a turn
-2 r1 - r0, extrapolated at the rate r1 where it was r0 before: five times the variance of one reading."""
-EVIDENCE = 16.0
-"""Difference of chi-square between a gyro that turns as the wheels do and one that is not related to
-them, beyond which it is used: odds of e^8 = 3000."""
-MOST = 9.0
-"""Chi-square that one window can contribute to that difference, so that no single slip decides."""
-SMOOTHED = 0.25
-"""s; the wheels' variance is averaged over this time. That of a single reading goes with the encoder's step
-that falls into it, and a gain that does so as well loses part of the turn."""
-CORRELATED = 20.0
-"""s; the error of the bias is the same for as long as this at least; scans correct the heading sooner. The
-variance of the turn grows per second as if it were drawn anew in each such time."""
+GATE = 16.0
+"""Four standard deviations, squared; a larger difference is a contradiction."""
+STATIONARY_GATE = 180.0
+"""The same for stationary wheels: six standard deviations, so that hours at rest cause no motion, of a turn
+2 r1 - r0, extrapolated from the rates r0 and then r1: five times the variance of one reading."""
+MIN_EVIDENCE = 16.0
+"""Difference of chi-square between a gyro that is unrelated to the wheels and one that agrees, beyond
+which it is used: odds of e^8 = 3000."""
+MAX_WINDOW_CHI2 = 9.0
+"""Largest contribution of one window to that chi-square, so that no single slip decides."""
+SMOOTHING_TIME = 0.25
+"""s; the wheels' variance is averaged over this time. That of a single reading depends on whether an
+encoder's step falls into it, and a gain that did so, too, would lose part of the turn."""
+BIAS_CORRELATION_TIME = 20.0
+"""s; the error of the bias stays the same for at least this long; scans correct the heading sooner. The
+variance of the turn grows per second as if the error were drawn anew after each such time."""
 
 # State: heading (rad), stamp and rate of the newest reading, bias, its variance, heading at the end of the
 # last motion; sums over the window: duration, turns of wheels and gyro, variance; chi-squares of the three
-# relations; for how long the wheels have stood (s), heading where that time began; variance per second
+# relations; time for which the wheels have been stationary (s), heading at its start; variance per second
 # of the wheels' turns.
-HEADING, STAMP, RATE, BIAS, VARIANCE, BEFORE = range(6)
-DURATION, WHEELS, GYRO, SUM = range(6, 10)
-NONE, SAME, OPPOSED, STILL, MARK, SPREAD = range(10, 16)
-STATE = 16
+HEADING, STAMP, RATE, BIAS, BIAS_VARIANCE, LAST_HEADING = range(6)
+DURATION, WHEELS, GYRO, WINDOW_VARIANCE = range(6, 10)
+CHI2_UNRELATED, CHI2_SAME, CHI2_OPPOSITE, STATIONARY_TIME, STATIONARY_HEADING, WHEEL_VARIANCE = (
+    range(10, 16)
+)
+STATE_SIZE = 16
 
 
 class Gyro(Parameters):
     """The gyro of an inertial unit beside the wheels, about the vertical axis."""
 
-    use: bool = parameter(
-        False, "", "whether turns are corrected by the log's gyro, if there is one"
-    )
+    use: bool = parameter(False, "", "whether the log's gyro corrects turns, if there is one")
     stream: str = parameter("", "", "the stream of `Imu` that it reads; empty: the first one")
     proven: bool = parameter(
-        False, "", "whether its axis and unit are known; else it must first turn as the wheels do"
+        False, "", "whether its axis and unit are known; else it must first agree with the wheels"
     )
     upside_down: bool = parameter(False, "", "whether its z axis points down")
     noise: float = parameter(
@@ -72,7 +72,7 @@ class Gyro(Parameters):
         0.02, "rad/s", "standard deviation of the constant error at start, 1 deg/s", gt=0
     )
     bias_walk: float = parameter(
-        1e-5, "rad/s/sqrt(s)", "how the bias drifts: 20 deg/h in 100 s, with temperature", ge=0
+        1e-5, "rad/s/sqrt(s)", "drift of the bias: 20 deg/h in 100 s, with temperature", ge=0
     )
     scale: float = parameter(
         0.01, "rad/sqrt(rad)", "error of the scale, per root radian of turn", ge=0
@@ -91,22 +91,22 @@ class GyroFusion:
     """Corrects the turns of motions by the readings of a gyro, batch by batch."""
 
     def __init__(self, gyro: Gyro, lever: float) -> None:
-        """`lever` is how far the robot goes, m, when a slipping wheel turns it by 1 rad."""
+        """`lever` is the distance that the robot moves when a slipping wheel turns it by 1 rad, m."""
         self._gyro, self._lever = gyro, lever
-        self._state = np.zeros(STATE)
-        self._state[[STAMP, RATE, BEFORE, MARK]] = np.nan
-        self._state[VARIANCE] = gyro.bias**2
-        self._state[NONE] = 2.0 * EVIDENCE if gyro.proven else 0.0
+        self._state = np.zeros(STATE_SIZE)
+        self._state[[STAMP, RATE, LAST_HEADING, STATIONARY_HEADING]] = np.nan
+        self._state[BIAS_VARIANCE] = gyro.bias**2
+        self._state[CHI2_UNRELATED] = 2.0 * MIN_EVIDENCE if gyro.proven else 0.0
 
     @property
     def trusted(self) -> bool:
-        """Whether the gyro has shown that it turns as the wheels do."""
+        """Whether the turns of the gyro have agreed with the wheels."""
         return bool(_trusted(self._state))
 
     @property
     def bias(self) -> tuple[float, float]:
         """The gyro's bias and its standard deviation, rad/s."""
-        return float(self._state[BIAS]), math.sqrt(self._state[VARIANCE])
+        return float(self._state[BIAS]), math.sqrt(self._state[BIAS_VARIANCE])
 
     def correct(
         self, order: Ints, motions: Motions, readings: Columns | None, stamps: Array
@@ -124,27 +124,33 @@ class GyroFusion:
         rows = np.empty(0, np.int64) if readings is None else readings.order
         rates = -rates if self._gyro.upside_down else np.ascontiguousarray(rates)
         d_pose, covariance = motions.d_pose.copy(), motions.covariance.copy()
-        apart = np.full((len(order), 2), np.nan)
+        disagreement = np.full((len(order), 2), np.nan)
         noise = np.array([
             self._gyro.noise**2, self._gyro.bias_walk**2, self._gyro.scale**2, self._lever**2
         ])  # fmt: skip
-        given = (order, motions.stamps, motions.duration)
-        _correct(self._state, given, (rows, stamps, rates), noise, (d_pose, covariance, apart))
-        found = [
-            Disagreement(float(motions.stamps[k]), *map(float, apart[k]))
-            for k in np.flatnonzero(~np.isnan(apart[:, 0]))
+        inputs = (order, motions.stamps, motions.duration)
+        _correct(
+            self._state, inputs, (rows, stamps, rates), noise, (d_pose, covariance, disagreement)
+        )
+        disagreements = [
+            Disagreement(float(motions.stamps[k]), *map(float, disagreement[k]))
+            for k in np.flatnonzero(~np.isnan(disagreement[:, 0]))
         ]
-        return motions._replace(d_pose=d_pose, covariance=covariance), found
+        return motions._replace(d_pose=d_pose, covariance=covariance), disagreements
 
-    def refusal(self) -> str:
-        """Return one line that says why the gyro was not used although the robot turned; else empty."""
-        if self.trusted or self._state[NONE] < 4.0 * EVIDENCE or np.isnan(self._state[STAMP]):
+    def rejection(self) -> str:
+        """Return one line on why the gyro was not used although the robot turned; else empty."""
+        if (
+            self.trusted
+            or self._state[CHI2_UNRELATED] < 4.0 * MIN_EVIDENCE
+            or np.isnan(self._state[STAMP])
+        ):
             return ""
-        if self._state[NONE] - self._state[OPPOSED] > EVIDENCE:
+        if self._state[CHI2_UNRELATED] - self._state[CHI2_OPPOSITE] > MIN_EVIDENCE:
             flipped = str(not self._gyro.upside_down).lower()
             return (
                 "the gyro turns against the wheels and is not used: set "
-                f"odometry.gyro.upside_down={flipped}, or swap the wheels if they are the wrong way round"
+                f"odometry.gyro.upside_down={flipped}, or swap the wheels if they are exchanged"
             )
         return (
             "the gyro does not turn as the wheels do and is not used: check that its z axis is "
@@ -154,89 +160,92 @@ class GyroFusion:
 
 @kernel
 def _trusted(state: Array) -> bool:
-    return bool(state[NONE] - state[SAME] > EVIDENCE)
+    return bool(state[CHI2_UNRELATED] - state[CHI2_SAME] > MIN_EVIDENCE)
 
 
 @kernel
 def _read(state: Array, stamp: float, rate: float) -> None:
-    """Add a reading: the mean rate since the reading before."""
+    """Add a reading: the mean rate since the previous reading."""
     if not math.isfinite(rate):
         return
-    since = stamp - state[STAMP]
-    if math.isnan(since) or since > GAP:
-        state[BEFORE], state[MARK] = math.nan, math.nan  # the turn in between is not known
-    elif since > 0.0:
-        state[HEADING] += rate * since
-    state[STAMP] = stamp if math.isnan(since) else max(stamp, state[STAMP])
+    elapsed = stamp - state[STAMP]
+    if math.isnan(elapsed) or elapsed > MAX_GAP:
+        state[LAST_HEADING], state[STATIONARY_HEADING] = (
+            math.nan,
+            math.nan,
+        )  # the turn in between is not known
+    elif elapsed > 0.0:
+        state[HEADING] += rate * elapsed
+    state[STAMP] = stamp if math.isnan(elapsed) else max(stamp, state[STAMP])
     state[RATE] = rate
 
 
 @kernel
 def _heading(state: Array, stamp: float) -> float:
-    """Return the gyro's heading at a stamp near its newest reading, at the rate of that; else NaN."""
-    since = stamp - state[STAMP]
-    if abs(since) <= GAP:
-        return float(state[HEADING] + state[RATE] * since)
+    """Return the gyro's heading at a stamp near its newest reading, extrapolated at its rate; else NaN."""
+    elapsed = stamp - state[STAMP]
+    if abs(elapsed) <= MAX_GAP:
+        return float(state[HEADING] + state[RATE] * elapsed)
     return math.nan
 
 
 @kernel
-def _compare(state: Array, wheels: float, gyro: float, variance: float, dt: float) -> bool:
+def _add_to_window(state: Array, wheels: float, gyro: float, variance: float, dt: float) -> bool:
     """Add a motion to the window; return whether it is full."""
     state[DURATION] += dt
     state[WHEELS] += wheels
     state[GYRO] += gyro
-    state[SUM] += variance
+    state[WINDOW_VARIANCE] += variance
     return bool(state[DURATION] >= WINDOW)
 
 
 @kernel
-def _judge(state: Array, apart: Array) -> None:
+def _close_window(state: Array, disagreement: Array) -> None:
     """Close the window: add to the evidence, and report turns (2,) that contradict each other."""
     wheels, gyro = state[WHEELS], state[GYRO] - state[BIAS] * state[DURATION]
-    variance = state[SUM] + state[VARIANCE] * state[DURATION] ** 2
-    state[NONE] += min(wheels**2 / variance, MOST)
-    state[SAME] += min((wheels - gyro) ** 2 / variance, MOST)
-    state[OPPOSED] += min((wheels + gyro) ** 2 / variance, MOST)
-    if _trusted(state) and (wheels - gyro) ** 2 > SIGMAS2 * variance:
-        apart[0], apart[1] = wheels, gyro
-    state[DURATION : SUM + 1] = 0.0
+    variance = state[WINDOW_VARIANCE] + state[BIAS_VARIANCE] * state[DURATION] ** 2
+    state[CHI2_UNRELATED] += min(wheels**2 / variance, MAX_WINDOW_CHI2)
+    state[CHI2_SAME] += min((wheels - gyro) ** 2 / variance, MAX_WINDOW_CHI2)
+    state[CHI2_OPPOSITE] += min((wheels + gyro) ** 2 / variance, MAX_WINDOW_CHI2)
+    if _trusted(state) and (wheels - gyro) ** 2 > GATE * variance:
+        disagreement[0], disagreement[1] = wheels, gyro
+    state[DURATION : WINDOW_VARIANCE + 1] = 0.0
 
 
 @kernel
-def _stand(state: Array, still: bool, noise: float, dt: float) -> bool:
-    """Learn the bias from a robot that stands, every `SECONDS`; return whether it does.
+def _learn_bias(state: Array, stationary: bool, noise: float, dt: float) -> bool:
+    """Learn the bias of a stationary robot, every `STANDSTILL_TIME`; return whether it is stationary.
 
-    The heading's change over that time is used as a whole: the rate that extrapolates it to a
-    motion's end is wrong by as much at the next motion, the other way.
+    The heading's change over that time is used as a whole: errors of extrapolating it to the end of
+    successive motions cancel.
     """
-    if not still:
-        state[STILL], state[MARK] = 0.0, math.nan
+    if not stationary:
+        state[STATIONARY_TIME], state[STATIONARY_HEADING] = 0.0, math.nan
         return False
-    state[STILL] += dt
-    if state[STILL] < SECONDS:
+    state[STATIONARY_TIME] += dt
+    if state[STATIONARY_TIME] < STANDSTILL_TIME:
         return False
-    since = state[STILL] - SECONDS
-    if since >= SECONDS and math.isfinite(state[MARK]):
-        error = state[BEFORE] - state[MARK] - state[BIAS] * since
-        S = noise * since + state[VARIANCE] * since**2
-        if error**2 <= SIGMAS2 * S:  # else somebody turns the robot
-            gain = state[VARIANCE] * since / S
+    elapsed = state[STATIONARY_TIME] - STANDSTILL_TIME
+    if elapsed >= STANDSTILL_TIME and math.isfinite(state[STATIONARY_HEADING]):
+        error = state[LAST_HEADING] - state[STATIONARY_HEADING] - state[BIAS] * elapsed
+        S = noise * elapsed + state[BIAS_VARIANCE] * elapsed**2
+        if error**2 <= GATE * S:  # else the robot is being turned
+            gain = state[BIAS_VARIANCE] * elapsed / S
             state[BIAS] += gain * error
-            state[VARIANCE] -= gain * since * state[VARIANCE]
-    if since >= SECONDS or math.isnan(state[MARK]):
-        state[STILL], state[MARK] = SECONDS, state[BEFORE]
+            state[BIAS_VARIANCE] -= gain * elapsed * state[BIAS_VARIANCE]
+    if elapsed >= STANDSTILL_TIME or math.isnan(state[STATIONARY_HEADING]):
+        state[STATIONARY_TIME], state[STATIONARY_HEADING] = STANDSTILL_TIME, state[LAST_HEADING]
     return True
 
 
 @kernel
 def _update(d_pose: Array, P: Array, innovation: float, wheels: float, gyro: float) -> None:
-    """Correct a motion (3,) and its covariance (3, 3) by the gyro's turn less its own.
+    """Correct a motion (3,) and its covariance (3, 3) by the gyro's turn minus its own.
 
-    `wheels` and `gyro` are the variances that the gain rests on. The covariance is updated in the form that
-    holds for any gain (Joseph), with the motion's own variance.
+    `wheels` and `gyro` are the variances for the gain. The covariance is updated in the form that
+    is valid for any gain (Joseph), with the motion's own variance.
     """
-    if innovation**2 > SIGMAS2 * (wheels + gyro):  # the wheels do not tell how the robot turns
+    if innovation**2 > GATE * (wheels + gyro):  # the wheels do not measure the robot's turn
         wheels += innovation**2
         P[2, 2] += innovation**2
     gain = wheels / (wheels + gyro) * (P[:, 2] / P[2, 2] if P[2, 2] > 0.0 else np.zeros(3))
@@ -250,25 +259,25 @@ def _update(d_pose: Array, P: Array, innovation: float, wheels: float, gyro: flo
 
 @kernel
 def _fuse(
-    state: Array, d_pose: Array, P: Array, dt: float, turn: float, noise: Array, apart: Array
+    state: Array, d_pose: Array, P: Array, dt: float, turn: float, noise: Array, disagreement: Array
 ) -> None:
     """Correct a motion (3,) of `dt` s and its covariance (3, 3) by the gyro's `turn`, bias included."""
-    state[VARIANCE] += noise[1] * dt
-    state[SPREAD] += min(dt / SMOOTHED, 1.0) * (P[2, 2] / dt - state[SPREAD])
-    still = d_pose[0] == 0.0 and d_pose[2] == 0.0 and P[2, 2] == 0.0
-    standing = _stand(state, still, noise[0], dt)
+    state[BIAS_VARIANCE] += noise[1] * dt
+    state[WHEEL_VARIANCE] += min(dt / SMOOTHING_TIME, 1.0) * (P[2, 2] / dt - state[WHEEL_VARIANCE])
+    stationary = d_pose[0] == 0.0 and d_pose[2] == 0.0 and P[2, 2] == 0.0
+    learning = _learn_bias(state, stationary, noise[0], dt)
     variance = noise[0] * dt + noise[2] * abs(turn)
-    if _compare(state, d_pose[2], turn, P[2, 2] + variance, dt):
-        _judge(state, apart)
-        if math.isfinite(apart[0]):
-            slip2 = noise[3] * (apart[0] - apart[1]) ** 2
+    if _add_to_window(state, d_pose[2], turn, P[2, 2] + variance, dt):
+        _close_window(state, disagreement)
+        if math.isfinite(disagreement[0]):
+            slip2 = noise[3] * (disagreement[0] - disagreement[1]) ** 2
             P[0, 0] += slip2
             P[1, 1] += slip2
     if _trusted(state):
-        variance += state[VARIANCE] * dt * max(CORRELATED, dt)
+        variance += state[BIAS_VARIANCE] * dt * max(BIAS_CORRELATION_TIME, dt)
         innovation = wrap_in_kernel(turn - state[BIAS] * dt - d_pose[2])
-        if not standing or innovation**2 > MOVED2 * variance:
-            _update(d_pose, P, innovation, state[SPREAD] * dt, variance)
+        if not learning or innovation**2 > STATIONARY_GATE * variance:
+            _update(d_pose, P, innovation, state[WHEEL_VARIANCE] * dt, variance)
 
 
 @kernel
@@ -282,16 +291,16 @@ def _correct(
     """Process motions (order, stamps, durations) and readings (order, stamps, rates) in log order."""
     order, stamps, durations = motions
     rows, times, rates = readings
-    d_pose, covariance, apart = out
+    d_pose, covariance, disagreement = out
     j = 0
     for k in range(len(order)):
         while j < len(rows) and rows[j] < order[k]:
             _read(state, times[j], rates[j])
             j += 1
-        before, state[BEFORE] = state[BEFORE], _heading(state, stamps[k])
-        turn = state[BEFORE] - before
+        before, state[LAST_HEADING] = state[LAST_HEADING], _heading(state, stamps[k])
+        turn = state[LAST_HEADING] - before
         if not (math.isnan(d_pose[k, 0]) or math.isnan(turn)) and durations[k] > 0.0:
-            _fuse(state, d_pose[k], covariance[k], durations[k], turn, noise, apart[k])
+            _fuse(state, d_pose[k], covariance[k], durations[k], turn, noise, disagreement[k])
     while j < len(rows):
         _read(state, times[j], rates[j])
         j += 1

@@ -20,13 +20,13 @@ _SMALL = (
 
 
 @kernel
-def arc(way: float, turn: float) -> tuple[float, float, float]:
-    """Return exp([way, 0, turn])."""
+def arc(distance: float, turn: float) -> tuple[float, float, float]:
+    """Return exp([distance, 0, turn])."""
     if abs(turn) < _SMALL:
         s, c = 1.0 - turn * turn / 6.0 * (1.0 - turn * turn / 20.0), turn / 2.0 - turn**3 / 24.0
     else:
         s, c = math.sin(turn) / turn, (1.0 - math.cos(turn)) / turn
-    return way * s, way * c, wrap_in_kernel(turn)
+    return distance * s, distance * c, wrap_in_kernel(turn)
 
 
 @kernel
@@ -54,33 +54,33 @@ def wheel_motions(left: Array, right: Array, track: float, variance: float) -> t
 
     `variance` is that of a wheel's travel per metre (thesis Eq. 3.19), independent between wheels.
     """
-    moved, covariance = np.empty((len(left), 3)), np.zeros((len(left), 3, 3))
+    d_poses, covariance = np.empty((len(left), 3)), np.zeros((len(left), 3, 3))
     for k in range(len(left)):
-        moved[k], J = differential_drive(left[k], right[k], track)
+        d_poses[k], J = differential_drive(left[k], right[k], track)
         for w in range(2):
             of_wheel = variance * abs(left[k] if w == 0 else right[k])
             for i in range(3):
                 for j in range(3):
                     covariance[k, i, j] += of_wheel * J[i, w] * J[j, w]
-    return moved, covariance
+    return d_poses, covariance
 
 
 @kernel
 def bicycle(wheel_travel: float, angle: float, wheelbase: float, offset: float) -> Array:
     """Return the rear axle's increment (3,) from a rear wheel's travel (m) and the steering (rad)."""
     curvature = math.tan(angle) / wheelbase
-    way = wheel_travel / (1.0 - offset * curvature)
-    x, y, theta = arc(way, way * curvature)
+    distance = wheel_travel / (1.0 - offset * curvature)
+    x, y, theta = arc(distance, distance * curvature)
     return np.array([x, y, theta])
 
 
 @kernel
 def axle_motions(travel: Array, angles: Array, wheelbase: float, offset: float) -> Array:
     """Return the rear axle's increments (m, 3); see `bicycle`."""
-    moved = np.empty((len(travel), 3))
+    d_poses = np.empty((len(travel), 3))
     for k in range(len(travel)):
-        moved[k] = bicycle(travel[k], angles[k], wheelbase, offset)
-    return moved
+        d_poses[k] = bicycle(travel[k], angles[k], wheelbase, offset)
+    return d_poses
 
 
 @kernel
@@ -102,11 +102,11 @@ def carry(d_axle: Array, variances: Array, axle: Array) -> tuple[Array, Array]:
     `variances` (m, 3) are those of the axle's increments, along, across and of the heading.
     """
     m = len(d_axle)
-    moved, covariance = np.empty((m, 3)), np.zeros((m, 3, 3))
+    d_poses, covariance = np.empty((m, 3)), np.zeros((m, 3, 3))
     for k in range(m):
-        moved[k], J = carried(d_axle[k], axle)
+        d_poses[k], J = carried(d_axle[k], axle)
         for i in range(3):
             for j in range(3):
                 for n in range(3):
                     covariance[k, i, j] += J[i, n] * variances[k, n] * J[j, n]
-    return moved, covariance
+    return d_poses, covariance

@@ -1,6 +1,6 @@
-"""No odometry: each scan is a reading that tells nothing of the motion to it.
+"""No odometry: each scan counts as a reading without information about the motion.
 
-A tracker that matches scans finds the motion by itself, from a prediction at constant velocity.
+A tracker that matches scans estimates the motion by itself, predicted at constant velocity.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from impslam.noise import UNKNOWN
 from impslam.odometry.base import Odometry, diagonal, durations
 from impslam.types import LaserScan, Mask
 
-HEADING = 10.0
-"""rad^2: any heading at all."""
+UNKNOWN_HEADING = 10.0
+"""rad^2: variance of an unknown heading."""
 
 
 @register("lidar_only")
 class LidarOnly(Odometry):
-    """A robot whose odometry is missing or not to be used: the motion is that of the scans."""
+    """A robot whose odometry is missing or unused: the motion comes from the scans."""
 
     consumes: ClassVar[type] = LaserScan
-    tells_motion: ClassVar[bool] = False
+    measures_motion: ClassVar[bool] = False
 
     def readings(self, rows: Columns) -> Columns:
-        """Return the middles of the sweeps as stamps; motion is told from middle to middle.
+        """Return the middles of the sweeps as stamps, so that motions lead from middle to middle.
 
         A motion that is cut within a sweep would leave parts of which half is unknown.
         """
@@ -39,9 +39,9 @@ class LidarOnly(Odometry):
         return np.isfinite(readings.stamps)
 
     def motions(self, readings: Columns) -> Motions:
-        """Return motions of which nothing is known; see `Odometry.motions`."""
+        """Return unknown motions; see `Odometry.motions`."""
         seconds = durations(readings)
-        variances = np.tile([UNKNOWN, UNKNOWN, HEADING], (len(seconds), 1))
+        variances = np.tile([UNKNOWN, UNKNOWN, UNKNOWN_HEADING], (len(seconds), 1))
         d_pose = np.zeros((len(seconds), 3))
         return Motions(readings.stamps[1:], d_pose, diagonal(variances), seconds)
 

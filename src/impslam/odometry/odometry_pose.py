@@ -1,4 +1,4 @@
-"""Poses from a robot's own odometry, for logs that hold no wheel readings."""
+"""Poses from a robot's own odometry, for logs without wheel readings."""
 
 from __future__ import annotations
 
@@ -11,28 +11,26 @@ from impslam.columns import Columns, Motions
 from impslam.component import parameter, register
 from impslam.geometry.se2 import between, exp, log
 from impslam.noise import MotionNoise
-from impslam.odometry.base import Odometry, diagonal, durations, known
+from impslam.odometry.base import Odometry, diagonal, durations, mask_unknown
 from impslam.types import Array, Mask, OdometryPose
 
 
 @register("odometry_pose")
 class OdometryPoses(Odometry):
-    """Increments between the poses that a robot's own odometry gives."""
+    """Increments between the poses of a robot's own odometry."""
 
     consumes: ClassVar[type] = OdometryPose
 
     distance_scale: float = parameter(
-        1.0, "1", "true way over the one in the log, from a calibration", gt=0
+        1.0, "1", "true distance over logged distance, from a calibration", gt=0
     )
-    turn_scale: float = parameter(
-        1.0, "1", "true turn over the one in the log, from a calibration", gt=0
-    )
+    turn_scale: float = parameter(1.0, "1", "true turn over logged turn, from a calibration", gt=0)
     turn_per_metre: float = parameter(
         0.0,
         "rad/m",
-        "turn per way that the log lacks, from a calibration: wheels of unequal size",
+        "turn per distance missing in the log, from a calibration: wheels of unequal size",
     )
-    noise: MotionNoise = parameter(MotionNoise(), "", "how far this odometry strays")
+    noise: MotionNoise = parameter(MotionNoise(), "", "random error of this odometry")
     drift: tuple[float, float, float] = parameter(
         (0.0, 0.0, 0.0),
         "m, m, rad, all /sqrt(s)",
@@ -55,10 +53,10 @@ class OdometryPoses(Odometry):
         variances = self.noise.variances(distances, d_pose[:, 2])
         variances += np.square(self.drift) * (seconds * moved)[:, None]
         motions = Motions(readings.stamps[1:], d_pose, diagonal(variances), seconds)
-        return known(motions, distances <= self.max_speed * np.maximum(seconds, 0.2))
+        return mask_unknown(motions, distances <= self.max_speed * np.maximum(seconds, 0.2))
 
     def _calibrated(self, steps: Array) -> Array:
-        """Return the true motions (m, 3) for those in the log."""
+        """Return the logged motions (m, 3) after calibration."""
         scale = self.distance_scale, self.distance_scale, self.turn_scale
         if scale == (1.0, 1.0, 1.0) and self.turn_per_metre == 0.0:
             return steps
@@ -68,7 +66,7 @@ class OdometryPoses(Odometry):
         return exp(true)
 
     def fault(self, readings: Columns) -> str:
-        """Say what is wrong; see `Odometry.fault`."""
+        """Describe the fault; see `Odometry.fault`."""
         pose, stamp = readings["pose"][-1], readings.stamps[-1]
         if not self.usable(readings)[-1]:
             return f"odometry pose {pose} at {stamp:.3f} s is not finite; it is left out"
@@ -81,5 +79,5 @@ class OdometryPoses(Odometry):
 
 
 def _steps(readings: Columns) -> Array:
-    """Return (m, 3) from each of m + 1 poses to the next."""
+    """Return the motions (m, 3) from each of m + 1 poses to the next."""
     return between(readings["pose"][:-1], readings["pose"][1:])

@@ -34,7 +34,7 @@ class OdometryStream:
     def __init__(self, odometry: Odometry) -> None:
         self._odometry = odometry
         self._last: Columns | None = None
-        self._standstill = Standstill(odometry.standing)
+        self._standstill = Standstill(odometry.standstill_band)
 
     def motions(self, rows: Columns) -> StreamMotions:
         """Return the motions of the next rows of the stream."""
@@ -47,16 +47,16 @@ class OdometryStream:
         motions = self._compute(readings)
         known = ~np.isnan(motions.d_pose[:, 0])
         if len(known) < len(rows) or not known.all():
-            places = np.flatnonzero(kept)[1 - lead :]
-            motions = _spread(motions.take(known), rows.stamps, places[known])
+            positions = np.flatnonzero(kept)[1 - lead :]
+            motions = _scatter(motions.take(known), rows.stamps, positions[known])
         faults = ~usable | np.isnan(motions.d_pose[:, 0]) & self._has_previous(usable, kept)
         example = ""
         if faults.any():
             first = int(np.argmax(faults))
-            place = lead + int(kept[:first].sum())
-            example = self._example(rows, readings, first, place, usable)
+            position = lead + int(kept[:first].sum())
+            example = self._example(rows, readings, first, position, usable)
         self._keep(used, usable)
-        return StreamMotions(self._standstill.hold(motions), faults, example)
+        return StreamMotions(self._standstill.suppress(motions), faults, example)
 
     def _compute(self, readings: Columns) -> Motions:
         if len(readings) < 2:
@@ -75,12 +75,12 @@ class OdometryStream:
         return before
 
     def _example(
-        self, rows: Columns, readings: Columns, first: int, place: int, usable: Mask
+        self, rows: Columns, readings: Columns, first: int, position: int, usable: Mask
     ) -> str:
-        """Describe the fault of a row; `place` is its index in the readings, if it is one of them."""
+        """Describe the fault of a row; `position` is its index in the readings, if it is among them."""
         if not usable[first]:
             return self._odometry.fault(rows.take(slice(first, first + 1)))
-        return self._odometry.fault(readings.take(slice(place - 1, place + 1)))
+        return self._odometry.fault(readings.take(slice(position - 1, position + 1)))
 
     def _keep(self, used: Columns, usable: Mask) -> None:
         if self._odometry.holds and len(usable) and not usable[-1]:
@@ -96,9 +96,9 @@ def unknown_motions(stamps: Array) -> Motions:
     return Motions(stamps.copy(), d_pose, covariance, np.zeros(m))
 
 
-def _spread(motions: Motions, stamps: Array, places: Ints) -> Motions:
-    """Return m motions: the given ones at `places`, unknown ones elsewhere."""
-    spread = unknown_motions(stamps)
-    for column, given in zip(spread, motions, strict=True):
-        column[places] = given
-    return spread
+def _scatter(motions: Motions, stamps: Array, positions: Ints) -> Motions:
+    """Return m motions: the given ones at `positions`, unknown ones elsewhere."""
+    scattered = unknown_motions(stamps)
+    for column, given in zip(scattered, motions, strict=True):
+        column[positions] = given
+    return scattered

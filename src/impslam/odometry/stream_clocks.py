@@ -1,4 +1,4 @@
-"""The clocks of a log's streams: each batch of rows on the time line that all streams share."""
+"""The clocks of a log's streams: put each batch of rows on the common time line of all streams."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from impslam.types import Array
 
 
 class StreamClocks:
-    """Computes by how much the stamps of streams are off the common time line; see `clocks`."""
+    """Computes the shifts of streams to the common time line; see `clocks`."""
 
     def __init__(self) -> None:
         self._clocks, self._numbers = Clocks(), dict[str, int]()
@@ -25,7 +25,7 @@ class StreamClocks:
     def shifts(self, used: Sequence[Columns]) -> tuple[list[Array], list[tuple[int, str]]]:
         """Return the shifts (m,) s of the rows of each of the columns, and the clocks that were set.
 
-        These are the position in the log where it was detected, and a line on it.
+        The latter are pairs of the position in the log where the step was detected, and a message.
         """
         if not used:
             return [], []
@@ -34,14 +34,14 @@ class StreamClocks:
         number = [self._numbers.setdefault(c.stream, len(self._numbers)) for c in used]
         streams = np.repeat(np.array(number), lengths)
         stamps = np.concatenate([columns.stamps for columns in used])
-        place, shifts = np.argsort(order), np.empty(len(order))
-        shifts[place], steps = self._clocks.shifts(streams[place], stamps[place])
+        sorting, shifts = np.argsort(order), np.empty(len(order))
+        shifts[sorting], steps = self._clocks.shifts(streams[sorting], stamps[sorting])
         names = list(self._numbers)
-        told = [
+        reports = [
             (
-                int(order[place[step.row]]),
+                int(order[sorting[step.row]]),
                 f"the clock {step} ({names[step.stream]}); motion is kept in file order",
             )
             for step in steps
         ]
-        return np.split(shifts, np.cumsum(lengths)[:-1]), told
+        return np.split(shifts, np.cumsum(lengths)[:-1]), reports

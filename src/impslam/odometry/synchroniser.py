@@ -1,4 +1,4 @@
-"""Assigns the motion from odometry to sweeps, in the order of the log.
+"""Assign the motion from odometry to sweeps, in the order of the log.
 
 Motions are kept until a sweep needs them. A sweep waits until odometry covers its end, or until
 odometry has the same stamp (both were then recorded together, and all motion belongs before the sweep),
@@ -24,23 +24,23 @@ from impslam.odometry.timeline import (
     POSE,
     SQUARE,
     WIDTH,
-    add_up,
     advance,
     append,
     begin,
+    compose,
+    compose_all,
     consume,
-    follow,
     invert,
     mean_twist,
 )
 from impslam.types import Array, Increment, Ints, Mask
 
 MAX_WAIT = 25
-"""Rows of the log that a sweep waits for odometry at most; then it is used with the motion known so far."""
-MOST = 20_000
+"""Rows of the log after which a sweep waits no longer for odometry and is used with the motion so far."""
+MAX_MOTIONS = 20_000
 """Motions that are stored separately: 200 s of odometry at 100 Hz without a sweep. Beyond that the older
 half is merged into one, so that a lidar that is silent for hours does not fill the memory."""
-SHORTEST = 1e-6
+MIN_DURATION = 1e-6
 """s that rounding may take from a motion: stamps of this century are exact to 2e-7 s."""
 END = np.iinfo(np.int64).max
 """A position after the end of any log."""
@@ -86,8 +86,8 @@ class Synchronised(NamedTuple):
 class Synchroniser:
     """Keeps the motion that no sweep has used yet, in arrays that kernels update from batch to batch."""
 
-    def __init__(self, most: int = MOST) -> None:
-        self._state = begin(most)
+    def __init__(self, max_motions: int = MAX_MOTIONS) -> None:
+        self._state = begin(max_motions)
 
     def feed(
         self, order: Ints, motions: Motions, pending: PendingSweeps, last: int
@@ -110,7 +110,7 @@ class Synchroniser:
         """Return the motion since the middle of the newest sweep, without removing it."""
         total = np.zeros(WIDTH)
         pending, ring, marks = self._state
-        add_up(pending, ring, total)
+        compose_all(pending, ring, total)
         pose = total[POSE:COVARIANCE]
         return Increment(
             float(marks[NEWEST]), pose, _squares(total[None])[0], float(total[DURATION])
@@ -118,9 +118,9 @@ class Synchroniser:
 
 
 def _unpacked(out: Array, middles: Array) -> Synchronised:
-    motion, twists, on = out[:, :WIDTH], out[:, WIDTH : WIDTH + 3], out[:, WIDTH + 3 :]
+    motion, twists, middle_to_stamp = out[:, :WIDTH], out[:, WIDTH : WIDTH + 3], out[:, WIDTH + 3 :]
     motions = Motions(middles, _poses(motion), _squares(motion), motion[:, DURATION].copy())
-    return Synchronised(motions, twists.copy(), _poses(on), _squares(on))
+    return Synchronised(motions, twists.copy(), _poses(middle_to_stamp), _squares(middle_to_stamp))
 
 
 def _poses(rows: Array) -> Array:
@@ -146,22 +146,22 @@ def _use(
     until = min(max(begin, stamp), middle)
     consume(pending, ring, until, until == last, motion, False)
     consume(pending, ring, middle, middle == last, since, False)
-    follow(motion, since)
-    on = out[WIDTH + 3 :]
-    on[:] = 0.0
-    # A sweep that overlaps the last one finds the motion up to that one's middle gone.
+    compose(motion, since)
+    middle_to_stamp = out[WIDTH + 3 :]
+    middle_to_stamp[:] = 0.0
+    # For a sweep that overlaps the last one, the motion up to the last one's middle is already used.
     missing = middle - until - since[DURATION]
-    if missing > SHORTEST and marks[NEWEST] >= middle:
+    if missing > MIN_DURATION and marks[NEWEST] >= middle:
         before = np.zeros(WIDTH)
         advance(out[WIDTH : WIDTH + 3], missing, before)
-        follow(before, since)
+        compose(before, since)
         since[:] = before
     if middle != stamp:
         consume(pending, ring, stamp, stamp == last, ahead, True)
-        invert(since, on)
-        on_P = since[COVARIANCE:] + ahead[COVARIANCE:]
-        follow(on, ahead)
-        on[COVARIANCE:] = on_P
+        invert(since, middle_to_stamp)
+        covariance = since[COVARIANCE:] + ahead[COVARIANCE:]
+        compose(middle_to_stamp, ahead)
+        middle_to_stamp[COVARIANCE:] = covariance
 
 
 @kernel
@@ -184,18 +184,20 @@ def _append_motion(state: _State, odometry: _Odometry, k: int) -> None:
 
 
 @kernel
-def _release(state: _State, sweeps: _Sweeps, done: int, come: int, seen: int, out: Array) -> int:
-    """Use the sweeps from index `done` on that are ready; return the new number of used sweeps."""
+def _release(
+    state: _State, sweeps: _Sweeps, used: int, arrived: int, last_row: int, out: Array
+) -> int:
+    """Use the sweeps from index `used` on that are ready; return the new number of used sweeps."""
     pending, ring, marks = state
     order, begins, ends, stamps, usable = sweeps
-    while done < come:
-        begin, end, stamp = begins[done], ends[done], stamps[done]
-        if not _ready(marks, begin, end, stamp, seen - order[done]):
+    while used < arrived:
+        begin, end, stamp = begins[used], ends[used], stamps[used]
+        if not _ready(marks, begin, end, stamp, last_row - order[used]):
             break
-        if usable[done]:
-            _use(pending, ring, marks, begin, end, stamp, out[done])
-        done += 1
-    return done
+        if usable[used]:
+            _use(pending, ring, marks, begin, end, stamp, out[used])
+        used += 1
+    return used
 
 
 @kernel
@@ -206,15 +208,15 @@ def _synchronise(state: _State, odometry: _Odometry, sweeps: _Sweeps, last: int,
     is used before the later one.
     """
     odometry_order, sweep_order = odometry[0], sweeps[0]
-    done, come, k = 0, 0, 0
-    while k < len(odometry_order) or come < len(sweep_order):
+    used, arrived, k = 0, 0, 0
+    while k < len(odometry_order) or arrived < len(sweep_order):
         now = odometry_order[k] if k < len(odometry_order) else END
-        if come < len(sweep_order):
-            now = min(now, sweep_order[come])
-        done = _release(state, sweeps, done, come, now - 1, out)
+        if arrived < len(sweep_order):
+            now = min(now, sweep_order[arrived])
+        used = _release(state, sweeps, used, arrived, now - 1, out)
         if k < len(odometry_order) and odometry_order[k] == now:
             _append_motion(state, odometry, k)
             k += 1
-        if come < len(sweep_order) and sweep_order[come] == now:
-            come += 1
-    return _release(state, sweeps, done, come, last, out)
+        if arrived < len(sweep_order) and sweep_order[arrived] == now:
+            arrived += 1
+    return _release(state, sweeps, used, arrived, last, out)

@@ -28,11 +28,11 @@ NEWEST, LAST, LATEST = 0, 1, 2
 MARKS = 6
 
 
-def begin(most: int) -> tuple[Array, Ints, Array]:
-    """Return an empty ring of at most `most` motions, its start and length (2,), and the marks."""
+def begin(max_motions: int) -> tuple[Array, Ints, Array]:
+    """Return an empty ring of at most `max_motions` motions, its start and length (2,), and the marks."""
     marks = np.zeros(MARKS)
     marks[[NEWEST, LAST]] = -np.inf
-    return np.empty((most + 1, WIDTH)), np.zeros(2, np.int64), marks
+    return np.empty((max_motions + 1, WIDTH)), np.zeros(2, np.int64), marks
 
 
 @kernel
@@ -60,7 +60,7 @@ def _add_turned(P: Array, Q: Array, c: float, s: float, share: float) -> None:
 
 
 @kernel
-def follow(total: Array, other: Array) -> None:
+def compose(total: Array, other: Array) -> None:
     """Compose a motion with a later one, in place."""
     c, s = math.cos(total[THETA]), math.sin(total[THETA])
     dx, dy = c * other[2] - s * other[3], s * other[2] + c * other[3]
@@ -103,7 +103,7 @@ def _split(whole: Array, fraction: float, head: Array, tail: Array) -> None:
     """Split a motion at a fraction of its duration, at constant twist; see `Increment.split`.
 
     Each part has its share of the covariance, pulled back through the composition of the two, so
-    that `follow` restores it. `tail` may be `whole` itself.
+    that `compose` restores it. `tail` may be `whole` itself.
     """
     twist, P = np.empty(3), whole[COVARIANCE:].copy()
     _log(whole[POSE:COVARIANCE], twist)
@@ -134,19 +134,19 @@ def consume(
             if begin < stamp:
                 fraction = (stamp - begin) / first[DURATION]
                 _split(first, fraction, head, rest if keep else first)
-                follow(total, head)
+                compose(total, head)
             break
-        follow(total, first)
+        compose(total, first)
         at, count = (at + 1) % len(pending), count - 1
     if not keep:
         ring[0], ring[1] = at, count
 
 
 @kernel
-def add_up(pending: Array, ring: Ints, total: Array) -> None:
+def compose_all(pending: Array, ring: Ints, total: Array) -> None:
     """Compose `total` with all motion, without removing it."""
     for k in range(ring[1]):
-        follow(total, pending[(ring[0] + k) % len(pending)])
+        compose(total, pending[(ring[0] + k) % len(pending)])
 
 
 @kernel
@@ -155,7 +155,7 @@ def _fold(pending: Array, ring: Ints) -> None:
     half = (len(pending) - 1) // 2
     total = np.zeros(WIDTH)
     for k in range(half):
-        follow(total, pending[(ring[0] + k) % len(pending)])
+        compose(total, pending[(ring[0] + k) % len(pending)])
     ring[0], ring[1] = (ring[0] + half - 1) % len(pending), ring[1] - half + 1
     pending[ring[0]] = total
 
@@ -165,12 +165,12 @@ def append(
     pending: Array, ring: Ints, marks: Array, stamp: float, d_pose: Array, P: Array, duration: float
 ) -> None:
     """Add the motion of a row of odometry."""
-    taken = min(duration, max(stamp - marks[NEWEST], 0.0))
+    used_duration = min(duration, max(stamp - marks[NEWEST], 0.0))
     marks[LAST] = stamp
     marks[NEWEST] = max(marks[NEWEST], stamp)
     row = pending[(ring[0] + ring[1]) % len(pending)]
     ring[1] += 1
-    row[STAMP], row[DURATION] = marks[NEWEST], taken
+    row[STAMP], row[DURATION] = marks[NEWEST], used_duration
     row[POSE:COVARIANCE] = d_pose
     row[5], row[6], row[7], row[8], row[9], row[10] = (
         P[0, 0], P[0, 1], P[0, 2], P[1, 1], P[1, 2], P[2, 2]
@@ -192,7 +192,7 @@ def mean_twist(
         row = pending[(ring[0] + k) % len(pending)]
         if row[STAMP] - row[DURATION] > stamp + duration:
             break
-        follow(ahead, row)
+        compose(ahead, row)
     if ahead[DURATION] > 0.0 and ahead[DURATION] >= 0.5 * duration:
         _log(ahead[POSE:COVARIANCE], out)
         out /= ahead[DURATION]
@@ -205,7 +205,7 @@ def mean_twist(
 
 @kernel
 def advance(twist: Array, seconds: float, out: Array) -> None:
-    """Write the pose and the duration of so many s at a constant twist (3,) m/s, m/s, rad/s."""
+    """Write the pose and the duration after `seconds` at a constant twist (3,) m/s, m/s, rad/s."""
     out[DURATION] = seconds
     _exp(twist, seconds, out[POSE:COVARIANCE])
 

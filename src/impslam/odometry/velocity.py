@@ -16,7 +16,7 @@ from impslam.columns import Columns, Motions
 from impslam.component import parameter, register
 from impslam.geometry.se2 import exp
 from impslam.noise import MotionNoise
-from impslam.odometry.base import Odometry, diagonal, durations, known, silence
+from impslam.odometry.base import Odometry, diagonal, durations, gap_message, mask_unknown
 from impslam.types import Mask, Velocity
 
 _FIELDS = ("speed", "turn_rate")
@@ -30,10 +30,10 @@ class Velocities(Odometry):
     holds: ClassVar[bool] = True
 
     speed_scale: float = parameter(
-        1.0, "1", "true speed over the one in the log, from a calibration", gt=0
+        1.0, "1", "true speed over logged speed, from a calibration", gt=0
     )
     turn_scale: float = parameter(
-        1.0, "1", "true turn rate over the one in the log, from a calibration", gt=0
+        1.0, "1", "true turn rate over logged turn rate, from a calibration", gt=0
     )
     latency: float = parameter(
         0.0, "s", "delay from the stamp of a velocity until the robot reaches it", ge=0
@@ -54,18 +54,21 @@ class Velocities(Odometry):
         """Return the motions from each reading to the next; see `Odometry.motions`."""
         seconds, usable = durations(readings), self.usable(readings)
         speed, rate = (np.where(usable, readings[name], 0.0)[:-1] for name in _FIELDS)
-        ways, turns = self.speed_scale * speed * seconds, self.turn_scale * rate * seconds
-        covariance = diagonal(self.noise.variances(ways, turns))
+        distances, turns = self.speed_scale * speed * seconds, self.turn_scale * rate * seconds
+        covariance = diagonal(self.noise.variances(distances, turns))
         stamps = readings.stamps[1:] + self.latency
         motions = Motions(
-            stamps, exp(np.column_stack((ways, np.zeros_like(ways), turns))), covariance, seconds
+            stamps,
+            exp(np.column_stack((distances, np.zeros_like(distances), turns))),
+            covariance,
+            seconds,
         )
-        return known(motions, usable[:-1] & usable[1:] & (seconds <= self.max_hold))
+        return mask_unknown(motions, usable[:-1] & usable[1:] & (seconds <= self.max_hold))
 
     def fault(self, readings: Columns) -> str:
         """Describe the fault; see `Odometry.fault`."""
         if self.usable(readings)[-1]:
-            return silence(readings, "velocity")
+            return gap_message(readings, "velocity")
         speed, turn_rate, stamp = (float(readings[name][-1]) for name in (*_FIELDS, "stamp"))
         finite = math.isfinite(speed) and math.isfinite(turn_rate)
         return (

@@ -18,7 +18,7 @@ from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import compose
 from impslam.recognition.submap import BEARINGS, Floats, Submap
 from impslam.surfaces.features import Features
-from impslam.surfaces.surface_map import CELL, FACING, SurfaceMap
+from impslam.surfaces.surface_map import CELL, MIN_NORMAL_COSINE, SurfaceMap
 from impslam.types import Array, Ints, Mask
 
 NEAR = 0.15  # m to the nearest surface: three cells of the map; the poses within a submap differ by 5 cm
@@ -160,7 +160,7 @@ def _match(known: SurfaceMap, features: Features, pose: Array, moved: Array, mat
         surfel = known.surfels[k]
         along = c * (features[i, 2] * surfel[2] + features[i, 3] * surfel[3])
         along += s * (features[i, 2] * surfel[3] - features[i, 3] * surfel[2])
-        if along < FACING and features[i, 4] > 0.0 and surfel[5] > 0.0:
+        if along < MIN_NORMAL_COSINE and features[i, 4] > 0.0 and surfel[5] > 0.0:
             continue
         matched[i] = (x - surfel[0]) ** 2 + (y - surfel[1]) ** 2 < NEAR * NEAR
         count += matched[i]

@@ -1,4 +1,4 @@
-"""The role of an exteroceptive sensor: turns its rows into scans and observations (thesis 5.1)."""
+"""The interface of exteroceptive sensors, which turn rows into scans and observations (thesis 5.1)."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class Sensor(Component):
     consumes: ClassVar[type[Message]]
     """The type of message that it reads."""
 
-    tells_unique: ClassVar[bool] = False
-    """Whether it observes a landmark that exists once, which not every estimator supports."""
+    observes_unique: ClassVar[bool] = False
+    """Whether it observes a landmark that exists only once, which not every estimator supports."""
 
     row_name: ClassVar[str] = "scan"
-    """What one of its rows is called where it is told that some cannot be used."""
+    """Name of one of its rows in messages about unusable rows."""
 
     stream: str = parameter(
         "", "", "name of the stream that it reads; empty: the default stream of its kind"
@@ -41,7 +41,7 @@ class Sensor(Component):
         return np.ones(len(columns), np.bool_)
 
     def fault(self, message: Message) -> str:
-        """Return one line that says why a row cannot be used, and what is done instead."""
+        """Return one line that describes why a row is unusable, and how it is handled."""
         raise NotImplementedError
 
     @abstractmethod
@@ -53,5 +53,5 @@ class Sensor(Component):
         """
 
     @abstractmethod
-    def look(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
+    def observe(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
         """Extract the landmarks in row k of the sweeps, in base_link at the middle of the sweep."""

@@ -1,4 +1,4 @@
-"""Smooths the stamps of a device that works at a steady rate but is stamped on arrival."""
+"""Smooth the stamps of a device that works at a steady rate but is stamped on arrival."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _smooth(state: Array, stamps: Array) -> Array:
     for k in range(len(stamps)):
         period, phase = state[0], state[1]
         lost = np.rint((stamps[k] - phase) / period) - 1.0
-        if -2.0 < lost < _GAP:  # false for the first
+        if -2.0 < lost < _GAP:  # false for the first sweep
             predicted = phase + (1.0 + max(lost, 0.0)) * period
             error = stamps[k] - predicted
             state[1] = predicted + _ALPHA * error

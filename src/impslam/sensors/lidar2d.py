@@ -1,4 +1,4 @@
-"""A 2D lidar: turns its messages into de-skewed scans in base_link; the geometry is in `placing`."""
+"""A 2D lidar: turns its messages into de-skewed scans in base_link; the geometry is in `deskewing`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from impslam.extractors.base import Extractor
 from impslam.geometry.kernels import plain
 from impslam.sensors.base import Sensor
 from impslam.sensors.clock import SweepClock
-from impslam.sensors.placing import place
+from impslam.sensors.deskewing import deskew_sweeps
 from impslam.types import Array, LaserScan, Mask, Message, Observation, Scan
 
 
@@ -29,10 +29,10 @@ class Lidar2D(Sensor):
     )
     upside_down: bool = parameter(False, "", "the laser is mounted with its z axis pointing down")
     range_min: float = parameter(
-        math.nan, "m", "shorter ranges are invalid; nan: as the messages say"
+        math.nan, "m", "shorter ranges are invalid; nan: the limit in the messages"
     )
     range_max: float = parameter(
-        math.nan, "m", "longer ranges are invalid; nan: as the messages say"
+        math.nan, "m", "longer ranges are invalid; nan: the limit in the messages"
     )
     angle_min: float = parameter(
         -math.pi, "rad", "beams to the right of this (laser frame) are invalid: the robot's body"
@@ -41,10 +41,12 @@ class Lidar2D(Sensor):
     sigma: float = parameter(
         0.01, "m", "standard deviation of the range noise at range 0", gt=0, le=100, noise=True
     )
-    sigma_per_m: float = parameter(0.0, "1", "how much it grows with range", ge=0, le=1, noise=True)
+    sigma_per_m: float = parameter(
+        0.0, "1", "increase of that standard deviation per metre of range", ge=0, le=1, noise=True
+    )
     bias: float = parameter(
-        0.0, "m", "standard deviation of the range error that all beams share", ge=0, le=100
-    )  # no noise to be found: what all scans of a run share is in the map, and no innovation shows it
+        0.0, "m", "standard deviation of the range error common to all beams", ge=0, le=100
+    )  # not `noise`: an error common to all scans is in the map, and no innovation shows it
     range_scale: float = parameter(
         1.0, "1", "true range over measured range, from a calibration", gt=0
     )
@@ -54,16 +56,16 @@ class Lidar2D(Sensor):
     period: float = parameter(
         0.0,
         "s",
-        "time of a revolution, to smooth stamps that jitter; 0: the stamps are true",
+        "time of a revolution, to smooth stamps that jitter; 0: use the stamps as they are",
         ge=0,
         le=60,
     )
     deskew: bool = parameter(True, "", "undo the robot's motion during the sweep")
     latency: float = parameter(
-        0.0, "s", "how much later than its first beam a scan is stamped, on the odometry's clock"
+        0.0, "s", "delay from the first beam of a scan to its stamp, on the odometry's clock"
     )
     extractors: dict[str, Any] = Field(
-        default_factory=dict, description="what looks for landmarks in the scans, by name"
+        default_factory=dict, description="extractors of landmarks from the scans, by name"
     )
 
     _clock: SweepClock = PrivateAttr()
@@ -98,7 +100,7 @@ class Lidar2D(Sensor):
         return begins, begins + self._sweep(columns["time_offsets"])
 
     def _sweep(self, time_offsets: Array) -> float:
-        """Return how long a sweep takes, s."""
+        """Return the duration of a sweep, s."""
         return float(time_offsets.max(initial=0.0)) if self.deskew else 0.0
 
     def usable(self, columns: Columns) -> Mask:
@@ -114,7 +116,7 @@ class Lidar2D(Sensor):
         angles, offsets = plain(columns["angles"]), plain(columns["time_offsets"])
         low, high = self._limits(columns)
         beams = np.column_stack((angles, offsets - 0.5 * self._sweep(offsets)))
-        parts = place(
+        parts = deskew_sweeps(
             plain(columns["ranges"]),
             beams,
             self.in_field(angles),
@@ -143,8 +145,8 @@ class Lidar2D(Sensor):
         turned = np.mod(angles - self.angle_min, 2.0 * np.pi)
         return np.asarray((field >= 2.0 * np.pi) | (turned <= field))
 
-    def look(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
-        """Return what the extractors find in a scan, with the time at which its beams were fired."""
+    def observe(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
+        """Return the extracted landmarks of a scan, with the time at which their beams were fired."""
         scan, offsets = sweeps.scan(k), sweeps.columns["time_offsets"]
         assert scan is not None
         middle = 0.5 * self._sweep(offsets)

@@ -1,6 +1,6 @@
-"""A satellite receiver: latitude and longitude, taken as metres east and north of its first fix.
+"""A satellite receiver: latitude and longitude, converted to metres east and north of its first fix.
 
-Fixes correct the pose as those of `sensors.gps` do.
+Fixes correct the pose like those of `sensors.gps`.
 """
 
 from __future__ import annotations
@@ -36,24 +36,26 @@ class NavSat(Gps):
         return super().spans(columns)
 
     def usable(self, columns: Columns) -> Mask:
-        """Return (m,) which rows are fixes with a finite place on the earth."""
+        """Return (m,) which rows are fixes with a finite position on the earth."""
         north, east = np.abs(columns["latitude"]), np.abs(columns["longitude"])
         return np.asarray((columns["status"] > NO_FIX) & (north <= 90.0) & (east <= 360.0))
 
     def fault(self, message: Message) -> str:
-        """Say that a receiver has no fix, or what is wrong with one."""
+        """Describe the fault of a row without a fix, or with an invalid one."""
         assert isinstance(message, SatelliteFix)
         if message.status <= NO_FIX:
-            return f"the receiver has no fix at {message.stamp:.3f} s; it is not used there"
-        place = f"{message.latitude} deg, {message.longitude} deg"
-        return f"the fix at {message.stamp:.3f} s is no place ({place}); it is dropped"
+            return f"the receiver has no fix at {message.stamp:.3f} s; it is ignored"
+        position = f"{message.latitude} deg, {message.longitude} deg"
+        return (
+            f"the fix at {message.stamp:.3f} s is not a valid position ({position}); it is dropped"
+        )
 
-    def _places(self, columns: Columns) -> Array:
-        places = np.full((len(columns), 2), np.nan)
+    def _positions(self, columns: Columns) -> Array:
+        positions = np.full((len(columns), 2), np.nan)
         usable = self.usable(columns)
         if self._plane is not None:
             rows = columns.take(usable)
             height = np.full(len(rows), self._plane.altitude)  # robots do not fly
             points = self._plane.points(rows["latitude"], rows["longitude"], height)
-            places[usable] = points[:, :2]
-        return places
+            positions[usable] = points[:, :2]
+        return positions

@@ -76,8 +76,8 @@ class RangeBearing(Sensor):
     def sweeps(self, columns: Columns, twists: Array) -> None:
         """Return None, because detections are not scans."""
 
-    def look(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
-        """Return an observation for each usable detection; see `Sensor.look`."""
+    def observe(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
+        """Return an observation for each usable detection; see `Sensor.observe`."""
         del rng
         message = sweeps.columns.row(k)
         assert isinstance(message, Detections)
@@ -89,7 +89,7 @@ class RangeBearing(Sensor):
 
     def _observation(self, message: Detections, i: int) -> Observation:
         label, diameter = int(message.labels[i]), float(message.diameters[i])
-        z, R = self._place(float(message.ranges[i]), float(message.bearings[i]))
+        z, R = self._cartesian(float(message.ranges[i]), float(message.bearings[i]))
         mount = np.array(self.mount)
         turn = rotation(mount[2])
         return Observation(
@@ -100,8 +100,8 @@ class RangeBearing(Sensor):
             label=label if label >= 0 else None,
         )
 
-    def _place(self, measured: float, bearing: float) -> tuple[Array, Array]:
-        """Return z (2,) and R (2, 2) of a detection in the sensor's frame."""
+    def _cartesian(self, measured: float, bearing: float) -> tuple[Array, Array]:
+        """Return z (2,) and R (2, 2) of a detection, Cartesian in the sensor's frame."""
         distance = self.range_scale * measured
         sigma = self.sigma_range + self.sigma_range_per_m * distance
         noise = np.diag([sigma**2, self.sigma_bearing**2])

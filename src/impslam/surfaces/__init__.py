@@ -1,1 +1,1 @@
-"""What a scan can be laid on: points with normals, and maps of them."""
+"""Surfaces for aligning scans: points with normals, and maps of them."""

@@ -1,4 +1,4 @@
-"""Points of a scan with the normals of the surfaces they lie on."""
+"""Compute features: points of a scan with the normals of their surfaces."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from impslam.types import Array, Ints, Mask, Scan, check_shape
 Features: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 """(n, 5) x, y in m; the unit normal on the lidar's side; and the weight of that normal.
 
-The weight is 1 on a surface, 0.5 at its end, where neighbours lie on one side only, and 0 where there
-is no surface: the normal is then 0, or that of a surface at grazing incidence. Rows are in beam order.
+The weight is 1 on a surface, 0.5 at its end, with neighbours on one side only, and 0 without a surface: the
+normal is then 0, or that of a surface at grazing incidence. Rows are in beam order.
 
-A single point is taken for grazing if a neighbouring beam ends nearer, as where sparse beams meet a long
+A single point counts as grazing if a neighbouring beam ends nearer, as with sparse beams on a long
 wall. Beams beside a table leg go past it.
 """
 
-REACH = (
-    0.25  # m on either side that a normal is fitted to: long against the noise of a beam, 1 to 3 cm
+NORMAL_RADIUS = (
+    0.25  # m on either side for fitting a normal: long compared with the noise of a beam, 1 to 3 cm
 )
-BEAMS = 8  # neighbours on either side at most: close to the lidar, more of them tell nothing new
-GAP, STEPS = 0.12, 6.0  # m, and beam spacings: neighbours farther apart lie on two surfaces
-LONGEST = 0.8  # m: and so do any farther apart than this
-GRAZING = 0.12  # cosine of incidence (83 degrees): beyond, the beam's width smears the range
-FLAT, ROUGH = (
+MAX_NEIGHBOURS = 8  # on either side: close to the lidar, more of them add nothing
+MIN_GAP, GAP_BEAMS = 0.12, 6.0  # m, and beam spacings: neighbours farther apart are on two surfaces
+MAX_GAP = 0.8  # m: upper bound of that distance
+MIN_INCIDENCE = 0.12  # cosine of incidence (83 degrees): below, the beam's width smears the range
+FLATNESS, ROUGHNESS = (
     0.05,
     4e-4,
-)  # scatter across a surface: below this share of that along it, plus (2 cm)^2
+)  # limit of the scatter across a surface: share of that along it, plus (2 cm)^2
 
 
 def features(scan: Scan, thin: float) -> Features:
@@ -43,7 +43,7 @@ def features(scan: Scan, thin: float) -> Features:
 
 
 def check_rows(features: Features, starts: Ints, scans: int) -> None:
-    """Raise `ShapeError` unless rows starts[i] to starts[i + 1] of the features are those of scan i."""
+    """Raise `ShapeError` unless `starts` splits the rows of the features into scans."""
     check_shape("features", features, None, 5)
     check_shape("starts", starts, scans + 1)
     if starts[0] < 0 or starts[-1] > len(features) or (np.diff(starts) < 0).any():
@@ -67,7 +67,7 @@ def find_features(
     thin: float,
     out: Features,
 ) -> int:
-    """Fill `out` (n, 5) with the features of n beams; return how many there are.
+    """Fill `out` (n, 5) with the features of n beams; return their number.
 
     points, origins (n, 2) are each beam's end and start, in one frame; `spacing` is the angle between
     neighbouring beams.
@@ -106,27 +106,27 @@ def _normal(
 ) -> tuple[float, float, float]:
     """Return the normal at point i and its weight: the minor axis of its neighbours' scatter."""
     x, y = points[i, 0], points[i, 1]
-    n, ends = 1.0, 0
+    n, at_end = 1.0, 0
     sx = sy = xx = xy = yy = 0.0
     for step in (-1, 1):
         before = i
-        for k in range(1, BEAMS + 1):
+        for k in range(1, MAX_NEIGHBOURS + 1):
             j = i + step * k
             if j < 0 or j >= len(points) or not valid[j]:
                 break
-            gap = max(GAP, STEPS * min(ranges[j], ranges[before]) * spacing)
-            apart2 = (points[j, 0] - points[before, 0]) ** 2 + (
+            gap = max(MIN_GAP, GAP_BEAMS * min(ranges[j], ranges[before]) * spacing)
+            distance2 = (points[j, 0] - points[before, 0]) ** 2 + (
                 points[j, 1] - points[before, 1]
             ) ** 2
-            if apart2 > min(gap, LONGEST) ** 2:
+            if distance2 > min(gap, MAX_GAP) ** 2:
                 break
             dx, dy = points[j, 0] - x, points[j, 1] - y
-            if k > 1 and dx * dx + dy * dy > REACH * REACH:
+            if k > 1 and dx * dx + dy * dy > NORMAL_RADIUS * NORMAL_RADIUS:
                 break
             n, sx, sy = n + 1.0, sx + dx, sy + dy
             xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
             before = j
-        ends += before == i
+        at_end += before == i
     if n < 3.0:
         return _single(points, valid, ranges, origins, i)
     xx, xy, yy = xx / n - (sx / n) ** 2, xy / n - sx * sy / n**2, yy / n - (sy / n) ** 2
@@ -136,19 +136,20 @@ def _normal(
     towards = (nx * (origins[i, 0] - x) + ny * (origins[i, 1] - y)) / ranges[i]
     if towards < 0.0:
         nx, ny, towards = -nx, -ny, -towards
-    flat = mean - half < FLAT * (mean + half) + ROUGH
+    flat = mean - half < FLATNESS * (mean + half) + ROUGHNESS
     if not flat:
         return 0.0, 0.0, 0.0
-    if towards <= GRAZING:
+    if towards <= MIN_INCIDENCE:
         return nx, ny, 0.0
-    return nx, ny, 0.5 if ends else 1.0
+    return nx, ny, 0.5 if at_end else 1.0
 
 
 @kernel
 def leave_out_grazing(rows: Features) -> int:
-    """Move the features (n, 5) that no grazing beam made to the front; return how many there are.
+    """Move the features (n, 5) of beams without grazing incidence to the front; return their number.
 
-    Their ends move along with the robot. Without odometry nothing outweighs that in a corridor.
+    The visible ends of grazed walls move with the robot; without odometry nothing outweighs that in a
+    corridor.
     """
     count = 0
     for i in range(len(rows)):

@@ -1,11 +1,10 @@
-"""A map of surfaces that scans are aligned with: a grid whose cells name the nearest surface element.
+"""A map of surfaces for aligning scans: a grid whose cells refer to the nearest surface element.
 
-Each surface element (surfel) keeps the mean of the points that fell into its cell, and their mean
-normal. The grid finds the surfel for a point with one look-up, and the surfel gives the distance below
-the size of a cell. Points are weighed by the squared Geman-McClure weight, whose scale narrows while the
-pose settles; a prior holds what the surfaces leave open (Censi 2008 for the
-point-to-line error; Chebrolu et al. 2021 for narrowing kernels). Poses are [x, y, theta] with additive
-errors.
+Each surface element (surfel) keeps the mean of the points in its cell, and their mean normal. The grid
+finds the surfel for a point with one look-up, and the surfel gives the distance at sub-cell resolution.
+Points have the squared Geman-McClure weight, whose scale narrows while the pose converges; a prior
+constrains the directions that surfaces do not determine (Censi 2008 for the point-to-line error; Chebrolu
+et al. 2021 for narrowing kernels). Poses are [x, y, theta] with additive errors.
 """
 
 from __future__ import annotations
@@ -21,26 +20,26 @@ from impslam.pages import zero_pages
 from impslam.surfaces.features import Features
 from impslam.types import Array, Ints
 
-CELL = 0.05  # m: two surfels of one wall lie in neighbouring cells
-REACH = 8  # cells: a point finds a surfel up to 0.4 m away
-FACING = 0.6  # cosine of 53 degrees: normals farther apart belong to two surfaces
-LONE, ODD = (
+CELL = 0.05  # m: surfels of one wall are in neighbouring cells
+RADIUS = 8  # cells: a point finds a surfel up to 0.4 m away
+MIN_NORMAL_COSINE = 0.6  # 53 degrees: normals farther apart belong to two surfaces
+LONE_WEIGHT, MIXED_WEIGHT = (
     0.2,
     0.1,
-)  # weight of a point without surface, and of one whose surfel has one, or reversely
+)  # weights of a point without a normal: its surfel has none either, or only one of them has
 _X, _Y, _NX, _NY, _COUNT, _WEIGHT, _X0, _Y0 = range(8)
 _INSIDE, _INLIERS, _SQUARES, _WEIGHTS = range(4)
 
 
 class SurfaceMap(NamedTuple):
-    """Surfels and the grid that finds them; memory is taken where surfels are.
+    """Surfels and the grid that finds them; memory is only used around surfels.
 
     Attributes
     ----------
-    nearest : (h, w) int32, 1 + the index of the nearest surfel; 0 where none is within `REACH`
-    closeness : (h, w) uint8, `REACH**2 + 1` minus the squared distance to that surfel's cell, in cells
-    surfels : (n, 8) x, y of the mean point, normal, number of points, weight of the normal, and the
-        point that founded it
+    nearest : (h, w) int32, 1 + the index of the nearest surfel; 0 if none is within `RADIUS`
+    closeness : (h, w) uint8, `RADIUS**2 + 1` minus the squared distance to that surfel's cell, in cells
+    surfels : (n, 8) x, y of the mean point, normal, number of points, weight of the normal, and its
+        first point
     size : (1,) number of surfels
     corner : (2,) m, the lower left corner of the grid
     """
@@ -53,16 +52,15 @@ class SurfaceMap(NamedTuple):
 
 
 class Alignment(NamedTuple):
-    """How a scan is aligned.
+    """Settings for aligning a scan.
 
     Attributes
     ----------
-    iterations : linearisations at most
+    iterations : maximum number of linearisations
     wide, narrow : m, scale of the robust kernel at the start and at the end
     information : 1/m^2, of the distance of one point
     step : every step-th feature is used
-    slack2 : squared Mahalanobis distance from the prior, beyond which it counts for less and less
-        (Cauchy); inf: never
+    slack2 : squared Mahalanobis distance from the prior beyond which its weight falls (Cauchy); inf: never
     """
 
     iterations: int
@@ -74,7 +72,7 @@ class Alignment(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What the points of a scan say of its pose, in units of one point.
+    """Information about a pose from the points of a scan, in units of one point.
 
     Attributes
     ----------
@@ -89,12 +87,12 @@ class Evidence(NamedTuple):
 
 
 def no_evidence() -> Evidence:
-    """Return room for the evidence of a scan."""
+    """Return zero evidence, to be filled in place."""
     return Evidence(np.zeros((3, 3)), np.zeros(3), np.zeros(4))
 
 
 def empty_surface_map(width: float, height: float, surfels: int) -> SurfaceMap:
-    """Return a map of width x height m around the origin, with room for so many surfels."""
+    """Return a map of width x height m around the origin, with room for this number of surfels."""
     shape = math.ceil(height / CELL), math.ceil(width / CELL)
     return SurfaceMap(
         zero_pages(shape, np.int32),
@@ -106,68 +104,76 @@ def empty_surface_map(width: float, height: float, surfels: int) -> SurfaceMap:
 
 
 @kernel
-def clear(known: SurfaceMap, corner: Array) -> None:
+def clear(surface_map: SurfaceMap, corner: Array) -> None:
     """Remove all surfels, and move the grid's corner (2,) m."""
-    height, width = known.nearest.shape
-    one_by_one = known.size[0] * (2 * REACH + 1) ** 2 < height * width
+    height, width = surface_map.nearest.shape
+    one_by_one = surface_map.size[0] * (2 * RADIUS + 1) ** 2 < height * width
     if not one_by_one:
-        known.nearest[:] = 0
-        known.closeness[:] = 0
-    for k in range(known.size[0] if one_by_one else 0):
-        column = int((known.surfels[k, _X0] - known.corner[0]) / CELL)
-        row = int((known.surfels[k, _Y0] - known.corner[1]) / CELL)
-        for r in range(max(0, row - REACH), min(height, row + REACH + 1)):
-            for c in range(max(0, column - REACH), min(width, column + REACH + 1)):
-                known.nearest[r, c] = 0
-                known.closeness[r, c] = 0
-    known.size[0] = 0
-    known.corner[:] = corner
+        surface_map.nearest[:] = 0
+        surface_map.closeness[:] = 0
+    for k in range(surface_map.size[0] if one_by_one else 0):
+        column = int((surface_map.surfels[k, _X0] - surface_map.corner[0]) / CELL)
+        row = int((surface_map.surfels[k, _Y0] - surface_map.corner[1]) / CELL)
+        for r in range(max(0, row - RADIUS), min(height, row + RADIUS + 1)):
+            for c in range(max(0, column - RADIUS), min(width, column + RADIUS + 1)):
+                surface_map.nearest[r, c] = 0
+                surface_map.closeness[r, c] = 0
+    surface_map.size[0] = 0
+    surface_map.corner[:] = corner
 
 
 @kernel
-def add(known: SurfaceMap, features: Features, pose: Array, most: float) -> None:
+def add(surface_map: SurfaceMap, features: Features, pose: Array, max_points: float) -> None:
     """Add the features of a scan taken at pose (3,) in the map's frame.
 
-    A surfel averages over at most `most` points, so that it follows what changes. Features off the grid
-    are left out.
+    A surfel averages over at most `max_points` points, so that it adapts to changes. Features outside the
+    grid are left out.
     """
-    height, width = known.nearest.shape
+    height, width = surface_map.nearest.shape
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for i in range(len(features)):
         x = pose[0] + c * features[i, 0] - s * features[i, 1]
         y = pose[1] + s * features[i, 0] + c * features[i, 1]
-        u, v = (x - known.corner[0]) / CELL, (y - known.corner[1]) / CELL
-        inside = min(u, v) >= REACH + 1 and u < width - REACH - 1 and v < height - REACH - 1
-        if not inside:  # also where a pose is not finite
+        u, v = (x - surface_map.corner[0]) / CELL, (y - surface_map.corner[1]) / CELL
+        inside = min(u, v) >= RADIUS + 1 and u < width - RADIUS - 1 and v < height - RADIUS - 1
+        if not inside:  # also if the pose is not finite
             continue
         column, row = int(u), int(v)
         nx = c * features[i, 2] - s * features[i, 3]
         ny = s * features[i, 2] + c * features[i, 3]
         weight = float(features[i, 4])
-        if known.closeness[row, column] == REACH * REACH + 1:
-            _refresh(known.surfels[known.nearest[row, column] - 1], x, y, nx, ny, weight, most)
-        elif known.size[0] < len(known.surfels):
-            surfel = known.surfels[known.size[0]]
+        if surface_map.closeness[row, column] == RADIUS * RADIUS + 1:
+            _average(
+                surface_map.surfels[surface_map.nearest[row, column] - 1],
+                x,
+                y,
+                nx,
+                ny,
+                weight,
+                max_points,
+            )
+        elif surface_map.size[0] < len(surface_map.surfels):
+            surfel = surface_map.surfels[surface_map.size[0]]
             surfel[_X], surfel[_Y], surfel[_NX], surfel[_NY] = x, y, nx, ny
             surfel[_COUNT], surfel[_WEIGHT], surfel[_X0], surfel[_Y0] = 1.0, weight, x, y
-            known.size[0] += 1
-            _found(known, row, column)
+            surface_map.size[0] += 1
+            _claim_cells(surface_map, row, column)
 
 
 @kernel
-def _found(known: SurfaceMap, row: int, column: int) -> None:
-    """Make the newest surfel the nearest one of the cells around that have none nearer."""
-    for dr in range(-REACH, REACH + 1):
-        for dc in range(-REACH, REACH + 1):
-            close = REACH * REACH + 1 - dr * dr - dc * dc
-            if close > known.closeness[row + dr, column + dc]:
-                known.closeness[row + dr, column + dc] = close
-                known.nearest[row + dr, column + dc] = known.size[0]
+def _claim_cells(surface_map: SurfaceMap, row: int, column: int) -> None:
+    """Make the newest surfel the nearest one of the cells around it without a nearer one."""
+    for dr in range(-RADIUS, RADIUS + 1):
+        for dc in range(-RADIUS, RADIUS + 1):
+            close = RADIUS * RADIUS + 1 - dr * dr - dc * dc
+            if close > surface_map.closeness[row + dr, column + dc]:
+                surface_map.closeness[row + dr, column + dc] = close
+                surface_map.nearest[row + dr, column + dc] = surface_map.size[0]
 
 
 @kernel
-def _refresh(
-    surfel: Array, x: float, y: float, nx: float, ny: float, weight: float, most: float
+def _average(
+    surfel: Array, x: float, y: float, nx: float, ny: float, weight: float, max_points: float
 ) -> None:
     """Average one more point into its surfel; the other side of a thin wall is another surface."""
     if weight > 0.0 and surfel[_WEIGHT] == 0.0:
@@ -182,54 +188,54 @@ def _refresh(
         surfel[_WEIGHT] = max(surfel[_WEIGHT], weight)
     elif surfel[_WEIGHT] > 0.0:
         return
-    surfel[_COUNT] = min(surfel[_COUNT] + 1.0, most)
+    surfel[_COUNT] = min(surfel[_COUNT] + 1.0, max_points)
     surfel[_X] += (x - surfel[_X]) / surfel[_COUNT]
     surfel[_Y] += (y - surfel[_Y]) / surfel[_COUNT]
 
 
 @kernel
 def normal_equations(
-    known: SurfaceMap, features: Features, pose: Array, scale: float, step: int, out: Evidence
+    surface_map: SurfaceMap, features: Features, pose: Array, scale: float, step: int, out: Evidence
 ) -> None:
-    """Fill `out` with what every `step`-th feature says of a pose (3,); `scale` m is the kernel's."""
-    height, width = known.nearest.shape
+    """Fill `out` with the evidence of every `step`-th feature for a pose (3,), with kernel `scale` m."""
+    height, width = surface_map.nearest.shape
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    reach = min(float(REACH), max(3.0 * scale / CELL, 2.0))
-    least = REACH * REACH + 1 - reach * reach
-    # Sums in tuples stay in registers; in arrays, every point would wait for the one before it.
+    radius = min(float(RADIUS), max(3.0 * scale / CELL, 2.0))
+    min_closeness = RADIUS * RADIUS + 1 - radius * radius
+    # Sums in tuples stay in registers; in arrays, every point would wait for the previous one.
     sums = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     inside = inliers = squares = weights = 0.0
     for i in range(0, len(features), step):
         rx = c * features[i, 0] - s * features[i, 1]
         ry = s * features[i, 0] + c * features[i, 1]
         x, y = pose[0] + rx, pose[1] + ry
-        u, v = (x - known.corner[0]) / CELL, (y - known.corner[1]) / CELL
-        if not (0.0 <= u < width and 0.0 <= v < height):  # also where a pose is not finite
+        u, v = (x - surface_map.corner[0]) / CELL, (y - surface_map.corner[1]) / CELL
+        if not (0.0 <= u < width and 0.0 <= v < height):  # also if the pose is not finite
             continue
         inside += 1.0
-        k = known.nearest[int(v), int(u)] - 1
-        if k < 0 or known.closeness[int(v), int(u)] < least:
+        k = surface_map.nearest[int(v), int(u)] - 1
+        if k < 0 or surface_map.closeness[int(v), int(u)] < min_closeness:
             continue
-        surfel, weight = known.surfels[k], float(features[i, 4])
+        surfel, weight = surface_map.surfels[k], float(features[i, 4])
         ex, ey = x - surfel[_X], y - surfel[_Y]
         if surfel[_WEIGHT] > 0.0 and weight > 0.0:
             nx, ny = surfel[_NX], surfel[_NY]
-            along = c * (features[i, 2] * nx + features[i, 3] * ny)
-            along += s * (features[i, 2] * ny - features[i, 3] * nx)
-            if along < FACING:
+            cosine = c * (features[i, 2] * nx + features[i, 3] * ny)
+            cosine += s * (features[i, 2] * ny - features[i, 3] * nx)
+            if cosine < MIN_NORMAL_COSINE:
                 continue
             e = nx * ex + ny * ey
             share = 1.0 / (1.0 + (e / scale) ** 2)
             w = surfel[_WEIGHT] * weight * share**2
-            sums = _plus(sums, nx, ny, ny * rx - nx * ry, e, w)
+            sums = _add_row(sums, nx, ny, ny * rx - nx * ry, e, w)
             squares += share * share * e * e
             weights += share * share
         else:
             share = 1.0 / (1.0 + (ex * ex + ey * ey) / (scale * scale))
-            w = (LONE if surfel[_WEIGHT] == weight else ODD) * share * share
-            sums = _plus(_plus(sums, 1.0, 0.0, -ry, ex, w), 0.0, 1.0, rx, ey, w)
+            w = (LONE_WEIGHT if surfel[_WEIGHT] == weight else MIXED_WEIGHT) * share * share
+            sums = _add_row(_add_row(sums, 1.0, 0.0, -ry, ex, w), 0.0, 1.0, rx, ey, w)
         inliers += share
-    _write(out, sums, (inside, inliers, squares, weights))
+    _store(out, sums, (inside, inliers, squares, weights))
 
 
 _Sums: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
@@ -237,8 +243,8 @@ _Sums: TypeAlias = tuple[float, float, float, float, float, float, float, float,
 
 
 @kernel
-def _plus(sums: _Sums, nx: float, ny: float, lever: float, e: float, w: float) -> _Sums:
-    """Return the sums with the row (nx, ny, lever), of residual e m and weight w."""
+def _add_row(sums: _Sums, nx: float, ny: float, lever: float, e: float, w: float) -> _Sums:
+    """Return the sums plus the row (nx, ny, lever), of residual e m and weight w."""
     xx, xy, xt, yy, yt, tt, gx, gy, gt = sums
     wx, wy, wt = w * nx, w * ny, w * lever
     xx, xy, xt = xx + wx * nx, xy + wx * ny, xt + wx * lever
@@ -247,7 +253,7 @@ def _plus(sums: _Sums, nx: float, ny: float, lever: float, e: float, w: float) -
 
 
 @kernel
-def _write(out: Evidence, sums: _Sums, counts: tuple[float, float, float, float]) -> None:
+def _store(out: Evidence, sums: _Sums, counts: tuple[float, float, float, float]) -> None:
     """Fill `out` with the sums, and its own `sums` with the counts."""
     H, g, n = out.H, out.g, out.sums
     n[_INSIDE], n[_INLIERS], n[_SQUARES], n[_WEIGHTS] = counts
@@ -257,28 +263,28 @@ def _write(out: Evidence, sums: _Sums, counts: tuple[float, float, float, float]
 
 @kernel
 def align(
-    known: SurfaceMap,
+    surface_map: SurfaceMap,
     features: Features,
     pose: Array,
     prior: Array,
-    how: Alignment,
+    settings: Alignment,
     out: Evidence,
 ) -> float:
-    """Move pose (3,) in place to where the features fit the map best, and return the inlier share.
+    """Move pose (3,) in place to the best fit of the features to the map; return the inlier share.
 
-    prior (3,) is the information of the pose as given, 1/m^2, 1/m^2 and 1/rad^2; see `Alignment.slack2`.
-    `out` becomes what the scan alone says of the pose that is returned.
+    `prior` (3,) is the information of the initial pose, 1/m^2, 1/m^2 and 1/rad^2; see `Alignment.slack2`.
+    `out` becomes the evidence of the scan alone at the resulting pose.
     """
-    given, g, A = pose.copy(), np.empty(3), np.empty((3, 3))
-    for i in range(how.iterations):
-        narrowing = min(1.0, i / (0.5 * how.iterations))
-        scale = how.wide * (how.narrow / how.wide) ** narrowing
-        normal_equations(known, features, pose, scale, how.step, out)
-        ex, ey = pose[0] - given[0], pose[1] - given[1]
-        et = wrap_in_kernel(pose[2] - given[2])
+    start, g, A = pose.copy(), np.empty(3), np.empty((3, 3))
+    for i in range(settings.iterations):
+        narrowing = min(1.0, i / (0.5 * settings.iterations))
+        scale = settings.wide * (settings.narrow / settings.wide) ** narrowing
+        normal_equations(surface_map, features, pose, scale, settings.step, out)
+        ex, ey = pose[0] - start[0], pose[1] - start[1]
+        et = wrap_in_kernel(pose[2] - start[2])
         chi2 = prior[0] * ex * ex + prior[1] * ey * ey + prior[2] * et * et
-        w = 1.0 / (1.0 + chi2 / how.slack2)
-        A[:], g[:] = how.information * out.H, how.information * out.g
+        w = 1.0 / (1.0 + chi2 / settings.slack2)
+        A[:], g[:] = settings.information * out.H, settings.information * out.g
         for a in range(3):
             A[a, a] += w * prior[a]
         g[0] += w * prior[0] * ex
@@ -288,7 +294,7 @@ def align(
         pose[0] -= dx
         pose[1] -= dy
         pose[2] -= dt
-        if abs(dx) + abs(dy) < 2e-4 and abs(dt) < 1e-4 and scale == how.narrow:
+        if abs(dx) + abs(dy) < 2e-4 and abs(dt) < 1e-4 and scale == settings.narrow:
             break
     pose[2] = wrap_in_kernel(pose[2])
     return float(out.sums[_INLIERS] / max(out.sums[_INSIDE], 1.0))
@@ -296,7 +302,7 @@ def align(
 
 @kernel
 def solve_3x3(A: Array, b: Array) -> tuple[float, float, float]:
-    """Return A^-1 b for a symmetric A (3, 3); zeros where A has no inverse."""
+    """Return A^-1 b for a symmetric A (3, 3); zeros if A has no inverse."""
     p = A[1, 1] * A[2, 2] - A[1, 2] * A[1, 2]
     q = A[1, 2] * A[0, 2] - A[0, 1] * A[2, 2]
     r = A[0, 1] * A[1, 2] - A[1, 1] * A[0, 2]

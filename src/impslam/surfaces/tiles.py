@@ -1,8 +1,8 @@
-"""Surface maps in tiles, of which many maps share those that they have in common.
+"""Surface maps in tiles, which several maps can share.
 
-A tile is a `SurfaceMap` of a square of `TILE` m and a margin around it. Points in the margin are entered,
-too, so that the tile finds the nearest surfel of all points in its square by itself. Maps that differ
-in a tile have one each; it is copied when one of two maps that share it is written.
+A tile is a `SurfaceMap` of a square of `TILE` m with a margin around it. Points in the margin are added,
+too, so that the tile alone finds the nearest surfel of all points in its square. Tiles are copied on write:
+maps that differ in a tile have one each.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from impslam.pages import zero_pages
 from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import (
     CELL,
-    REACH,
+    RADIUS,
     Evidence,
     SurfaceMap,
     add,
@@ -26,11 +26,11 @@ from impslam.surfaces.surface_map import (
 )
 from impslam.types import Array, Ints
 
-CELLS = 80  # of a tile's square, to a side
-TILE = CELLS * CELL  # m: a room; few tiles are in sight, and little is copied where maps part
+CELLS = 80  # along a side of a tile's square
+TILE = CELLS * CELL  # m: a room; few tiles are in view, and little is copied when maps diverge
 MARGIN = (
-    2 * REACH + 1
-)  # cells: `add` takes points REACH + 1 from the edge, and those count REACH away
+    2 * RADIUS + 1
+)  # cells: `add` takes points RADIUS + 1 from the edge, which matter up to RADIUS away
 SURFELS = 2048  # of a tile: a quarter of its cells
 _SIZE = CELLS + 2 * MARGIN
 
@@ -46,7 +46,7 @@ class Tiles(NamedTuple):
 
 
 def empty_tiles(count: int) -> Tiles:
-    """Return a pool of empty tiles; memory is taken where they are written."""
+    """Return a pool of empty tiles; memory is only used once they are written."""
     return Tiles(
         zero_pages((count, _SIZE, _SIZE), np.int32),
         zero_pages((count, _SIZE, _SIZE), np.uint8),
@@ -58,7 +58,7 @@ def empty_tiles(count: int) -> Tiles:
 
 @kernel
 def tile(pool: Tiles, k: int) -> SurfaceMap:
-    """Return a tile as a map of its own, which shares its memory."""
+    """Return a tile as a map that shares its memory."""
     return SurfaceMap(
         pool.nearest[k], pool.closeness[k], pool.surfels[k], pool.size[k : k + 1], pool.corner[k]
     )
@@ -66,52 +66,54 @@ def tile(pool: Tiles, k: int) -> SurfaceMap:
 
 @kernel
 def begin(pool: Tiles, k: int, column: int, row: int) -> None:
-    """Make a tile the empty one of a place, by its column and row of tiles."""
+    """Clear a tile, and move it to a column and row of tiles."""
     corner = np.empty(2)
     corner[0], corner[1] = column * TILE - MARGIN * CELL, row * TILE - MARGIN * CELL
     clear(tile(pool, k), corner)
 
 
 @kernel
-def copy(source: Tiles, k: int, pool: Tiles, into: int) -> None:
-    """Make a tile the copy of another one, of the same pool or of another one."""
-    pool.nearest[into] = source.nearest[k]
-    pool.closeness[into] = source.closeness[k]
-    pool.surfels[into, : source.size[k]] = source.surfels[k, : source.size[k]]
-    pool.size[into] = source.size[k]
-    pool.corner[into] = source.corner[k]
+def copy(source: Tiles, k: int, pool: Tiles, target: int) -> None:
+    """Copy tile k of `source` to tile `target` of `pool`, which may be the same."""
+    pool.nearest[target] = source.nearest[k]
+    pool.closeness[target] = source.closeness[k]
+    pool.surfels[target, : source.size[k]] = source.surfels[k, : source.size[k]]
+    pool.size[target] = source.size[k]
+    pool.corner[target] = source.corner[k]
 
 
 @kernel
-def touched(features: Features, pose: Array) -> Ints:
-    """Return the columns and rows (n, 2) of the tiles that features of a scan at a pose (3,) enter."""
+def touched_tiles(features: Features, pose: Array) -> Ints:
+    """Return the columns and rows (n, 2) of the tiles touched by features of a scan at a pose (3,)."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    out, count, reach = np.empty((len(features) * 4, 2), np.int64), 0, REACH * CELL
+    out, count, radius = np.empty((len(features) * 4, 2), np.int64), 0, RADIUS * CELL
     for i in range(len(features)):
         x = pose[0] + c * features[i, 0] - s * features[i, 1]
         y = pose[1] + s * features[i, 0] + c * features[i, 1]
-        for column in range(math.floor((x - reach) / TILE), math.floor((x + reach) / TILE) + 1):
-            for row in range(math.floor((y - reach) / TILE), math.floor((y + reach) / TILE) + 1):
-                known = False
+        for column in range(math.floor((x - radius) / TILE), math.floor((x + radius) / TILE) + 1):
+            for row in range(math.floor((y - radius) / TILE), math.floor((y + radius) / TILE) + 1):
+                listed = False
                 for k in range(count - 1, -1, -1):  # neighbouring beams end in one tile
                     if out[k, 0] == column and out[k, 1] == row:
-                        known = True
+                        listed = True
                         break
-                if not known:
+                if not listed:
                     out[count, 0], out[count, 1] = column, row
                     count += 1
     return out[:count].copy()
 
 
 @kernel
-def enter(pool: Tiles, tiles: Ints, features: Features, pose: Array, most: float) -> None:
-    """Add the features of a scan at a pose (3,) to some tiles (n,); see `surface_map.add`."""
+def add_to_tiles(
+    pool: Tiles, tiles: Ints, features: Features, pose: Array, max_points: float
+) -> None:
+    """Add the features of a scan at a pose (3,) to tiles (n,); see `surface_map.add`."""
     for k in tiles:
-        add(tile(pool, k), features, pose, most)
+        add(tile(pool, k), features, pose, max_points)
 
 
 class Sorted(NamedTuple):
-    """Features by the tile that they fall into, `tiles` (n,): rows `starts[k]` to `starts[k + 1]`."""
+    """Features grouped by tile: those in `tiles[k]` of (n,) are rows `starts[k]` to `starts[k + 1]`."""
 
     features: Features
     tiles: Ints
@@ -120,10 +122,9 @@ class Sorted(NamedTuple):
 
 @kernel
 def sort(table: Ints, origin: Ints, features: Features, pose: Array) -> Sorted:
-    """Return the features of a scan at about a pose (3,) that fall into known tiles.
+    """Return the features of a scan near a pose (3,) that fall into existing tiles.
 
-    `table` (rows, columns) names the tiles of a map, -1 where it has none, from column and row
-    `origin` (2,) on.
+    `table` (rows, columns) holds the tiles of a map, -1 for none, from column and row `origin` (2,) on.
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
     tiles = np.full(len(features), -1)
@@ -133,12 +134,12 @@ def sort(table: Ints, origin: Ints, features: Features, pose: Array) -> Sorted:
         column, row = math.floor(x / TILE) - origin[0], math.floor(y / TILE) - origin[1]
         if 0 <= row < table.shape[0] and 0 <= column < table.shape[1]:
             tiles[i] = table[row, column]
-    out, found = np.empty_like(features), np.empty(len(features), np.int64)
+    out, used = np.empty_like(features), np.empty(len(features), np.int64)
     starts, n, count = np.zeros(len(features) + 1, np.int64), 0, 0
     for i in range(len(features)):
         if tiles[i] < 0:
             continue
-        found[n], k = tiles[i], tiles[i]
+        used[n], k = tiles[i], tiles[i]
         for j in range(i, len(features)):
             if tiles[j] == k:
                 out[count] = features[j]
@@ -146,17 +147,17 @@ def sort(table: Ints, origin: Ints, features: Features, pose: Array) -> Sorted:
                 tiles[j] = -1
         n += 1
         starts[n] = count
-    return Sorted(out[:count], found[:n], starts[: n + 1])
+    return Sorted(out[:count], used[:n], starts[: n + 1])
 
 
 @kernel
 def evidence(pool: Tiles, seen: Sorted, pose: Array, scale: float, out: Evidence) -> None:
-    """Fill `out` with what sorted features say of a pose (3,); see `surface_map.normal_equations`."""
+    """Fill `out` with the evidence of sorted features for a pose (3,); see `normal_equations`."""
     part = Evidence(np.empty((3, 3)), np.empty(3), np.empty(4))
     out.H[:], out.g[:], out.sums[:] = 0.0, 0.0, 0.0
     for k in range(len(seen.tiles)):
-        some = seen.features[seen.starts[k] : seen.starts[k + 1]]
-        normal_equations(tile(pool, seen.tiles[k]), some, pose, scale, 1, part)
+        features = seen.features[seen.starts[k] : seen.starts[k + 1]]
+        normal_equations(tile(pool, seen.tiles[k]), features, pose, scale, 1, part)
         out.H[:] += part.H
         out.g[:] += part.g
         out.sums[:] += part.sums

@@ -1,1 +1,1 @@
-"""Trackers: the robot's motion from keyframe to keyframe, from odometry and scans."""
+"""Trackers: estimate motion from keyframe to keyframe, from odometry and scans."""

@@ -1,7 +1,6 @@
-"""The role of a tracker: it follows the robot from keyframe to keyframe.
+"""The interface of trackers, which follow the robot from keyframe to keyframe.
 
-A tracker knows nothing but what is relative to the newest keyframe, so a loop that closes is none
-of its business.
+A tracker works relative to the newest keyframe, so loop closures do not affect it.
 """
 
 from __future__ import annotations
@@ -36,22 +35,22 @@ _OPPOSED = (
 
 
 class KeyframeGate(Parameters):
-    """Which scans are searched for landmarks: those after some motion, or after some time.
+    """Selects the scans that are searched for landmarks: one after some motion, or after some time.
 
-    Scans from one place repeat their errors (the surface's brightness, the mount, the lidar's own
-    bias); taken for independent they make the belief surer than it may be. Between keyframes the
-    pose is that of the tracker.
+    Scans from one place repeat their errors (brightness of the surface, the mount, the lidar's own bias);
+    treating them as independent would make the estimate overconfident. Between keyframes the pose is that
+    of the tracker.
     """
 
     distance: float = parameter(
         0.12,
         "m",
-        "a keyframe after this way: errors of surfaces repeat over a few decimetres; inf: never",
+        "a keyframe after this distance: errors of surfaces repeat over a few decimetres; inf: never",
         special="inf",
         ge=0,
     )
     angle: float = parameter(
-        0.06, "rad", "or after this turn: beams fall elsewhere; inf: never", special="inf", ge=0
+        0.06, "rad", "or after this turn: beams hit other points; inf: never", special="inf", ge=0
     )
     seconds: float = parameter(
         0.5, "s", "or after this time, moving or not; inf: never", special="inf", ge=0
@@ -64,7 +63,7 @@ class Gate(NamedTuple):
     Attributes
     ----------
     limits : (3,) m, rad, s
-    travelled : (3,) since its newest keyframe
+    travelled : (3,) the same since its newest keyframe
     """
 
     limits: Array
@@ -72,32 +71,32 @@ class Gate(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """What came of m sweeps.
+    """Results for m sweeps.
 
     Attributes
     ----------
     d_pose, covariance : (m, 3), (m, 3, 3) motion since the newest reference before each
     moved : (m, 3) motion since the sweep before each
-    reference : (m,) whether the motion of the next ones is told from there: it was matched, or has
-        too few points to match
-    ends : (m,) whether it is a keyframe
-    located : (m,) whether the scan tells where the robot is, along both axes
-    reasons, amounts : (m,) why its pose cannot be trusted, and the way or share that goes with it; see
-        `impslam.health`
+    reference : (m,) whether the next motions start from this sweep: it was matched, or has too few
+        points to match
+    is_keyframe : (m,) whether it is a keyframe
+    located : (m,) whether the scan determines the position along both axes
+    reasons, amounts : (m,) why its pose cannot be trusted, and the distance or share that goes with it;
+        see `impslam.health`
     """
 
     d_pose: Array
     covariance: Array
     moved: Array
     reference: Mask
-    ends: Mask
+    is_keyframe: Mask
     located: Mask
     reasons: Reasons
     amounts: Array
 
 
 class _Tracked(NamedTuple):
-    """Sweeps, the times and durations of the motions to them, what came of them, and dead reckoning."""
+    """Sweeps, the motions to them by odometry, the tracker's results, and dead reckoning."""
 
     motions: Motions
     steps: Steps
@@ -106,14 +105,14 @@ class _Tracked(NamedTuple):
 
 
 class Tracker(Component):
-    """Turns motions and sweeps into tracks; `steps` is what differs between trackers."""
+    """Turns motions and sweeps into tracks; trackers differ in `steps`."""
 
     role: ClassVar[str] = "tracker"
     matches_scans: ClassVar[bool] = False
     """Whether `steps` finds the motion from the scans, with odometry as a prior."""
 
     _limits: Array = PrivateAttr()
-    _since: tuple[Array, Array] = PrivateAttr()
+    _motion_since_keyframe: tuple[Array, Array] = PrivateAttr()
     _reference: tuple[Array, Array] = PrivateAttr()
     _odometry: Array = PrivateAttr()
     _travelled: dict[str, Array] = PrivateAttr(default_factory=dict)
@@ -123,23 +122,23 @@ class Tracker(Component):
     _problems: Problems = PrivateAttr(default_factory=Problems)
 
     def start(self, start: Array, gate: KeyframeGate) -> None:
-        """Begin at a pose (3,) of the odometry's path; the first sweep is a keyframe."""
+        """Begin at a pose (3,) of the dead-reckoned path; the first sweep is a keyframe."""
         self._limits = np.array([gate.distance, gate.angle, gate.seconds])
         self._travelled = {}
-        self._since = np.zeros(3), np.zeros((3, 3))
+        self._motion_since_keyframe = np.zeros(3), np.zeros((3, 3))
         self._reference = np.zeros(3), np.zeros((3, 3))
         self._odometry = np.array(start, dtype=np.float64)
         self._duration, self._keyframes = 0.0, 0
 
     @property
     def problems(self) -> Problems:
-        """What could not be tracked, and why."""
+        """Problems found while tracking."""
         return self._problems
 
     @property
-    def since(self) -> tuple[Array, Array]:
+    def motion_since_keyframe(self) -> tuple[Array, Array]:
         """The motion from the newest keyframe to the middle of the newest sweep: (3,) and (3, 3)."""
-        return self._since
+        return self._motion_since_keyframe
 
     @property
     def odometry(self) -> Array:
@@ -147,19 +146,19 @@ class Tracker(Component):
         return self._odometry
 
     def forget(self) -> None:
-        """Give back the memory of what scans are matched against: the log has ended."""
+        """Free the memory of the maps that scans are matched with, after the end of the log."""
 
     @abstractmethod
     def steps(self, motions: Motions, sweeps: Sweeps, gate: Gate) -> Steps:
-        """Follow the next sweeps of one sensor, and let them count for its keyframes.
+        """Track the next sweeps of one sensor, and add their motion to its keyframe gate.
 
-        The motions given are those of odometry, from the middle of the sweep before to that of each.
+        `motions` are by odometry, from the middle of the previous sweep to the middle of each.
         """
 
     def follow(self, motions: Motions, sweeps: Sweeps) -> Iterator[Track]:
-        """Yield the tracks of these sweeps; a track is cut where the data are, and goes on.
+        """Yield the tracks of these sweeps; a track cut at the end of the batch continues in the next one.
 
-        `motions` are by odometry, from the middle of the sweep before to that of each.
+        `motions` are by odometry, from the middle of the previous sweep to the middle of each.
         """
         travelled = self._travelled.setdefault(sweeps.sensor, np.full(3, math.inf))
         sweeps, wrong, amounts = self._screening.screen(motions, sweeps, self._problems)
@@ -167,46 +166,46 @@ class Tracker(Component):
         worse = wrong > steps.reasons
         steps.reasons[worse], steps.amounts[worse] = wrong[worse], amounts[worse]
         self._note("turns against scans", _OPPOSED, sweeps, steps.reasons == OPPOSED)
-        against = (steps.reasons >= SLIPPED) & (steps.reasons <= STALLED)
-        self._note("odometry against scans", _CONTRADICTED, sweeps, against)
-        for name, others in self._travelled.items():  # each sensor looks at what others do not see
+        contradicted = (steps.reasons >= SLIPPED) & (steps.reasons <= STALLED)
+        self._note("odometry against scans", _CONTRADICTED, sweeps, contradicted)
+        for name, others in self._travelled.items():  # sensors see different things
             if name != sweeps.sensor:
-                count(steps.moved, motions.duration, Gate(np.full(3, math.inf), others))
+                mark_keyframes(steps.moved, motions.duration, Gate(np.full(3, math.inf), others))
         odometry, at_stamp = _dead_reckon(self._odometry, motions.d_pose, sweeps.T_middle_stamp)
         self._odometry = odometry[-1] if len(odometry) else self._odometry
         tracked = _Tracked(motions, steps, sweeps, at_stamp)
         begin = 0
-        for end in np.flatnonzero(steps.ends).tolist():
-            yield self._track(tracked, slice(begin, end), ends=True)
+        for end in np.flatnonzero(steps.is_keyframe).tolist():
+            yield self._track(tracked, slice(begin, end), has_keyframe=True)
             begin = end + 1
         if begin < len(sweeps):
-            yield self._track(tracked, slice(begin, len(sweeps)), ends=False)
+            yield self._track(tracked, slice(begin, len(sweeps)), has_keyframe=False)
 
-    def _note(self, kind: str, words: str, sweeps: Sweeps, which: Mask) -> None:
-        """Enter sweeps (m,) in the problems."""
+    def _note(self, kind: str, message: str, sweeps: Sweeps, which: Mask) -> None:
+        """Add the marked sweeps (m,) to the problems."""
         for stamp in sweeps.columns.stamps[which].tolist():
-            self._problems.add(kind, words.format(stamp))
+            self._problems.add(kind, message.format(stamp))
 
-    def _track(self, tracked: _Tracked, rows: slice, *, ends: bool) -> Track:
-        """Return the track of some rows, and with `ends` the keyframe in the row after them."""
+    def _track(self, tracked: _Tracked, rows: slice, *, has_keyframe: bool) -> Track:
+        """Return the track of some rows, and with `is_keyframe` the keyframe in the row after them."""
         motions, steps, sweeps, odometry = tracked
-        upto = rows.stop + 1 if ends else rows.stop
+        stop = rows.stop + 1 if has_keyframe else rows.stop
         T, spread, T_stamp, spread_stamp = _accumulate(
             *self._reference,
-            steps.d_pose[rows.start : upto],
-            steps.covariance[rows.start : upto],
-            steps.reference[rows.start : upto],
-            sweeps.T_middle_stamp[rows.start : upto],
-            sweeps.stamp_covariance[rows.start : upto],
+            steps.d_pose[rows.start : stop],
+            steps.covariance[rows.start : stop],
+            steps.reference[rows.start : stop],
+            sweeps.T_middle_stamp[rows.start : stop],
+            sweeps.stamp_covariance[rows.start : stop],
         )
-        self._duration += float(motions.duration[rows.start : upto].sum())
+        self._duration += float(motions.duration[rows.start : stop].sum())
         m, keyframe = rows.stop - rows.start, None
-        if ends:
+        if has_keyframe:
             keyframe = self._keyframe(tracked, rows.stop, T[m], spread[m])
-            self._since, self._duration = (np.zeros(3), np.zeros((3, 3))), 0.0
+            self._motion_since_keyframe, self._duration = (np.zeros(3), np.zeros((3, 3))), 0.0
             self._reference = np.zeros(3), np.zeros((3, 3))
         elif m:
-            self._since = T[m - 1], spread[m - 1]
+            self._motion_since_keyframe = T[m - 1], spread[m - 1]
         track = Track(
             self._keyframes - 1,
             sweeps.columns.stamps[rows],
@@ -220,11 +219,11 @@ class Tracker(Component):
             steps.amounts[rows],
             keyframe,
         )
-        self._keyframes += ends
+        self._keyframes += has_keyframe
         return track
 
     def _keyframe(self, tracked: _Tracked, row: int, d_pose: Array, covariance: Array) -> Keyframe:
-        """Return the keyframe in a row, with the motion to it from the one before."""
+        """Return the keyframe in a row, with the motion from the previous keyframe."""
         motions, steps, sweeps, odometry = tracked
         stamp = float(motions.stamps[row])
         return Keyframe(
@@ -244,8 +243,8 @@ class Tracker(Component):
 
 
 @kernel
-def passed(gate: Gate, d_pose: Array, duration: float) -> bool:
-    """Tell whether a motion (3,) of so many s would reach a limit of the gate."""
+def reaches_limit(gate: Gate, d_pose: Array, duration: float) -> bool:
+    """Return whether a motion (3,) of `duration` s would reach a limit of the gate."""
     travelled = gate.travelled
     far = travelled[0] + math.hypot(d_pose[0], d_pose[1]) >= gate.limits[0]
     turned_far = travelled[1] + abs(d_pose[2]) >= gate.limits[1]
@@ -253,20 +252,20 @@ def passed(gate: Gate, d_pose: Array, duration: float) -> bool:
 
 
 @kernel
-def go(gate: Gate, d_pose: Array, duration: float) -> None:
-    """Let a motion (3,) of so many s count."""
+def add_travel(gate: Gate, d_pose: Array, duration: float) -> None:
+    """Add a motion (3,) of `duration` s to the gate."""
     gate.travelled[0] += math.hypot(d_pose[0], d_pose[1])
     gate.travelled[1] += abs(d_pose[2])
     gate.travelled[2] += duration
 
 
 @kernel
-def count(moved: Array, duration: Array, gate: Gate) -> Mask:
-    """Let m motions (m, 3) count in place; tell which of them end in a keyframe, (m,)."""
+def mark_keyframes(moved: Array, duration: Array, gate: Gate) -> Mask:
+    """Add motions (m, 3) to the gate; return which of them end in a keyframe, (m,)."""
     out = np.zeros(len(moved), np.bool_)
     for k in range(len(moved)):
-        out[k] = passed(gate, moved[k], duration[k])
-        go(gate, moved[k], duration[k])
+        out[k] = reaches_limit(gate, moved[k], duration[k])
+        add_travel(gate, moved[k], duration[k])
         if out[k]:
             gate.travelled[:] = 0.0
     return out

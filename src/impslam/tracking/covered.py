@@ -10,7 +10,7 @@ Such points look like a wall that never moves, and they hold the estimated pose 
   did. Nothing in a room does this, so these beams are hidden at once.
 
 A hidden beam whose range changes is used again. If nearly all beams keep their ranges,
-the robot itself stands still; see `standing`.
+the robot itself is stationary; see `stall`.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ import numpy as np
 from impslam.columns import Scans
 from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel, plain
-from impslam.tracking.reference_scan import CHANGE, Geometry, changed_beam, geometry_of
+from impslam.tracking.reference_scan import MIN_CHANGE, Geometry, changed_beam, geometry_of
 from impslam.types import Array, Ints, Mask
 
-TOLD = (0.2, 0.15)
+MIN_MOTION = (0.2, 0.15)
 """m, rad: motion by odometry before a scan is compared with the reference scan."""
-SAME = (0.04, 0.005)
+RANGE_TOLERANCE = (0.04, 0.005)
 """m, and share of the range: a smaller difference is none. 3 sigma of the noise of both ranges."""
-NEAR = 1.0
-"""m: nothing that a small robot carries is farther from its lidar."""
-TIMES = 3
-"""Comparisons in a row, 0.6 m of travel, in which a beam has to measure the same."""
-LEAST = 0.02
-"""Share of the beams that have to, on one surface, at least; fewer may be a table leg or a person."""
-MOVES = 0.3
-"""Share of the other beams that has to change where a change is due: else the robot does not move."""
-EDGE = 0.1
-"""m between neighbours of one surface at most."""
-SUDDEN = (0.3, 1.2)
+MAX_RANGE = 1.0
+"""m: a small robot carries nothing farther than this from its lidar."""
+MIN_COMPARISONS = 3
+"""Comparisons in a row, 0.6 m of travel, in which a beam must measure the same."""
+MIN_SHARE = 0.02
+"""Share of the beams, on one surface, that must do so; fewer may be a table leg or a person."""
+MIN_CHANGED = 0.3
+"""Share of the other beams due to change that must change; otherwise the robot does not move."""
+MAX_STEP_ON_SURFACE = 0.1
+"""m: largest difference in range between neighbours on one surface."""
+SUDDEN_COVER = (0.3, 1.2)
 """m by which beams become short between two scans, and the angle in rad that they cover together, to be a
 cover. A person 0.4 m wide covers as much at 0.3 m, and takes several scans to come into view."""
-STEP = (0.3, 0.15)
-"""m, rad: motion between two scans, beyond which the scans are not compared beam by beam."""
-KEPT = 0.5
-"""Share of the other beams that has to measure what it did: else the robot is elsewhere."""
+MAX_SCAN_MOTION = (0.3, 0.15)
+"""m, rad: after more motion between two scans they are not compared beam by beam."""
+MIN_UNCHANGED = 0.5
+"""Share of the other beams that must measure the same; otherwise the robot was moved elsewhere."""
 
 
 class Cover(NamedTuple):
@@ -56,24 +56,24 @@ class Cover(NamedTuple):
     ----------
     ranges, points : (n,) m and (n, 2) m in base_link, of the reference scan; 0 where invalid
     last : (n,) m, ranges of the last scan; 0 where invalid
-    told : (3,) motion since the reference scan, by odometry
+    odometry : (3,) motion since the reference scan, by odometry
     same : (n,) comparisons in a row in which the range was the same
-    against : (n,) comparisons in a row in which the range was the same and should not have been
-    hidden : (n,) beams to be left out
-    known : (1,) whether there is a reference scan
+    against : (n,) comparisons in a row in which the range was the same and should have changed
+    hidden : (n,) beams to leave out
+    initialised : (1,) whether there is a reference scan
     """
 
     ranges: Array
     points: Array
     last: Array
-    told: Array
+    odometry: Array
     same: Ints
     against: Ints
     hidden: Mask
-    known: Mask
+    initialised: Mask
 
 
-def no_cover(beams: int) -> Cover:
+def initial_cover(beams: int) -> Cover:
     """Return the state before the first scan of a lidar with this number of beams."""
     counts = np.zeros((2, beams), np.int64)
     return Cover(
@@ -102,19 +102,22 @@ def _hide(
     out: Mask,
 ) -> None:
     for k in range(len(d_pose)):
-        advance_pose(cover.told, d_pose[k])
-        far = math.hypot(cover.told[0], cover.told[1]) >= TOLD[0] or abs(cover.told[2]) >= TOLD[1]
+        advance_pose(cover.odometry, d_pose[k])
+        far = (
+            math.hypot(cover.odometry[0], cover.odometry[1]) >= MIN_MOTION[0]
+            or abs(cover.odometry[2]) >= MIN_MOTION[1]
+        )
         sudden = _hide_sudden(d_pose[k], ranges[k], valid[k], abs(geometry.spacing), cover)
         for i in range(len(cover.last)):
             cover.last[i] = ranges[k, i] if valid[k, i] else 0.0
-        if far or sudden or not cover.known[0]:
-            if cover.known[0] and not sudden:
+        if far or sudden or not cover.initialised[0]:
+            if cover.initialised[0] and not sudden:
                 _compare(ranges[k], valid[k], geometry, cover)
-            cover.known[0], cover.told[:], cover.points[:] = True, 0.0, points[k]
+            cover.initialised[0], cover.odometry[:], cover.points[:] = True, 0.0, points[k]
             cover.ranges[:] = cover.last
         if cover.hidden.any():
             for i in range(len(cover.last)):
-                cover.hidden[i] &= abs(cover.last[i] - cover.ranges[i]) < CHANGE
+                cover.hidden[i] &= abs(cover.last[i] - cover.ranges[i]) < MIN_CHANGE
             out[k] = cover.hidden & valid[k]
 
 
@@ -122,11 +125,16 @@ def _hide(
 def _hide_sudden(step: Array, ranges: Array, valid: Mask, spacing: float, cover: Cover) -> bool:
     """Hide beams that have become short since the last scan, if they are many and the others have not."""
     n, moved = len(ranges), math.hypot(step[0], step[1])
-    if moved > STEP[0] or abs(step[2]) > STEP[1] or not cover.known[0] or spacing == 0.0:
+    if (
+        moved > MAX_SCAN_MOTION[0]
+        or abs(step[2]) > MAX_SCAN_MOTION[1]
+        or not cover.initialised[0]
+        or spacing == 0.0
+    ):
         return False
-    drop = SUDDEN[0] + moved
+    drop = SUDDEN_COVER[0] + moved
     width = 1 + int(abs(step[2]) / spacing + 0.5)
-    many = SUDDEN[1] / spacing
+    many = SUDDEN_COVER[1] / spacing
     if _count_short(ranges, valid, drop, cover) < many:  # nearly always; what follows is slower
         return False
     short, compared, kept = np.zeros(n, np.bool_), 0, 0
@@ -134,18 +142,18 @@ def _hide_sudden(step: Array, ranges: Array, valid: Mask, spacing: float, cover:
         if not valid[i] or cover.last[i] <= 0.0:
             continue
         compared += 1
-        least = most = cover.last[i]
+        shortest = longest = cover.last[i]
         for j in range(max(i - width, 0), min(i + width + 1, n)):
             if cover.last[j] > 0.0:
-                least, most = min(least, cover.last[j]), max(most, cover.last[j])
-        short[i] = ranges[i] < NEAR and ranges[i] < least - drop
-        kept += least - CHANGE - moved < ranges[i] < most + CHANGE + moved
+                shortest, longest = min(shortest, cover.last[j]), max(longest, cover.last[j])
+        short[i] = ranges[i] < MAX_RANGE and ranges[i] < shortest - drop
+        kept += shortest - MIN_CHANGE - moved < ranges[i] < longest + MIN_CHANGE + moved
     found = short.sum()
-    if found < many or kept < KEPT * (compared - found):
+    if found < many or kept < MIN_UNCHANGED * (compared - found):
         return False
     for i in range(n):
         if short[i]:
-            cover.same[i] = cover.against[i] = TIMES
+            cover.same[i] = cover.against[i] = MIN_COMPARISONS
             cover.hidden[i] = True
             _spread_sudden(i, 1, ranges, valid, cover)
             _spread_sudden(i, -1, ranges, valid, cover)
@@ -157,18 +165,22 @@ def _count_short(ranges: Array, valid: Mask, drop: float, cover: Cover) -> int:
     """Return how many beams are shorter than in the last scan by `drop`."""
     count = 0
     for i in range(len(ranges)):
-        count += valid[i] and ranges[i] < NEAR and ranges[i] < cover.last[i] - drop
+        count += valid[i] and ranges[i] < MAX_RANGE and ranges[i] < cover.last[i] - drop
     return count
 
 
 @kernel
 def _spread_sudden(first: int, step: int, ranges: Array, valid: Mask, cover: Cover) -> None:
-    """Hide the neighbours on one side that lie on the same surface."""
+    """Hide the neighbours on one side that are on the same surface."""
     i = first + step
-    while 0 <= i < len(ranges) and valid[i] and abs(ranges[i] - ranges[i - step]) < EDGE:
-        if cover.hidden[i] or ranges[i] >= NEAR:
+    while (
+        0 <= i < len(ranges)
+        and valid[i]
+        and abs(ranges[i] - ranges[i - step]) < MAX_STEP_ON_SURFACE
+    ):
+        if cover.hidden[i] or ranges[i] >= MAX_RANGE:
             break
-        cover.same[i], cover.hidden[i] = TIMES, True
+        cover.same[i], cover.hidden[i] = MIN_COMPARISONS, True
         i += step
 
 
@@ -178,34 +190,38 @@ def _compare(ranges: Array, valid: Mask, geometry: Geometry, cover: Cover) -> No
     n, near, same = len(ranges), 0, np.zeros(len(ranges), np.bool_)
     for i in range(n):
         r = cover.ranges[i]
-        same[i] = valid[i] and r > 0.0 and abs(ranges[i] - r) < SAME[0] + SAME[1] * r
-        if same[i] and r < NEAR:
+        same[i] = (
+            valid[i]
+            and r > 0.0
+            and abs(ranges[i] - r) < RANGE_TOLERANCE[0] + RANGE_TOLERANCE[1] * r
+        )
+        if same[i] and r < MAX_RANGE:
             near += 1
             cover.same[i] += 1
         else:
             cover.same[i] = cover.against[i] = 0
     cover.hidden[:] &= cover.same > 0
-    if near < LEAST * n:  # they would be too few, whatever the motion
+    if near < MIN_SHARE * n:  # they would be too few, whatever the motion
         return
     changed = others = 0
-    should = _should_change(geometry, cover)
+    should = _beams_to_change(geometry, cover)
     for i in range(n):
-        if should[i] and cover.ranges[i] >= NEAR:
+        if should[i] and cover.ranges[i] >= MAX_RANGE:
             others += 1
             changed += not same[i]
         elif should[i] and cover.same[i] > 0:
             cover.against[i] += 1
-    if changed >= MOVES * others:
+    if changed >= MIN_CHANGED * others:
         _hide_surfaces(ranges, cover)
 
 
 @kernel
-def _should_change(geometry: Geometry, cover: Cover) -> Mask:
+def _beams_to_change(geometry: Geometry, cover: Cover) -> Mask:
     """Return the beams (n,) that the motion since the reference scan should have changed."""
     should = np.zeros(len(cover.ranges), np.bool_)
     for j in range(len(should)):
-        if not cover.hidden[j]:  # what moves with the robot says nothing about other beams
-            k = changed_beam(j, cover.told, cover.points, cover.ranges, geometry)
+        if not cover.hidden[j]:  # hidden beams are no evidence for others
+            k = changed_beam(j, cover.odometry, cover.points, cover.ranges, geometry)
             if k >= 0:
                 should[k] = True
     return should
@@ -213,22 +229,25 @@ def _should_change(geometry: Geometry, cover: Cover) -> Mask:
 
 @kernel
 def _hide_surfaces(ranges: Array, cover: Cover) -> None:
-    """Hide each surface on which enough beams have measured the same where they should not have."""
+    """Hide each surface on which enough beams have measured the same although they should have changed."""
     n, first, seeds = len(ranges), 0, 0
     for i in range(n + 1):
         if i == n or not _continues(i, first, ranges, cover):
-            if seeds >= LEAST * n:
+            if seeds >= MIN_SHARE * n:
                 cover.hidden[first:i] = True
             first, seeds = i, 0
         if i < n:
-            seeds += cover.against[i] >= TIMES
+            seeds += cover.against[i] >= MIN_COMPARISONS
 
 
 @kernel
 def _continues(i: int, first: int, ranges: Array, cover: Cover) -> bool:
-    """Return whether beam i has measured the same and lies on the surface of the beams from `first` on."""
-    if cover.same[i] < TIMES:
+    """Return whether beam i measured the same and is on the surface of the beams from `first` on."""
+    if cover.same[i] < MIN_COMPARISONS:
         return False
     if i == first:
         return True
-    return bool(cover.same[i - 1] >= TIMES and abs(ranges[i] - ranges[i - 1]) < EDGE)
+    return bool(
+        cover.same[i - 1] >= MIN_COMPARISONS
+        and abs(ranges[i] - ranges[i - 1]) < MAX_STEP_ON_SURFACE
+    )

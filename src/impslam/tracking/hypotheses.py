@@ -1,8 +1,8 @@
-"""Chooses between poses where a scan fits more than one: after a slip, along a corridor, at a ramp.
+"""Choose between several poses that fit a scan: after a slip, along a corridor, at a ramp.
 
-Alignment finds the pose next to where it begins. Where that is doubtful it begins elsewhere, too, and
-the pose that is most probable is kept: by the points that fit, and by what odometry says, which is
-right within its noise or, seldom, slipped.
+Alignment finds the pose nearest to its start. In doubt it also starts elsewhere, and the most
+probable pose is kept: by the points that fit, and by odometry, which is either right within its noise or,
+seldom, slipped.
 """
 
 from __future__ import annotations
@@ -19,42 +19,44 @@ from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import Alignment, Evidence, SurfaceMap, align, normal_equations
 from impslam.types import Array
 
-STEADY = (0.1, 0.2)
-"""m, rad: a match farther from constant velocity may have jumped to a wrong minimum, or odometry have
-slipped. Indoor robots change their speed by less than 2 m/s^2 and 5 rad/s^2, over 0.2 s at most."""
-SLIPS = 1e-3
-"""Share of matches before which odometry slipped: ten in an hour. A slip is anything within 0.5 m and
-0.5 rad, a volume of 1 m^2 rad."""
-HEADINGS, TURN, STEP = 9, 0.06, 0.25
-"""Number of headings, rad between them, and m of the offsets that are tried around each prediction."""
-SEARCH_PRIOR = 0.1
-"""How much the prior counts while other poses are sought, relative to a match."""
+MAX_VELOCITY_CHANGE = (0.1, 0.2)
+"""m, rad: a match farther from constant velocity may be a wrong minimum, or odometry slipped. Indoor robots
+accelerate by less than 2 m/s^2 and 5 rad/s^2, over 0.2 s at most."""
+SLIP_PROBABILITY = 1e-3
+"""Share of matches preceded by a slip: ten in an hour. A slip is uniform within 0.5 m and 0.5 rad, a
+volume of 1 m^2 rad."""
+SEARCH_HEADINGS, SEARCH_TURN, SEARCH_OFFSET = 9, 0.06, 0.25
+"""Number of headings, rad between them, and m of the offsets to try around each prediction."""
+SEARCH_PRIOR_WEIGHT = 0.1
+"""Weight of the prior while other poses are searched, relative to a match."""
 
 
 class Prediction(NamedTuple):
-    """Where the robot may be before its scan is matched; poses (3,) along the axes of the map.
+    """Predicted poses (3,) of a scan before matching, in the frame of the map.
 
     Attributes
     ----------
     pose : by odometry
     information : (3,) of it, 1/m^2, 1/m^2, 1/rad^2, unless odometry slipped
-    last, going : at the newest match, and from there at constant velocity
-    usual : the inlier share of scans before
+    last, extrapolated : at the newest match, and from there at constant velocity
+    usual : the usual inlier share
     """
 
     pose: Array
     information: Array
     last: Array
-    going: Array
+    extrapolated: Array
     usual: float
 
 
 @kernel
-def is_steady(pose: Array, predicted: Prediction) -> bool:
-    """Tell whether a pose is as far as a robot gets that does not brake or jump."""
+def near_constant_velocity(pose: Array, predicted: Prediction) -> bool:
+    """Return whether a pose (3,) is near the one at constant velocity."""
     d = np.empty(3)
-    between(predicted.going, pose, d)
-    return bool(math.hypot(d[0], d[1]) <= STEADY[0] and abs(d[2]) <= STEADY[1])
+    between(predicted.extrapolated, pose, d)
+    return bool(
+        math.hypot(d[0], d[1]) <= MAX_VELOCITY_CHANGE[0] and abs(d[2]) <= MAX_VELOCITY_CHANGE[1]
+    )
 
 
 @kernel
@@ -68,93 +70,96 @@ def chi2_of(pose: Array, predicted: Prediction) -> float:
 
 @kernel
 def cost(pose: Array, predicted: Prediction, match: Alignment, evidence: Evidence) -> float:
-    """Return the negative logarithm of a pose's probability, but for a constant.
+    """Return the negative log probability of a pose, up to a constant.
 
-    Of points it is what alignment makes least, Geman-McClure's cost: the squared scale for each that is
-    no inlier. But those that fitted no better in scans before tell nothing: they show what the map does
-    not yet, and fewest of them are left where a robot did not move. Of odometry it is that of a prior
-    with heavy tails, or of a slip.
+    The part of the points is the Geman-McClure cost that alignment minimises: the squared scale for each
+    outlier. Outliers up to their usual share do not count: they show what the map does not contain yet, and
+    a pose without motion would leave the fewest of them. The part of odometry is that of a prior with heavy
+    tails, or of a slip.
     """
     missing = max(predicted.usual * evidence.sums[0] - evidence.sums[1], 0.0)
     points = match.information * match.narrow**2 * missing
-    within = match.slack2 * math.log(1.0 + chi2_of(pose, predicted) / match.slack2)
+    gaussian = match.slack2 * math.log(1.0 + chi2_of(pose, predicted) / match.slack2)
     a = predicted.information
-    density = math.log(a[0] * a[1] * a[2] / (2.0 * math.pi) ** 3) - 2.0 * math.log(SLIPS)
-    return float(0.5 * (points + min(within, max(density, 0.0))))
+    slip = math.log(a[0] * a[1] * a[2] / (2.0 * math.pi) ** 3) - 2.0 * math.log(SLIP_PROBABILITY)
+    return float(0.5 * (points + min(gaussian, max(slip, 0.0))))
 
 
 @kernel
-def reconsider(
-    known: SurfaceMap,
+def align_from_predictions(
+    submap: SurfaceMap,
     features: Features,
     predicted: Prediction,
     match: Alignment,
     pose: Array,
     evidence: Evidence,
 ) -> float:
-    """Align also from the last pose and from that at constant velocity; keep what costs least.
+    """Align also from the last pose and from that at constant velocity; keep the pose of lowest cost.
 
-    `pose` (3,) and `evidence` are those of an alignment from odometry's pose and change in place;
-    returned is the inlier share.
+    `pose` (3,) and `evidence` are those of the alignment from the pose of odometry, and change in place.
+    Return the inlier share.
     """
     best, other = pose.copy(), np.empty(3)
-    prior = predicted.information * SEARCH_PRIOR
-    least = cost(pose, predicted, match, evidence)
-    for start in (predicted.going, predicted.last):
+    prior = predicted.information * SEARCH_PRIOR_WEIGHT
+    lowest = cost(pose, predicted, match, evidence)
+    for start in (predicted.extrapolated, predicted.last):
         other[:] = start
-        align(known, features, other, prior, match, evidence)
-        costs = cost(other, predicted, match, evidence)
-        if costs < least:
-            best[:], least = other, costs
-    return _settle(known, features, best, match, pose, evidence)
+        align(submap, features, other, prior, match, evidence)
+        new_cost = cost(other, predicted, match, evidence)
+        if new_cost < lowest:
+            best[:], lowest = other, new_cost
+    return _finish(submap, features, best, match, pose, evidence)
 
 
 @kernel
 def search(
-    known: SurfaceMap,
+    submap: SurfaceMap,
     features: Features,
     predicted: Prediction,
     match: Alignment,
     pose: Array,
     evidence: Evidence,
 ) -> float:
-    """Align from poses around all predictions; keep a clear best; see `reconsider`.
+    """Align from poses around all predictions, and keep a clear best; see `align_from_predictions`.
 
-    Its inlier share has to be well above that so far and near the usual one; and it must not cost more,
-    which asks for a clearer best the better odometry is.
+    Its inlier share must be well above that so far and near the usual one, and its cost must not be
+    higher, which demands a clearer best the better odometry is.
     """
     coarse = Alignment(8, 0.25, 0.1, match.information, max(1, len(features) // 60), match.slack2)
     fine = Alignment(4, 0.1, match.narrow, match.information, match.step, match.slack2)
-    prior, costs = predicted.information * SEARCH_PRIOR, cost(pose, predicted, match, evidence)
+    prior, old_cost = (
+        predicted.information * SEARCH_PRIOR_WEIGHT,
+        cost(pose, predicted, match, evidence),
+    )
     best, other = pose.copy(), np.empty(3)
-    enough = max(evidence.sums[1] / max(evidence.sums[0], 1.0) + 0.2, 0.6 * predicted.usual, 0.5)
-    for start in (predicted.pose, predicted.last, predicted.going):
-        for turn in range(-(HEADINGS // 2), HEADINGS // 2 + 1):
+    min_share = max(evidence.sums[1] / max(evidence.sums[0], 1.0) + 0.2, 0.6 * predicted.usual, 0.5)
+    for start in (predicted.pose, predicted.last, predicted.extrapolated):
+        for turn in range(-(SEARCH_HEADINGS // 2), SEARCH_HEADINGS // 2 + 1):
             for offset in range(5):
                 other[:] = start
-                other[2] += turn * TURN
-                other[0] += STEP * ((offset == 1) - (offset == 2))
-                other[1] += STEP * ((offset == 3) - (offset == 4))
-                align(known, features, other, prior, coarse, evidence)
-                found = align(known, features, other, prior, fine, evidence)
-                if found > enough:
-                    best[:], enough = other, found
-    normal_equations(known, features, best, match.narrow, match.step, evidence)
-    if cost(best, predicted, match, evidence) > costs:
+                other[2] += turn * SEARCH_TURN
+                other[0] += SEARCH_OFFSET * ((offset == 1) - (offset == 2))
+                other[1] += SEARCH_OFFSET * ((offset == 3) - (offset == 4))
+                align(submap, features, other, prior, coarse, evidence)
+                share = align(submap, features, other, prior, fine, evidence)
+                if share > min_share:
+                    best[:], min_share = other, share
+    normal_equations(submap, features, best, match.narrow, match.step, evidence)
+    if cost(best, predicted, match, evidence) > old_cost:
         best[:] = pose
-    return _settle(known, features, best, match, pose, evidence)
+    return _finish(submap, features, best, match, pose, evidence)
 
 
 @kernel
-def _settle(
-    known: SurfaceMap,
+def _finish(
+    submap: SurfaceMap,
     features: Features,
     best: Array,
     match: Alignment,
     pose: Array,
     evidence: Evidence,
 ) -> float:
-    """Bring pose and evidence to the best pose; return the inlier share."""
+    """Set pose and evidence to the best pose; return the inlier share."""
     pose[:] = best
-    normal_equations(known, features, pose, match.narrow, match.step, evidence)
+    normal_equations(submap, features, pose, match.narrow, match.step, evidence)
     return float(evidence.sums[1] / max(evidence.sums[0], 1.0))

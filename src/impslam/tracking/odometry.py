@@ -1,4 +1,4 @@
-"""Dead reckoning: the motion is what odometry says (thesis 3.5)."""
+"""Dead reckoning: the motion is that of odometry (thesis 3.5)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from pydantic import PrivateAttr
 
 from impslam.columns import Motions, Scans, Sweeps
 from impslam.component import register
-from impslam.tracking.base import Gate, Steps, Tracker, count
-from impslam.tracking.check import OdometryCheck
-from impslam.tracking.standing import Standing, hold, no_reference
+from impslam.tracking.base import Gate, Steps, Tracker, mark_keyframes
+from impslam.tracking.odometry_check import OdometryCheck
+from impslam.tracking.stall import StallState, initial_stall_state, undo_stalled_motion
 from impslam.tracking.surfels import prepare
 from impslam.tracking.traction import Traction
 
@@ -20,7 +20,7 @@ class OdometryTracker(Tracker):
 
     _check: OdometryCheck = PrivateAttr(default_factory=OdometryCheck)
     _traction: Traction = PrivateAttr(default_factory=Traction)
-    _standing: dict[str, Standing] = PrivateAttr(default_factory=dict)
+    _stalls: dict[str, StallState] = PrivateAttr(default_factory=dict)
 
     def steps(self, motions: Motions, sweeps: Sweeps, gate: Gate) -> Steps:
         """Follow odometry; see `Tracker.steps`."""
@@ -30,17 +30,19 @@ class OdometryTracker(Tracker):
         surfels = None if scans is None else prepare(scans, OdometryCheck.spacing)
         checked, reasons = self._check.check(motions, surfels)
         if scans is not None:
-            hold(motions.d_pose, checked, scans, self._reference_of(sweeps.sensor, scans), reasons)
+            undo_stalled_motion(
+                motions.d_pose, checked, scans, self._stall_state(sweeps.sensor, scans), reasons
+            )
         reasons = np.maximum(reasons, slipped)
-        ends = count(checked.d_pose, motions.duration, gate)
+        keyframes = mark_keyframes(checked.d_pose, motions.duration, gate)
         return Steps(
-            checked.d_pose, checked.covariance, checked.d_pose, np.ones(m, np.bool_), ends,
+            checked.d_pose, checked.covariance, checked.d_pose, np.ones(m, np.bool_), keyframes,
             np.zeros(m, np.bool_), reasons, np.zeros(m),
         )  # fmt: skip
 
-    def _reference_of(self, sensor: str, scans: Scans) -> Standing:
-        """Return what is kept of a lidar; motions to the sweeps of others are not compared."""
-        beams, kept = scans.ranges.shape[1], self._standing.get(sensor)
-        if kept is None or len(kept.ranges) != beams:
-            kept = self._standing[sensor] = no_reference(beams)
-        return kept
+    def _stall_state(self, sensor: str, scans: Scans) -> StallState:
+        """Return the stall state of a lidar; only its own sweeps are compared with each other."""
+        beams, state = scans.ranges.shape[1], self._stalls.get(sensor)
+        if state is None or len(state.ranges) != beams:
+            state = self._stalls[sensor] = initial_stall_state(beams)
+        return state

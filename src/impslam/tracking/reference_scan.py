@@ -1,4 +1,4 @@
-"""Which beams a motion would have changed: a reference scan as it would be seen after the motion."""
+"""Predict which beams of a reference scan a motion changes."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from impslam.columns import Scans
 from impslam.geometry.kernels import kernel, plain
 from impslam.types import Array
 
-CHANGE = 0.1
-"""m: a range that is to change by more says something: ten times a lidar's noise."""
+MIN_CHANGE = 0.1
+"""m: predicted change of a range that is large enough to be tested: ten times a lidar's noise."""
 
 
 class Geometry(NamedTuple):
-    """Where beams point: the pose (3,) of the laser in base_link, the first angle, and the spacing."""
+    """Directions of beams: pose (3,) of the laser in base_link, first angle and spacing in rad."""
 
     laser: Array
     first: float
@@ -22,7 +22,7 @@ class Geometry(NamedTuple):
 
 
 def geometry_of(scans: Scans) -> Geometry:
-    """Return where the beams of scans point."""
+    """Return the directions of the beams of scans."""
     angles = scans.angles
     spacing = (angles[-1] - angles[0]) / max(len(angles) - 1, 1)
     return Geometry(plain(scans.laser), float(angles[0]), float(spacing))
@@ -32,8 +32,8 @@ def geometry_of(scans: Scans) -> Geometry:
 def changed_beam(j: int, motion: Array, points: Array, ranges: Array, geometry: Geometry) -> int:
     """Return the beam that hits point j of a reference scan after a motion (3,), if its range changes.
 
-    -1 if it does not, if there is no such beam, or if all beams have one direction, as that of a single
-    beam. `points` (n, 2) are in base_link; `ranges` (n,), m, are 0 where invalid.
+    Return -1 if it does not, if there is no such beam, or if all beams have the same direction.
+    `points` (n, 2) are in base_link; `ranges` (n,), m, are 0 where invalid.
     """
     if ranges[j] <= 0.0 or geometry.spacing == 0.0:
         return -1
@@ -47,8 +47,8 @@ def changed_beam(j: int, motion: Array, points: Array, ranges: Array, geometry: 
     k = int(angle / geometry.spacing + 0.5)
     if k >= n or ranges[k] <= 0.0:
         return -1
-    least = most = ranges[k]  # where a wall is grazed, neighbours measure much else
+    shortest = longest = ranges[k]  # on a grazed wall, neighbours measure very different ranges
     for i in range(max(k - 1, 0), min(k + 2, n)):
-        least, most = min(least, ranges[i]), max(most, ranges[i])
+        shortest, longest = min(shortest, ranges[i]), max(longest, ranges[i])
     expected = math.hypot(dx, dy)
-    return k if expected < least - CHANGE or expected > most + CHANGE else -1
+    return k if expected < shortest - MIN_CHANGE or expected > longest + MIN_CHANGE else -1

@@ -1,4 +1,4 @@
-"""The tracker that matches scans against maps of the last metres, with odometry as a robust prior."""
+"""Tracker that matches scans with maps of the last metres, with odometry as a robust prior."""
 
 from __future__ import annotations
 
@@ -14,16 +14,24 @@ from impslam.noise import MotionNoise
 from impslam.surfaces.features import beam_spacing
 from impslam.surfaces.surface_map import Alignment, no_evidence
 from impslam.tracking.base import Gate, Steps, Tracker
-from impslam.tracking.doubt import no_doubt
-from impslam.tracking.following import RESIDUAL, USUAL, Beams, Seen, Settings, State, follow
-from impslam.tracking.learned_odometry import unlearned
+from impslam.tracking.learned_odometry import initial_odometry
+from impslam.tracking.match_faults import initial_faults
+from impslam.tracking.scan_matching import (
+    USUAL_RMS,
+    USUAL_SHARE,
+    Beams,
+    LidarState,
+    Settings,
+    State,
+    follow,
+)
 from impslam.tracking.submaps import empty_submaps
 from impslam.types import Array
 
 
 @register("scan_to_map")
 class ScanToMap(Tracker):
-    """Matches scans against maps of the last metres; odometry is a prior that may be wrong."""
+    """Matches scans with maps of the last metres; odometry is a prior that may be wrong."""
 
     matches_scans: ClassVar[bool] = True
 
@@ -31,59 +39,61 @@ class ScanToMap(Tracker):
         0.035,
         "m",
         "standard deviation of one point's distance; more than the lidar's noise, because the points "
-        "of one surface share its error",
+        "of a surface share errors",
         gt=0,
     )
     wide: float = parameter(
-        0.4, "m", "scale of the robust kernel at first: what odometry may be off by", gt=0, le=2
+        0.4, "m", "initial scale of the robust kernel: the error of odometry", gt=0, le=2
     )
-    narrow: float = parameter(0.06, "m", "and in the end: three times a lidar's noise", gt=0, le=2)
-    iterations: int = parameter(14, "1", "linearisations at most", ge=1, le=100)
+    narrow: float = parameter(
+        0.06, "m", "final scale of the kernel: three times a lidar's noise", gt=0, le=2
+    )
+    iterations: int = parameter(14, "1", "maximum number of linearisations", ge=1, le=100)
     reach: float = parameter(
         50.0,
         "m",
-        "submaps reach so far around the robot; what lies beyond is left out",
+        "range of the submaps around the robot; points beyond it are left out",
         gt=1,
         le=200,
     )
     length: float = parameter(
-        12.0, "m", "way that a submap lasts for: a few rooms, and drift of a few cm", gt=0
+        12.0, "m", "distance that a submap lasts for: a few rooms, and drift of a few cm", gt=0
     )
-    spacing: float = parameter(0.4, "m", "a scan is added to the submaps after this way", gt=0)
+    spacing: float = parameter(0.4, "m", "a scan is added to the submaps after this distance", gt=0)
     turn: float = parameter(0.4, "rad", "or after this turn", gt=0)
-    thin: float = parameter(0.04, "m", "points nearer to each other are one", ge=0)
+    thin: float = parameter(0.04, "m", "points nearer to each other are merged", ge=0)
     drift: MotionNoise = parameter(
         MotionNoise(forward=0.01, sideways=0.01, turn_per_distance=0.005, turn_per_turn=0.01),
         "",
-        "what matched motion strays by all the same: surfaces are not the same from everywhere",
+        "drift of matched motion: surfaces look different from different positions",
     )
     _state: State = PrivateAttr()
-    _seen: dict[str, Seen] = PrivateAttr(default_factory=dict)
+    _seen: dict[str, LidarState] = PrivateAttr(default_factory=dict)
 
     def model_post_init(self, context: object) -> None:
         """Begin with empty submaps."""
         self._state = State(
             empty_submaps(self.reach + self.length),
-            unlearned(),
+            initial_odometry(),
             pose=np.zeros(3),
             matched=np.zeros(3),
-            since=np.zeros(3),
+            motion=np.zeros(3),
             covariance=np.zeros((3, 3)),
-            lengths=np.zeros(3),
+            travelled=np.zeros(3),
             velocity=np.zeros(3),
             prior=np.zeros(2),
             unlocated=np.zeros(1),
-            means=np.array([USUAL, RESIDUAL**2, 0.1]),
+            averages=np.array([USUAL_SHARE, USUAL_RMS**2, 0.1]),
             evidence=no_evidence(),
-            doubt=no_doubt(),
+            faults=initial_faults(),
         )
 
     def forget(self) -> None:
-        """Give back the memory of the submaps; a further scan would begin new ones."""
+        """Free the memory of the submaps; a further scan would begin new ones."""
         self.model_post_init(None)
 
     def settings(self) -> Settings:
-        """Return the parameters as kernels take them."""
+        """Return the parameters in the form that kernels take."""
         d = self.drift
         return Settings(
             Alignment(self.iterations, self.wide, self.narrow, self.sigma**-2, 1, np.inf),
@@ -95,24 +105,24 @@ class ScanToMap(Tracker):
         )
 
     def steps(self, motions: Motions, sweeps: Sweeps, gate: Gate) -> Steps:
-        """Match each sweep against the submaps; see `Tracker.steps`."""
+        """Match each sweep with the submaps; see `Tracker.steps`."""
         beams = _beams(sweeps.scans, len(sweeps))
-        seen = self._seen.get(sweeps.sensor)
-        if seen is None or len(seen.ranges) != beams.ranges.shape[1]:
-            seen = Seen(np.zeros(beams.ranges.shape[1]), np.full(3, np.nan))
-            self._seen[sweeps.sensor] = seen
+        lidar = self._seen.get(sweeps.sensor)
+        if lidar is None or len(lidar.ranges) != beams.ranges.shape[1]:
+            lidar = LidarState(np.zeros(beams.ranges.shape[1]), np.full(3, np.nan))
+            self._seen[sweeps.sensor] = lidar
         m = len(sweeps)
         reference, ends, located = np.zeros((3, m), np.bool_)
         out = Steps(
             np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 3)), reference, ends, located,
             np.zeros(m, np.int8), np.zeros(m),
         )  # fmt: skip
-        follow(motions, beams, self._state, seen, gate, self.settings(), out)
+        follow(motions, beams, self._state, lidar, gate, self.settings(), out)
         return out
 
 
 def _beams(scans: Scans | None, m: int) -> Beams:
-    """Return the beams of m sweeps; none of a sensor that is no lidar."""
+    """Return the beams of m sweeps; no beams unless the sensor is a lidar."""
     if scans is None:
         none: Array = np.zeros((m, 0))
         return Beams(np.zeros((m, 0, 2)), none.astype(np.bool_), none, np.zeros((m, 0, 2)), 0.0)

@@ -1,4 +1,4 @@
-"""Sweeps made ready for matching: points thinned along the beams, with the normals of their surfaces."""
+"""Prepare sweeps for matching: points thinned along the beams, with the normals of their surfaces."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from impslam.columns import Scans
 from impslam.geometry.kernels import kernel, plain
 from impslam.types import Array, Ints, Mask
 
-REACH = 3  # beams on either side that a normal is fitted to at least
-WINDOW = 0.15  # m on either side that it is fitted to: long against the noise of a beam, 1 to 3 cm
-FEWEST = 2 * REACH + 1  # points without a gap between them that tell which way a surface runs
+MIN_NEIGHBOURS = 3  # beams on either side of a fitted normal, at least
+WINDOW = 0.15  # m on either side of it: long compared with the noise of a beam, 1 to 3 cm
+MIN_SURFACE_POINTS = 2 * MIN_NEIGHBOURS + 1  # points without a gap that show a surface's direction
 
 
 class Surfels(NamedTuple):
@@ -21,8 +21,8 @@ class Surfels(NamedTuple):
 
     Attributes
     ----------
-    rows : (n, 6) x, y, the unit normal, 1 on a straight surface (else 0: a lone point), and 1 where
-        enough points without a gap tell of a surface (else 0)
+    rows : (n, 6) x, y, the unit normal, 1 on a straight surface (else 0: a lone point), and 1 if it belongs
+        to enough points without a gap to show a surface (else 0)
     starts : (m + 1,) those of sweep k are `rows[starts[k] : starts[k + 1]]`
     """
 
@@ -40,42 +40,42 @@ def prepare(scans: Scans, spacing: float) -> Surfels:
 
 
 def gaps(scans: Scans) -> Array:
-    """Return how far apart neighbours of one surface may be, (m,) m: three beams' spacing, and 5 cm.
+    """Return the largest distance between neighbours on one surface, (m,) m.
 
-    That is at the sweep's median range, 0 where there is none.
+    It is three times the spacing of beams at the sweep's median range, plus 5 cm; 0 without valid beams.
     """
     m, n = scans.ranges.shape
     if n < 2:
         return np.zeros(m)
     spacing = abs(float(scans.angles[-1] - scans.angles[0])) / (n - 1)
-    ranges, seen = np.sort(np.where(scans.valid, scans.ranges, np.inf), axis=1), scans.valid.sum(1)
-    row, some = np.arange(m), np.maximum(seen, 1)
+    ranges, xy = np.sort(np.where(scans.valid, scans.ranges, np.inf), axis=1), scans.valid.sum(1)
+    row, some = np.arange(m), np.maximum(xy, 1)
     median = 0.5 * (ranges[row, (some - 1) // 2] + ranges[row, some // 2])
-    median[seen == 0] = 0.0
-    return np.where(seen > 0, 0.05 + 3.0 * spacing * median, 0.0)
+    median[xy == 0] = 0.0
+    return np.where(xy > 0, 0.05 + 3.0 * spacing * median, 0.0)
 
 
 @kernel
 def _prepare(
     points: Array, valid: Mask, gap: Array, spacing: float, rows: Array, starts: Ints
 ) -> int:
-    """Fill `rows` and `starts` of `Surfels` from points (m, n, 2); return how many rows there are."""
-    seen = np.empty((points.shape[1], 2))
+    """Fill `rows` and `starts` of `Surfels` from points (m, n, 2); return the number of rows."""
+    xy = np.empty((points.shape[1], 2))
     count = 0
     for k in range(len(points)):
         n = 0
         for i in range(points.shape[1]):
             if valid[k, i]:
-                seen[n, 0], seen[n, 1] = points[k, i, 0], points[k, i, 1]
+                xy[n, 0], xy[n, 1] = points[k, i, 0], points[k, i, 1]
                 n += 1
         begin, last = 0, -1
         while begin < n:
             end = begin + 1
-            while end < n and _apart2(seen[end - 1], seen[end]) < gap[k] ** 2:
+            while end < n and _distance2(xy[end - 1], xy[end]) < gap[k] ** 2:
                 end += 1
             for i in range(begin, end):
-                if last < 0 or _apart2(seen[last], seen[i]) >= spacing**2:
-                    _enter(rows[count], seen, i, begin, end)
+                if last < 0 or _distance2(xy[last], xy[i]) >= spacing**2:
+                    _fill_row(rows[count], xy, i, begin, end)
                     count += 1
                     last = i
             begin = end
@@ -84,24 +84,28 @@ def _prepare(
 
 
 @kernel
-def _apart2(a: Array, b: Array) -> float:
+def _distance2(a: Array, b: Array) -> float:
     return float((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2)
 
 
 @kernel
-def _enter(row: Array, points: Array, i: int, begin: int, end: int) -> None:
+def _fill_row(row: Array, points: Array, i: int, begin: int, end: int) -> None:
     """Fill the row of point i, which has no gap to its neighbours from `begin` to `end`.
 
-    A straight surface needs three neighbours, and a scatter across it of less than a fifth of that
-    along it. The normal belongs to the smaller eigenvalue of the scatter.
+    A straight surface needs three neighbours, and less than a fifth of the scatter along it across it.
+    The normal is the eigenvector of the smaller eigenvalue of the scatter.
     """
     x, y = points[i, 0], points[i, 1]
     row[0], row[1], row[2], row[3], row[4] = x, y, 0.0, 1.0, 0.0
-    row[5] = 1.0 if end - begin >= FEWEST else 0.0
+    row[5] = 1.0 if end - begin >= MIN_SURFACE_POINTS else 0.0
     low, high = i, i
-    while low > begin and (i - low < REACH or _apart2(points[i], points[low - 1]) < WINDOW**2):
+    while low > begin and (
+        i - low < MIN_NEIGHBOURS or _distance2(points[i], points[low - 1]) < WINDOW**2
+    ):
         low -= 1
-    while high < end - 1 and (high - i < REACH or _apart2(points[i], points[high + 1]) < WINDOW**2):
+    while high < end - 1 and (
+        high - i < MIN_NEIGHBOURS or _distance2(points[i], points[high + 1]) < WINDOW**2
+    ):
         high += 1
     if high - low < 3:
         return
@@ -123,16 +127,16 @@ def _enter(row: Array, points: Array, i: int, begin: int, end: int) -> None:
 
 @kernel
 def thin(rows: Array, spacing: float, surfaces_only: bool) -> Array:
-    """Return the rows that lie at least `spacing` m from the last one kept.
+    """Return the rows at least `spacing` m from the last one kept.
 
-    With `surfaces_only` not those that are too few together to tell of a surface: the far end of a
-    wall that beams graze is such points; it comes along with the robot.
+    With `surfaces_only`, leave out points too few together to show a surface: the far end of a grazed
+    wall consists of such points, and moves with the robot.
     """
     out, count = np.empty_like(rows), 0
     for i in range(len(rows)):
         if surfaces_only and rows[i, 5] == 0.0:
             continue
-        if count == 0 or _apart2(rows[i], out[count - 1]) >= spacing**2:
+        if count == 0 or _distance2(rows[i], out[count - 1]) >= spacing**2:
             out[count] = rows[i]
             count += 1
     return out[:count]

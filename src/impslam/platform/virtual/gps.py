@@ -64,7 +64,7 @@ class GpsEmulator:
         fresh = SHARED * math.sqrt(1.0 - kept**2)
         self._shared = kept * self._shared + fresh * self._rng.standard_normal(2)
         error = self._shared + WHITE * self._rng.standard_normal(2)
-        place = self._plane.place(np.array([*(self._pose()[:2] + error), 0.0]))
+        place = self._plane.geodetic(np.array([*(self._pose()[:2] + error), 0.0]))
         moment = (FIRST + time) % 86400.0
         clock = f"{int(moment // 3600):02}{int(moment // 60) % 60:02}{moment % 60:05.2f}"
         lat, lon = _degrees(place[0], "NS", 2), _degrees(place[1], "EW", 3)

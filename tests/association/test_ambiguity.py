@@ -1,4 +1,4 @@
-"""What a scan cannot tell is not used, and what it can tell of one observation helps with the others."""
+"""Ambiguous observations are not used, and certain ones resolve the ambiguity of others."""
 
 import math
 
@@ -10,7 +10,7 @@ from impslam.component import components
 
 ORIGIN = np.zeros(3)
 ALONE = {"mahalanobis": {"density": 1e-6}, "jcbb": {}}
-"""Next to nothing else of the kind, so that landmarks are weighed against each other."""
+"""Hardly any other objects of the kind, so that landmarks only compete with each other."""
 
 
 @pytest.fixture(params=sorted(ALONE))
@@ -21,7 +21,7 @@ def make(request):
 
 
 def between(share):
-    """Return a belief of two landmarks, and one seen so far on the way between them; and the odds."""
+    """Return a belief of two landmarks, an observation at a share of the path between, and the odds."""
     belief = mapped([point(ORIGIN, (2, 0)), point(ORIGIN, (2, 0.6))], sigma=(0.2, 0.2, 1e-6))
     seen = (point(ORIGIN, (2, 0.6 * share)),)
     (group,) = belief.hypothesise(seen)
@@ -30,7 +30,7 @@ def between(share):
 
 
 @pytest.mark.parametrize("share", [0.5, 0.4, 0.3, 0.2, 0.0])
-def test_between_two_landmarks_the_odds_decide(make, share):
+def test_the_odds_decide_between_two_landmarks(make, share):
     belief, seen, odds = between(share)
     refused = belief.associate(seen, make(odds=1.01 * odds))
     assert (refused.matches, refused.new) == ((), ())
@@ -40,15 +40,15 @@ def test_between_two_landmarks_the_odds_decide(make, share):
     assert pairs(belief.associate(seen, make())) == expected
 
 
-def test_another_observation_settles_which_is_which(make):
+def test_another_observation_resolves_the_ambiguity(make):
     """The one between could be either; but one of them is seen elsewhere."""
     belief, seen, _ = between(0.5)
     both = (*seen, point(ORIGIN, (2, 0.9)))
     assert pairs(belief.associate(both, make())) == {0: 0, 1: 1}
 
 
-def test_what_is_near_a_landmark_that_is_seen_elsewhere_is_new(make):
-    """As two barcodes side by side: the known one is seen, so that the other is not it."""
+def test_an_observation_near_a_landmark_observed_elsewhere_is_new(make):
+    """As two barcodes side by side: the known one is observed, so the other is a new one."""
     belief = mapped([point(ORIGIN, (2, 0))], sigma=(0.02, 0.02, 1e-6))
     beside = point(ORIGIN, (2, 0.1))  # outside the gate, inside that of what is new
     alone = belief.associate((beside,), make())
@@ -57,8 +57,8 @@ def test_what_is_near_a_landmark_that_is_seen_elsewhere_is_new(make):
     assert (pairs(both), both.new) == ({0: 0}, (1,))
 
 
-def test_pieces_of_a_wall_are_one_wall(make):
-    """Either could be taken for it, which is no doubt about what was seen, and neither is new."""
+def test_pieces_of_a_wall_match_one_wall(make):
+    """Either could be the wall, which is not ambiguous, and neither is new."""
     belief = mapped([wall(ORIGIN, [[2, -2], [2, 2]])])
     pieces = (wall(ORIGIN, [[2, -2], [2, -1]]), wall(ORIGIN, [[2, 1], [2, 2]]))
     choice = belief.associate(pieces, make())

@@ -1,4 +1,4 @@
-"""Scans that show another motion than odometry are believed; those that agree change nothing."""
+"""Scans that contradict odometry replace its motion; those that agree change nothing."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from tests.tracking.sweeps import motions_of, same, scans_of
 
 from impslam.geometry.se2 import compose
 from impslam.health import NONE
-from impslam.tracking.check import OdometryCheck
+from impslam.tracking.odometry_check import OdometryCheck
 from impslam.tracking.surfels import prepare
 from impslam.types import Increment
 
@@ -18,28 +18,28 @@ PERIOD = 0.1  # s
 COVARIANCE = np.diag([1e-4, 1e-4, 1e-4]) * 0.04
 
 
-def agreed(check, increment, scan):
-    """Return the increment as the check hands it on."""
+def checked(check, increment, scan):
+    """Return the increment that the check returns."""
     surfels = prepare(scans_of([scan]), check.spacing)
     motions, reasons = check.check(motions_of([increment]), surfels)
     assert (reasons[0] != NONE) != same(motions.row(0), increment)
     return motions.row(0)
 
 
-def drive(told, true=STEP, scans=40, lines=ROOM):
-    """Return what the check makes of a robot's way, and the poses: true, and composed from it."""
-    check, pose, reached, results = OdometryCheck(), np.zeros(3), np.zeros(3), []
+def drive(odometry, true=STEP, scans=40, lines=ROOM):
+    """Return the increments before and after the check, the true pose, and the composed one."""
+    check, pose, composed, results = OdometryCheck(), np.zeros(3), np.zeros(3), []
     for k in range(scans):
-        covariance = COVARIANCE if np.any(told) else np.zeros((3, 3))
-        increment = Increment(k * PERIOD, np.asarray(told, float), covariance, PERIOD)
+        covariance = COVARIANCE if np.any(odometry) else np.zeros((3, 3))
+        increment = Increment(k * PERIOD, np.asarray(odometry, float), covariance, PERIOD)
         if k == 0:
             increment = Increment.none(0.0)
         else:
             pose = compose(pose, true)
-        result = agreed(check, increment, cast(lines, pose=pose).scan)
-        reached = compose(reached, result.d_pose)
+        result = checked(check, increment, cast(lines, pose=pose).scan)
+        composed = compose(composed, result.d_pose)
         results.append((increment, result))
-    return results, pose, reached
+    return results, pose, composed
 
 
 @pytest.mark.parametrize("true", [STEP, np.zeros(3), -STEP])
@@ -50,22 +50,22 @@ def test_odometry_that_agrees_with_the_scans_is_handed_on_as_it_is(true):
 
 
 @pytest.mark.parametrize(
-    "told", [np.zeros(3), [0.02, 0.0, -0.05], [0.02, 0.0, 0.06]], ids=["both", "left", "right"]
+    "odometry", [np.zeros(3), [0.02, 0.0, -0.05], [0.02, 0.0, 0.06]], ids=["both", "left", "right"]
 )
-def test_frozen_encoders_are_found_out_and_the_scans_followed(told):
-    """Both stand, or one, which is half the way and a turn."""
-    results, pose, reached = drive(told)
+def test_frozen_encoders_are_found_out_and_the_scans_followed(odometry):
+    """Both are frozen, or one, which reports half the distance and a turn."""
+    results, pose, composed = drive(odometry)
     assert same(*results[1])
     found = [not same(increment, result) for increment, result in results]
     assert all(found[10:])
-    np.testing.assert_allclose(reached[:2], pose[:2], atol=0.15)
-    assert abs(reached[2] - pose[2]) < 0.05
+    np.testing.assert_allclose(composed[:2], pose[:2], atol=0.15)
+    assert abs(composed[2] - pose[2]) < 0.05
     for _, result in results[10:]:
         assert np.linalg.eigvalsh(result.covariance)[0] > 0.0
 
 
-def test_where_scans_tell_nothing_the_noise_grows_with_time():
-    """A robot turns and goes along a bare corridor while its wheels stand: how far, nobody knows."""
+def test_the_noise_grows_with_time_if_scans_do_not_determine_the_motion():
+    """A robot moves along a bare corridor while its encoders are frozen: the distance is unknown."""
     results, _, _ = drive(np.zeros(3), np.array([0.04, 0.0, 0.02]), 25, CORRIDOR)
     odometry, last = results[-1]
     assert not same(last, odometry)
@@ -78,6 +78,6 @@ def test_silent_odometry_is_contradicted_as_well():
     check, pose = OdometryCheck(), np.zeros(3)
     for k in range(20):
         increment = Increment.none(k * PERIOD)
-        result = agreed(check, increment, cast(ROOM, pose=pose).scan)
+        result = checked(check, increment, cast(ROOM, pose=pose).scan)
         pose = compose(pose, STEP)
     assert not same(result, increment)

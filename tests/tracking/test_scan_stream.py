@@ -1,4 +1,4 @@
-"""Scans that are repeated to the bit, and stamps that run back and forth."""
+"""Scans that are repeated bit for bit, and stamps that run back and forth."""
 
 from itertools import pairwise
 
@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 
 from impslam.health import DISORDERED, NONE, REPEATED
-from impslam.tracking.scan_rows import first_row, judge_rows
+from impslam.tracking.scan_stream import check_stream, initial_stream_state
 
 ANGLES = np.linspace(-1.0, 1.0, 20)
 
 
-def judged(ranges, stamps=None, way=0.03, cuts=()):
-    m, known = len(ranges), first_row(ranges.shape[1])
+def check(ranges, stamps=None, distance=0.03, cuts=()):
+    m, known = len(ranges), initial_stream_state(ranges.shape[1])
     stamps = 0.1 * np.arange(m) if stamps is None else np.asarray(stamps, float)
-    d_pose = np.tile([way, 0.0, 0.0], (m, 1))
+    d_pose = np.tile([distance, 0.0, 0.0], (m, 1))
     parts = [
-        judge_rows(stamps[a:b], ranges[a:b], d_pose[a:b], known) for a, b in pairwise([0, *cuts, m])
+        check_stream(stamps[a:b], ranges[a:b], d_pose[a:b], known)
+        for a, b in pairwise([0, *cuts, m])
     ]
     return np.concatenate(parts)
 
@@ -29,32 +30,32 @@ def noisy(m, seed=0):
 def test_a_scan_that_repeats_while_odometry_moves_is_found_however_the_log_is_cut(cuts):
     ranges = noisy(30)
     ranges[10:25] = ranges[10]
-    ranges[:, 3] = np.nan  # NaN is to the bit what it was, too
-    found = judged(ranges, cuts=cuts)
+    ranges[:, 3] = np.nan  # NaN equals itself bit for bit
+    found = check(ranges, cuts=cuts)
     assert (found[:14] == NONE).all()  # 10 cm may go by within the resolution of ranges
     assert (found[14:25] == REPEATED).all()
     assert (found[25:] == NONE).all()
 
 
-def test_a_robot_that_stands_may_see_the_same_to_the_bit():
-    assert not judged(np.tile(noisy(1), (50, 1)), way=0.0).any()
+def test_a_stationary_robot_may_see_equal_scans():
+    assert not check(np.tile(noisy(1), (50, 1)), distance=0.0).any()
 
 
 def test_one_beam_that_differs_is_enough():
     ranges = np.tile(noisy(1), (50, 1))
     ranges[:, 5] += 1e-9 * np.arange(50)
-    assert not judged(ranges).any()
+    assert not check(ranges).any()
 
 
-def test_stamps_that_run_backward_or_in_any_order_are_told():
-    back = judged(noisy(50), -0.1 * np.arange(50))
+def test_stamps_that_run_backward_or_in_any_order_are_reported():
+    back = check(noisy(50), -0.1 * np.arange(50))
     assert (back[5:] == DISORDERED).all()
     order = np.lexsort((np.random.default_rng(1).random(50), np.arange(50) // 5))
-    shuffled = judged(noisy(50), 0.1 * order)
+    shuffled = check(noisy(50), 0.1 * order)
     assert (shuffled[10:] == DISORDERED).mean() > 0.7
 
 
 def test_a_stamp_that_runs_back_now_and_then_is_none():
     stamps = 0.1 * np.arange(200.0)
     stamps[np.random.default_rng(2).random(200) < 0.05] -= 0.3
-    assert not judged(noisy(200), stamps).any()
+    assert not check(noisy(200), stamps).any()

@@ -1,44 +1,44 @@
-"""A robot that stands while its wheels turn, and one that drives along walls that look the same."""
+"""A robot that is stationary while its wheels turn, and one that drives along uniform walls."""
 
 import numpy as np
 import pytest
 
 from impslam.columns import Motions, Scans
 from impslam.health import STALLED
-from impslam.tracking.standing import hold, no_reference
+from impslam.tracking.stall import initial_stall_state, undo_stalled_motion
 
 ANGLES = np.linspace(-2.0, 2.0, 341)
 LASER = np.array([0.1, 0.0, 0.0])
 
 
 def box(x, y, half_length, half_width, rng):
-    """Return ranges in the middle of a box, from a laser in place (x, y) that looks along x."""
+    """Return ranges in the middle of a box, from a laser at (x, y) facing along x."""
     c, s = np.cos(ANGLES), np.sin(ANGLES)
     ahead = (np.where(c > 0, half_length - x, -half_length - x)) / np.where(c == 0, 1e-9, c)
     aside = (np.where(s > 0, half_width - y, -half_width - y)) / np.where(s == 0, 1e-9, s)
     return np.minimum(ahead, aside) + 0.005 * rng.standard_normal(len(ANGLES))
 
 
-def driven(ways, told, half_length, half_width=1.0, range_max=8.0):
-    """Return the motions used and the reasons where a robot goes `ways` (m,) and odometry tells `told`."""
-    rng, m = np.random.default_rng(3), len(ways)
-    ranges = np.array([box(x, 0.1, half_length, half_width, rng) for x in np.cumsum(ways)])
+def driven(steps, odometry, half_length, half_width=1.0, range_max=8.0):
+    """Return the motions used and the reasons for true `steps` (m,) and those by `odometry`."""
+    rng, m = np.random.default_rng(3), len(steps)
+    ranges = np.array([box(x, 0.1, half_length, half_width, rng) for x in np.cumsum(steps)])
     directions = np.column_stack((np.cos(ANGLES), np.sin(ANGLES)))
     points = LASER[:2] + ranges[:, :, None] * directions
     scans = Scans(
         np.arange(m) / 10.0, ANGLES, ranges, ranges < range_max, points, directions, points, ranges,
         0.0, range_max, LASER,
     )  # fmt: skip
-    d_pose = np.column_stack((told, np.zeros((m, 2))))
+    d_pose = np.column_stack((odometry, np.zeros((m, 2))))
     d_pose[0] = 0.0
     used = Motions(scans.stamps, d_pose.copy(), np.zeros((m, 3, 3)), np.full(m, 0.1))
     reasons = np.zeros(m, np.int8)
-    hold(d_pose, used, scans, no_reference(len(ANGLES)), reasons)
+    undo_stalled_motion(d_pose, used, scans, initial_stall_state(len(ANGLES)), reasons)
     return used, reasons
 
 
 @pytest.mark.parametrize("step", [0.02, 0.05, 0.3])
-def test_wheels_that_turn_against_a_wall_move_nothing(step):
+def test_wheels_that_turn_against_a_wall_add_no_motion(step):
     used, reasons = driven(np.zeros(40), np.full(40, step), 3.0)
     assert abs(used.d_pose[:, 0].sum()) < 0.2
     first = int(np.argmax(reasons == STALLED))
@@ -46,25 +46,25 @@ def test_wheels_that_turn_against_a_wall_move_nothing(step):
     assert (reasons[first:] == STALLED).all()
     assert (
         used.covariance[first, 0, 0] >= (step * (first - 1)) ** 2
-    )  # it may have gone so far before
+    )  # it may have moved this far before
 
 
-def test_a_robot_that_drives_is_left_alone():
+def test_a_moving_robot_is_left_alone():
     used, reasons = driven(np.full(40, 0.05), np.full(40, 0.05), 3.0)
     assert not reasons.any()
     assert (used.d_pose[1:, 0] == 0.05).all()
 
 
-@pytest.mark.parametrize("ways", [np.full(40, 0.05), np.zeros(40)])
-def test_along_a_bare_corridor_nothing_is_said(ways):
-    _, reasons = driven(ways, np.full(40, 0.05), 50.0)
+@pytest.mark.parametrize("steps", [np.full(40, 0.05), np.zeros(40)])
+def test_along_a_bare_corridor_nothing_is_concluded(steps):
+    _, reasons = driven(steps, np.full(40, 0.05), 50.0)
     assert not reasons.any()
 
 
 def test_a_robot_that_comes_off_the_wall_drives_on():
     still, away = np.zeros(20), np.full(20, -0.05)
-    told = np.concatenate((np.full(20, 0.05), away))
-    used, reasons = driven(np.concatenate((still, away)), told, 3.0)
+    odometry = np.concatenate((np.full(20, 0.05), away))
+    used, reasons = driven(np.concatenate((still, away)), odometry, 3.0)
     assert reasons[10:20].all()
     assert not reasons[25:].any()
     assert used.d_pose[20:, 0].sum() == pytest.approx(-1.0, abs=0.1)

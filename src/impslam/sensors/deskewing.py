@@ -1,11 +1,11 @@
-"""The beams of a lidar in base_link at one instant.
+"""De-skew the beams of a lidar: transform them to base_link at one instant.
 
-The beams of a sweep start while the robot moves. With a constant body twist xi the robot is at
-exp(t xi) when a beam is fired t seconds after the middle of the sweep; the beam's origin and end are
-carried through that motion (de-skewed) before they are used.
+The beams of a sweep are fired while the robot moves. With a constant body twist xi the robot is at
+exp(t xi) when a beam is fired t seconds after the middle of the sweep; the beam's origin and end point are
+transformed by that motion.
 
-A beam is valid if its range is one (REP 117: finite, within the limits; drivers' 0 for no return and the
-lidar's error codes, below its smallest range, are not) and if its direction is within the field of view.
+A beam is valid if its range is valid (REP 117: finite and within the limits, unlike drivers' 0 for no
+return and the lidar's error codes below its smallest range) and its direction is within the field of view.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from impslam.types import Array, Mask
 
 
 @kernel
-def place(
+def deskew_sweeps(
     ranges: Array,
     beams: Array,
     in_field: Mask,
@@ -28,7 +28,7 @@ def place(
     calibration: Array,
     noise: Array,
 ) -> tuple[Array, Mask, Array, Array, Array, Array]:
-    """Return sweeps of n beams in base_link in the middle of each.
+    """Return sweeps of n beams in base_link at the middle of each.
 
     Parameters
     ----------
@@ -37,8 +37,8 @@ def place(
     in_field : (n,) which beams are within the field of view
     twists : (m, 3) m/s, m/s, rad/s, of the body over each sweep
     mount : (4,) `T_base_laser`, and -1 if the laser is upside down, else 1
-    calibration : (4,) scale and offset (m) of the ranges; limits (m) of what is received
-    noise : (2,) standard deviation of a range at 0 (m), and how much it grows with range
+    calibration : (4,) scale and offset (m) of the ranges; limits (m) of the received ranges
+    noise : (2,) standard deviation of a range at 0 (m), and its increase per metre of range
 
     Returns
     -------

@@ -1,0 +1,195 @@
+"""Detect faults from matches: whether the scan fits the map, and whether wheels and scans agree.
+
+A scan of a place in the map fits about as well as those before it. After a kidnapping nearly all first
+scans fit less than `MIN_FIT` as well; otherwise about one scan in an hour does. Such a scan changes
+nothing: no map, no mean, nothing learned about odometry, and the pose follows odometry. If the next scans
+do not fit either, the robot is elsewhere, and new maps begin.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.geometry.kernels import kernel
+from impslam.health import ELSEWHERE, NONE, OPEN, OPPOSED, PUSHED, SLIPPED, STALLED, UNEXPLAINED
+from impslam.types import Array
+
+MIN_FIT = 0.55
+"""Share of the mean inlier share below which a scan shows another place."""
+MIN_USUAL_SHARE = 0.7
+"""Mean inlier share, of many scans and of the last few, below which a poor fit means nothing: among bushes,
+people and ramps many scans fit poorly. Indoors the mean is 0.75 to 0.95, outdoors 0.4 to 0.65."""
+MIN_POINTS = 50
+"""Points below which a poor fit means nothing: half of fewer may fall on one chair."""
+SIGMAS = 3.0
+"""Standard deviations below the mean inlier share that a poor fit has at least: bushes and people fit by
+chance."""
+RECOVERY_FIT = 0.7, 0.9
+"""Shares of the mean inlier share above which a scan fits the map again: at the pose of odometry, and
+elsewhere, since places look alike."""
+NEAR_ODOMETRY = 0.15, 0.1
+"""m, rad: a match is at the pose of odometry within this scatter of a few matches."""
+MIN_POOR_SCANS = 3, 0.4
+"""Scans and s of poor fit that mean another place: scans that people occlude one after another fit in
+between."""
+MEMORY = 0.02, 0.05
+"""Weights of the newest scan in the mean of many scans and in the variance: 50 scans, the kind of place;
+20 scans, one view."""
+INITIAL_SHARE = 0.8, 0.08
+"""Mean and standard deviation of the inlier share before the first scan."""
+WINDOW = 1.0
+"""s over which odometry and scans are compared: a few scans, half a metre at walking pace."""
+STATIONARY_SHARE = 0.3
+"""Share of the motion reported by one source; if the other reports less, it shows a stationary robot."""
+MIN_MOTION = 0.15, 0.25
+"""m, rad: motion within this window below which nothing is compared; errors of matches are smaller."""
+TURN_MEMORY = 3.0
+"""rad of turning over which the signs of turns by odometry and by scans are compared."""
+MIN_TURN_PRODUCT = 0.05
+"""rad^2: smallest sum of the products of both turns that is tested: 0.5 rad in steps of 0.1."""
+MIN_OPEN_DISTANCE = 1.0
+"""m along a bare corridor that are reported; over less, odometry is off by no more than a match."""
+
+
+class MatchFaults(NamedTuple):
+    """State of the checks over the newest scans; kernels change all of it in place.
+
+    Attributes
+    ----------
+    poor : (2,) scans in a row that do not fit, and s since the first of them
+    shares : (2,) mean of the inlier share of many scans, and its variance
+    odometry, scans : (2,) m and rad by odometry and by the scans within `WINDOW`
+    unlocated : (1,) m travelled since a scan last determined the position
+    turns : (2,) sums of the products of turns by odometry and by scans, and of their magnitudes, rad^2
+    newest : (2,) reason and distance of the newest match that was compared
+    """
+
+    poor: Array
+    shares: Array
+    odometry: Array
+    scans: Array
+    unlocated: Array
+    turns: Array
+    newest: Array
+
+
+class Fit(NamedTuple):
+    """How a scan fits the map.
+
+    Attributes
+    ----------
+    points : number of compared points
+    share : inlier share of them
+    off : (3,) best-fitting pose, relative to that of odometry
+    """
+
+    points: float
+    share: float
+    off: Array
+
+
+def initial_faults() -> MatchFaults:
+    """Return the state before the first scan."""
+    return MatchFaults(
+        np.zeros(2),
+        np.array([INITIAL_SHARE[0], INITIAL_SHARE[1] ** 2]),
+        np.zeros(2),
+        np.zeros(2),
+        np.zeros(1),
+        np.zeros(2),
+        np.zeros(2),
+    )
+
+
+@kernel
+def check_fit(faults: MatchFaults, fit: Fit, usual: float, duration: float) -> int:
+    """Return `NONE` if a scan fits the map, else `UNEXPLAINED` or `ELSEWHERE`.
+
+    `usual` is the mean share so far, `duration` s since the last scan.
+    """
+    share, off, shares = fit.share, usual - fit.share, faults.shares
+    if faults.poor[0] > 0.0:
+        moved = (
+            math.hypot(fit.off[0], fit.off[1]) > NEAR_ODOMETRY[0]
+            or abs(fit.off[2]) > NEAR_ODOMETRY[1]
+        )
+        fits = share >= usual * (RECOVERY_FIT[1] if moved else RECOVERY_FIT[0])
+    else:
+        fits = share >= usual * MIN_FIT or off < SIGMAS * math.sqrt(shares[1])
+    if fits or fit.points < MIN_POINTS or min(shares[0], usual) < MIN_USUAL_SHARE:
+        shares[0] += MEMORY[0] * (share - shares[0])
+        shares[1] += MEMORY[1] * (off * off - shares[1])
+        faults.poor[:] = 0.0
+        return NONE
+    faults.poor[1] += duration if faults.poor[0] > 0.0 else 0.0
+    faults.poor[0] += 1.0
+    if faults.poor[0] < MIN_POOR_SCANS[0] or faults.poor[1] < MIN_POOR_SCANS[1]:
+        return UNEXPLAINED
+    faults.poor[:] = 0.0
+    return ELSEWHERE
+
+
+@kernel
+def check_motion(
+    faults: MatchFaults, odometry: Array, scans: Array, located: bool, far: bool, duration: float
+) -> tuple[int, float]:
+    """Update with a match; return a reason and the distance in m that comes with it.
+
+    `odometry` and `scans` are the motions (3,) since the last match, `located` is whether the scan
+    determines the position, and `far` whether the match is far from the pose of odometry.
+    """
+    keep = math.exp(-duration / WINDOW)
+    for sums, motion in ((faults.odometry, odometry), (faults.scans, scans)):
+        sums[0] = keep * sums[0] + math.hypot(motion[0], motion[1])
+        sums[1] = keep * sums[1] + abs(motion[2])
+    faults.unlocated[0] = 0.0 if located else faults.unlocated[0] + math.hypot(scans[0], scans[1])
+    faults.newest[0], faults.newest[1] = _motion_fault(faults, located, far)
+    if turns_oppose(faults.turns, odometry[2], scans[2]):
+        faults.newest[0], faults.newest[1] = float(OPPOSED), 0.0
+    return current_fault(faults, 0.0)
+
+
+@kernel
+def turns_oppose(turns: Array, odometry: float, scans: float) -> bool:
+    """Update with a turn by odometry and by scans; return whether the two have opposite signs.
+
+    They do if their products add up to less than minus half of the magnitudes: noise gives sums of
+    either sign, but small ones.
+    """
+    keep = math.exp(-0.5 * (abs(odometry) + abs(scans)) / TURN_MEMORY)
+    turns[0] = keep * turns[0] + odometry * scans
+    turns[1] = keep * turns[1] + abs(odometry * scans)
+    return bool(turns[1] > MIN_TURN_PRODUCT and turns[0] < -0.5 * turns[1])
+
+
+@kernel
+def current_fault(faults: MatchFaults, duration: float) -> tuple[int, float]:
+    """Return the newest match's reason and distance for an unmatched scan `duration` s after it."""
+    if duration > WINDOW:
+        return NONE, 0.0
+    return int(faults.newest[0]), faults.newest[1]
+
+
+@kernel
+def _motion_fault(faults: MatchFaults, located: bool, far: bool) -> tuple[float, float]:
+    """Return the disagreement between the newest match and odometry, and a distance in m."""
+    if located:
+        for a in range(2):
+            if (
+                faults.odometry[a] > MIN_MOTION[a]
+                and faults.scans[a] < STATIONARY_SHARE * faults.odometry[a]
+            ):
+                return float(STALLED), 0.0
+            if (
+                faults.scans[a] > MIN_MOTION[a]
+                and faults.odometry[a] < STATIONARY_SHARE * faults.scans[a]
+            ):
+                return float(PUSHED), 0.0
+    if far:
+        return float(SLIPPED), 0.0
+    if faults.unlocated[0] > MIN_OPEN_DISTANCE:
+        return float(OPEN), faults.unlocated[0]
+    return float(NONE), 0.0

@@ -1,0 +1,465 @@
+"""Track the robot by scan matching: one compiled loop over sweeps.
+
+A sweep is matched if odometry has moved since the last match, or if its ranges have changed: odometry may
+be frozen while the robot moves. The prior is odometry, corrected by the bias learned so far, with heavy
+tails: wheels slip, and robots push against walls. If the scan fits much worse than previous ones, the pose
+is searched for around several predictions.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.columns import Motions
+from impslam.geometry.algebra import between, invert, rotate_covariance
+from impslam.geometry.angles import wrap_in_kernel
+from impslam.geometry.chain import advance, advance_pose
+from impslam.geometry.kernels import kernel
+from impslam.health import ELSEWHERE, NONE, UNEXPLAINED
+from impslam.noise import UNKNOWN
+from impslam.surfaces.features import Features, find_features, leave_out_grazing
+from impslam.surfaces.surface_map import Alignment, Evidence, align
+from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
+from impslam.tracking.hypotheses import (
+    Prediction,
+    align_from_predictions,
+    chi2_of,
+    near_constant_velocity,
+    search,
+)
+from impslam.tracking.learned_odometry import LearnedOdometry, correct, learn, variances
+from impslam.tracking.match_faults import (
+    MIN_FIT,
+    Fit,
+    MatchFaults,
+    check_fit,
+    check_motion,
+    current_fault,
+)
+from impslam.tracking.submaps import Submaps, extend, is_empty, older_map
+from impslam.types import Array, Mask
+
+MIN_MOTION = (0.05, 0.04)
+"""m, rad: motion by odometry after which a scan is matched. Matching closer scans gains nothing, and
+matching every 10 cm costs a fifth of the accuracy."""
+MIN_RANGE_CHANGE, MIN_CHANGED_SHARE = (0.03, 0.005), 0.1
+"""m, and share of the range: a range changed if it differs by more than this (3 sigma of the noise); and
+the share of ranges that must change, since people change some."""
+MIN_POINTS = 10
+"""Points; a scan with fewer is not matched."""
+MIN_SLIP = (0.1, 0.025)
+"""m, rad: a smaller difference from odometry is no slip, however certain odometry is."""
+SLIP_SIGMAS = 3.0
+"""Standard deviations of odometry; a smaller difference is no slip."""
+SEARCH_BELOW = 0.7
+"""Share of the mean inlier share below which the pose is searched for."""
+MIN_SIGMA = 1e-4
+"""m, rad: smallest standard deviation of a match."""
+MAX_LOCATED_SIGMA = 0.02
+"""m, 1 sigma: a scan locates the robot if it alone determines the position better than this, or better than
+odometry does."""
+MIN_INFORMATION_RATIO = 0.05
+"""Smallest ratio of the information along the weakest and the strongest axis: a twentieth of the points
+face along a corridor whose end is in view; fewer are lone points that may be anywhere."""
+NORMAL_SIGMA = 0.03
+"""rad, 1 sigma: error of a normal from three points 0.25 m apart that scatter by 1 cm."""
+USUAL_SHARE = 0.8
+"""Inlier share of scans indoors; below, information falls with its fourth power: people, bushes, a ramp."""
+USUAL_RMS = 0.02
+"""m, root mean square distance from the surfaces indoors; above, information falls with its square."""
+MEMORY = 0.3, 0.2, 0.01
+"""Weights of the newest scan in the running means of inlier share, of squared distance, and of the
+time between scans."""
+SPEED_SIGMA, RATE_SIGMA = 0.3, 0.6
+"""m/s, rad/s: change of velocity from scan to scan for a robot without odometry: half of walking pace; 0.2
+to 0.5 m/s work equally well."""
+MAX_COAST = 1.0
+"""s: bound of the time between scans, whose stamps may jump; its lower bound is the mean, as they may also
+stand still."""
+
+
+class Settings(NamedTuple):
+    """Parameters of scan matching; see `ScanToMap`."""
+
+    match: Alignment
+    length: float
+    spacing: float
+    turn: float
+    thin: float
+    drift: Array
+
+
+class State(NamedTuple):
+    """State of the tracker; kernels change all of it in place.
+
+    Attributes
+    ----------
+    submaps, odometry : the last metres, and the learned bias and noise of odometry
+    pose, matched : (3,) in the frame of the submaps: now, and at the newest match
+    motion, covariance : (3,), (3, 3) by odometry since the newest match
+    travelled : (3,) m, rad and s of that motion
+    velocity : (3,) motion between the last two matches
+    prior : (2,) variances of the predicted pose: m^2 along each axis, rad^2
+    unlocated : (1,) s since a scan last determined the velocity of a robot without odometry
+    averages : (3,) running means of the inlier share, of the squared distance, m^2, and of the time
+        between scans, s
+    evidence : of the newest match
+    faults : whether the newest scans fit the submaps
+    """
+
+    submaps: Submaps
+    odometry: LearnedOdometry
+    pose: Array
+    matched: Array
+    motion: Array
+    covariance: Array
+    travelled: Array
+    velocity: Array
+    prior: Array
+    unlocated: Array
+    averages: Array
+    evidence: Evidence
+    faults: MatchFaults
+
+
+class LidarState(NamedTuple):
+    """The last scans of one lidar.
+
+    Attributes
+    ----------
+    ranges : (n,) m, of its newest matched scan; 0 where invalid
+    added : (3,) pose of its newest scan in the submaps; NaN before the first
+    """
+
+    ranges: Array
+    added: Array
+
+
+class Beams(NamedTuple):
+    """The columns of `Scans` that matching uses; `spacing` rad is the angle between neighbours."""
+
+    points: Array
+    valid: Mask
+    ranges: Array
+    origins: Array
+    spacing: float
+
+
+@kernel
+def follow(
+    motions: Motions,
+    beams: Beams,
+    state: State,
+    lidar: LidarState,
+    gate: Gate,
+    settings: Settings,
+    out: Steps,
+) -> None:
+    """Fill `out` for the next m sweeps of a lidar, and update the state."""
+    features = np.empty((beams.points.shape[1], 5), np.float32)
+    before, d_pose = np.empty(3), np.empty(3)
+    for k in range(len(motions.stamps)):
+        before[:] = state.pose
+        no_odometry = _predict(motions, k, state, d_pose)
+        out.d_pose[k], out.covariance[k] = state.motion, state.covariance
+        at_limit = reaches_limit(gate, d_pose, motions.duration[k])
+        in_doubt = state.faults.poor[0] > 0.0
+        if (
+            at_limit
+            or no_odometry
+            or in_doubt
+            or _due(beams.ranges[k], beams.valid[k], state, lidar)
+        ):
+            count = _find_features(beams, k, no_odometry, settings, features)
+            if count < MIN_POINTS:
+                state.submaps.travelled[0] += state.travelled[0]
+            else:
+                _match(features[:count], k, no_odometry, state, settings, out)
+                if out.reasons[k] == ELSEWHERE:  # the next maps begin here
+                    state.submaps.travelled[:], lidar.added[:] = math.nan, math.nan
+                if out.reasons[k] != UNEXPLAINED:
+                    _add_to_submaps(features[:count], k, beams, state, lidar, settings)
+            out.reference[k] = True
+            state.matched[:] = state.pose
+            state.motion[:], state.covariance[:], state.travelled[:] = 0.0, 0.0, 0.0
+        else:
+            out.reasons[k], out.amounts[k] = current_fault(state.faults, state.travelled[2])
+        between(before, state.pose, out.moved[k])
+        at_limit = reaches_limit(gate, out.moved[k], motions.duration[k])
+        add_travel(gate, out.moved[k], motions.duration[k])
+        out.is_keyframe[k] = out.reference[k] and (at_limit or out.reasons[k] == ELSEWHERE)
+        if out.is_keyframe[k]:
+            gate.travelled[:] = 0.0
+
+
+@kernel
+def _predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
+    """Predict the pose of sweep k by odometry, else at constant velocity; return True for the latter.
+
+    Velocity is per sweep, because some logs have stamps that run backwards.
+    """
+    no_odometry = bool(motions.covariance[k, 0, 0] >= 0.5 * UNKNOWN)  # rounded if cut and composed
+    covariance = motions.covariance[k].copy()
+    if no_odometry:
+        seconds = min(motions.duration[k], MAX_COAST)
+        state.averages[2] += MEMORY[2] * (seconds - state.averages[2])
+        seconds = max(seconds, state.averages[2])
+        d_pose[:], covariance[:] = state.velocity, 0.0
+        position, heading = (SPEED_SIGMA * seconds + 0.01) ** 2, (RATE_SIGMA * seconds + 0.01) ** 2
+        covariance[0, 0], covariance[1, 1], covariance[2, 2] = position, position, heading
+    else:
+        d_pose[:] = motions.d_pose[k]
+        correct(state.odometry, d_pose)
+    state.travelled[0] += math.hypot(d_pose[0], d_pose[1])
+    state.travelled[1] += abs(d_pose[2])
+    state.travelled[2] += motions.duration[k]
+    if not no_odometry:
+        position, heading = variances(state.odometry, state.travelled[0], state.travelled[1])
+    state.prior[0], state.prior[1] = position, heading
+    advance_pose(state.pose, d_pose)
+    advance(state.motion, state.covariance, d_pose, covariance)
+    return no_odometry
+
+
+@kernel
+def _find_features(
+    beams: Beams, k: int, no_odometry: bool, settings: Settings, out: Features
+) -> int:
+    """Fill `out` with the features of sweep k to match; return their number."""
+    count = find_features(
+        beams.points[k], beams.valid[k], beams.ranges[k], beams.origins[k],
+        beams.spacing, settings.thin, out,
+    )  # fmt: skip
+    if no_odometry:
+        count = leave_out_grazing(out[:count])
+    return count
+
+
+@kernel
+def _due(ranges: Array, valid: Mask, state: State, lidar: LidarState) -> bool:
+    """Return whether a scan should be matched."""
+    far = math.hypot(state.motion[0], state.motion[1]) >= MIN_MOTION[0]
+    if np.isnan(lidar.added[0]) or far or abs(state.motion[2]) >= MIN_MOTION[1]:
+        return True
+    both = changed = 0
+    for i in range(len(ranges)):
+        if valid[i] and lidar.ranges[i] > 0.0:
+            both += 1
+            changed += (
+                abs(ranges[i] - lidar.ranges[i])
+                > MIN_RANGE_CHANGE[0] + MIN_RANGE_CHANGE[1] * ranges[i]
+            )
+    return changed > MIN_CHANGED_SHARE * both
+
+
+@kernel
+def _add_to_submaps(
+    features: Features, k: int, beams: Beams, state: State, lidar: LidarState, settings: Settings
+) -> None:
+    """Store the ranges of sweep k, and add it to the submaps unless it is near the one added last."""
+    for i in range(len(lidar.ranges)):
+        lidar.ranges[i] = beams.ranges[k, i] if beams.valid[k, i] else 0.0
+    new, pose = lidar.added, state.pose
+    far = math.hypot(pose[0] - new[0], pose[1] - new[1]) >= settings.spacing
+    if np.isnan(new[0]) or far or abs(wrap_in_kernel(pose[2] - new[2])) >= settings.turn:
+        extend(state.submaps, features, pose, settings.length)
+        new[:] = pose
+
+
+@kernel
+def _match(
+    features: Features, k: int, no_odometry: bool, state: State, settings: Settings, out: Steps
+) -> None:
+    """Match sweep k and update the state; a sweep that does not fit changes only `faults`."""
+    if is_empty(state.submaps):
+        return
+    guess, means = state.pose.copy(), state.averages.copy()
+    usual, H, W = means[0], np.empty((3, 3)), np.empty(3)
+    share = _find_pose(features, state, settings, H, W)
+    if no_odometry:
+        _remove_spurious(H)
+    off = np.empty(3)
+    between(guess, state.pose, off)
+    fit = Fit(state.evidence.sums[0], share, off)
+    out.reasons[k] = check_fit(state.faults, fit, usual, state.travelled[2])
+    if out.reasons[k] != NONE:
+        out.amounts[k] = share
+        state.pose[:], state.averages[:] = guess, means
+        return
+    state.averages[0] += MEMORY[0] * (share - usual)
+    enough = (
+        MAX_LOCATED_SIGMA**-2 if no_odometry else min(1.0 / state.prior[0], MAX_LOCATED_SIGMA**-2)
+    )
+    weakest, strongest, axis = _information(H)
+    well_constrained = weakest > enough and weakest > MIN_INFORMATION_RATIO * strongest
+    out.located[k] = share >= MIN_FIT * usual and well_constrained
+    if not no_odometry:
+        _learn(state, fit, out.located[k])
+    covariance = rotate_covariance(state.covariance, state.matched[2])
+    _fuse(state, settings, guess, H, W, covariance)
+    between(state.matched, state.pose, state.velocity)
+    far = W[0] * state.prior[0] < 0.1  # beyond three times the range of full weight
+    if no_odometry:
+        _coast(state, out.located[k], weakest, axis, covariance)
+    odometry_motion = state.velocity if no_odometry else state.motion
+    out.reasons[k], out.amounts[k] = check_motion(
+        state.faults, odometry_motion, state.velocity, out.located[k], far, state.travelled[2]
+    )
+    out.d_pose[k], out.covariance[k] = (
+        state.velocity,
+        rotate_covariance(covariance, -state.matched[2]),
+    )
+    state.submaps.travelled[0] += math.hypot(state.velocity[0], state.velocity[1])
+    _add_drift(state.velocity, settings.drift, out.covariance[k])
+
+
+@kernel
+def _learn(state: State, fit: Fit, located: bool) -> None:
+    """Learn the bias and noise of odometry from a match."""
+    plausible = fit.share > 0.6 and abs(fit.off[2]) < 4.0 * math.sqrt(state.prior[1])
+    plausible = plausible and abs(fit.off[0]) < 4.0 * math.sqrt(state.prior[0])
+    quality = min(1.0, state.averages[0] / USUAL_SHARE) ** 4
+    learn(state.odometry, state.motion, fit.off, plausible, state.pose, quality, located)
+
+
+@kernel
+def _add_drift(motion: Array, drift: Array, covariance: Array) -> None:
+    """Add the drift of matched motion, the mean square of errors with heavy tails, as on ramps."""
+    distance, turn = math.hypot(motion[0], motion[1]), abs(motion[2])
+    covariance[0, 0] += drift[0] ** 2 * distance
+    covariance[1, 1] += drift[1] ** 2 * distance
+    covariance[2, 2] += drift[2] ** 2 * distance + drift[3] ** 2 * turn
+
+
+@kernel
+def _coast(state: State, located: bool, weakest: float, axis: float, covariance: Array) -> None:
+    """Widen the covariance (3, 3) of a motion at constant velocity along the axis of least information.
+
+    The velocity may be off by `SPEED_SIGMA` while no scan determines it, and the position by that times the
+    elapsed time. A scan of information `weakest` along the axis shortens the time by its Kalman gain.
+    """
+    seconds = min(state.travelled[2], MAX_COAST)
+    odds = max(weakest, 0.0) * (SPEED_SIGMA * seconds) ** 2
+    state.unlocated[0] = (state.unlocated[0] + seconds) / (1.0 + odds)
+    if not located:
+        state.faults.unlocated[0] = max(state.faults.unlocated[0], SPEED_SIGMA * state.unlocated[0])
+    variance = 2.0 * SPEED_SIGMA**2 * state.unlocated[0] * seconds
+    _add_along(covariance, axis, variance)
+
+
+@kernel
+def _add_along(M: Array, axis: float, amount: float) -> None:
+    """Add an amount along an axis (rad) to the position part of M (3, 3)."""
+    x, y = math.cos(axis), math.sin(axis)
+    M[0, 0] += amount * x * x
+    M[0, 1] += amount * x * y
+    M[1, 0] += amount * x * y
+    M[1, 1] += amount * y * y
+
+
+@kernel
+def _information(H: Array) -> tuple[float, float, float]:
+    """Return the smallest and largest information of H (3, 3) about the position, heading unknown, 1/m^2.
+
+    The third value is the direction of the smallest, rad.
+    """
+    if not H[2, 2] > 0.0:
+        return 0.0, 0.0, 0.0
+    xx, yy = H[0, 0] - H[0, 2] ** 2 / H[2, 2], H[1, 1] - H[1, 2] ** 2 / H[2, 2]
+    xy = H[0, 1] - H[0, 2] * H[1, 2] / H[2, 2]
+    mean, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
+    return mean - half, mean + half, 0.5 * math.atan2(-2.0 * xy, yy - xx)
+
+
+@kernel
+def _remove_spurious(H: Array) -> None:
+    """Subtract from H (3, 3) the spurious information along walls that errors of normals cause.
+
+    The share `NORMAL_SIGMA`^2 of a wall's information appears along the wall and would hold the estimate
+    of a robot without odometry in place. It is subtracted along the axis of the smallest information.
+    """
+    weakest, strongest, axis = _information(H)
+    _add_along(H, axis, -max(min(NORMAL_SIGMA**2 * strongest, weakest), 0.0))
+
+
+@kernel
+def _find_pose(features: Features, state: State, settings: Settings, H: Array, W: Array) -> float:
+    """Move the pose to the best fit of the scan; return the inlier share.
+
+    H (3, 3) becomes the information of the scan, W (3,) that of the prior with its robust weight there,
+    both in the frame of the submaps.
+    """
+    submap, usual = older_map(state.submaps), state.averages[0]
+    position, heading = state.prior[0], state.prior[1]
+    prior = np.array([1.0 / position, 1.0 / position, 1.0 / heading])
+    slack2 = max(SLIP_SIGMAS**2, min(MIN_SLIP[0] ** 2 / position, MIN_SLIP[1] ** 2 / heading))
+    weight = settings.match.information * min(1.0, max(usual, 0.05) / USUAL_SHARE) ** 4
+    weight *= min(1.0, USUAL_RMS**2 / state.averages[1])
+    match = Alignment(
+        settings.match.iterations,
+        settings.match.wide,
+        settings.match.narrow,
+        weight,
+        settings.match.step,
+        slack2,
+    )
+    extrapolated = state.matched.copy()
+    advance_pose(extrapolated, state.velocity)
+    predicted = Prediction(state.pose.copy(), prior, state.matched, extrapolated, usual)
+    share = align(submap, features, state.pose, prior, match, state.evidence)
+    if not near_constant_velocity(state.pose, predicted):
+        share = align_from_predictions(
+            submap, features, predicted, match, state.pose, state.evidence
+        )
+    if state.evidence.sums[3] > 5.0:
+        square = state.evidence.sums[2] / state.evidence.sums[3]
+        state.averages[1] += MEMORY[1] * (square - state.averages[1])
+    if share < SEARCH_BELOW * usual:
+        share = search(submap, features, predicted, match, state.pose, state.evidence)
+    chi2 = chi2_of(state.pose, predicted)
+    H[:] = weight * state.evidence.H
+    W[:] = prior / (1.0 + chi2 / slack2)
+    return share
+
+
+@kernel
+def _fuse(
+    state: State, settings: Settings, guess: Array, H: Array, W: Array, covariance: Array
+) -> None:
+    """Fuse the best match with the prior: update the pose, and set its covariance (3, 3).
+
+    Errors of successive matches are correlated: surfaces look different from different positions, and
+    grass, ramps and people move along. So a match is at best as certain as D, the drift of matched motion
+    since the last match, however many points it has: its information is (H^-1 + D)^-1. That and its
+    product with the best match are written with A = (H + D^-1)^-1, since H has no inverse along a
+    corridor.
+    """
+    distance, turn, d = (
+        state.travelled[0] + MIN_MOTION[0],
+        state.travelled[1] + MIN_MOTION[1],
+        np.empty(3),
+    )
+    d[0] = d[1] = 1.0 / (max(settings.drift[0], settings.drift[1]) ** 2 * distance + MIN_SIGMA**2)
+    d[2] = 1.0 / (settings.drift[2] ** 2 * distance + settings.drift[3] ** 2 * turn + MIN_SIGMA**2)
+    A, pull, step = H.copy(), np.empty(3), np.empty(3)
+    for a in range(3):
+        A[a, a] += d[a]
+    if not invert(A):
+        return
+    pull[0], pull[1] = W[0] * (state.pose[0] - guess[0]), W[1] * (state.pose[1] - guess[1])
+    pull[2] = W[2] * wrap_in_kernel(state.pose[2] - guess[2])
+    posterior = np.empty((3, 3))
+    for a in range(3):
+        step[a] = d[a] * (A[a, 0] * pull[0] + A[a, 1] * pull[1] + A[a, 2] * pull[2]) - pull[a]
+        for b in range(3):
+            posterior[a, b] = -d[a] * A[a, b] * d[b]
+        posterior[a, a] += d[a] + W[a]
+    if invert(posterior):
+        covariance[:] = posterior
+        step = posterior @ step
+        state.pose[0] += step[0]
+        state.pose[1] += step[1]
+        state.pose[2] = wrap_in_kernel(state.pose[2] + step[2])

@@ -1,0 +1,147 @@
+"""Detect a robot that is stationary while its wheels turn: against a wall, on a threshold, high-centred.
+
+A reference scan is kept. Once odometry reports enough motion since, the ranges that this motion would have
+changed are predicted: each reference point, seen from the pose given by odometry, is compared with the
+range measured before by the beam in its direction. If nearly all beams that should have changed still
+measure the same, the robot is stationary. Along a bare corridor no range would change, so nothing is
+concluded; a scan matcher could report any motion there. Turns reported by odometry are left out: its
+heading is often wrong by enough to change many ranges. Wheels that turn the robot in vain are detected by
+`odometry_check`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.columns import Motions, Scans
+from impslam.geometry.algebra import between
+from impslam.geometry.chain import advance_pose
+from impslam.geometry.kernels import kernel, plain
+from impslam.health import STALLED, Reasons
+from impslam.tracking.reference_scan import Geometry, changed_beam, geometry_of
+from impslam.types import Array, Mask
+
+MIN_MOTION = (0.2, 0.15)
+"""m, rad: motion by odometry before scans are compared; ranges change by more than noise."""
+RANGE_TOLERANCE = (0.03, 0.005)
+"""m, and share of the range: a smaller change counts as none; 3 sigma of the noise."""
+MIN_BEAMS = 10
+"""Beams that should have changed; with fewer, nothing is concluded."""
+MIN_UNCHANGED = 0.8
+"""Share of them that measure the same; the rest see people or edges. For a moving robot it is near 0."""
+STALL_SIGMA = 0.05
+"""m, 1 sigma, of a stalled robot: its wheels may have shoved it."""
+
+
+class StallState(NamedTuple):
+    """The reference scan of one lidar and the motion since; kernels change it in place.
+
+    Attributes
+    ----------
+    ranges, points : (n,) m and (n, 2) m in base_link, of the reference scan; 0 where invalid
+    odometry, used : (3,) motion since then, by odometry and as handed on
+    flags : (2,) whether there is a reference scan, and whether the robot is stalled
+    """
+
+    ranges: Array
+    points: Array
+    odometry: Array
+    used: Array
+    flags: Mask
+
+
+class ScanRows(NamedTuple):
+    """Columns of m sweeps of n beams: points (m, n, 2) in base_link, ranges and valid (m, n)."""
+
+    points: Array
+    ranges: Array
+    valid: Mask
+
+
+def initial_stall_state(beams: int) -> StallState:
+    """Return the state before the first scan of a lidar with this number of beams."""
+    return StallState(
+        np.zeros(beams), np.zeros((beams, 2)), np.zeros(3), np.zeros(3), np.zeros(2, np.bool_)
+    )
+
+
+def undo_stalled_motion(
+    odometry: Array, used: Motions, scans: Scans, state: StallState, reasons: Reasons
+) -> None:
+    """Undo, in place, the motions used while the robot was stalled; mark these sweeps `STALLED`.
+
+    `odometry` (m, 3) are the motions by odometry, `used` those handed on; both belong to the sweeps in
+    `scans`.
+    """
+    rows = ScanRows(plain(scans.points), plain(scans.ranges), np.ascontiguousarray(scans.valid))
+    _undo(odometry, used, rows, geometry_of(scans), state, reasons)
+
+
+@kernel
+def _undo(
+    odometry: Array,
+    used: Motions,
+    rows: ScanRows,
+    geometry: Geometry,
+    state: StallState,
+    reasons: Reasons,
+) -> None:
+    before, origin = np.empty(3), np.zeros(3)
+    for k in range(len(odometry)):
+        before[:] = state.used
+        advance_pose(state.odometry, odometry[k])
+        advance_pose(state.used, used.d_pose[k])
+        if state.flags[0] and not state.flags[1]:
+            distance, turn = (
+                math.hypot(state.odometry[0], state.odometry[1]),
+                abs(state.odometry[2]),
+            )
+            if distance < MIN_MOTION[0] and turn < MIN_MOTION[1]:
+                continue
+        # A stalled robot moves off in the direction of the newest motion.
+        expected = odometry[k] if state.flags[1] else state.odometry
+        changed, same = _compare(rows.ranges[k], rows.valid[k], expected, geometry, state)
+        stalled = changed >= MIN_BEAMS and same >= MIN_UNCHANGED * changed
+        state.flags[1] = state.flags[0] and stalled
+        state.odometry[:] = 0.0
+        if state.flags[1]:
+            between(before, origin, used.d_pose[k])
+            used.covariance[k] = np.outer(before, before)
+            for a in range(3):
+                used.covariance[k, a, a] += STALL_SIGMA**2
+            state.used[:] = 0.0
+            reasons[k] = STALLED
+        else:
+            _set_reference(rows.points[k], rows.ranges[k], rows.valid[k], state)
+
+
+@kernel
+def _set_reference(points: Array, ranges: Array, valid: Mask, state: StallState) -> None:
+    state.flags[0], state.used[:] = True, 0.0
+    state.points[:] = points
+    for i in range(len(ranges)):
+        state.ranges[i] = ranges[i] if valid[i] else 0.0
+
+
+@kernel
+def _compare(
+    ranges: Array, valid: Mask, expected: Array, geometry: Geometry, state: StallState
+) -> tuple[int, int]:
+    """Return the number of beams that a motion (3,) should have changed, and of those that it did not.
+
+    A shorter motion is scaled up to `MIN_MOTION` m, so that the beams that it would change stand out.
+    """
+    distance = math.hypot(expected[0], expected[1])
+    scale = max(MIN_MOTION[0] / distance, 1.0) if distance > 0.0 else 1.0
+    motion = np.array([scale * expected[0], scale * expected[1], 0.0])
+    changed = same = 0
+    for j in range(len(ranges)):
+        k = changed_beam(j, motion, state.points, state.ranges, geometry)
+        if k >= 0 and valid[k]:
+            changed += 1
+            tolerance = RANGE_TOLERANCE[0] + RANGE_TOLERANCE[1] * state.ranges[k]
+            same += abs(ranges[k] - state.ranges[k]) < tolerance
+    return changed, same

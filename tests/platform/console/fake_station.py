@@ -314,7 +314,7 @@ class FakeStation:
         self.mapper.state = "running"
         self.mapper.starts += 1
 
-    def go_on(self, name: str, *, frozen: bool = False) -> None:
+    def continue_map(self, name: str, *, frozen: bool = False) -> None:
         self.start_mapping()
         self.mapper.name, self.mapper.frozen, self.mapper.placed = name, frozen, False
         self.view.placed = False

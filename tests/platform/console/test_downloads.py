@@ -13,7 +13,7 @@ import pytest
 from tests.platform.console.serving import DRIVE, PICTURE, WATCH, serving
 
 from impslam.platform.console.downloads import FixedLengthFileResponse
-from impslam.platform.console.throttle import FORGET
+from impslam.platform.console.throttle import RESET_TIME
 from impslam.platform.station.store import StoredLog
 
 CONTENT = os.urandom(300_000)
@@ -40,7 +40,7 @@ def served(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def calm(served):
     """Nobody waits for what the test before tried."""
-    served.clock.ahead += FORGET
+    served.clock.ahead += RESET_TIME
 
 
 @pytest.fixture
@@ -121,12 +121,12 @@ class TestLogs:
         got += client.get("/logs/growing.mcap", headers={"range": f"bytes={len(got)}-"}).content
         assert got == path.read_bytes()
 
-    def test_the_sum_is_what_sha256sum_checks(self, client):
+    def test_the_digest_is_accepted_by_sha256sum(self, client):
         told = client.get("/logs/one.mcap.sha256").text
         assert told == f"{hashlib.sha256(CONTENT).hexdigest()}  one.mcap\n"
         assert client.head("/logs/one.mcap.sha256").status_code == 200
 
-    def test_names_are_any_that_a_file_has(self, client):
+    def test_any_valid_file_name_is_accepted(self, client):
         assert client.get("/logs/with space & ä.mcap").content == b"odd"
 
     def test_the_list(self, client, monkeypatch):
@@ -152,7 +152,7 @@ class TestCurl:
             check=False,
         )
 
-    def test_it_goes_on_where_it_was_broken_off(self, served, tmp_path):
+    def test_an_interrupted_download_is_resumed(self, served, tmp_path):
         (tmp_path / "one.mcap").write_bytes(CONTENT[:123_456])
         done = self.fetch(served, tmp_path, "-u", f"watch:{WATCH}", "-C", "-", "-O")
         assert done.returncode == 0, done.stderr

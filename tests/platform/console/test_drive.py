@@ -38,7 +38,7 @@ def test_a_malformed_command_is_none(bad):
     assert pad_command(bad) is None
 
 
-def test_a_command_tells_how_long_it_was_under_way():
+def test_the_age_of_a_command_is_measured():
     assert pad_command([1.0, 0.0, milliseconds(0.7)])[2] == pytest.approx(0.74, abs=0.06)
     assert pad_command([1.0, 0.0, milliseconds(-5.0)]) is None, "a beat that was never sent"
     assert pad_command([1.0, 0.0, None]) is None
@@ -136,7 +136,7 @@ def test_keys_drive_where_no_text_is_written(browser, robot):
 
 @pytest.mark.browser
 @pytest.mark.parametrize("leave", ["blur", "pagehide", "visibilitychange"])
-def test_a_page_that_is_left_lets_go_at_once(browser, robot, leave):
+def test_leaving_a_page_leaves_the_helm_at_once(browser, robot, leave):
     with visit(browser, robot) as watched:
         page = watched.page
         take(page)
@@ -273,7 +273,7 @@ def test_a_watcher_changes_nothing_whatever_is_sent(browser, robot):
 
 
 @pytest.mark.browser
-def test_who_may_no_more_drive_commands_no_more(browser, robot):
+def test_an_ended_session_cannot_command(browser, robot):
     """The page still has all its buttons and ids; the rights are asked for at each command."""
     with visit(browser, robot) as watched:
         page = watched.page
@@ -291,7 +291,7 @@ def test_who_may_no_more_drive_commands_no_more(browser, robot):
 
 
 @pytest.mark.browser
-def test_a_link_that_dies_is_told_and_the_page_lets_go(browser, robot):
+def test_a_lost_link_is_shown_and_leaves_the_helm(browser, robot):
     with visit(browser, robot) as watched:
         page = watched.page
         take(page)

@@ -15,7 +15,15 @@ from tests.platform.console.browsing import until, visit
 
 from impslam.observers.live_view import GridPicture, Snapshot
 from impslam.platform.console import encoding
-from impslam.platform.console.encoding import STEP, Known, common, difference, ellipse, mark, packed
+from impslam.platform.console.encoding import (
+    STEP,
+    SentState,
+    common,
+    difference,
+    ellipse,
+    mark,
+    packed,
+)
 from impslam.platform.console.feed import Cached, Feed
 from impslam.platform.console.model import Model
 from impslam.platform.devices.base import now
@@ -27,9 +35,9 @@ EMPTY = Snapshot(
 )  # fmt: skip
 
 
-def unpacked(sent, about):
+def unpacked(sent, origin):
     xy = np.frombuffer(base64.b64decode(sent["xy"]), "<i2").reshape(-1, 2)
-    return about + sent["step"] * xy
+    return origin + sent["step"] * xy
 
 
 def path_of(sent, before):
@@ -55,11 +63,11 @@ def grid(version):
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 1000.0))
 def test_points_come_out_within_half_a_step(seed, reach):
     generator = np.random.default_rng(seed)
-    about = generator.uniform(-1e4, 1e4, 2)
-    points = (about + generator.uniform(-reach, reach, (50, 2))).astype(np.float32)
-    sent = packed(points, about)
-    assert sent["step"] == pytest.approx(max(STEP, np.abs(points - about).max() / 32767))
-    assert np.abs(unpacked(sent, about) - points).max() <= 0.5 * sent["step"] + 1e-9
+    origin = generator.uniform(-1e4, 1e4, 2)
+    points = (origin + generator.uniform(-reach, reach, (50, 2))).astype(np.float32)
+    sent = packed(points, origin)
+    assert sent["step"] == pytest.approx(max(STEP, np.abs(points - origin).max() / 32767))
+    assert np.abs(unpacked(sent, origin) - points).max() <= 0.5 * sent["step"] + 1e-9
 
 
 def test_points_that_are_none_are_left_out():
@@ -80,15 +88,15 @@ def test_an_ellipse_has_the_axes_and_direction_of_the_covariance():
 
 
 def test_a_map_that_has_not_begun_is_json():
-    frame = common(EMPTY) | news(EMPTY, Known())
+    frame = common(EMPTY) | news(EMPTY, SentState())
     assert json.loads(json.dumps(frame, allow_nan=False))["t"] is None
 
 
 # --------------------------------------------------------------------------- differences
 
 
-def test_only_what_is_new_of_a_path_is_sent():
-    known, path = Known(), np.cumsum(np.ones((100, 2), np.float32), 0)
+def test_only_the_new_part_of_a_path_is_sent():
+    known, path = SentState(), np.cumsum(np.ones((100, 2), np.float32), 0)
     first = news(replace(EMPTY, path=path[:50]), known)
     assert first["path"]["from"] == 0
     second = news(replace(EMPTY, path=path), known)
@@ -98,8 +106,8 @@ def test_only_what_is_new_of_a_path_is_sent():
     assert thinned["path"]["from"] == 0
 
 
-def test_only_changed_landmarks_are_sent_and_gone_ones_told():
-    known = Known()
+def test_only_changed_and_removed_landmarks_are_sent():
+    known = SentState()
     assert len(news(replace(EMPTY, landmarks=(post(1), post(2))), known)["marks"]["set"]) == 2
     assert "marks" not in news(replace(EMPTY, landmarks=(post(1), post(2))), known)
     moved = news(replace(EMPTY, landmarks=(post(1), post(2, 1.0001))), known)
@@ -109,8 +117,8 @@ def test_only_changed_landmarks_are_sent_and_gone_ones_told():
     assert change["gone"] == [1]
 
 
-def test_a_grid_is_told_once_a_version_and_a_new_map_begins_anew():
-    known = Known()
+def test_a_grid_is_sent_once_per_version_and_again_for_a_new_map():
+    known = SentState()
     snapshot = replace(EMPTY, grid=grid(3), landmarks=(post(1),), path=np.ones((4, 2), np.float32))
     assert news(snapshot, known)["grid"]["v"] == 3
     assert "grid" not in news(snapshot, known)
@@ -123,7 +131,7 @@ def test_a_grid_is_told_once_a_version_and_a_new_map_begins_anew():
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 3), st.integers(0, 40)), max_size=12))
 def test_differences_add_up_to_the_map(changes):
     """Whatever happens to a map, who adds up what was sent has what there is."""
-    known, marks, path = Known(), {}, np.zeros((0, 2), np.float32)
+    known, marks, path = SentState(), {}, np.zeros((0, 2), np.float32)
     for version, (count, shift, length) in enumerate(changes, 1):
         landmarks = tuple(post(number, number + 0.1 * shift) for number in range(count))
         walked = np.cumsum(np.full((length, 2), 0.1 + shift, np.float32), 0)
@@ -148,14 +156,14 @@ class View:
         return self.now
 
 
-def test_what_pages_share_is_made_once(monkeypatch):
+def test_shared_data_is_made_once(monkeypatch):
     made = []
     monkeypatch.setattr(
         "impslam.platform.console.feed.common", lambda one: made.append(1) or encoding.common(one)
     )
     view = View(replace(EMPTY, version=5, landmarks=(post(1),)))
     feed = Feed(Model("x", view))
-    pages = [Known(), Known(), Known()]
+    pages = [SentState(), SentState(), SentState()]
     assert all(feed.frame(known)["seq"] == 5 for known in pages)
     assert len(made) == 1
     assert feed.frame(pages[0]) is None
@@ -168,17 +176,17 @@ def test_what_pages_share_is_made_once(monkeypatch):
 def test_latency_counts_from_the_scans_arrival_and_only_for_what_was_sent():
     view = View(replace(EMPTY, version=1, arrived=now() - 0.25))
     feed = Feed(Model("x", view, station=object()))
-    feed.frame(Known())
+    feed.frame(SentState())
     feed.drawn(1)
     feed.drawn(2)
     feed.drawn(-1)
     assert feed.latencies() == pytest.approx([0.25], abs=0.1)
 
 
-def test_latencies_and_what_is_remembered_for_them_are_bounded():
+def test_latencies_and_pending_snapshots_are_bounded():
     view = View(EMPTY)
     feed = Feed(Model("x", view, station=object()))
-    known = Known()
+    known = SentState()
     for version in range(1, 1500):
         view.now = replace(EMPTY, version=version, arrived=now())
         feed.frame(known)
@@ -189,7 +197,7 @@ def test_latencies_and_what_is_remembered_for_them_are_bounded():
 
 def test_a_replays_scans_have_no_latency():
     feed = Feed(Model("x", View(replace(EMPTY, version=1, arrived=now()))))
-    feed.frame(Known())
+    feed.frame(SentState())
     feed.drawn(1)
     assert len(feed.latencies()) == 0
 
@@ -201,7 +209,7 @@ def test_a_cached_value_is_made_once_a_period():
     assert Cached(lambda: made.append(1) or len(made), 0.0)() == 2
 
 
-def test_expiring_a_value_that_is_being_made_waits_for_nobody():
+def test_expiring_a_value_that_is_being_made_does_not_block():
     """The disk may hang for whom it is looked at in a thread; the page's own loop must not."""
     entered, go_on, made = threading.Event(), threading.Event(), []
 
@@ -242,7 +250,7 @@ def colours(page):
 
 
 @pytest.mark.browser
-def test_the_map_element_tells_the_pose_that_it_shows(browser, robot):
+def test_the_map_element_has_the_shown_pose(browser, robot):
     with visit(browser, robot) as watched:
         shown = watched.page.get_by_test_id("map")
         expect(shown).to_have_attribute("data-landmarks", "7")
@@ -260,7 +268,7 @@ def test_the_map_element_tells_the_pose_that_it_shows(browser, robot):
 
 
 @pytest.mark.browser
-def test_a_page_that_draws_no_more_is_sent_no_more(browser, robot):
+def test_a_page_that_stops_drawing_gets_no_frames(browser, robot):
     with visit(browser, robot) as watched:
         page = watched.page
         page.wait_for_timeout(1200)

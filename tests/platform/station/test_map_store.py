@@ -84,7 +84,7 @@ def test_the_map_that_is_being_made_is_not_deleted(folder):
 @pytest.mark.parametrize(
     "name", ["", ".", "..", ".bin", "link", "nothing", "../maps/map-1", "map.imp"]
 )
-def test_nothing_else_is_reached(folder, name):
+def test_only_maps_of_the_folder_are_accessible(folder, name):
     store = MapStore(folder)
     store.delete("map-2")
     for act in (store.path, store.delete, store.restore, store.purge):
@@ -92,7 +92,7 @@ def test_nothing_else_is_reached(folder, name):
             act(name)
 
 
-def test_the_table_of_a_map_is_read_alone(folder):
+def test_only_the_description_of_a_map_is_read(folder):
     assert archive.about(folder / "map-1" / "map.imp") == {"logs": [{"scans": 1}, {"scans": 49}]}
     with pytest.raises(ImpError, match="not a map"):
         archive.about(folder / "broken" / "map.imp")

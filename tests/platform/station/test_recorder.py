@@ -103,7 +103,7 @@ def topics(path: Path) -> dict[str, int]:
     return found
 
 
-def test_all_that_the_robot_says_is_in_the_log(recorder: LogRecorder) -> None:
+def test_all_readings_are_in_the_log(recorder: LogRecorder) -> None:
     path = recorder.start()
     begin, robot = now(), FullRate()
     for number in range(1, 201):
@@ -165,7 +165,7 @@ def test_what_was_put_is_on_the_disk_within_a_second(recorder: LogRecorder) -> N
         assert time.monotonic() - put < PATIENCE
         time.sleep(0.02)
     assert recorder.status().active
-    assert recorder_thread.PERIOD < 0.5
+    assert recorder_thread.SYNC_INTERVAL < 0.5
     recorder.stop()
 
 
@@ -201,7 +201,7 @@ def test_names_are_made_safe(said: str, name: str) -> None:
     assert file_name(said) == name
 
 
-def test_one_log_at_a_time_and_stopping_twice_is_no_fault(recorder: LogRecorder) -> None:
+def test_one_log_at_a_time_and_stopping_twice_is_no_error(recorder: LogRecorder) -> None:
     assert recorder.stop() is None
     assert recorder.status().path is None
     path = recorder.start()
@@ -213,7 +213,7 @@ def test_one_log_at_a_time_and_stopping_twice_is_no_fault(recorder: LogRecorder)
     assert "WheelAngles" not in recorder.status().written
 
 
-def test_a_bad_message_is_dropped_and_told_once(
+def test_a_bad_message_is_dropped_and_notified_once(
     tmp_path: Path, told: list[tuple[str, str]]
 ) -> None:
     recorder = LogRecorder(tmp_path, "imp", 0, teller(told))
@@ -259,7 +259,7 @@ def test_a_second_lidar_has_a_topic_of_its_own(recorder: LogRecorder) -> None:
     assert source.problems.examples["error on the robot"] == f"{path}: urg: lost"
 
 
-def test_a_slow_disk_makes_nobody_wait_and_pictures_go_first(
+def test_a_slow_disk_blocks_nobody_and_pictures_are_dropped_first(
     tmp_path: Path, told: list[tuple[str, str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     free = threading.Event()
@@ -269,7 +269,7 @@ def test_a_slow_disk_makes_nobody_wait_and_pictures_go_first(
     )
     path = recorder.start()
     monkeypatch.setattr(live_recording, "_sync_data", lambda _: free.wait(PATIENCE))
-    time.sleep(2.0 * recorder_thread.PERIOD)  # by now it waits for the disk
+    time.sleep(2.0 * recorder_thread.SYNC_INTERVAL)  # by now it waits for the disk
     longest = 0.0
     for number in range(90):
         for reading in (wheels(number), image(100), Reading(Imu(1.0, *np.ones((2, 3))), 1.0, "a")):
@@ -318,10 +318,10 @@ def test_the_queue_drops_by_type_and_counts() -> None:
     assert queue.dropped()["Imu"] == 4
 
 
-def test_a_disk_that_hangs_does_not_hold_up_who_asks(
+def test_a_disk_that_hangs_does_not_block_the_status(
     recorder: LogRecorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recorder_module, "FRESH", 0.01)
+    monkeypatch.setattr(recorder_module, "SAMPLE_INTERVAL", 0.01)
     known, hanging = recorder.status().free, threading.Event()
     assert known > 0
     usage = shutil.disk_usage("/")
@@ -401,7 +401,7 @@ def test_a_failing_disk_ends_the_recording_and_nothing_else(
     recorder.stop()
 
 
-def test_robots_may_begin_a_log_in_the_same_second(tmp_path: Path, monkeypatch) -> None:
+def test_two_recorders_can_start_in_the_same_second(tmp_path: Path, monkeypatch) -> None:
     """All find the name free; who makes it has it, and the others take the next."""
     monkeypatch.setattr(time, "strftime", lambda _: "20260101-000000")
     recorders = [LogRecorder(tmp_path, "imp", 0, lambda *_: None) for _ in range(8)]
@@ -435,7 +435,7 @@ def ended_well(recorder: LogRecorder) -> bool:
     return recorder.status().error == ""
 
 
-def test_a_folder_that_cannot_be_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_an_impossible_folder_is_a_one_line_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     recorder = LogRecorder(tmp_path / "file" / "logs", "imp", 0, unheard)
     with pytest.raises(RecordingError, match="cannot be written") as raised:
@@ -445,7 +445,7 @@ def test_a_folder_that_cannot_be_is_refused_in_one_line(tmp_path: Path) -> None:
     assert not recorder.status().active
 
 
-def test_a_fault_of_the_recorder_is_told_and_does_not_spread(
+def test_a_bug_of_the_recorder_is_notified_and_does_not_spread(
     recorder: LogRecorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(self: object) -> None:

@@ -1,4 +1,4 @@
-"""`imp robot --virtual` as a user starts it: a process of its own, and what it says."""
+"""`imp robot --virtual` as a user starts it: its process and output."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PATIENCE = 120.0  # s to come up, with all that is compiled on a fresh machine
 
 
 def imp(*arguments: str, config: Path, text: str = "", timeout: float = 300.0) -> str:
-    """Run `imp` to its end and return what it says; `config` is where its user's settings are."""
+    """Run `imp` to its end and return its output; `config` is the folder of the user's settings."""
     done = subprocess.run(
         [IMP, *arguments],
         env={**os.environ, "XDG_CONFIG_HOME": str(config)},

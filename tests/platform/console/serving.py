@@ -1,4 +1,4 @@
-"""A server on a loopback port with a page of one button, for tests that come from outside."""
+"""A server on a loopback port with a page of one button, for tests over the network."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PICTURE = b"\xff\xd8 a picture \xff\xd9"
 
 
 class Clock:
-    """Goes on as the real one does, and jumps when told to."""
+    """A monotonic clock that can be advanced."""
 
     def __init__(self) -> None:
         self.ahead = 0.0
@@ -54,7 +54,7 @@ def stand_in(folder: Path) -> Model:
 
 @dataclass
 class Pressed:
-    """What the page's button was pressed by, whether it may or not."""
+    """Records the presses of the page's button."""
 
     by: list[Session] = field(default_factory=list)
 
@@ -82,13 +82,13 @@ class Running:
         return f"{scheme}://127.0.0.1:{self.port}"
 
     def client(self, **options: Any) -> httpx.Client:
-        """A browser without session."""
+        """A browser without a session."""
         return httpx.Client(
             base_url=self.origin, verify=self.verify, timeout=10.0, trust_env=False, **options
         )
 
     def close_pages(self) -> None:
-        """Delete every page, also those that nicegui would delete when their socket stays away."""
+        """Delete every page, even those that nicegui would delete later."""
         done = threading.Event()
 
         def close() -> None:
@@ -152,7 +152,7 @@ def serving(
 
 
 def raw(port: int, data: bytes, *, wait: float = 5.0) -> bytes:
-    """Send bytes and return what comes until the other side closes."""
+    """Send bytes and return the answer until the other side closes."""
     with socket.create_connection(("127.0.0.1", port), timeout=wait) as connection:
         connection.sendall(data)
         answer = b""

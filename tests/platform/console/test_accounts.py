@@ -37,7 +37,7 @@ DRIVE, WATCH = "drive-password", "watch-password"
 
 
 class Hand:
-    """A clock that is set by hand."""
+    """A clock that is set manually."""
 
     def __init__(self):
         self.moment = 1000.0
@@ -460,7 +460,7 @@ class TestGate:
         assert (await authenticator.enter("10.0.0.2", DRIVE))[1].may_drive
 
     async def test_right_logins_keep_nobody_out(self, authenticator, monkeypatch, caplog):
-        """However often somebody logs in who may watch, the driver gets in from that address too."""
+        """Logins of watchers do not delay those of a driver from the same address."""
         hashes = []
         real = authenticator.accounts.right
         monkeypatch.setattr(

@@ -1,4 +1,4 @@
-"""What those may take of the server who may not drive: turns, pages, sockets."""
+"""Limits of watchers: turns, pages, sockets."""
 
 import asyncio
 import contextlib
@@ -22,7 +22,7 @@ BUILD = 0.1  # s that a page takes to build, as on an ARM board
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory):
-    """A server with a page that takes long to build, and tells when it was."""
+    """A server with a page that is slow to build, and records the times."""
     built = []
 
     def build(_):
@@ -38,13 +38,13 @@ def served(tmp_path_factory):
 
 
 def owned(session_may_drive):
-    """The pages that exist of watchers, or of drivers."""
+    """Return the existing pages of watchers, or of drivers."""
     found = [getattr(page.request.state, "session", None) for page in Client.instances.values()]
     return [one for one in found if one is not None and one.may_drive is session_may_drive]
 
 
 def statuses(client, path, number):
-    """Ask for one path many times at once; return the answers."""
+    """Request a path many times at once; return the answers."""
     with ThreadPoolExecutor(number) as pool:
         return [one.status_code for one in pool.map(lambda _: client.get(path), range(number))]
 
@@ -199,5 +199,5 @@ class TestSockets:
 
 
 def test_loaded_modules_are_frozen_for_the_garbage_collector(served):
-    """Looking through all that is imported takes 0.1 s, in which no command passes."""
+    """A collection over all imported objects would delay commands by 0.1 s."""
     assert gc.get_freeze_count() > 100_000

@@ -1,4 +1,4 @@
-"""Logs, maps and the picture, fetched as users fetch them: by browser, and by curl with resume."""
+"""Downloads of logs, maps and the picture: by browser, and by curl with resume."""
 
 import dataclasses
 import hashlib
@@ -39,7 +39,7 @@ def served(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def calm(served):
-    """Nobody waits for what the test before tried."""
+    """Reset the throttle between tests."""
     served.clock.ahead += RESET_TIME
 
 
@@ -136,7 +136,7 @@ class TestLogs:
 
 
 class TestCurl:
-    """As docs say; skipped where there is no curl."""
+    """As documented; skipped without curl."""
 
     @pytest.fixture(autouse=True)
     def curl(self):

@@ -1,4 +1,4 @@
-"""Who drives, how the page commands, and everything that must make it stop."""
+"""The drive panel: the helm, commands, and everything that must stop the robot."""
 
 import math
 import time
@@ -58,7 +58,7 @@ def middle(page):
 
 
 def press_forward(page):
-    """Hold the joystick fully ahead."""
+    """Hold the joystick fully forward."""
     x, y = middle(page)
     page.mouse.move(x, y)
     page.mouse.down()
@@ -274,7 +274,7 @@ def test_a_watcher_changes_nothing_whatever_is_sent(browser, robot):
 
 @pytest.mark.browser
 def test_an_ended_session_cannot_command(browser, robot):
-    """The page still has all its buttons and ids; the rights are asked for at each command."""
+    """The page still has all its buttons and ids, but rights are checked at each command."""
     with visit(browser, robot) as watched:
         page = watched.page
         take(page)

@@ -1,4 +1,4 @@
-"""What the guard does that cannot be seen well from outside; the rest is in test_security.py."""
+"""The guard with fake apps; tests over the network are in test_security.py."""
 
 import asyncio
 
@@ -50,7 +50,7 @@ def scope(*headers, kind="http", method="GET", path=None):
 
 
 async def ask(guarded, request, messages=({"type": "http.request", "body": b""},)):
-    """Send messages, and then nothing; return what is answered."""
+    """Send messages, and then nothing; return the answers."""
     left, sent = list(messages), []
 
     async def receive():
@@ -170,7 +170,7 @@ async def test_a_socket_that_takes_nothing_does_not_block_the_guard(
 
 
 async def test_a_socket_that_is_not_read_is_cut(authenticator, cookie, monkeypatch, caplog):
-    """Else what waits for it would fill the memory."""
+    """Otherwise, waiting messages would fill the memory."""
     monkeypatch.setattr(guard, "CHECK_INTERVAL", 0.01)
     monkeypatch.setattr(guard, "GRACE", 0.05)
     monkeypatch.setattr(connection, "SEND_TIMEOUT", 0.05)

@@ -1,4 +1,4 @@
-"""What a page is sent of a map: exact enough, no more than it lacks, and never faster than it draws."""
+"""Frames of a map: exact enough, only changes, and never faster than a page draws them."""
 
 import base64
 import json
@@ -130,7 +130,7 @@ def test_a_grid_is_sent_once_per_version_and_again_for_a_new_map():
 
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 3), st.integers(0, 40)), max_size=12))
 def test_differences_add_up_to_the_map(changes):
-    """Whatever happens to a map, who adds up what was sent has what there is."""
+    """The sum of all differences is the map, whatever happens to it."""
     known, marks, path = SentState(), {}, np.zeros((0, 2), np.float32)
     for version, (count, shift, length) in enumerate(changes, 1):
         landmarks = tuple(post(number, number + 0.1 * shift) for number in range(count))
@@ -210,7 +210,7 @@ def test_a_cached_value_is_made_once_a_period():
 
 
 def test_expiring_a_value_that_is_being_made_does_not_block():
-    """The disk may hang for whom it is looked at in a thread; the page's own loop must not."""
+    """If the disk hangs, threads may wait, but not the event loop."""
     entered, go_on, made = threading.Event(), threading.Event(), []
 
     def make():

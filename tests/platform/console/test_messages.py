@@ -1,4 +1,4 @@
-"""The real page, and a watcher's socket that sends its elements events of any content."""
+"""The real page, with a watcher's socket that sends events of any content to its elements."""
 
 import gc
 import itertools

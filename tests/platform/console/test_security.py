@@ -1,4 +1,4 @@
-"""What an attacker on the network would try, against a real server: refused, and told in the log."""
+"""Attacks over the network on a real server: refused and logged."""
 
 import contextlib
 import gc
@@ -37,7 +37,7 @@ def served(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def calm(served):
-    """Every test begins with nothing counted, no page open and nobody waiting."""
+    """Begin every test without counts, pages and waits."""
     served.close_pages()
     served.server.authenticator.refusals.flush(everything=True)
     served.clock.ahead += RESET_TIME
@@ -80,14 +80,14 @@ def opened(served, client=None, *, page="", origin=None, host=None, **headers):
 
 
 def status(served, *arguments, **options):
-    """The status that a socket is refused with."""
+    """Return the status with which a socket is refused."""
     with pytest.raises(InvalidStatus) as refused, opened(served, *arguments, **options):
         pass
     return refused.value.response.status_code
 
 
 def closing(line, *messages):
-    """Send messages, and return the code that the server closes the socket with."""
+    """Send messages, and return the code with which the server closes the socket."""
     with contextlib.suppress(ConnectionClosed):
         for message in messages:
             line.send(message)
@@ -98,7 +98,7 @@ def closing(line, *messages):
 
 
 def page_of(client):
-    """Open the page; return its id and what to send to press its button."""
+    """Open the page; return its id and the message that presses its button."""
     found = re.search(r"'client_id': '([0-9a-f-]+)'", client.get("/").text)
     assert found is not None
     page = found[1]
@@ -613,7 +613,7 @@ class TestSizes:
 
 
 class TestMessages:
-    """What a watcher's socket sends reaches neither the toolkit's log nor its tracebacks."""
+    """Messages of a watcher's socket reach neither nicegui's log nor its tracebacks."""
 
     FORGED = "\x1b[31mall is well\nimp: warning: all is well"
 
@@ -626,7 +626,7 @@ class TestMessages:
                 yield served, line, page, json.loads(press[2:])[1]
 
     def sent(self, page, *messages):
-        """Send messages and press the button: what was sent before has then been looked at."""
+        """Send messages and press the button, so that earlier messages have been processed."""
         served, line, _, press = page
         before = len(served.pressed.by)
         for message in messages:
@@ -764,7 +764,7 @@ class TestSlowness:
 
 class TestGuessing:
     def test_a_thousand_logins_in_a_minute(self, served, caplog):
-        """All but a few are refused before a hash, and another address gets in meanwhile."""
+        """All but a few are refused without a hash, and another address can log in meanwhile."""
         counts = {401: 0, 429: 0}
         hashes = []
         accounts = served.server.authenticator.accounts
@@ -838,7 +838,7 @@ class TestRights:
                 foe.send(press)
                 foe.send(press.replace('"event"', '"javascript_response"'))
                 foe.send("42" + json.dumps(["ack", {"client_id": drivers, "next_message_id": 9}]))
-                foe.send(press_own)  # in order: what was sent before has been looked at
+                foe.send(press_own)  # in order: earlier messages have been processed
                 soon(lambda: len(served.pressed.by) == before + 1)
                 assert not served.pressed.by[-1].may_drive
                 line.send(press)

@@ -31,7 +31,7 @@ print("put away", flush=True)
 
 
 def refused(tmp_path, **settings):
-    """The one line that the server refuses to serve with."""
+    """Return the line with which the server refuses to serve."""
     wanted = ServerSettings(port=0, accounts=tmp_path / "accounts.json", **settings)
     with listening(wanted) as listener, pytest.raises(ImpError) as told:
         prepared(stand_in(tmp_path), wanted, listener, print, lambda model: None, Clock())

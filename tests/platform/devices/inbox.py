@@ -1,4 +1,4 @@
-"""What receives a device's readings in tests that run in real time."""
+"""A receiver of readings for tests in real time."""
 
 import threading
 
@@ -6,7 +6,7 @@ PATIENCE = 20.0  # s, for a loaded machine
 
 
 class Inbox:
-    """What a device delivered."""
+    """Records the readings of a device."""
 
     def __init__(self):
         self.readings, self.news = [], threading.Condition()
@@ -20,7 +20,7 @@ class Inbox:
         return [r for r in self.readings if isinstance(r.message, kind)]
 
     def wait(self, kind, number):
-        """Return the readings of a kind when there are `number` of them."""
+        """Wait for `number` readings of a kind, and return them."""
         with self.news:
             there = self.news.wait_for(lambda: len(self.of(kind)) >= number, PATIENCE)
             assert there, [r.message for r in self.readings]

@@ -48,7 +48,7 @@ def test_pictures_come_at_their_rate_decode_and_are_fresh(served):
     assert "640 x 240" in camera.health().detail
 
 
-def test_unplugged_it_is_told_and_opened_again(served, eye):
+def test_an_unplugged_camera_is_notified_and_reopened(served, eye):
     camera, inbox = served
     before = len(inbox.wait(Image, 1))
     eye.unplug(0.3)
@@ -60,7 +60,7 @@ def test_unplugged_it_is_told_and_opened_again(served, eye):
     assert camera.health().counts["lost connection"] >= 1
 
 
-def test_a_camera_that_hangs_does_not_hang_the_end(served, eye):
+def test_a_camera_that_hangs_does_not_delay_the_stop(served, eye):
     camera, inbox = served
     inbox.wait(Image, 1)
     eye.freeze(PATIENCE)
@@ -80,7 +80,7 @@ def test_a_camera_that_hangs_does_not_hang_the_end(served, eye):
         ("/dev/null", "another program"),
     ],
 )
-def test_what_cannot_be_opened_is_explained_once(source, advice, capfd):
+def test_a_camera_that_cannot_be_opened_is_notified_once(source, advice, capfd):
     camera, inbox = Camera(source=source, retry=0.02), Inbox()
     camera.start(inbox)
     inbox.wait(Event, 1)
@@ -93,5 +93,5 @@ def test_what_cannot_be_opened_is_explained_once(source, advice, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_it_is_found_by_its_kind():
+def test_it_is_registered_by_its_name():
     assert build("device", {"kind": "camera", "source": "0", "rate": 2}).rate == 2

@@ -1,4 +1,4 @@
-"""Who drives, and what stops the robot when nobody does."""
+"""The helm: one driver, timeouts, and the emergency stop."""
 
 import math
 import threading
@@ -14,7 +14,7 @@ from impslam.platform.station.helm import COMMAND_TIMEOUT, PERIOD, Helm, HelmErr
 
 
 class Wheels(DriveDevice):
-    """Remembers what it was told, and when."""
+    """Records commands and their times."""
 
     name = "wheels"
 
@@ -46,7 +46,7 @@ def wheels():
 
 @pytest.fixture
 def clock(monkeypatch):
-    """A clock that stands until moved."""
+    """A clock that is set manually."""
     moment = [1000.0]
     monkeypatch.setattr(module, "now", lambda: moment[0])
     return moment
@@ -145,7 +145,7 @@ def test_anyone_can_trigger_the_emergency_stop(helm, wheels, clock):
     helm.release("a")
     assert not wheels.stopped
     helm._send()
-    assert wheels.told[-1][1:] == (0.0, 0.0)  # what was commanded before is forgotten
+    assert wheels.told[-1][1:] == (0.0, 0.0)  # earlier commands are dropped
 
 
 @given(speed=st.floats(), turn_rate=st.floats())
@@ -198,7 +198,7 @@ def test_every_motion_and_each_new_stop_is_recorded(wheels, clock):
 
 
 def test_an_earlier_stop_of_the_device_is_shown_and_can_be_released(helm, wheels):
-    wheels.emergency_stop()  # told by a program that ran before this one
+    wheels.emergency_stop()  # by an earlier program
     assert helm.state().stopped == "emergency stop held by wheels"
     helm.take("a", "Ann")
     helm.release("a")
@@ -207,7 +207,7 @@ def test_an_earlier_stop_of_the_device_is_shown_and_can_be_released(helm, wheels
 
 
 def test_helm_and_device_agree_after_a_stop_and_a_release_at_the_same_time(helm, wheels):
-    """The device is told in the order in which the helm took them."""
+    """The device gets them in the order of the helm."""
     helm.take("a", "Ann")
     entered, resume = threading.Event(), threading.Event()
 

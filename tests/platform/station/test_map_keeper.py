@@ -1,4 +1,4 @@
-"""The map on the disk: each minute, at its end, when asked for; whole, or as it was before."""
+"""The map on the disk: saved every minute, at its end, and on request, atomically."""
 
 import threading
 import time
@@ -123,7 +123,7 @@ def test_a_disk_error_is_notified_once_and_leaves_no_partial_map(keeper, toy, to
         assert list((tmp_path / "maps").iterdir()) == []
     with pytest.raises(ImpError, match="full"):
         keeper.save()
-    with pytest.raises(ImpError, match="full"):  # the present map is not given up for a new one
+    with pytest.raises(ImpError, match="full"):  # the present map is kept
         keeper.begin()
     assert toy.steps == 3
     toy.error = ""

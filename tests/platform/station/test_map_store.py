@@ -1,4 +1,4 @@
-"""The maps on the disk: nothing outside the folder, nothing overwritten, nothing gone at once."""
+"""The maps on the disk: nothing outside the folder, nothing overwritten, and a recycle bin."""
 
 import os
 from dataclasses import replace
@@ -21,7 +21,7 @@ def make(folder, name, scans=50):
 
 @pytest.fixture
 def folder(tmp_path):
-    """A folder with two maps, a damaged one, and much that is none of the store's business."""
+    """A folder with two maps, a damaged one, and other files."""
     folder = tmp_path / "maps"
     for i, name in enumerate(("map-1", "map-2")):
         os.utime(make(folder, name, 50 + i) / "map.imp", (1000.0 + i, 1000.0 + i))

@@ -34,7 +34,7 @@ from impslam.types import Climate, DeviceTime, LaserScan, TruePose, WheelAngles
 
 @register("test_slow")
 class Slow(Extractor):
-    """Finds nothing, and takes its time; or fails at a scan."""
+    """Finds nothing, slowly, or fails at a scan."""
 
     seconds: float = parameter(0.0, "s", "how long a scan takes")
     fails_at: int = parameter(-1, "1", "the scan at which it fails")
@@ -63,7 +63,7 @@ def slow(seconds=0.0, fails_at=-1):
 
 
 class Ready(LiveMapper):
-    """Has nothing to compile: what comes after its start is mapped."""
+    """A mapper without compilation: messages after its start are mapped."""
 
     def start(self, continued=None):
         super().start(continued)
@@ -95,7 +95,7 @@ def hand(mapper, messages):
 
 
 def drain(mapper):
-    """Wait until the estimator has taken all that was put."""
+    """Wait until the estimator has processed all messages."""
     mapping = mapper._mapping
     wait_until(lambda: mapping._inbox.empty)
     with mapping._next_turn, mapping._busy:
@@ -171,7 +171,7 @@ def test_a_live_map_is_that_of_the_log(room, tmp_path):
 
 
 def test_a_map_is_saved_while_scans_come(room, tmp_path):
-    """Every saved path is the beginning of the last one, and the map goes on meanwhile."""
+    """Every saved path is the beginning of the last one, and mapping continues meanwhile."""
     mapper = live(load("imp"))
     with pytest.raises(ImpError, match="no map to save"):
         mapper.save(tmp_path / "early")
@@ -216,7 +216,7 @@ def test_a_map_with_loops_is_saved_as_at_the_end_of_a_log(tmp_path):
 
 
 def test_scans_do_not_wait_while_a_map_is_settled(tmp_path, monkeypatch):
-    """However long that takes; the map that is saved is that of the moment it was asked for."""
+    """The saved map is that at the time of the request, however long settling takes."""
     drive = [m for m in ring() if isinstance(m, LaserScan | WheelAngles)]
     settling, go = threading.Event(), threading.Event()
     settle = graph.Graph.settle
@@ -286,7 +286,7 @@ def test_the_pose_is_dead_reckoned_while_the_lidar_is_silent(tmp_path):
     assert np.trace(shown.covariance) > np.trace(before.covariance)
     assert (len(before.points) > 0, len(shown.points)) == (True, 0)
     assert (shown.scans, math.isnan(shown.arrived)) == (before.scans, True)
-    wait_until(lambda: silence(view.snapshot()) > seconds)  # also where the wheels say nothing
+    wait_until(lambda: silence(view.snapshot()) > seconds)  # also without odometry
     hand(mapper, messages[2 * third :])
     drain(mapper)
     after = view.snapshot()
@@ -297,7 +297,7 @@ def test_the_pose_is_dead_reckoned_while_the_lidar_is_silent(tmp_path):
     heard = [*messages[:third], *blind, *messages[2 * third :]]
     map_log(load("imp"), Played.of(heard, tmp_path), [recorder])
     paths = [(tmp_path / name / "trajectory.tum").read_text() for name in ("live", "log")]
-    assert paths[0] == paths[1], "looking changes nothing"
+    assert paths[0] == paths[1], "showing the pose changes nothing"
 
 
 def test_a_new_map_begins_at_the_origin(room):
@@ -339,7 +339,7 @@ def test_messages_of_other_types_are_ignored(room):
 
 
 def test_a_slow_computer_drops_whole_scans_and_stays_near(room, caplog):
-    """Each scan takes three sweeps: two of three are dropped, and the map is never old."""
+    """Each scan takes three sweeps: two of three are dropped, and the map stays current."""
     seconds, period = 0.15, 0.05
     view = LiveView()
     mapper = live(slow(seconds), view)
@@ -367,13 +367,13 @@ def test_a_slow_computer_drops_whole_scans_and_stays_near(room, caplog):
     assert left <= 1
     assert 8 <= status.steps <= 35
     # It waits for three sweeps at most, and for the one at work and itself to be done.
-    bound = 3 * period + 2 * seconds + 0.6  # and what a busy machine takes; without drops 2 s
+    bound = 3 * period + 2 * seconds + 0.6  # and the delays of a busy computer; 2 s without drops
     assert np.nanmax(latency) < bound
     assert np.nanmax(behind) < bound + seconds + period
     counts = mapper._mapping.run.robot.counts
     assert counts["WheelAngles"] == 5 * count + 1
     travel_error = view.snapshot().odometry[0] - 0.0635 * view.snapshot().stamp
-    assert abs(travel_error) < 1e-6  # the motion is complete, whatever was dropped
+    assert abs(travel_error) < 1e-6  # the motion is complete despite dropped scans
     assert f"{status.dropped_scans} scans dropped" in status.detail
     reports = [r for r in caplog.records if "scans dropped" in r.message]
     assert len(reports) == 1  # of 40, within 10 s
@@ -392,7 +392,7 @@ def test_odometry_that_is_off_is_shown_and_logged_once(room, caplog, monkeypatch
 
 
 def test_the_map_begins_when_the_estimator_is_ready(room):
-    """What was felt before that does not make its origin uncertain."""
+    """Earlier odometry does not make its origin uncertain."""
     compiled, view = threading.Event(), LiveView()
     mapper = LiveMapper(load("imp"), view, lambda _: compiled.wait(20.0))
     mapper.start()
@@ -412,7 +412,7 @@ def test_the_map_begins_when_the_estimator_is_ready(room):
 
 
 def test_scans_are_mapped_when_the_encoders_are_lost(room, monkeypatch):
-    """They are used with what is known, in time: none waits for 25 others."""
+    """They are used in time with the motion so far: none waits for 25 others."""
     monkeypatch.setattr(module, "ODOMETRY_TIMEOUT", 0.05)
     mapper = live(load("imp"))
     mapper.start()
@@ -554,7 +554,7 @@ def test_the_estimator_is_compiled_in_place_if_the_subprocess_fails(monkeypatch,
 
 
 def test_a_rehearsal_closes_loops_and_settles(monkeypatch):
-    """Or the first loop that a robot closes would wait for the compiler."""
+    """Otherwise, the first loop closure would wait for the compiler."""
     made = []
 
     class Kept(warm.Run):

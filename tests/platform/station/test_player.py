@@ -1,4 +1,4 @@
-"""Replay: the pace of the stamps, halts and steps at once, and the same files as without."""
+"""Replay: the pace of the stamps, pause and step, and the same files as without."""
 
 import math
 import threading
@@ -32,7 +32,7 @@ def room():
 
 
 class Moments(Observer):
-    """Remembers when each result came."""
+    """Records the time of each result."""
 
     def __init__(self):
         self.stamps, self.moments, self.outcome = [], [], None
@@ -137,7 +137,7 @@ def test_a_changed_speed_counts_from_now(room, tmp_path):
     playing.set_speed(100.0)  # the scan that was due in a second is due at once
     wait_until(lambda: playing.status().steps >= 50, 5.0)
     assert time.monotonic() - begin < 4.0
-    playing.set_speed(0.1)  # and nothing is owed
+    playing.set_speed(0.1)  # and no step is due
     steps = playing.status().steps
     time.sleep(0.3)
     assert playing.status().steps <= steps + 2
@@ -166,7 +166,7 @@ def test_a_computer_that_is_too_slow_does_not_catch_up_in_a_rush():
 
 
 def test_a_late_scan_is_caught_up_with():
-    """What takes longer now and then does not delay all that comes after: 0.35 s, not 0.47."""
+    """An occasional delay does not delay all later scans: 0.35 s, not 0.47."""
 
     def play():
         pace, begin = Pace(), None
@@ -184,7 +184,7 @@ def test_a_late_scan_is_caught_up_with():
 
 
 class Counted(Played):
-    """Messages that tell how many there are, and how many were read."""
+    """A source with a known total, which counts the messages read."""
 
     _read: int = PrivateAttr(default=0)
     total = property(lambda self: len(self._list))

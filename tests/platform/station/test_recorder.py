@@ -1,4 +1,4 @@
-"""The recorder: everything is in the log, nothing waits for the disk, and every end is told."""
+"""The recorder: everything is in the log, nothing waits for the disk, and every end is notified."""
 
 import errno
 import os
@@ -45,7 +45,7 @@ PATIENCE = 20.0  # s; a loaded machine is no failure
 
 @pytest.fixture
 def recorder(tmp_path: Path) -> LogRecorder:
-    """Tells into its own log, as on the robot."""
+    """Notifies into its own log, as on the robot."""
 
     def tell(level: str, text: str) -> None:
         made.put(event("recorder", level, text))
@@ -60,7 +60,7 @@ def told() -> list[tuple[str, str]]:
 
 
 def unheard(_level: str, _text: str) -> None:
-    """Tell nobody."""
+    """Ignore a notice."""
 
 
 def teller(told: list[tuple[str, str]]) -> Callable[[str, str], None]:
@@ -402,7 +402,7 @@ def test_a_failing_disk_ends_the_recording_and_nothing_else(
 
 
 def test_two_recorders_can_start_in_the_same_second(tmp_path: Path, monkeypatch) -> None:
-    """All find the name free; who makes it has it, and the others take the next."""
+    """All find the name free; the first to create it gets it, and the others take the next."""
     monkeypatch.setattr(time, "strftime", lambda _: "20260101-000000")
     recorders = [LogRecorder(tmp_path, "imp", 0, lambda *_: None) for _ in range(8)]
     with ThreadPoolExecutor(8) as pool:
@@ -426,7 +426,7 @@ def test_a_log_that_vanishes_ends_the_recording(
     else:
         path.rename(tmp_path / "elsewhere.mcap")
     assert "was moved, deleted or cut while it was written" in ended(recorder).error
-    assert recorder.start().is_file()  # the folder is made anew
+    assert recorder.start().is_file()  # the folder is created again
     assert ended_well(recorder)
 
 
@@ -482,7 +482,7 @@ print(path)
 
 
 def test_a_write_that_fails_halfway_leaves_what_was_written_before(tmp_path: Path) -> None:
-    """The kernel itself refuses to write on, in the middle of a chunk."""
+    """The kernel refuses further writes in the middle of a chunk."""
     command = [sys.executable, "-c", LIMITED, str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     error, path = done.stdout.splitlines()

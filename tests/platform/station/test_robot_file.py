@@ -1,4 +1,4 @@
-"""A robot file says what a robot is made of, and a wrong one says what is wrong."""
+"""Robot files define devices, and invalid ones give clear errors."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What the guide tells people to type and to write must work."""
+"""The commands and files of the guide work."""
 
 import re
 import tomllib

@@ -37,7 +37,7 @@ def until_silent(link):
 
 @pytest.fixture
 def listener(tmp_path, monkeypatch):
-    """What systemd is: a datagram socket, named by NOTIFY_SOCKET."""
+    """The socket of systemd, named by NOTIFY_SOCKET."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
         link.bind(str(tmp_path / "notify"))
         link.settimeout(10.0)
@@ -115,7 +115,7 @@ def test_systemd_finds_nothing_wrong(tmp_path):
     found = subprocess.run(call, capture_output=True, text=True, check=False, timeout=60)
     ours = [line for line in (found.stdout + found.stderr).splitlines() if "imp.service" in line]
     assert ours == []
-    # And it does look: a typo is found.
+    # Check that a typo is found.
     file.write_text(text.replace("WatchdogSec=10", "WatchdogSec=ten"), "utf-8")
     found = subprocess.run(call, capture_output=True, text=True, check=False, timeout=60)
     assert "ignoring: ten" in found.stdout + found.stderr

@@ -1,4 +1,4 @@
-"""The station as a whole: what it does when a part of it fails."""
+"""The station as a whole, with failing parts."""
 
 import math
 import threading
@@ -103,7 +103,7 @@ def test_readings_of_many_threads_leave_the_events_bounded_and_readable(folder):
 
 @pytest.fixture
 def corridors(folder, monkeypatch):
-    """A station whose robot has mapped a ring of corridors; what it sends next is of a later drive."""
+    """A station that has mapped a ring of corridors, and the messages of a later drive."""
     robot = station(folder)
     monkeypatch.setattr(robot.mapper, "_config", GRAPH)
     monkeypatch.setattr(robot.mapper, "_prepare", lambda config: None)
@@ -135,7 +135,7 @@ def test_a_robot_is_localised_in_a_frozen_map(corridors):
     assert (status.name, status.frozen, status.placed) == (name, True, False)
     assert robot.view.snapshot().grid is not None
     assert len(robot.view.snapshot().path) == 0
-    robot.hint(0.0, 0.0)  # begun anew about that place
+    robot.hint(0.0, 0.0)  # restarted near that position
     send(robot, messages)
     assert robot.mapper.status().placed
     with pytest.raises(ImpError, match="already located"):

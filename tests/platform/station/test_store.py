@@ -1,4 +1,4 @@
-"""The logs on the disk: nothing outside the folder, nothing overwritten, nothing gone at once."""
+"""The logs on the disk: nothing outside the folder, nothing overwritten, and a recycle bin."""
 
 import os
 import threading
@@ -22,7 +22,7 @@ def record(path: Path, seconds: float = 2.5) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with two logs, a cut one, and much that is none of the store's business."""
+    """A folder with two logs, a cut one, and other files."""
     folder = tmp_path / "logs"
     folder.mkdir()
     for i, name in enumerate(("a.mcap", "b.mcap")):
@@ -237,7 +237,7 @@ def test_many_threads_delete_and_restore_and_nothing_is_lost(folder: Path) -> No
                     store.restore(binned.name)
             except StoreError:
                 pass  # another thread was quicker
-            except Exception as error:  # any would be a fault
+            except Exception as error:  # any error is a failure
                 trouble.append(error)
 
     threads = [threading.Thread(target=act, args=(i,)) for i in range(4)]

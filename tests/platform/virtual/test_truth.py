@@ -1,4 +1,4 @@
-"""A virtual robot's recordings hold where it was."""
+"""Recordings of a virtual robot contain its true poses."""
 
 import threading
 import time
@@ -18,7 +18,7 @@ def fast(monkeypatch):
     monkeypatch.setattr(truth, "PERIOD", 0.002)
 
 
-def test_poses_are_stamped_with_the_time_at_which_they_held():
+def test_poses_are_stamped_with_their_time():
     seen, enough = [], threading.Event()
 
     def put(reading):

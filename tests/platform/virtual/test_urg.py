@@ -1,4 +1,4 @@
-"""The emulated URG-04LX answers as the protocol says, at the times at which the sensor would."""
+"""The emulated URG-04LX follows the protocol, at the times of the real sensor."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from impslam.platform.devices import scip
-from impslam.platform.devices.scip_encoding import decode, encode, sealed
+from impslam.platform.devices.scip_encoding import decode, encode, with_checksum
 from impslam.platform.virtual import urg, urg_memory
 from impslam.platform.virtual.urg import UrgEmulator
 from impslam.platform.virtual.urg_sensor import clustered
@@ -17,7 +17,7 @@ SWEPT = TURN * 725 / 1024  # from step 0 to the last that measures
 
 
 class Room:
-    """All beams read the same, which may depend on when the sweep's first beam was fired."""
+    """All beams have the same range, which may depend on the time of the sweep's first beam."""
 
     def __init__(self, read=lambda _: 1.234):
         self.read, self.began = read, []
@@ -28,7 +28,7 @@ class Room:
 
 
 class Talk:
-    """Asks an emulator and takes what it says as text."""
+    """Sends requests to an emulator and returns its answers as text."""
 
     def __init__(self, room=None, **options):
         self.room = room or Room()
@@ -44,7 +44,7 @@ class Talk:
         return self.emulator.due(self.time).decode("latin-1")
 
     def arrivals(self, seconds, step=1e-3):
-        """Return (time, text) of all that is said in some seconds."""
+        """Return (time, text) of all answers within some seconds."""
         said, end = [], self.time + seconds
         while self.time < end:
             if text := self.hear(step):
@@ -129,7 +129,7 @@ def test_statuses(request_, status):
     if status is None:
         assert said == ""
     else:
-        assert said == f"{request_}\n{sealed(status.encode()).decode()}\n"
+        assert said == f"{request_}\n{with_checksum(status.encode()).decode()}\n"
 
 
 def test_the_laser_can_be_on_once():
@@ -140,7 +140,7 @@ def test_the_laser_can_be_on_once():
     assert not talk.emulator.laser
 
 
-def test_a_scan_to_the_letter():
+def test_a_scan_matches_a_response_by_hand():
     talk = Talk()
     talk.hear(0.05)
     talk.ask("BM")
@@ -152,7 +152,7 @@ def test_a_scan_to_the_letter():
     assert talk.ask("GD0383038501").endswith("0CBO\n\n")  # again, at once
 
 
-def test_sweeps_stream_when_they_have_ended():
+def test_sweeps_are_sent_when_they_have_ended():
     talk = Talk()
     assert talk.ask("MD0044072501000") == "MD0044072501000\n00P\n\n"
     said = talk.arrivals(1.0)
@@ -180,7 +180,7 @@ def test_a_number_of_scans_is_counted_down_and_ends_with_the_laser_off():
     assert not talk.emulator.laser
 
 
-def test_scans_are_left_out():
+def test_scans_are_skipped():
     talk = Talk()
     talk.ask("MD0044072501200")
     assert [stamp(text) for _, text in talk.arrivals(1.0)] == [0, 300, 600, 900]
@@ -194,7 +194,7 @@ def test_a_second_scan_command_is_refused_until_the_first_ends():
     assert talk.arrivals(0.5) == []
 
 
-def test_what_is_no_distance_is_a_code():
+def test_invalid_distances_are_error_codes():
     talk = Talk(Room(lambda time: [0.0, 0.012, 5.7, 5.6, 0.02][round(time / TURN - 0.04)]))
     talk.ask("MD0000076801005")
     said = [distances(text) for _, text in talk.arrivals(1.0)]
@@ -279,11 +279,11 @@ def test_a_lasting_malfunction_survives_a_reset():
     talk.emulator.reboot(talk.time)
     talk.hear(1.0)
     assert talk.ask("BM") == "BM\n01Q\n\n"
-    talk.emulator.mend()
+    talk.emulator.repair()
     assert talk.ask("BM") == "BM\n00P\n\n"
 
 
-def test_an_error_is_verified_and_scans_go_on():
+def test_an_error_is_verified_and_scans_continue():
     talk = Talk()
     talk.ask("MD0044072501000")
     talk.arrivals(0.3)
@@ -293,7 +293,7 @@ def test_an_error_is_verified_and_scans_go_on():
     assert len(said) > 10
 
 
-def test_reset_begins_the_clock_anew_and_so_does_a_reboot():
+def test_a_reset_and_a_reboot_restart_the_clock():
     talk = Talk(clock_start_ms=5_000_000)
     talk.hear(10.0)
     talk.ask("RS")
@@ -302,13 +302,13 @@ def test_reset_begins_the_clock_anew_and_so_does_a_reboot():
     talk.ask("MD0044072501000")
     talk.emulator.reboot(talk.time)
     assert talk.ask("QT") == ""  # it does not listen while it boots
-    talk.hear(urg.BOOT)
+    talk.hear(urg.BOOT_TIME)
     assert talk.ask("QT") == "QT\n00P\n\n"
     talk.ask("TM0")
     assert talk.ask("TM1").split("\n")[2][:4] == encode(np.array([500]), 4).decode()
 
 
-def test_rs232_takes_its_time_and_scans_are_lost():
+def test_rs232_delays_bytes_and_scans_are_lost():
     talk = Talk(serial=115200)
     talk.ask("MD0044072501000")
     said = talk.arrivals(2.0)
@@ -318,14 +318,14 @@ def test_rs232_takes_its_time_and_scans_are_lost():
     assert all(np.diff([stamp(text) for _, text in said[1:]]) == 200)  # 185 ms a scan
     assert talk.emulator.bit_rate == 115200
     talk.ask("RS")
-    assert talk.emulator.bit_rate == 115200  # what it was delivered with
+    assert talk.emulator.bit_rate == 115200  # its initial value
     talk.ask("SS750000")
     assert talk.emulator.bit_rate == 750000
 
 
 @settings(max_examples=60)
 @given(st.lists(st.tuples(st.binary(max_size=40), st.floats(0.0, 0.3)), max_size=20))
-def test_it_takes_any_bytes(pieces):
+def test_it_accepts_any_bytes(pieces):
     emulator, time = UrgEmulator(Room()), 0.0
     for data, pause in pieces:
         emulator.receive(data, time)
@@ -339,7 +339,7 @@ def test_it_takes_any_bytes(pieces):
     st.lists(st.sampled_from(sorted(urg_memory.COMMANDS)), max_size=12),
     st.text("0123456789x;", max_size=14),
 )
-def test_it_takes_any_commands(commands, parameters):
+def test_it_accepts_any_commands(commands, parameters):
     emulator, time = UrgEmulator(Room()), 0.0
     for command in commands:
         emulator.receive(

@@ -72,7 +72,7 @@ class Running:
     server: Server
     clock: Clock
     pressed: Pressed
-    told: list[str]
+    notices: list[str]
     port: int
     verify: Any = True
 
@@ -130,11 +130,11 @@ def serving(
     logs = folder / "logs"
     logs.mkdir(exist_ok=True)
     wanted = ServerSettings(port=0, accounts=accounts.path, **settings)
-    clock, pressed, told, ready = Clock(), Pressed(), [], threading.Event()
+    clock, pressed, notices, ready = Clock(), Pressed(), [], threading.Event()
 
     with listening(wanted) as listener:
         server = prepared(
-            stand_in(logs), wanted, listener, told.append, build or pressed.build, clock
+            stand_in(logs), wanted, listener, notices.append, build or pressed.build, clock
         )
         tell = server._ready
         server._ready = lambda: (tell(), ready.set())  # type: ignore[assignment]
@@ -143,7 +143,7 @@ def serving(
         try:
             assert ready.wait(20.0)
             port = listener.getsockname()[1]
-            yield Running(server, clock, pressed, told, port, verify)
+            yield Running(server, clock, pressed, notices, port, verify)
         finally:
             server.stop()
             thread.join(10.0)

@@ -98,9 +98,9 @@ class TestAccounts:
     )
     def test_a_broken_file_is_a_one_line_error(self, accounts, text):
         accounts.path.write_text(text)
-        with pytest.raises(AccountsError, match="remove it") as told:
+        with pytest.raises(AccountsError, match="remove it") as messages:
             accounts.right(DRIVE)
-        assert "\n" not in str(told.value)
+        assert "\n" not in str(messages.value)
 
     @pytest.mark.parametrize("password", ["", "short77", "x" * 257])
     def test_too_short_and_too_long_are_refused(self, accounts, password):
@@ -347,7 +347,7 @@ class TestThrottle:
 
 
 class TestRefusals:
-    def told(self, caplog):
+    def messages(self, caplog):
         return [record.getMessage() for record in caplog.records]
 
     def test_the_first_at_once_the_rest_as_a_count(self, clock, caplog):
@@ -355,12 +355,12 @@ class TestRefusals:
         for k in range(1000):
             refusals.record("10.0.0.1", "login", f"try {k}")
         assert len(caplog.records) == FIRST
-        assert self.told(caplog)[0] == "refused 10.0.0.1: login (try 0)"
+        assert self.messages(caplog)[0] == "refused 10.0.0.1: login (try 0)"
         clock.moment += WINDOW
         refusals.flush()
-        assert self.told(caplog)[-1] == "refused 10.0.0.1: login: 995 more in 60 s"
+        assert self.messages(caplog)[-1] == "refused 10.0.0.1: login: 995 more in 60 s"
         refusals.record("10.0.0.1", "login")
-        assert self.told(caplog)[-1] == "refused 10.0.0.1: login"
+        assert self.messages(caplog)[-1] == "refused 10.0.0.1: login"
 
     def test_kinds_and_addresses_are_counted_apart(self, clock, caplog):
         refusals = Refusals(clock)
@@ -377,7 +377,7 @@ class TestRefusals:
         refusals.flush()
         assert len(caplog.records) == FIRST
         refusals.flush(everything=True)
-        assert self.told(caplog)[-1].endswith("1 more in 0 s")
+        assert self.messages(caplog)[-1].endswith("1 more in 0 s")
         refusals.flush(everything=True)
         assert len(caplog.records) == FIRST + 1
 
@@ -388,7 +388,7 @@ class TestRefusals:
         assert len(caplog.records) == LINE_BURST
         refusals.flush(everything=True)
         assert len(caplog.records) == LINE_BURST + 1
-        assert f"{100_000 - LINE_BURST} more" in self.told(caplog)[-1]
+        assert f"{100_000 - LINE_BURST} more" in self.messages(caplog)[-1]
 
     def test_one_line_a_second_whatever_comes(self, clock, caplog):
         caplog.set_level(logging.INFO)
@@ -453,9 +453,9 @@ class TestGate:
         for _ in range(100):
             with pytest.raises(LoginRefused):
                 await authenticator.enter("10.0.0.1", "guessed-password")
-        with pytest.raises(LoginRefused, match="Too many") as told:
+        with pytest.raises(LoginRefused, match="Too many") as messages:
             await authenticator.enter("10.0.0.1", DRIVE)
-        assert told.value.wait > 0.0
+        assert messages.value.wait > 0.0
         assert len(hashes) == FREE_TRIES
         assert (await authenticator.enter("10.0.0.2", DRIVE))[1].may_drive
 

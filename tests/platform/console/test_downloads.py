@@ -63,7 +63,7 @@ class TestLogs:
         assert answer.content == b""
 
     @pytest.mark.parametrize(
-        ("asked", "part"),
+        ("requested", "part"),
         [
             ("bytes=100-199", slice(100, 200)),
             ("bytes=299990-", slice(299_990, None)),
@@ -72,20 +72,20 @@ class TestLogs:
             ("bytes=299999-999999", slice(-1, None)),
         ],
     )
-    def test_a_part_of_it(self, client, asked, part):
-        answer = client.get("/logs/one.mcap", headers={"range": asked})
+    def test_a_part_of_it(self, client, requested, part):
+        answer = client.get("/logs/one.mcap", headers={"range": requested})
         assert answer.status_code == 206
         assert answer.content == CONTENT[part]
 
-    @pytest.mark.parametrize("asked", ["bytes=300000-", "bytes=999999-1000000"])
-    def test_there_is_nothing_beyond_the_end(self, client, asked):
-        answer = client.get("/logs/one.mcap", headers={"range": asked})
+    @pytest.mark.parametrize("requested", ["bytes=300000-", "bytes=999999-1000000"])
+    def test_there_is_nothing_beyond_the_end(self, client, requested):
+        answer = client.get("/logs/one.mcap", headers={"range": requested})
         assert answer.status_code == 416
         assert answer.headers["content-range"] == f"bytes */{len(CONTENT)}"
 
-    @pytest.mark.parametrize("asked", ["bytes=x", "rows=1-2", "bytes=5-3", "bytes=", "="])
-    def test_an_odd_range_harms_nobody(self, client, asked):
-        answer = client.get("/logs/one.mcap", headers={"range": asked})
+    @pytest.mark.parametrize("requested", ["bytes=x", "rows=1-2", "bytes=5-3", "bytes=", "="])
+    def test_an_odd_range_harms_nobody(self, client, requested):
+        answer = client.get("/logs/one.mcap", headers={"range": requested})
         assert answer.status_code in {200, 206, 400, 416}
         assert client.get("/logs/one.mcap").content == CONTENT
 
@@ -122,8 +122,8 @@ class TestLogs:
         assert got == path.read_bytes()
 
     def test_the_digest_is_accepted_by_sha256sum(self, client):
-        told = client.get("/logs/one.mcap.sha256").text
-        assert told == f"{hashlib.sha256(CONTENT).hexdigest()}  one.mcap\n"
+        digest = client.get("/logs/one.mcap.sha256").text
+        assert digest == f"{hashlib.sha256(CONTENT).hexdigest()}  one.mcap\n"
         assert client.head("/logs/one.mcap.sha256").status_code == 200
 
     def test_any_valid_file_name_is_accepted(self, client):
@@ -167,8 +167,8 @@ class TestCurl:
 class TestChallenge:
     def test_a_script_is_asked_for_the_password_and_a_browser_is_not(self, served):
         with served.client() as client:
-            asked = client.get("/logs").headers["www-authenticate"]
-            assert asked == 'Basic realm="logs", charset="UTF-8"'
+            requested = client.get("/logs").headers["www-authenticate"]
+            assert requested == 'Basic realm="logs", charset="UTF-8"'
             browser = client.get("/logs", headers={"sec-fetch-mode": "cors"})
             assert "www-authenticate" not in browser.headers
             assert "www-authenticate" not in client.get("/camera.jpg").headers

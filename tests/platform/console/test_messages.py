@@ -49,10 +49,12 @@ def test_no_message_of_a_watcher_raises_an_error(tmp_path, replay, caplog):
                 line.send(last)
                 soon(lambda: "a message of another kind" in caplog.text)
         gc.collect()  # a task that failed is told when it is collected
-        told = list(
+        records = list(
             caplog.records
         )  # nicegui complains at the end of a server that is not the first
-    assert not [one for one in told if one.name in {"nicegui", "asyncio"} or one.exc_info], told
+    assert not [one for one in records if one.name in {"nicegui", "asyncio"} or one.exc_info], (
+        records
+    )
 
 
 def test_refused_commands_of_a_watcher_do_not_fill_the_log(caplog):

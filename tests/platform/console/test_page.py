@@ -216,8 +216,8 @@ def test_a_map_is_continued_and_a_click_gives_a_hint(browser, robot):
         expect(watcher.page.get_by_test_id("sought")).not_to_contain_text("click")
         expect(page.get_by_test_id("pose-x")).to_have_count(0)
         page.get_by_test_id("tab-record").click()
-        said = page.get_by_test_id("mapping")
-        expect(said).to_contain_text("Localising in map-20261120-141503, not found in it yet")
+        status = page.get_by_test_id("mapping")
+        expect(status).to_contain_text("Localising in map-20261120-141503, not found in it yet")
         expect(page.get_by_test_id("map-save")).to_be_hidden()
         canvas = page.get_by_test_id("map").locator("canvas")
         for looked in (watcher.page.get_by_test_id("map").locator("canvas"), canvas):
@@ -228,7 +228,7 @@ def test_a_map_is_continued_and_a_click_gives_a_hint(browser, robot):
         ((x, y),) = robot.state()["hints"]
         assert -2.0 < x < 8.0  # the middle of the map, or near it
         assert -2.0 < y < 6.0
-        expect(said).to_contain_text("Localising in map-20261120-141503 ·")
+        expect(status).to_contain_text("Localising in map-20261120-141503 ·")
         assert not watched.complaints
 
 

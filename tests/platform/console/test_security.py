@@ -637,8 +637,8 @@ class TestMessages:
     @pytest.mark.parametrize("level", ["debug", "info", "warning", "error"])
     def test_nothing_is_written_into_the_log(self, page, level, caplog):
         caplog.set_level("DEBUG", "nicegui")
-        told = {"client_id": page[2], "level": level, "message": self.FORGED}
-        self.sent(page, "42" + json.dumps(["log", told]))
+        logged = {"client_id": page[2], "level": level, "message": self.FORGED}
+        self.sent(page, "42" + json.dumps(["log", logged]))
         assert "all is well" not in caplog.text
         assert "a message of another kind than the page sends" in caplog.text
 
@@ -796,8 +796,8 @@ class TestGuessing:
         assert spent < 60.0
         served.server.authenticator.refusals.flush(everything=True)
         assert "refused 127.0.0.1: login (a wrong password)" in caplog.text
-        [told] = re.findall(r"refused 127\.0\.0\.1: login: (\d+) more in", caplog.text)
-        assert int(told) + 5 == 1001
+        [logged] = re.findall(r"refused 127\.0\.0\.1: login: (\d+) more in", caplog.text)
+        assert int(logged) + 5 == 1001
         assert len(caplog.records) < 20
         assert "guess-" not in caplog.text
 

@@ -33,10 +33,10 @@ print("put away", flush=True)
 def refused(tmp_path, **settings):
     """Return the line with which the server refuses to serve."""
     wanted = ServerSettings(port=0, accounts=tmp_path / "accounts.json", **settings)
-    with listening(wanted) as listener, pytest.raises(ImpError) as told:
+    with listening(wanted) as listener, pytest.raises(ImpError) as notices:
         prepared(stand_in(tmp_path), wanted, listener, print, lambda model: None, Clock())
-    assert "\n" not in str(told.value)
-    return str(told.value)
+    assert "\n" not in str(notices.value)
+    return str(notices.value)
 
 
 class TestWhereItListens:
@@ -74,8 +74,8 @@ class TestWhereItListens:
 class TestLink:
     def test_without_a_password_the_one_time_link_opens_the_page(self, tmp_path):
         with serving(tmp_path, passwords=False) as served:
-            assert served.told[0] == f"the page is at {served.origin}"
-            link = served.told[1].removeprefix("open ")
+            assert served.notices[0] == f"the page is at {served.origin}"
+            link = served.notices[1].removeprefix("open ")
             with served.client() as client:
                 assert client.get("/camera.jpg").status_code == 401
                 assert client.get("/login?token=wrong").status_code == 401
@@ -94,15 +94,15 @@ class TestLink:
 
     def test_another_link_is_shown_when_the_page_is_requested(self, tmp_path):
         with serving(tmp_path, passwords=False) as served, served.client() as client:
-            client.get(served.told[1].removeprefix("open "))
+            client.get(served.notices[1].removeprefix("open "))
             assert "again in 60 s" in client.get("/login?token=used").text  # one a minute
-            assert len(served.told) == 2
+            assert len(served.notices) == 2
             served.clock.ahead += 3600.0
             assert client.get("/camera.jpg").status_code == 401
             assert "newest one is printed" in client.get("/login").text
             client.get("/login")
-            assert len(served.told) == 3
-            assert client.get(served.told[2].removeprefix("open ")).status_code == 200
+            assert len(served.notices) == 3
+            assert client.get(served.notices[2].removeprefix("open ")).status_code == 200
             assert client.get("/camera.jpg").status_code == 200
 
 
@@ -119,8 +119,8 @@ def secured(tmp_path_factory):
 
 class TestTls:
     def test_the_fingerprint_is_reported(self, secured):
-        assert secured.told[0].startswith("the page is at https://127.0.0.1:")
-        assert secured.told[1].startswith("SHA-256 of its certificate: ")
+        assert secured.notices[0].startswith("the page is at https://127.0.0.1:")
+        assert secured.notices[1].startswith("SHA-256 of its certificate: ")
 
     def test_the_cookie_is_bound_to_host_and_tls(self, secured):
         with secured.client() as client:
@@ -173,7 +173,7 @@ class TestTls:
 class TestBeyondLoopback:
     def test_it_is_on_tls_with_a_certificate_of_its_own(self, tmp_path):
         with serving(tmp_path, host="0.0.0.0", names=("robot.example",), verify=False) as served:
-            assert served.told[0] == f"the page is at https://robot.example:{served.port}"
+            assert served.notices[0] == f"the page is at https://robot.example:{served.port}"
             assert served.server.authenticator.secure
             assert (tmp_path / "accounts" / "certificate.pem").exists()
             with served.client() as client:

@@ -132,9 +132,9 @@ class TestGivenPapers:
             "missing": CertificateFiles(tmp_path / "none", pem.key),
             "encrypted": CertificateFiles(pem.certificate, encrypted),
         }[swap]
-        with pytest.raises(CertificateError, match="give a PEM certificate") as told:
+        with pytest.raises(CertificateError, match="give a PEM certificate") as raised:
             given.context()
-        assert "\n" not in str(told.value)
+        assert "\n" not in str(raised.value)
 
     @pytest.mark.parametrize(
         ("version", "fits"),

@@ -21,7 +21,7 @@ class Vehicle:
 
     def __init__(self):
         self.time, self.angles, self.speeds = 0.0, np.zeros(2), np.zeros(2)
-        self.stalled, self.told = (False, False), []
+        self.stalled, self.commands = (False, False), []
 
     def advance(self, time):
         self.angles += self.speeds / RADIUS * (time - self.time)
@@ -29,7 +29,7 @@ class Vehicle:
 
     def drive(self, left, right):
         self.speeds = np.array([left, right])
-        self.told.append((self.time, left, right))
+        self.commands.append((self.time, left, right))
 
     def wheel_angles(self):
         return tuple(self.angles.tolist())

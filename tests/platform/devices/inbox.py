@@ -9,19 +9,19 @@ class Inbox:
     """Records the readings of a device."""
 
     def __init__(self):
-        self.readings, self.news = [], threading.Condition()
+        self.readings, self.changed = [], threading.Condition()
 
     def __call__(self, reading):
-        with self.news:
+        with self.changed:
             self.readings.append(reading)
-            self.news.notify_all()
+            self.changed.notify_all()
 
     def of(self, kind):
         return [r for r in self.readings if isinstance(r.message, kind)]
 
     def wait(self, kind, number):
         """Wait for `number` readings of a kind, and return them."""
-        with self.news:
-            there = self.news.wait_for(lambda: len(self.of(kind)) >= number, PATIENCE)
-            assert there, [r.message for r in self.readings]
+        with self.changed:
+            arrived = self.changed.wait_for(lambda: len(self.of(kind)) >= number, PATIENCE)
+            assert arrived, [r.message for r in self.readings]
             return self.of(kind)

@@ -1,4 +1,4 @@
-"""Rates of damage that passes the checks: `python -m tests.platform.devices.scip_noise` prints the table."""
+"""Undetected damage: `python -m tests.platform.devices.scip_noise` prints the table."""
 
 import numpy as np
 

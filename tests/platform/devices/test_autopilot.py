@@ -136,7 +136,7 @@ def test_commands_that_are_not_finite_are_refused(command):
 def test_a_drive_reaches_the_motors_at_once_and_times_out(bench):
     bench.later(1.0, lambda: bench.driver.drive(0.3, 0.0))
     bench.run(3.0)
-    (begin, *speeds), (end, *stand) = bench.vehicle.told[-2:]
+    (begin, *speeds), (end, *stand) = bench.vehicle.commands[-2:]
     assert begin == pytest.approx(1.0, abs=0.002)
     assert speeds == [0.3, 0.3]
     assert stand == [0.0, 0.0]
@@ -159,10 +159,10 @@ def test_drives_are_ignored_from_a_stop_until_the_release(bench):
     bench.later(1.01, bench.driver.emergency_stop)
     bench.later(3.01, bench.driver.release)
     bench.run(4.0)
-    moving = [t for t, left, _ in bench.vehicle.told if left > 0]
+    moving = [t for t, left, _ in bench.vehicle.commands if left > 0]
     assert not [t for t in moving if 1.011 < t < 3.01]
     assert [t for t in moving if t > 3.01]
-    stopped = [t for t, left, _ in bench.vehicle.told if left == 0.0]
+    stopped = [t for t, left, _ in bench.vehicle.commands if left == 0.0]
     assert any(abs(t - 1.01) < 0.003 for t in stopped)
     counts = bench.health.counts
     assert counts["drive held back"] == 40
@@ -176,8 +176,8 @@ def test_a_stop_is_repeated_until_it_is_answered(bench):
     bench.later(1.0, bench.driver.emergency_stop)
     bench.later(1.24, lambda: setattr(bench, "spoil_commands", lambda data: data))
     bench.run(3.6)
-    assert bench.vehicle.told[-1][1:] == (0.0, 0.0)
-    assert bench.vehicle.told[-1][0] == pytest.approx(1.27, abs=0.03)
+    assert bench.vehicle.commands[-1][1:] == (0.0, 0.0)
+    assert bench.vehicle.commands[-1][0] == pytest.approx(1.27, abs=0.03)
     assert bench.health.counts["commands"] == pytest.approx(26, abs=2)  # it does not continue
     assert bench.health.counts["commands unanswered"] in {6, 7}  # 5 stops, and drives before
 
@@ -232,7 +232,7 @@ def test_a_port_that_takes_nothing_is_reopened(bench):
     assert bench.closed >= 2
     assert bench.health.state == "ok"
     assert bench.health.counts["commands not sent"] > 3
-    assert bench.vehicle.told[-1][1] == 0.1
+    assert bench.vehicle.commands[-1][1] == 0.1
 
 
 # ------------------------------------------------------------------------ what it survives
@@ -451,7 +451,7 @@ def test_driver_and_emulator_talk_through_a_pseudo_terminal():
         os.close(master)
         os.close(slave)
     assert [r for r in readings if isinstance(r.message, WheelAngles)]
-    assert any(left == 0.2 for _, left, _ in vehicle.told)
+    assert any(left == 0.2 for _, left, _ in vehicle.commands)
     assert driver.health().state == "stopped"
     assert not math.isnan(driver.latency()[0])
 
@@ -488,6 +488,6 @@ def test_an_earlier_stop_is_reported_until_it_is_released(bench):
 def test_a_silent_line_is_notified_once(bench):
     bench.spoil = lambda data: b""
     bench.run(30.0)
-    told = [text for text in bench.events if "nothing understood" in text]
-    assert len(told) == 1
+    notices = [text for text in bench.events if "nothing understood" in text]
+    assert len(notices) == 1
     assert bench.health.counts["lost connection"] > 5

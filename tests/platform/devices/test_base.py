@@ -63,9 +63,9 @@ def test_a_reading_reaches_the_receiver_with_both_clocks(toy):
     toy._script.put(lambda self: (self._ready("toy 1.0"), self.speak(), self._stopping.wait()))
     toy.start(got.append)
     until(lambda: len(got) == 2)
-    told, reading = got
-    assert isinstance(told.message, Event)
-    assert told.message.text == "toy 1.0"
+    notice, reading = got
+    assert isinstance(notice.message, Event)
+    assert notice.message.text == "toy 1.0"
     assert isinstance(reading.message, Climate)
     assert (reading.device, reading.device_stamp) == ("toy", 1.5)
     health = toy.health()

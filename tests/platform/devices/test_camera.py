@@ -53,10 +53,10 @@ def test_an_unplugged_camera_is_notified_and_reopened(served, eye):
     before = len(inbox.wait(Image, 1))
     eye.unplug(0.3)
     inbox.wait(Image, before + 3)
-    told = [r.message for r in inbox.of(Event) if r.message.level == "error"]
+    events = [r.message for r in inbox.of(Event) if r.message.level == "error"]
     # Cut and refused are two reasons; or one, if the cut is seen only when it is back.
-    assert 1 <= len(told) <= 2
-    assert all(eye.url in event.text for event in told)
+    assert 1 <= len(events) <= 2
+    assert all(eye.url in event.text for event in events)
     assert camera.health().counts["lost connection"] >= 1
 
 
@@ -86,10 +86,10 @@ def test_a_camera_that_cannot_be_opened_is_notified_once(source, advice, capfd):
     inbox.wait(Event, 1)
     time.sleep(0.2)
     camera.stop()
-    told = inbox.of(Event)
-    assert len(told) == 1
-    assert source in told[0].message.text
-    assert advice in told[0].message.text
+    events = inbox.of(Event)
+    assert len(events) == 1
+    assert source in events[0].message.text
+    assert advice in events[0].message.text
     assert capfd.readouterr().err == ""
 
 

@@ -48,8 +48,8 @@ def epochs(*pieces):
     reader, found = Epochs(), []
     lines = Sentences(pynmeagps, lambda what, n: counts.update({what: n}))
     for k, piece in enumerate(pieces):
-        for said, began in lines.feed(piece, 0.1 * k):
-            found += reader.add(said, began)
+        for parsed, began in lines.feed(piece, 0.1 * k):
+            found += reader.add(parsed, began)
     return found, counts
 
 

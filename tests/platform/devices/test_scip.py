@@ -243,8 +243,8 @@ def test_damaged_lines_are_refused(line):
     ],
 )
 def test_impossible_parameters_are_refused(key, value):
-    said = fields(PP) | {key: value}
-    lines = tuple(to_line(k, v)[:-1] for k, v in said.items() if v.isascii())
+    changed = fields(PP) | {key: value}
+    lines = tuple(to_line(k, v)[:-1] for k, v in changed.items() if v.isascii())
     with pytest.raises(DeviceError, match="is it a SCIP"):
         Parameters.of(lines)
 

@@ -253,8 +253,8 @@ def test_a_sensor_without_tm_is_stamped_by_arrival(monkeypatch):
 
 def test_a_bad_state_of_the_sensor_is_notified(monkeypatch):
     emulator, _ = sensor()
-    said = b"STAT:Motor tired"
-    told = said + b";" + bytes([(sum(said) & 0x3F) + 0x30])
+    state = b"STAT:Motor tired"
+    told = state + b";" + bytes([(sum(state) & 0x3F) + 0x30])
     spoil = instead(b"STAT:Sensor works well.;8", told)
     bench = Bench(emulator, monkeypatch, stop_after=1, spoil=spoil)
     bench.run()

@@ -19,7 +19,7 @@ class Wheels(DriveDevice):
     name = "wheels"
 
     def model_post_init(self, context):
-        self.__dict__["told"] = []
+        self.__dict__["commands"] = []
         self.__dict__["latched"] = False
 
     @property
@@ -30,7 +30,7 @@ class Wheels(DriveDevice):
         self._stopping.wait()
 
     def drive(self, speed, turn_rate):
-        self.told.append((time.monotonic(), speed, turn_rate))
+        self.commands.append((time.monotonic(), speed, turn_rate))
 
     def emergency_stop(self):
         self.__dict__["latched"] = True
@@ -60,7 +60,7 @@ def helm(wheels):
 def test_a_command_reaches_the_wheels_at_once(helm, wheels, clock):
     helm.take("a", "Ann")
     helm.drive("a", 0.2, -0.3)
-    assert wheels.told[-1][1:] == (0.2, -0.3)
+    assert wheels.commands[-1][1:] == (0.2, -0.3)
     assert helm.state().speed == 0.2
 
 
@@ -72,7 +72,7 @@ def test_a_command_is_valid_for_the_timeout_and_no_longer(helm, wheels, clock, a
     helm.drive("a", 0.2, 0.1)
     clock[0] += age
     helm._send()
-    assert wheels.told[-1][1:] == ((0.2, 0.1) if moves else (0.0, 0.0))
+    assert wheels.commands[-1][1:] == ((0.2, 0.1) if moves else (0.0, 0.0))
 
 
 @pytest.mark.parametrize("age", [COMMAND_TIMEOUT, 0.31, 1.0, 60.0])
@@ -80,7 +80,7 @@ def test_a_late_command_is_dropped(helm, wheels, clock, age):
     helm.take("a", "Ann")
     helm.drive("a", 0.2, 0.1, age)
     helm._send()
-    assert not [told for told in wheels.told if told[1:] != (0.0, 0.0)]
+    assert not [command for command in wheels.commands if command[1:] != (0.0, 0.0)]
 
 
 def test_a_command_times_out_after_it_was_given_not_received(helm, wheels, clock):
@@ -88,10 +88,10 @@ def test_a_command_times_out_after_it_was_given_not_received(helm, wheels, clock
     helm.drive("a", 0.2, 0.1, 0.2)
     clock[0] += COMMAND_TIMEOUT - 0.2 - 1e-6
     helm._send()
-    assert wheels.told[-1][1:] == (0.2, 0.1)
+    assert wheels.commands[-1][1:] == (0.2, 0.1)
     clock[0] += 2e-6
     helm._send()
-    assert wheels.told[-1][1:] == (0.0, 0.0)
+    assert wheels.commands[-1][1:] == (0.0, 0.0)
 
 
 def test_the_robot_stops_when_commands_stop(wheels):
@@ -102,9 +102,9 @@ def test_the_robot_stops_when_commands_stop(wheels):
     given_at = time.monotonic()
     time.sleep(COMMAND_TIMEOUT + 6 * PERIOD)
     helm.stop()
-    last = max(t for t, speed, _ in wheels.told if speed > 0.0)
+    last = max(t for t, speed, _ in wheels.commands if speed > 0.0)
     assert last - given_at < COMMAND_TIMEOUT + 0.05
-    assert wheels.told[-1][1:] == (0.0, 0.0)
+    assert wheels.commands[-1][1:] == (0.0, 0.0)
     assert not [thread for thread in threading.enumerate() if thread.name == "helm"]
 
 
@@ -127,25 +127,25 @@ def test_leaving_the_helm_stops_the_robot(helm, wheels, clock):
     helm.drive("a", 0.2, 0.0)
     helm.leave("a")
     helm._send()
-    assert wheels.told[-1][1:] == (0.0, 0.0)
+    assert wheels.commands[-1][1:] == (0.0, 0.0)
 
 
 def test_anyone_can_trigger_the_emergency_stop(helm, wheels, clock):
     helm.take("a", "Ann")
     helm.drive("a", 0.2, 0.0)
-    before = len(wheels.told)
+    before = len(wheels.commands)
     helm.emergency_stop("Bob")
     assert wheels.stopped
     helm.drive("a", 0.2, 0.0)
     helm._send()
-    assert len(wheels.told) == before  # nothing is sent that could move it
+    assert len(wheels.commands) == before  # nothing is sent that could move it
     assert helm.state().stopped == "emergency stop by Bob"
     with pytest.raises(HelmError, match="take the helm"):
         helm.release("b")
     helm.release("a")
     assert not wheels.stopped
     helm._send()
-    assert wheels.told[-1][1:] == (0.0, 0.0)  # earlier commands are dropped
+    assert wheels.commands[-1][1:] == (0.0, 0.0)  # earlier commands are dropped
 
 
 @given(speed=st.floats(), turn_rate=st.floats())
@@ -158,7 +158,7 @@ def test_commands_are_clipped_to_the_limits(speed, turn_rate):
     else:
         with pytest.raises(HelmError, match="not finite"):
             helm.drive("a", speed, turn_rate)
-    assert all(abs(v) <= 0.5 and abs(w) <= 1.0 for _, v, w in wheels.told)
+    assert all(abs(v) <= 0.5 and abs(w) <= 1.0 for _, v, w in wheels.commands)
 
 
 def test_a_robot_without_a_drive_device_refuses_drivers():
@@ -169,14 +169,14 @@ def test_a_robot_without_a_drive_device_refuses_drivers():
 
 
 def test_events_of_the_helm_are_notified_once(wheels, clock):
-    told = []
-    helm = Helm(wheels, (0.5, 1.0), lambda level, text: told.append((level, text)))
+    notices = []
+    helm = Helm(wheels, (0.5, 1.0), lambda level, text: notices.append((level, text)))
     for _ in range(2):
         helm.take("a", "Ann")
         helm.emergency_stop("Bob")
     helm.release("a")
     helm.leave("a")
-    assert told == [
+    assert notices == [
         ("info", "Ann takes the helm"),
         ("warning", "emergency stop by Bob"),
         ("info", "emergency stop released by Ann"),
@@ -238,13 +238,13 @@ def test_an_error_while_sending_ends_neither_the_thread_nor_the_stop(wheels, cap
         if not faults:
             faults.append(speed)
             raise ZeroDivisionError("oops")
-        wheels.told.append((time.monotonic(), speed, turn_rate))
+        wheels.commands.append((time.monotonic(), speed, turn_rate))
 
     wheels.__dict__["drive"] = faulty
     helm.start()
     end = time.monotonic() + 5.0
-    while not wheels.told and time.monotonic() < end:
+    while not wheels.commands and time.monotonic() < end:
         time.sleep(0.01)
     helm.stop()
-    assert wheels.told
+    assert wheels.commands
     assert "oops" in caplog.text

@@ -53,13 +53,13 @@ def toy(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def told():
+def notices():
     return []
 
 
 @pytest.fixture
-def keeper(toy, tmp_path, told):
-    keeper = MapKeeper(toy, tmp_path / "maps", lambda level, text: told.append((level, text)))
+def keeper(toy, tmp_path, notices):
+    keeper = MapKeeper(toy, tmp_path / "maps", lambda level, text: notices.append((level, text)))
     yield keeper
     keeper.stop()
 
@@ -113,12 +113,12 @@ def test_manual_saving_writes_all_files_to_the_same_folder(keeper, toy, tmp_path
     assert [path.name for path in (tmp_path / "maps").iterdir()] == ["map-1"]
 
 
-def test_a_disk_error_is_notified_once_and_leaves_no_partial_map(keeper, toy, told, tmp_path):
+def test_a_disk_error_is_notified_once_and_leaves_no_partial_map(keeper, toy, notices, tmp_path):
     toy.error, toy.steps = "the disk is full", 3
     keeper.start()
-    wait_until(lambda: told)
+    wait_until(lambda: notices)
     time.sleep(0.1)
-    assert told == [("error", "the map is not saved: the disk is full")]
+    assert notices == [("error", "the map is not saved: the disk is full")]
     with keeper._saving:  # not while it tries once more
         assert list((tmp_path / "maps").iterdir()) == []
     with pytest.raises(ImpError, match="full"):
@@ -150,9 +150,9 @@ def test_partial_files_of_a_killed_program_are_removed(keeper, tmp_path):
     assert [path.name for path in folder.iterdir()] == ["map.imp"]
 
 
-def test_a_live_map_can_be_loaded_from_its_file(tmp_path, told):
+def test_a_live_map_can_be_loaded_from_its_file(tmp_path, notices):
     mapper = live(load("imp"))
-    keeper = MapKeeper(mapper, tmp_path, lambda *event: told.append(event))
+    keeper = MapKeeper(mapper, tmp_path, lambda *event: notices.append(event))
     keeper.begin()
     hand(mapper, perfect(load_world("room"))[:600])
     drain(mapper)
@@ -161,13 +161,13 @@ def test_a_live_map_can_be_loaded_from_its_file(tmp_path, told):
     known = Map.load(tmp_path / keeper.name / "map.imp")
     assert len(known.stamps) == mapper.status().steps > 10
     assert known.about["counts"]["steps"] == len(known.stamps)
-    assert told == []
+    assert notices == []
 
 
-def test_an_error_of_the_estimator_does_not_end_the_saving(keeper, toy, told):
+def test_an_error_of_the_estimator_does_not_end_the_saving(keeper, toy, notices):
     toy.kind, toy.error, toy.steps = ZeroDivisionError, "oops", 3
     keeper.start()
-    wait_until(lambda: told)
-    assert told == [("error", "the map is not saved: ZeroDivisionError: oops")]
+    wait_until(lambda: notices)
+    assert notices == [("error", "the map is not saved: ZeroDivisionError: oops")]
     toy.error = ""
     wait_until(lambda: toy.saved)

@@ -294,8 +294,8 @@ def test_the_pose_is_dead_reckoned_while_the_lidar_is_silent(tmp_path):
     mapper.save(tmp_path / "live")
     mapper.stop()
     recorder = Recorder(tmp_path / "log")
-    heard = [*messages[:third], *blind, *messages[2 * third :]]
-    map_log(load("imp"), Played.of(heard, tmp_path), [recorder])
+    received = [*messages[:third], *blind, *messages[2 * third :]]
+    map_log(load("imp"), Played.of(received, tmp_path), [recorder])
     paths = [(tmp_path / name / "trajectory.tum").read_text() for name in ("live", "log")]
     assert paths[0] == paths[1], "showing the pose changes nothing"
 

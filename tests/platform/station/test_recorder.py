@@ -47,15 +47,15 @@ PATIENCE = 20.0  # s; a loaded machine is no failure
 def recorder(tmp_path: Path) -> LogRecorder:
     """Notifies into its own log, as on the robot."""
 
-    def tell(level: str, text: str) -> None:
+    def notify(level: str, text: str) -> None:
         made.put(event("recorder", level, text))
 
-    made = LogRecorder(tmp_path / "logs", "imp", 0, tell)
+    made = LogRecorder(tmp_path / "logs", "imp", 0, notify)
     return made
 
 
 @pytest.fixture
-def told() -> list[tuple[str, str]]:
+def notices() -> list[tuple[str, str]]:
     return []
 
 
@@ -63,8 +63,8 @@ def unheard(_level: str, _text: str) -> None:
     """Ignore a notice."""
 
 
-def teller(told: list[tuple[str, str]]) -> Callable[[str, str], None]:
-    return lambda level, text: told.append((level, text))
+def notifier(notices: list[tuple[str, str]]) -> Callable[[str, str], None]:
+    return lambda level, text: notices.append((level, text))
 
 
 def until(true: Callable[[], object]) -> None:
@@ -186,7 +186,7 @@ def test_names(recorder: LogRecorder) -> None:
 
 
 @pytest.mark.parametrize(
-    ("said", "name"),
+    ("label", "name"),
     [
         ("", ""),
         ("lab.mcap", "lab"),
@@ -197,8 +197,8 @@ def test_names(recorder: LogRecorder) -> None:
         ("実験", ""),
     ],
 )
-def test_names_are_made_safe(said: str, name: str) -> None:
-    assert file_name(said) == name
+def test_names_are_made_safe(label: str, name: str) -> None:
+    assert file_name(label) == name
 
 
 def test_one_log_at_a_time_and_stopping_twice_is_no_error(recorder: LogRecorder) -> None:
@@ -214,9 +214,9 @@ def test_one_log_at_a_time_and_stopping_twice_is_no_error(recorder: LogRecorder)
 
 
 def test_a_bad_message_is_dropped_and_notified_once(
-    tmp_path: Path, told: list[tuple[str, str]]
+    tmp_path: Path, notices: list[tuple[str, str]]
 ) -> None:
-    recorder = LogRecorder(tmp_path, "imp", 0, teller(told))
+    recorder = LogRecorder(tmp_path, "imp", 0, notifier(notices))
     path, moment = recorder.start(), now()
     for _ in range(3):
         recorder.put(scan(moment, uneven=True))
@@ -229,7 +229,7 @@ def test_a_bad_message_is_dropped_and_notified_once(
     status = recorder.status()
     assert status.dropped == {"LaserScan": 3, "Steering": 1, "WheelAngles": 2, "Climate": 1}
     assert status.written == {"WheelAngles": 1}
-    assert [text for level, text in told if level == "warning" and "LaserScan" in text] == [
+    assert [text for level, text in notices if level == "warning" and "LaserScan" in text] == [
         "urg: LaserScan cannot be recorded: angles are not equally spaced, which "
         "sensor_msgs/LaserScan cannot say"
     ]
@@ -260,10 +260,10 @@ def test_a_second_lidar_has_a_topic_of_its_own(recorder: LogRecorder) -> None:
 
 
 def test_a_slow_disk_blocks_nobody_and_pictures_are_dropped_first(
-    tmp_path: Path, told: list[tuple[str, str]], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, notices: list[tuple[str, str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     free = threading.Event()
-    recorder = LogRecorder(tmp_path, "imp", 0, teller(told))
+    recorder = LogRecorder(tmp_path, "imp", 0, notifier(notices))
     monkeypatch.setattr(
         recorder_thread, "ReadingQueue", lambda: ReadingQueue(count=100, size=100_000)
     )
@@ -280,13 +280,13 @@ def test_a_slow_disk_blocks_nobody_and_pictures_are_dropped_first(
     dropped = recorder.status().dropped
     assert dropped["Image"] > dropped["Imu"] > dropped["WheelAngles"] > 0
     free.set()
-    until(lambda: any("dropped so far" in text for _, text in told))
+    until(lambda: any("dropped so far" in text for _, text in notices))
     recorder.stop()
     status = recorder.status()
     assert status.dropped == dropped
     for kind in ("WheelAngles", "Imu", "Image"):
         assert status.written[kind] + status.dropped[kind] == 90
-    assert any("too slow" in text for level, text in told if level == "warning")
+    assert any("too slow" in text for level, text in notices if level == "warning")
     assert topics(path)["/joint_states"] == status.written["WheelAngles"]
 
 
@@ -348,9 +348,9 @@ def free_space(monkeypatch: pytest.MonkeyPatch, free: int) -> None:
 
 
 def test_the_disk_is_never_filled_beyond_its_reserve(
-    tmp_path: Path, told: list[tuple[str, str]], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, notices: list[tuple[str, str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recorder = LogRecorder(tmp_path, "imp", 10**9, teller(told))
+    recorder = LogRecorder(tmp_path, "imp", 10**9, notifier(notices))
     free_space(monkeypatch, 10**9 + 5)
     assert recorder.status().free == 5
     path = recorder.start()
@@ -358,7 +358,7 @@ def test_the_disk_is_never_filled_beyond_its_reserve(
     free_space(monkeypatch, 10**9 - 1)
     status = ended(recorder)
     assert "the disk is full up to its reserve" in status.error
-    assert any(level == "error" and str(path) in text for level, text in told)
+    assert any(level == "error" and str(path) in text for level, text in notices)
     assert not read(path)[1].problems.counts  # closed like any other
     with pytest.raises(RecordingError, match="less than the reserve of 1000 MB is free"):
         recorder.start()
@@ -371,7 +371,7 @@ def test_the_disk_is_never_filled_beyond_its_reserve(
 
 
 @pytest.mark.parametrize(
-    ("code", "said"),
+    ("code", "label"),
     [
         (errno.ENOSPC, "No space left on device); delete logs"),
         (errno.EIO, "Input/output error); save its logs and replace the disk"),
@@ -380,7 +380,7 @@ def test_the_disk_is_never_filled_beyond_its_reserve(
     ],
 )
 def test_a_failing_disk_ends_the_recording_and_nothing_else(
-    recorder: LogRecorder, monkeypatch: pytest.MonkeyPatch, code: int, said: str
+    recorder: LogRecorder, monkeypatch: pytest.MonkeyPatch, code: int, label: str
 ) -> None:
     def fail(descriptor: int) -> None:
         raise OSError(code, os.strerror(code))
@@ -389,7 +389,7 @@ def test_a_failing_disk_ends_the_recording_and_nothing_else(
     recorder.put(wheels(7))
     monkeypatch.setattr(live_recording, "_sync_data", fail)
     status = ended(recorder)
-    assert said in status.error
+    assert label in status.error
     assert "\n" not in status.error
     assert status.written.get("WheelAngles", 0) + status.dropped.get("WheelAngles", 0) == 1
     recorder.put(wheels(8))

@@ -89,7 +89,7 @@ def test_paths_with_blanks_and_percents():
 
 
 @pytest.mark.parametrize(
-    ("wrong", "told"),
+    ("wrong", "message"),
     [
         ({"program": Path("imp")}, "absolute"),
         ({"folder": Path("logs")}, "absolute"),
@@ -100,8 +100,8 @@ def test_paths_with_blanks_and_percents():
         ({"user": "nobody-of-that-name"}, "adduser"),
     ],
 )
-def test_invalid_arguments_are_explained(wrong, told):
-    with pytest.raises(ConfigError, match=told) as error:
+def test_invalid_arguments_are_explained(wrong, message):
+    with pytest.raises(ConfigError, match=message) as error:
         made(**wrong)
     assert "\n" not in str(error.value)
 

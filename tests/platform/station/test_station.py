@@ -85,12 +85,12 @@ def test_readings_of_many_threads_leave_the_events_bounded_and_readable(folder):
     robot = station(folder)
     ended = threading.Event()
 
-    def tell():
+    def notify():
         while not ended.is_set():
             robot._notify("info", "news")
             robot.receive(Reading(Climate(now(), 20.0, 0.5), now(), "toy"))
 
-    threads = [threading.Thread(target=tell) for _ in range(4)]
+    threads = [threading.Thread(target=notify) for _ in range(4)]
     for thread in threads:
         thread.start()
     for _ in range(2000):
@@ -142,7 +142,7 @@ def test_a_robot_is_localised_in_a_frozen_map(corridors):
         robot.hint(0.0, 0.0)
     x, y, _ = robot.view.snapshot().pose
     assert math.hypot(x - 9.0, y) < 0.3
-    with pytest.raises(ImpError, match="stays as it is"):
+    with pytest.raises(ImpError, match="frozen map"):
         robot.save_map()
     robot.keeper.stop()
     assert [one.name for one in robot.maps.maps()] == [name]

@@ -29,10 +29,10 @@ PARSE = {Kind.HELLO: Hello.parse, Kind.SENSORS: Sensors.parse, Kind.ACK: Ack.par
 
 class Vehicle:
     def __init__(self):
-        self.told, self.angles = [], (0.0, 0.0)
+        self.commands, self.angles = [], (0.0, 0.0)
 
     def drive(self, left, right):
-        self.told.append((left, right))
+        self.commands.append((left, right))
 
     def wheel_angles(self):
         return self.angles
@@ -123,7 +123,7 @@ def test_a_late_call_sends_one_reading_and_skips_missed_ones(host):
 
 def test_commands_are_executed_and_answered(host):
     sequence, ack = host.send(Kind.DRIVE, Drive(300, -200).pack())
-    assert host.vehicle.told[-1] == (0.3, -0.2)
+    assert host.vehicle.commands[-1] == (0.3, -0.2)
     assert ack == Ack(Kind.DRIVE, Result.DONE, sequence, ack.clock)
     host.pass_on(0.02)
     sensors = host.of(Sensors)[-1]
@@ -135,9 +135,9 @@ def test_it_stops_half_a_second_after_the_last_command(host):
     assert host.of(Sensors)[-1].flags == Flag.DEAD_MAN
     host.send(Kind.DRIVE, Drive(300, 300).pack())
     host.pass_on(0.498)
-    assert host.vehicle.told[-1] == (0.3, 0.3)
+    assert host.vehicle.commands[-1] == (0.3, 0.3)
     host.pass_on(0.003)
-    assert host.vehicle.told[-1] == (0.0, 0.0)
+    assert host.vehicle.commands[-1] == (0.0, 0.0)
     host.pass_on(0.01)
     assert host.of(Sensors)[-1].flags == Flag.DEAD_MAN
 
@@ -145,17 +145,17 @@ def test_it_stops_half_a_second_after_the_last_command(host):
 def test_a_stop_lasts_until_the_release_and_then_it_is_stationary(host):
     host.send(Kind.DRIVE, Drive(300, 300).pack())
     assert host.send(Kind.STOP)[1].result is Result.DONE
-    assert host.vehicle.told[-1] == (0.0, 0.0)
+    assert host.vehicle.commands[-1] == (0.0, 0.0)
     assert host.send(Kind.DRIVE, Drive(300, 300).pack())[1].result is Result.STOPPED
-    assert host.vehicle.told[-1] == (0.0, 0.0)
+    assert host.vehicle.commands[-1] == (0.0, 0.0)
     host.pass_on(1.0)
     assert host.of(Sensors)[-1].flags == Flag.STOPPED
     host.send(Kind.RELEASE)
     host.pass_on(0.02)
     assert host.of(Sensors)[-1].flags == Flag.DEAD_MAN
-    assert host.vehicle.told[-1] == (0.0, 0.0)
+    assert host.vehicle.commands[-1] == (0.0, 0.0)
     host.send(Kind.DRIVE, Drive(100, 100).pack())
-    assert host.vehicle.told[-1] == (0.1, 0.1)
+    assert host.vehicle.commands[-1] == (0.1, 0.1)
 
 
 def test_a_release_without_a_stop_changes_nothing(host):
@@ -166,7 +166,7 @@ def test_a_release_without_a_stop_changes_nothing(host):
 
 
 def test_malformed_commands_are_refused_and_do_nothing(host):
-    before = list(host.vehicle.told)
+    before = list(host.vehicle.commands)
     for kind, payload in (
         (Kind.DRIVE, b""),
         (Kind.DRIVE, Drive(30_000, 0).pack()),
@@ -174,22 +174,22 @@ def test_malformed_commands_are_refused_and_do_nothing(host):
         (Kind.SET_TIME, b"\0" * 7),
     ):
         assert host.send(kind, payload)[1].result is Result.MALFORMED
-    assert host.vehicle.told == before
+    assert host.vehicle.commands == before
 
 
 def test_a_stop_with_a_payload_stops_too(host):
     host.send(Kind.DRIVE, Drive(300, 300).pack())
     assert host.send(Kind.STOP, b"x")[1].result is Result.MALFORMED
-    assert host.vehicle.told[-1] == (0.0, 0.0)
+    assert host.vehicle.commands[-1] == (0.0, 0.0)
 
 
 def test_a_repeated_or_late_command_is_not_executed_again(host):
     _, drive = host.encoder.encode(Kind.DRIVE, Drive(300, 300).pack())
     _, stand = host.encoder.encode(Kind.DRIVE, Drive(0, 0).pack())
-    told = len(host.vehicle.told)
+    commands = len(host.vehicle.commands)
     for wire in (drive, stand, stand, drive):
         host.emulator.receive(wire, host.time)
-    assert host.vehicle.told[told:] == [(0.3, 0.3), (0.0, 0.0)]
+    assert host.vehicle.commands[commands:] == [(0.3, 0.3), (0.0, 0.0)]
     assert host.emulator.counts == {"frames": 2, "repeated": 1, "late": 1}
 
 
@@ -211,7 +211,7 @@ def test_any_bytes_leave_it_running_and_never_move_it(chunks):
         host.emulator.receive(data, host.time)
         host.pass_on(0.002)
     host.pass_on(0.02)
-    assert set(host.vehicle.told) == {(0.0, 0.0)}
+    assert set(host.vehicle.commands) == {(0.0, 0.0)}
     assert host.of(Sensors)
 
 
@@ -223,9 +223,9 @@ def test_a_reboot_stops_it_and_resets_its_clock_and_counts(host):
     host.pass_on(0.3)
     host.send(Kind.DRIVE, Drive(300, 300).pack())
     host.emulator.reboot(host.time, Reset.WATCHDOG)
-    assert host.vehicle.told[-1] == (0.0, 0.0)
+    assert host.vehicle.commands[-1] == (0.0, 0.0)
     assert host.send(Kind.DRIVE, Drive(100, 100).pack())[0]  # while it boots: unheard
-    assert host.vehicle.told[-1] == (0.0, 0.0)
+    assert host.vehicle.commands[-1] == (0.0, 0.0)
     before = len(host.got)
     host.pass_on(0.2)
     assert isinstance(host.got[before], Hello)

@@ -36,7 +36,7 @@ class Ticker:
 
     def __init__(self, body: Body) -> None:
         self.body = body
-        self.said: list[tuple[float, float]] = []
+        self.sent_times: list[tuple[float, float]] = []
         self.calls: list[float] = []
         self.reboots: list[float] = []
 
@@ -46,9 +46,9 @@ class Ticker:
     def due(self, time: float) -> bytes:
         self.calls.append(time)
         out = bytearray()
-        while 0.01 * len(self.said) <= time + 1e-9:
-            self.said.append((time, self.body.time))
-            out.append(len(self.said) % 256)
+        while 0.01 * len(self.sent_times) <= time + 1e-9:
+            self.sent_times.append((time, self.body.time))
+            out.append(len(self.sent_times) % 256)
         return bytes(out)
 
     def reboot(self, time: float) -> None:
@@ -126,7 +126,7 @@ def test_a_late_machine_catches_up_in_slices(imp):
     imp.step(0.2)
     calls = np.array(ticker(imp).calls)
     assert np.diff(calls).max() <= SLICE + 1e-9
-    moments = np.array(ticker(imp).said)
+    moments = np.array(ticker(imp).sent_times)
     # What is due at 10, 20, ... ms is read off the body as it was then, not as it is at the end.
     np.testing.assert_allclose(moments[:, 1], 0.01 * np.arange(len(moments)), atol=SLICE)
     assert len(moments) == 21

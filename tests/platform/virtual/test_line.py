@@ -35,8 +35,8 @@ def until(condition, seconds: float = 5.0) -> None:
 def connect(line: Line):
     port = open_port(line.url, 115200)
     write_all(port, b"?")
-    heard = bytearray()
-    until(lambda: heard.extend(line.receive(0.0)) or heard == b"?")
+    received = bytearray()
+    until(lambda: received.extend(line.receive(0.0)) or received == b"?")
     return port
 
 
@@ -52,9 +52,9 @@ def test_all_bytes_pass_both_ways(line):
         line.send(everything, 0.0)
         assert read(port, len(everything)) == everything
         write_all(port, everything)
-        heard = bytearray()
-        until(lambda: heard.extend(line.receive(0.0)) or len(heard) >= len(everything))
-        assert heard == everything
+        received = bytearray()
+        until(lambda: received.extend(line.receive(0.0)) or len(received) >= len(everything))
+        assert received == everything
     assert line.counts["sent"] == len(everything)
     assert line.counts["received"] == len(everything) + 1
 
@@ -65,14 +65,14 @@ def test_bytes_without_a_host_are_counted_and_dropped(line):
         line.send(b"one", 0.0)
         assert read(port, 3) == b"one"
         line.send(b"unread", 0.0)
-    until(lambda: line.receive(0.0) == b"" and not heard(line))
+    until(lambda: line.receive(0.0) == b"" and not received(line))
     with connect(line) as port:
         line.send(b"two", 0.0)
         assert read(port, 3) == b"two"
     assert line.counts["unheard"] >= 5
 
 
-def heard(line: Line) -> bool:
+def received(line: Line) -> bool:
     before = line.counts["unheard"]
     line.send(b".", 0.0)
     return line.counts["unheard"] == before
@@ -103,7 +103,7 @@ def test_unplugging_ends_the_connection_and_plugging_in_keeps_the_name(line):
         with connect(line) as port:
             line.send(b"again", 1.0)
             assert read(port, 5) == b"again"
-        until(lambda: line.receive(1.0) == b"" and not heard(line))
+        until(lambda: line.receive(1.0) == b"" and not received(line))
     assert line.counts["unplugged"] == 4 * 4
     assert descriptors() == before
 
@@ -193,7 +193,7 @@ def test_a_host_that_is_killed_makes_room_for_the_next():
     line = TcpLine()
     host = connect(line)
     host._socket.close()
-    until(lambda: line.receive(0.0) == b"" and not heard(line))
+    until(lambda: line.receive(0.0) == b"" and not received(line))
     with connect(line):
-        assert heard(line)
+        assert received(line)
     line.close()

@@ -21,10 +21,10 @@ class Ramp:
     """Ranges that encode the beam, and the turn in centimetres."""
 
     def __init__(self):
-        self.asked = []
+        self.requested_times = []
 
     def ranges(self, time):
-        self.asked.append(time)
+        self.requested_times.append(time)
         return np.where(np.arange(N) % 7 == 3, 0.0, 1.0 + np.arange(N) / 100.0)
 
 
@@ -82,10 +82,10 @@ def test_each_turn_is_computed_once_and_after_its_end():
     surroundings = lidar._surroundings
     lidar.receive(request(Command.SCAN), 1.0)
     for tick in range(1000, 2000):
-        before = len(surroundings.asked)
+        before = len(surroundings.requested_times)
         lidar.due(tick / 1000)
-        assert all(tick / 1000 >= time + 0.1 for time in surroundings.asked[before:])
-    np.testing.assert_allclose(surroundings.asked, 1.0 + np.arange(9) / 10)
+        assert all(tick / 1000 >= time + 0.1 for time in surroundings.requested_times[before:])
+    np.testing.assert_allclose(surroundings.requested_times, 1.0 + np.arange(9) / 10)
 
 
 def test_stop_and_the_motor_end_a_scan():

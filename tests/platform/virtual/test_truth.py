@@ -26,9 +26,9 @@ def test_poses_are_stamped_with_their_time():
         if len(seen) == 3:
             enough.set()
 
-    told = {"pose": [1.0, 2.0, 0.5], "monotonic": time.monotonic() - 7.0}
+    reported = {"pose": [1.0, 2.0, 0.5], "monotonic": time.monotonic() - 7.0}
     before = now() - 7.0
-    follower = TruthFollower(lambda: told, put)
+    follower = TruthFollower(lambda: reported, put)
     follower.start()
     assert enough.wait(5.0)
     follower.stop()
@@ -36,7 +36,7 @@ def test_poses_are_stamped_with_their_time():
     time.sleep(0.02)
     assert len(seen) == count
     assert isinstance(seen[0].message, TruePose)
-    np.testing.assert_array_equal(seen[0].message.pose, told["pose"])
+    np.testing.assert_array_equal(seen[0].message.pose, reported["pose"])
     assert seen[0].message.stamp == pytest.approx(before, abs=0.05)
     assert seen[0].arrived > seen[0].message.stamp + 6.9
 

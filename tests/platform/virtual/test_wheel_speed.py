@@ -81,13 +81,13 @@ def test_the_maximum_voltage_is_not_exceeded():
 
 
 def test_a_stop_is_immediate_and_resets_the_controller():
-    body_told = []
+    commands = []
 
     def note(body, time):
-        body_told.append(body.told)
+        commands.append(body.told)
 
     driven((0.3, 0.3), note, seconds=1.0, stop=700)
-    told = np.array(body_told)
+    told = np.array(commands)
     assert told[699].min() > 0.2
     assert not told[701:].any()
 

@@ -27,7 +27,7 @@ from impslam.platform.console.session import Right
 MIN_LENGTH, MAX_LENGTH = (
     8,
     256,
-)  # characters; NIST SP 800-63B sec. 3.1.1.2 asks for 8 and 64 at least
+)  # characters; NIST SP 800-63B sec. 3.1.1.2 requires at least 8 and 64
 BLOCKS, BLOCK, LANES = 2**14, 8, 1  # scrypt's N, r and p
 DIGEST_SIZE, SALT_SIZE = 32, 16  # bytes
 MAX_MEMORY = 2**28  # bytes that the cost in the file may require
@@ -95,8 +95,8 @@ class Accounts:
             If the file is invalid, or can be read by others.
         """
         stored = self._read()
-        given: Mapping[Right, bytes | None] = {"drive": stored.drive, "watch": stored.watch}
-        return frozenset(right for right, digest in given.items() if digest)
+        digests: Mapping[Right, bytes | None] = {"drive": stored.drive, "watch": stored.watch}
+        return frozenset(right for right, digest in digests.items() if digest)
 
     def right(self, password: str) -> Right | None:
         """Return the right that a password grants, or None; takes some 50 ms.

@@ -23,8 +23,8 @@ export default {
       </div>
       <div class="drive-side">
         <div class="command" data-testid="command">
-          <div><b>{{ told(command[0] * limits[0], 2) }}</b> m/s</div>
-          <div><b>{{ told(command[1] * limits[1] * 180 / Math.PI, 0) }}</b> °/s</div>
+          <div><b>{{ fixed(command[0] * limits[0], 2) }}</b> m/s</div>
+          <div><b>{{ fixed(command[1] * limits[1] * 180 / Math.PI, 0) }}</b> °/s</div>
         </div>
         <label class="speed">
           <span>Speed up to <b>{{ (share * limits[0]).toFixed(2) }} m/s</b></span>
@@ -67,7 +67,7 @@ export default {
   },
   methods: {
     // No sign for what rounds to zero.
-    told: (value, digits) => (Number(value.toFixed(digits)) || 0).toFixed(digits),
+    fixed: (value, digits) => (Number(value.toFixed(digits)) || 0).toFixed(digits),
     down(event) {
       if (!this.driving || this.pointer !== null || event.button !== 0) return;
       event.preventDefault();

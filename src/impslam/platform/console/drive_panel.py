@@ -53,7 +53,7 @@ class DrivePanel:
             self._pad.enable(driving=mine and not state.stopped)
 
     def leave(self) -> None:
-        """Let go of the helm: the page is gone, or its session has ended."""
+        """Leave the helm, as the page is gone, or its session has ended."""
         self._station.helm.leave(self._viewer.driver)
 
     @staticmethod

@@ -27,7 +27,7 @@ MAX_PENDING = 64  # snapshots that wait for pages to report that they are drawn
 
 
 class Cached(Generic[T]):
-    """A value that is made anew at most every `period` s."""
+    """A value that is recomputed at most every `period` s."""
 
     def __init__(self, make: Callable[[], T], period: float) -> None:
         self._make, self._period = make, period
@@ -44,7 +44,7 @@ class Cached(Generic[T]):
             return self._value
 
     def expire(self) -> None:
-        """Make the value anew at the next call; never blocks."""
+        """Recompute the value at the next call; never blocks."""
         self._expired = True
 
 

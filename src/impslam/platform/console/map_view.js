@@ -1,5 +1,5 @@
 // The map: a canvas that is redrawn after changes, and overlays above it.
-import { paint, decode16, decode32, recolour, bounds, distance, told } from "impslam-map";
+import { paint, decode16, decode32, recolour, bounds, distance, fixed } from "impslam-map";
 
 const LAYERS = [
   ["grid", "Grid map", true], ["path", "Path", true], ["scan", "Scan", true], ["marks", "Landmarks", true],
@@ -14,9 +14,9 @@ export default {
         @wheel.prevent="wheel" @dblclick="fit"></canvas>
       <div class="hud" data-testid="pose">
         <template v-if="pose">
-          <span><i>x</i> <b data-testid="pose-x">{{ told(pose[0], 3) }}</b> m</span>
-          <span><i>y</i> <b data-testid="pose-y">{{ told(pose[1], 3) }}</b> m</span>
-          <span><i>heading</i> <b data-testid="pose-heading">{{ told(pose[2] * 180 / Math.PI, 1) }}</b>°</span>
+          <span><i>x</i> <b data-testid="pose-x">{{ fixed(pose[0], 3) }}</b> m</span>
+          <span><i>y</i> <b data-testid="pose-y">{{ fixed(pose[1], 3) }}</b> m</span>
+          <span><i>heading</i> <b data-testid="pose-heading">{{ fixed(pose[2] * 180 / Math.PI, 1) }}</b>°</span>
           <span class="soft" data-testid="pose-sigma" title="One standard deviation">σ {{ sigma }}</span>
         </template>
         <span v-else-if="sought" class="sought" data-testid="sought" role="status">
@@ -85,7 +85,7 @@ export default {
     document.removeEventListener("visibilitychange", this.onHidden);
   },
   methods: {
-    told,
+    fixed,
     frame(frame) {
       const map = this.map;
       if (frame.run !== map.run) {

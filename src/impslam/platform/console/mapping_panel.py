@@ -31,7 +31,9 @@ class MappingPanel:
                 self._start = button(
                     "Start mapping", "map-start", self._on_start, "primary", "add_location"
                 )
-                self._anew = button("New map", "map-new", self._on_anew, "plain", "restart_alt")
+                self._restart = button(
+                    "New map", "map-new", self._on_restart, "plain", "restart_alt"
+                )
                 self._save = button("Save", "map-save", self._on_save, "plain", "save")
                 self._status = text("mapping", "", "soft")
             with line("saved") as self._saved_line:
@@ -43,7 +45,7 @@ class MappingPanel:
         """Show the present status of the mapper."""
         on = status.state in {"running", "compiling"}
         show(self._start, self._may and not on)
-        show(self._anew, self._may and on)
+        show(self._restart, self._may and on)
         show(self._save, self._may and status.steps > 0 and not status.frozen)
         scans = f" · {status.steps} scans" if status.steps else ""
         self._status.text = _status_text(status) + (
@@ -54,7 +56,7 @@ class MappingPanel:
         await self._viewer.run(self._station.start_mapping)
         self.update(self._station.mapper.status())
 
-    async def _on_anew(self) -> None:
+    async def _on_restart(self) -> None:
         if await self._viewer.confirm(
             "Begin a new map? The present one stays under Maps.", "New map"
         ):

@@ -81,7 +81,7 @@ class RobotPanels:
         return self._alarms(health)
 
     def leave(self) -> None:
-        """Give up the helm."""
+        """Leave the helm."""
         self._drive.leave()
 
     def _alarms(self, health: StationHealth) -> list[str]:

@@ -107,7 +107,10 @@ class Device(Component):
 
     label: str = parameter("", "1", "name in messages, logs and on the page; empty: the kind's")
     patience: float = parameter(
-        1.0, "s", "nothing heard for this long counts as silent: ten frames of the slowest", gt=0
+        1.0,
+        "s",
+        "a device without messages for this long is silent: ten frames of the slowest",
+        gt=0,
     )
     retry: float = parameter(0.5, "s", "wait before a lost device is opened again", gt=0)
 

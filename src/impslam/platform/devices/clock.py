@@ -107,15 +107,15 @@ class DeviceClock:
         if self._last_stamp is None:
             self._last_stamp = (device, stamp)
             return stamp
-        before, given = self._last_stamp
+        before, last_stamp = self._last_stamp
         if device < before:
-            return min(stamp, given - MIN_RATE * (before - device))
+            return min(stamp, last_stamp - MIN_RATE * (before - device))
         if math.isinf(before):
-            stamp = max(stamp, given + MIN_STEP)
+            stamp = max(stamp, last_stamp + MIN_STEP)
         elif device > before:
-            stamp = max(stamp, given + max(MIN_RATE * (device - before), MIN_STEP))
+            stamp = max(stamp, last_stamp + max(MIN_RATE * (device - before), MIN_STEP))
         else:
-            return given
+            return last_stamp
         self._last_stamp = (device, stamp)
         return stamp
 

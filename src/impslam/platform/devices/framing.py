@@ -69,14 +69,14 @@ class Decoder:
 
     Parameters
     ----------
-    known : types of frames to return
+    types : types of frames to return
     count : called with a counter and an increment
     """
 
-    def __init__(self, known: Collection[int], count: Count) -> None:
+    def __init__(self, types: Collection[int], count: Count) -> None:
         cobs = extra("cobs.cobs")
         self._decode, self._error = cobs.decode, cobs.DecodeError
-        self._known, self._count = frozenset(known), count
+        self._types, self._count = frozenset(types), count
         self._boot, self._last = -1, -1  # boot and sequence of the sender; -1: unknown
         self._late: list[int] = []
         self.restart()
@@ -88,7 +88,7 @@ class Decoder:
         ----------
         keep_sequence : count the frames lost meanwhile; not if the sequence may have wrapped
         """
-        self._wire, self._too_long, self._fresh = b"", False, True
+        self._wire, self._too_long, self._at_start = b"", False, True
         if not keep_sequence:
             self._boot = self._last = -1
 
@@ -112,13 +112,13 @@ class Decoder:
 
     def _end_frame(self) -> Frame | None:
         """Return the frame before a zero, None if it is invalid or out of order."""
-        wire, too_long, fresh = self._wire, self._too_long, self._fresh
-        self._wire, self._too_long, self._fresh = b"", False, False
+        wire, too_long, at_start = self._wire, self._too_long, self._at_start
+        self._wire, self._too_long, self._at_start = b"", False, False
         if not wire and not too_long:
             return None  # senders may send extra zeros to clear the line
         body = self._body(wire)
         if body is None:
-            self._count("fragment" if fresh else "corrupt", 1)
+            self._count("fragment" if at_start else "corrupt", 1)
             return None
         version, kind, boot, sequence = _HEADER.unpack_from(body)
         if version != VERSION:
@@ -143,7 +143,7 @@ class Decoder:
             return None
         self._boot, self._last = frame.boot, frame.sequence
         self._late.clear()
-        if frame.type not in self._known:
+        if frame.type not in self._types:
             self._count("unknown type", 1)
             return None
         self._count("frames", 1)

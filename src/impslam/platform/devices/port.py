@@ -159,8 +159,8 @@ def _advice(error: Exception) -> str:
     for one in (error, error.__context__):
         first = one.args[0] if one is not None and one.args else None
         if isinstance(first, int):  # of an OSError, or of termios.error, which is not an OSError
-            known = _LOOKUP_ADVICE if isinstance(one, socket.gaierror) else _ADVICE
-            return known.get(first, "")
+            advice = _LOOKUP_ADVICE if isinstance(one, socket.gaierror) else _ADVICE
+            return advice.get(first, "")
     return ""
 
 

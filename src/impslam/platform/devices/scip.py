@@ -159,6 +159,6 @@ def in_lines(data: bytes) -> bytes:
 
 
 def to_metres(values: Ints, shortest: int, longest: int) -> Array:
-    """Return ranges (n,) in m; 0 where the value (mm) is an error code or outside the limits."""
+    """Return ranges (n,) in m; 0 if the value (mm) is an error code or outside the limits."""
     valid = (values >= max(shortest, ERROR_CODES)) & (values <= longest)
     return np.where(valid, values, 0) * 1e-3

@@ -89,9 +89,9 @@ def is_malfunction(command: str, status: str) -> bool:
 
 def words(command: str, status: str) -> str:
     """Return the meaning of a status in the answer to a command (its first two letters)."""
-    known = _WORDS.get(command[:2], {}) | _GENERAL
-    if status in known:
-        return known[status]
+    meanings = _WORDS.get(command[:2], {}) | _GENERAL
+    if status in meanings:
+        return meanings[status]
     if is_verifying(status):
         return f"it has stopped to verify an error (status {status})"
     if is_malfunction(command[:2], status):

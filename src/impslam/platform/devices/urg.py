@@ -51,7 +51,9 @@ class Urg(Device):
     )
     baud: int = parameter(115200, "bit/s", "rate that an RS-232 line is set to; USB has none", gt=0)
     mode: Mode = parameter(
-        "MD", "", "MD: all scans are sent; MS: in two characters, to 4.094 m; GD, GS: asked for"
+        "MD",
+        "",
+        "MD: all scans are sent; MS: in two characters, to 4.094 m; GD, GS: on request",
     )
     first_step: int = parameter(-1, "1", "first step; -1: the first that measures", ge=-1)
     last_step: int = parameter(-1, "1", "last step; -1: the last that measures", ge=-1)
@@ -173,14 +175,14 @@ class Urg(Device):
         self._ready(title)
         stamp, last_new, pause = b"", now(), 0.0
         while not self._stopping.wait(pause):
-            asked, pause = now(), 0.05 * self._period
+            requested_at, pause = now(), 0.05 * self._period
             with contextlib.suppress(UnansweredError):
                 received = link.query(self._beams.request, wait=0.3 + self._period, tries=1)
                 check_status(link, received)
                 if received.response.body[:1] != (stamp,):
                     stamp, last_new = b"".join(received.response.body[:1]), now()
                     self._process_scan(received)
-                    pause = max(0.0, asked + self._period - last_new)
+                    pause = max(0.0, requested_at + self._period - last_new)
             if now() - last_new > self._scan_timeout:
                 raise InterruptedScanError(
                     f"{self.port}: no new scan for {self._scan_timeout:.1f} s"

@@ -28,7 +28,7 @@ class RobotFile(Parameters):
     """A robot's devices and its limits."""
 
     name: str = parameter("imp", "1", "the robot's name, on the page and in certificates")
-    preset: str = parameter("imp", "1", "preset or config that maps live; its logs name it, too")
+    preset: str = parameter("imp", "1", "preset or config of live mapping; stored in logs, too")
     folder: Path = parameter(Path("logs"), "1", "where logs and maps are kept")
     max_speed: float = parameter(
         0.5, "m/s", "no command exceeds it: half of walking pace, stopped within 0.3 m", gt=0

@@ -38,14 +38,14 @@ class Setup(Parameters):
     seed: int = parameter(0, "1", "of every random draw", ge=0)
     folder: Path = parameter(..., "", "where the pseudo-terminals' links are made")
     lidar: Literal["urg", "rplidar"] = parameter("urg", "", "which lidar it has")
-    lidar_line: Literal["tcp", "pty"] = parameter("tcp", "", "what the lidar is connected by")
+    lidar_line: Literal["tcp", "pty"] = parameter("tcp", "", "connection of the lidar")
     autopilot_line: Literal["tcp", "pty"] = parameter(
-        "tcp" if sys.platform == "win32" else "pty", "", "what the autopilot is connected by"
+        "tcp" if sys.platform == "win32" else "pty", "", "connection of the autopilot"
     )
     speed_control: bool = parameter(
         False,
         "",
-        "whether the autopilot controls the wheels' speed, or motor drivers do by themselves",
+        "whether the autopilot controls the wheels' speed; else commands go to the motor drivers",
     )
     camera: bool = parameter(True, "", "whether it has a camera")
     gps: bool = parameter(False, "", "whether it has a GNSS receiver, as under open sky")

@@ -23,10 +23,10 @@ class Noise(_Fault):
 
     fault: Literal["noise"] = "noise"
     device: Literal["autopilot", "lidar", "gps"]
-    rate: float = parameter(..., "1/byte", "share of the bytes that are spoilt", gt=0.0, le=1.0)
+    rate: float = parameter(..., "1/byte", "share of corrupted bytes", gt=0.0, le=1.0)
     seconds: float = parameter(..., "s", "how long", gt=0.0)
     kind: Kind = parameter(
-        "any", "", "one bit flipped, a byte dropped, one put in, or any of these"
+        "any", "", "one bit flipped, a byte dropped, a byte inserted, or any of these"
     )
 
 
@@ -58,7 +58,7 @@ class Malfunction(_Fault):
 
     fault: Literal["malfunction"] = "malfunction"
     device: Literal["lidar"] = "lidar"
-    status: int = parameter(50, "", "what it says: SCIP's 50 to 97", ge=50, le=97)
+    status: int = parameter(50, "", "status of SCIP, 50 to 97", ge=50, le=97)
 
 
 class Stall(_Fault):

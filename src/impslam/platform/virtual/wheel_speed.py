@@ -34,16 +34,16 @@ class SpeedControl(Parameters):
     feedback: float = parameter(
         0.2,
         "s",
-        "in which a load is made up for: twice the motor's. Uneven ground (1 cm after 1 m) is 50 mm/s in "
-        "a mean over 10 ms; the motors then follow it by less than 1 % of their top speed",
+        "time in which a load is compensated: twice the motor's. Uneven ground (1 cm after 1 m) is 50 mm/s "
+        "in a mean over 10 ms; the motors then follow it by less than 1 % of their top speed",
         gt=0.0,
     )
     most_load: float = parameter(
         0.3, "1", "share of the top speed that a load may take; more is a stall", gt=0.0, le=1.0
     )
     period: float = parameter(0.01, "s", "between two steps; speeds are means over it", gt=0.0)
-    top_speed: float = parameter(1.0, "m/s", "that the full voltage gives without load", gt=0.0)
-    acceleration: float = parameter(5.0, "m/s^2", "that the motors can give", gt=0.0)
+    top_speed: float = parameter(1.0, "m/s", "no-load speed at full voltage", gt=0.0)
+    acceleration: float = parameter(5.0, "m/s^2", "maximum of the motors", gt=0.0)
     skid: float = parameter(
         1.5625,
         "1",
@@ -52,7 +52,7 @@ class SpeedControl(Parameters):
         ge=1.0,
     )
     count: float = parameter(
-        2.0 * math.pi * 0.0635 / 4096, "m", "way of a passive wheel in one count", gt=0.0
+        2.0 * math.pi * 0.0635 / 4096, "m", "travel of a passive wheel per count", gt=0.0
     )
 
     @property
@@ -103,13 +103,13 @@ class SpeedController:
         ahead = self._advance()
         feedback = s.gain * (error + self._integral / s.integral_time - s.second * slope)
         wanted = ahead + feedback
-        given = np.clip(wanted, -s.top_speed, s.top_speed)
+        output = np.clip(wanted, -s.top_speed, s.top_speed)
         self._integral += error * s.period
         if self._anti_windup:
-            self._integral += (given - wanted) * s.period / s.gain
+            self._integral += (output - wanted) * s.period / s.gain
             limit = s.most_load * s.top_speed * s.integral_time / s.gain
             self._integral = np.clip(self._integral, -limit, limit)
-        return given
+        return output
 
     def _measured(self, counts: Array) -> Array:
         """Return the speeds (2,) of the driven sides, as measured by the passive wheels, m/s."""

@@ -35,7 +35,7 @@ function rgb(colour) {
 }
 
 /** Return a number with some digits, without a sign if it rounds to zero. */
-export const told = (value, digits) => (Number(value.toFixed(digits)) || 0).toFixed(digits);
+export const fixed = (value, digits) => (Number(value.toFixed(digits)) || 0).toFixed(digits);
 
 /** Return the distance of a point from the line between two others, all [x, y]. */
 export function distance([x, y], [x0, y0], [x1, y1]) {

@@ -44,7 +44,7 @@ FORK = multiprocessing.get_context("fork")
 
 def live(folder: Path, period: float, said: Connection) -> None:
     """Record and map until killed; tell after each save how many scans are mapped."""
-    map_keeper.PERIOD, map_keeper.SHARE = period, 0
+    map_keeper.SAVE_INTERVAL, map_keeper.MIN_PAUSE_RATIO = period, 0
     station = Station({}, "imp", folder, (0.5, 1.0), 0)
     save = station.mapper.save_map
 

@@ -85,7 +85,7 @@ def _speeds(tried: tuple[Case, str]) -> Array:
         if control is None:
             body.drive(*asked.tolist())
         elif k % every == 0:
-            control.asked = asked
+            control.commanded = asked
             body.drive(*control.step((ways[0].count, ways[1].count)).tolist())
         speeds[k] = body.motors
     return speeds

@@ -1,4 +1,4 @@
-"""A fake robot in a process of its own, and a browser that looks at its page."""
+"""A fake robot in a process of its own, and a browser that opens its page."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def free_port() -> int:
 
 
 class Robot:
-    """The fake robot as a test sees it."""
+    """The process of the fake robot."""
 
     def __init__(self, *flags: str) -> None:
         port = free_port()
@@ -51,7 +51,7 @@ class Robot:
 
     @contextmanager
     def frozen(self) -> Iterator[None]:
-        """Hang, as if the robot had gone out of reach: nothing is closed, nothing answers."""
+        """Hang as if the robot were out of reach: no connection is closed, nothing answers."""
         self._process.send_signal(signal.SIGSTOP)
         try:
             yield
@@ -72,7 +72,7 @@ class Robot:
 
 
 class Watched:
-    """An open page, and everything it asked for and complained about."""
+    """An open page, with its requests and errors."""
 
     def __init__(self, page: Page) -> None:
         self.page = page

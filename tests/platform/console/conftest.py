@@ -12,7 +12,7 @@ def browser(chromium):
 
 @pytest.fixture(scope="module")
 def shared():
-    """A fake robot that drives round the arena; a module may have another one."""
+    """A fake robot that drives round the arena; modules may override it."""
     with browsing.robot("--tour") as made:
         yield made
 

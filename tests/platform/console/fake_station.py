@@ -1,4 +1,4 @@
-"""A robot that is all pretence, and a server without a guard: the page by itself.
+"""A fake robot, and a server without a guard, to test the page by itself.
 
 Run it to look at the page: `python tests/platform/console/fake_station.py --port 8090`;
 `?as=watcher` in the address makes who opens it a watcher. What the robot was told is at `/fake/state`.
@@ -51,7 +51,7 @@ BEAMS = np.linspace(-2.09, 2.09, 682)
 
 
 def ranges(pose: Array) -> Array:
-    """What a lidar of 4 m sees from a pose: distances to walls and posts."""
+    """Return the ranges of a lidar of 4 m from a pose: distances to walls and posts."""
     directions = pose[2] + BEAMS
     d = np.stack((np.cos(directions), np.sin(directions)), 1)
     far = np.full(len(d), 5.6)
@@ -69,7 +69,7 @@ def ranges(pose: Array) -> Array:
 
 
 class FakeView:
-    """A map that grows while a pretended robot drives."""
+    """A map that grows while a fake robot drives."""
 
     def __init__(self) -> None:
         self.generator = np.random.default_rng(1)
@@ -142,7 +142,7 @@ class FakeView:
 
 
 class FakeDrive:
-    """Keeps what it was told."""
+    """Records its commands."""
 
     stopped = False
     title = "drive"
@@ -268,7 +268,7 @@ class FakeMapper:
 
 
 class FakeStation:
-    """Looks like a station to the page."""
+    """A station for the page."""
 
     def __init__(self, folder: Path, *, tour: bool) -> None:
         self.folder, self.limits, self.tour = folder, LIMITS, tour
@@ -314,7 +314,7 @@ class FakeStation:
         self.mapper.state = "running"
         self.mapper.starts += 1
 
-    def go_on(self, name: str, *, frozen: bool = False) -> None:
+    def continue_map(self, name: str, *, frozen: bool = False) -> None:
         self.start_mapping()
         self.mapper.name, self.mapper.frozen, self.mapper.placed = name, frozen, False
         self.view.placed = False
@@ -458,7 +458,7 @@ def serve(port: int, *, tour: bool, replay: bool) -> None:
 
     @api.get("/fake/reset")
     def reset() -> None:
-        """Everything but the map is as at the start."""
+        """Reset everything but the map."""
         sessions.reset()
         station.helm.leave(station.helm.state().driver or "")
         station.helm.take("reset", "reset")

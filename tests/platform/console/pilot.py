@@ -1,4 +1,4 @@
-"""Someone at the page who drives along waypoints by the joystick, seeing only what the page shows."""
+"""A pilot that drives along waypoints with the joystick of the page, using only what the page shows."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ FLAGS = [
     "--disable-sync",
 ]
 NEAR = 0.15  # m: a waypoint is reached
-SPIN = 0.7  # rad: a target further off the bow is faced on the spot
-PERIOD = 0.08  # s between two looks at the map
+SPIN = 0.7  # rad: for a larger deviation of the heading, turn on the spot
+PERIOD = 0.08  # s between readings of the map
 
 ARENA = [
     (1.2, 0.02), (2.4, 0.0762), (4.0, 0.0762), (5.0, 0.10), (5.4, 0.45), (5.1, 0.75), (4.6, 0.85),
@@ -57,7 +57,7 @@ class Pilot:
         self._page.mouse.down()
 
     def _steer(self, x: float, y: float) -> float:
-        """Point the joystick towards a waypoint; return how far it is, in m."""
+        """Point the joystick towards a waypoint; return its distance, m."""
         here_x, here_y, heading = self.pose()
         bearing = math.atan2(y - here_y, x - here_x) - heading
         bearing = math.remainder(bearing, 2 * math.pi)

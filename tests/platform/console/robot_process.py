@@ -1,4 +1,4 @@
-"""`imp robot --virtual` as a user starts it: a process of its own, and what it says."""
+"""`imp robot --virtual` as a user starts it: its process and output."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PATIENCE = 120.0  # s to come up, with all that is compiled on a fresh machine
 
 
 def imp(*arguments: str, config: Path, text: str = "", timeout: float = 300.0) -> str:
-    """Run `imp` to its end and return what it says; `config` is where its user's settings are."""
+    """Run `imp` to its end and return its output; `config` is the folder of the user's settings."""
     done = subprocess.run(
         [IMP, *arguments],
         env={**os.environ, "XDG_CONFIG_HOME": str(config)},
@@ -39,14 +39,14 @@ class RobotProcess:
     Attributes
     ----------
     address : of its page
-    said : the lines that it has said
+    output : lines of its output so far
     """
 
     def __init__(self, *arguments: str, config: Path, folder: Path) -> None:
         self._words = ["robot", "--virtual", "--port", "0", "--folder", str(folder), *arguments]
         self._config = config
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self.said: list[str] = []
+        self.output: list[str] = []
 
     def __enter__(self) -> Self:
         self.process = subprocess.Popen(
@@ -81,7 +81,7 @@ class RobotProcess:
             assert self.process.stdout is not None
             self.process.stdout.close()
         if kind is None:
-            assert code == 0, "\n".join(self.said[-30:])
+            assert code == 0, "\n".join(self.output[-30:])
 
     def wait_for(self, words: str) -> str:
         """Return the first line with these words in it."""
@@ -90,17 +90,17 @@ class RobotProcess:
             try:
                 line = self._lines.get(timeout=1.0)
             except queue.Empty:
-                assert self.process.poll() is None, "\n".join(self.said)
+                assert self.process.poll() is None, "\n".join(self.output)
                 continue
             if words in line:
                 return line
-        raise AssertionError(f"never said {words!r}:\n" + "\n".join(self.said))
+        raise AssertionError(f"no {words!r} in the output:\n" + "\n".join(self.output))
 
     def _listen(self) -> None:
         assert self.process.stdout is not None
         try:
             for line in self.process.stdout:
-                self.said.append(line.rstrip())
+                self.output.append(line.rstrip())
                 self._lines.put(line.rstrip())
         except ValueError:
             pass  # closed

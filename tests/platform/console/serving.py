@@ -1,4 +1,4 @@
-"""A server on a loopback port with a page of one button, for tests that come from outside."""
+"""A server on a loopback port with a page of one button, for tests over the network."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PICTURE = b"\xff\xd8 a picture \xff\xd9"
 
 
 class Clock:
-    """Goes on as the real one does, and jumps when told to."""
+    """A monotonic clock that can be advanced."""
 
     def __init__(self) -> None:
         self.ahead = 0.0
@@ -54,7 +54,7 @@ def stand_in(folder: Path) -> Model:
 
 @dataclass
 class Pressed:
-    """What the page's button was pressed by, whether it may or not."""
+    """Records the presses of the page's button."""
 
     by: list[Session] = field(default_factory=list)
 
@@ -72,7 +72,7 @@ class Running:
     server: Server
     clock: Clock
     pressed: Pressed
-    told: list[str]
+    notices: list[str]
     port: int
     verify: Any = True
 
@@ -82,13 +82,13 @@ class Running:
         return f"{scheme}://127.0.0.1:{self.port}"
 
     def client(self, **options: Any) -> httpx.Client:
-        """A browser without session."""
+        """A browser without a session."""
         return httpx.Client(
             base_url=self.origin, verify=self.verify, timeout=10.0, trust_env=False, **options
         )
 
     def close_pages(self) -> None:
-        """Delete every page, also those that nicegui would delete when their socket stays away."""
+        """Delete every page, even those that nicegui would delete later."""
         done = threading.Event()
 
         def close() -> None:
@@ -130,11 +130,11 @@ def serving(
     logs = folder / "logs"
     logs.mkdir(exist_ok=True)
     wanted = ServerSettings(port=0, accounts=accounts.path, **settings)
-    clock, pressed, told, ready = Clock(), Pressed(), [], threading.Event()
+    clock, pressed, notices, ready = Clock(), Pressed(), [], threading.Event()
 
     with listening(wanted) as listener:
         server = prepared(
-            stand_in(logs), wanted, listener, told.append, build or pressed.build, clock
+            stand_in(logs), wanted, listener, notices.append, build or pressed.build, clock
         )
         tell = server._ready
         server._ready = lambda: (tell(), ready.set())  # type: ignore[assignment]
@@ -143,7 +143,7 @@ def serving(
         try:
             assert ready.wait(20.0)
             port = listener.getsockname()[1]
-            yield Running(server, clock, pressed, told, port, verify)
+            yield Running(server, clock, pressed, notices, port, verify)
         finally:
             server.stop()
             thread.join(10.0)
@@ -152,7 +152,7 @@ def serving(
 
 
 def raw(port: int, data: bytes, *, wait: float = 5.0) -> bytes:
-    """Send bytes and return what comes until the other side closes."""
+    """Send bytes and return the answer until the other side closes."""
     with socket.create_connection(("127.0.0.1", port), timeout=wait) as connection:
         connection.sendall(data)
         answer = b""

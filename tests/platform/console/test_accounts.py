@@ -8,23 +8,36 @@ import pytest
 from impslam.platform.console import accounts as module
 from impslam.platform.console.accounts import Accounts, AccountsError, write_private
 from impslam.platform.console.authenticator import (
-    KNOWN_LIFE,
-    LINK_LIFE,
-    LINK_PAUSE,
+    CACHE_LIFETIME,
+    LINK_INTERVAL,
+    LINK_LIFETIME,
     Authenticator,
     LoginRefused,
 )
-from impslam.platform.console.refusals import FIRST, LINES, MOST, WINDOW, Refusals, shown
-from impslam.platform.console.session import IDLE, LIFE, Session
-from impslam.platform.console.session_store import EACH, Sessions
-from impslam.platform.console.session_store import MOST as MOST_SESSIONS
-from impslam.platform.console.throttle import FORGET, FREE, LONGEST, TOGETHER, Bucket, Throttle
+from impslam.platform.console.refusals import (
+    FIRST,
+    LINE_BURST,
+    MAX_KINDS,
+    WINDOW,
+    Refusals,
+    sanitised,
+)
+from impslam.platform.console.session import IDLE_TIMEOUT, LIFETIME, Session
+from impslam.platform.console.session_store import MAX_PER_ADDRESS, MAX_SESSIONS, Sessions
+from impslam.platform.console.throttle import (
+    FREE_TRIES,
+    MAX_WAIT,
+    RESET_TIME,
+    TRIES_PER_MINUTE,
+    Bucket,
+    Throttle,
+)
 
 DRIVE, WATCH = "drive-password", "watch-password"
 
 
 class Hand:
-    """A clock that is set by hand."""
+    """A clock that is set manually."""
 
     def __init__(self):
         self.moment = 1000.0
@@ -65,7 +78,7 @@ class TestAccounts:
         assert "password" not in accounts.path.read_text()
 
     @pytest.mark.parametrize("mode", [0o640, 0o604, 0o660, 0o644, 0o610])
-    def test_a_file_that_others_reach_is_refused(self, accounts, mode):
+    def test_a_file_that_others_can_read_is_refused(self, accounts, mode):
         accounts.path.chmod(mode)
         with pytest.raises(AccountsError, match="chmod 600"):
             accounts.right(DRIVE)
@@ -83,11 +96,11 @@ class TestAccounts:
             '{"salt": "AAAA", "cost": {"blocks": 1000000000}}',
         ],
     )
-    def test_a_broken_file_is_told_in_one_line(self, accounts, text):
+    def test_a_broken_file_is_a_one_line_error(self, accounts, text):
         accounts.path.write_text(text)
-        with pytest.raises(AccountsError, match="remove it") as told:
+        with pytest.raises(AccountsError, match="remove it") as messages:
             accounts.right(DRIVE)
-        assert "\n" not in str(told.value)
+        assert "\n" not in str(messages.value)
 
     @pytest.mark.parametrize("password", ["", "short77", "x" * 257])
     def test_too_short_and_too_long_are_refused(self, accounts, password):
@@ -95,31 +108,31 @@ class TestAccounts:
             accounts.set("drive", password)
         assert accounts.right(DRIVE) == "drive"
 
-    def test_what_follows_the_longest_password_is_not_ignored(self, accounts):
+    def test_characters_beyond_the_maximum_length_count(self, accounts):
         accounts.set("drive", "x" * 256)
         assert accounts.right("x" * 256) == "drive"
         assert accounts.right("x" * 257) is None
 
-    def test_one_password_cannot_mean_both(self, accounts):
+    def test_both_rights_cannot_have_the_same_password(self, accounts):
         with pytest.raises(AccountsError, match="other right"):
             accounts.set("watch", DRIVE)
         accounts.set("drive", DRIVE)  # its own anew is no matter
         assert accounts.right(WATCH) == "watch"
 
-    def test_a_password_is_the_same_however_its_letters_are_composed(self, accounts):
+    def test_a_password_does_not_depend_on_unicode_composition(self, accounts):
         accounts.set("drive", unicodedata.normalize("NFC", "Überfährt"))
         assert accounts.right(unicodedata.normalize("NFD", "Überfährt")) == "drive"
 
-    def test_taking_one_away_leaves_the_other(self, accounts):
+    def test_removing_one_password_keeps_the_other(self, accounts):
         accounts.remove("drive")
         assert accounts.rights() == {"watch"}
         assert accounts.right(DRIVE) is None
 
-    def test_an_older_cost_is_still_understood(self, accounts, monkeypatch):
+    def test_a_file_with_an_older_cost_is_accepted(self, accounts, monkeypatch):
         monkeypatch.setattr(module, "BLOCKS", 2**4)
         assert accounts.right(DRIVE) == "drive"
 
-    def test_the_version_tells_changes(self, accounts, tmp_path):
+    def test_the_version_changes_with_the_file(self, accounts, tmp_path):
         before = accounts.version()
         assert Accounts(accounts.path).version() == before
         accounts.set("drive", "another password")
@@ -135,7 +148,7 @@ class TestAccounts:
         monkeypatch.setenv("XDG_CONFIG_HOME", "relative")  # to be ignored, says the specification
         assert Accounts().path == tmp_path / ".config/impslam/accounts.json"
 
-    def test_a_write_that_fails_leaves_what_was_there(self, accounts, monkeypatch):
+    def test_a_failed_write_leaves_the_file_unchanged(self, accounts, monkeypatch):
         before = accounts.path.read_bytes()
 
         def fails(*_):
@@ -147,7 +160,7 @@ class TestAccounts:
         assert accounts.path.read_bytes() == before
         assert [path.name for path in accounts.path.parent.iterdir()] == ["accounts.json"]
 
-    def test_private_files_are_never_wider_not_even_for_a_moment(self, tmp_path, monkeypatch):
+    def test_private_files_are_never_readable_by_others(self, tmp_path, monkeypatch):
         seen = []
         real = module.os.fsync
         monkeypatch.setattr(
@@ -178,26 +191,26 @@ class TestSessions:
         assert len(token) == 43  # base64 of 32 bytes
         assert token not in repr(vars(sessions)) + repr(vars(session))
 
-    def test_it_ends_when_nobody_uses_it(self, clock):
+    def test_it_ends_when_idle(self, clock):
         sessions = Sessions(clock)
         token, session = sessions.begin("drive")
         for _ in range(3):
-            clock.moment += IDLE - 1.0
+            clock.moment += IDLE_TIMEOUT - 1.0
             session.use()
         assert session.alive()
-        clock.moment += IDLE
+        clock.moment += IDLE_TIMEOUT
         assert not session.alive()
         session.use()  # too late
         assert not session.alive()
         assert sessions.find(token) is None
 
-    def test_it_ends_however_much_it_is_used(self, clock):
+    def test_it_ends_after_its_lifetime_even_if_used(self, clock):
         session = Session("1", "driver", may_drive=True, clock=clock)
         begun = clock.moment
-        while clock.moment < begun + LIFE:
+        while clock.moment < begun + LIFETIME:
             assert session.alive()
             session.use()
-            clock.moment += IDLE / 2.0
+            clock.moment += IDLE_TIMEOUT / 2.0
         assert not session.alive()
 
     def test_logout_ends_one_and_a_new_password_all(self, clock):
@@ -210,10 +223,10 @@ class TestSessions:
         assert sessions.find(second) is None
         assert not two.alive()
 
-    def test_there_are_never_too_many_and_the_idlest_goes(self, clock):
+    def test_the_least_recently_used_session_ends_when_there_are_too_many(self, clock):
         sessions = Sessions(clock)
         held = []
-        for k in range(MOST_SESSIONS):
+        for k in range(MAX_SESSIONS):
             held.append(sessions.begin("watch", f"10.0.0.{k}")[1])
             clock.moment += 1.0
         held[0].use()
@@ -223,7 +236,7 @@ class TestSessions:
         assert [session.alive() for session in held[:3]] == [True, False, True]
         assert driver.alive()
 
-    def test_who_logs_in_again_and_again_ends_their_own_sessions_alone(self, clock):
+    def test_repeated_logins_only_end_sessions_of_the_same_address(self, clock):
         sessions = Sessions(clock)
         _, driver = sessions.begin("drive", "10.0.0.1")
         _, other = sessions.begin("watch", "10.0.0.2")
@@ -233,7 +246,7 @@ class TestSessions:
             mine.append(sessions.begin("watch", "10.0.0.1")[1])
         assert driver.alive()
         assert other.alive()
-        assert sum(session.alive() for session in mine) == EACH
+        assert sum(session.alive() for session in mine) == MAX_PER_ADDRESS
 
 
 class TestThrottle:
@@ -245,13 +258,13 @@ class TestThrottle:
             if wait:
                 clock.moment += wait
                 assert throttle.wait("10.0.0.1") == 0.0
-        assert waits[:FREE] == [0.0] * FREE
-        assert waits[FREE : FREE + 8] == [2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0]
-        assert set(waits[FREE + 8 :]) == {LONGEST}
+        assert waits[:FREE_TRIES] == [0.0] * FREE_TRIES
+        assert waits[FREE_TRIES : FREE_TRIES + 8] == [2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0]
+        assert set(waits[FREE_TRIES + 8 :]) == {MAX_WAIT}
 
-    def test_asking_while_waiting_does_not_make_it_longer(self, clock):
+    def test_tries_while_waiting_do_not_extend_the_wait(self, clock):
         throttle = Throttle(clock)
-        for _ in range(FREE):
+        for _ in range(FREE_TRIES):
             throttle.wait("10.0.0.1")
         for _ in range(1000):
             assert throttle.wait("10.0.0.1") == pytest.approx(2.0)
@@ -263,9 +276,9 @@ class TestThrottle:
         for _ in range(1000):
             admitted += throttle.wait("10.0.0.1") == 0.0
             clock.moment += 0.06
-        assert admitted == FREE + 4  # after 2, 6, 14 and 30 s
+        assert admitted == FREE_TRIES + 4  # after 2, 6, 14 and 30 s
 
-    def test_another_address_is_not_held_up(self, clock):
+    def test_another_address_is_not_delayed(self, clock):
         throttle = Throttle(clock)
         for _ in range(1000):
             throttle.wait("10.0.0.1")
@@ -274,23 +287,23 @@ class TestThrottle:
     def test_all_together_are_bounded(self, clock):
         throttle = Throttle(clock)
         admitted = sum(throttle.wait(f"10.0.{k // 250}.{k % 250}") == 0.0 for k in range(1000))
-        assert admitted == TOGETHER
+        assert admitted == TRIES_PER_MINUTE
         clock.moment += 60.0
         admitted = sum(throttle.wait(f"10.1.{k // 250}.{k % 250}") == 0.0 for k in range(1000))
-        assert admitted == TOGETHER
+        assert admitted == TRIES_PER_MINUTE
 
-    def test_a_right_one_starts_anew_and_so_does_time(self, clock):
+    def test_a_correct_password_or_time_resets_the_count(self, clock):
         throttle = Throttle(clock)
-        for _ in range(FREE):
+        for _ in range(FREE_TRIES):
             throttle.wait("10.0.0.1")
         throttle.forgive("10.0.0.1")
         assert throttle.wait("10.0.0.1") == 0.0
         for _ in range(20):
             clock.moment += throttle.wait("10.0.0.1")
-        clock.moment += FORGET
-        assert [throttle.wait("10.0.0.1") for _ in range(FREE)] == [0.0] * FREE
+        clock.moment += RESET_TIME
+        assert [throttle.wait("10.0.0.1") for _ in range(FREE_TRIES)] == [0.0] * FREE_TRIES
 
-    def test_right_ones_use_nothing_up(self, clock):
+    def test_correct_passwords_do_not_count(self, clock):
         throttle = Throttle(clock)
         for _ in range(1000):
             assert throttle.wait("10.0.0.1") == 0.0
@@ -303,30 +316,30 @@ class TestThrottle:
             guesses += throttle.wait("10.0.0.1") == 0.0
             if throttle.wait("10.0.0.1") == 0.0:
                 throttle.forgive("10.0.0.1", wholly=False)
-        assert guesses <= FREE
+        assert guesses <= FREE_TRIES
 
     def test_one_network_of_ipv6_is_one_guesser(self, clock):
         throttle = Throttle(clock)
-        for k in range(FREE):
+        for k in range(FREE_TRIES):
             throttle.wait(f"2001:db8::{k:x}")
         assert throttle.wait("2001:db8::ffff%eth0") > 0.0
         assert throttle.wait("2001:db8:0:1::1") == 0.0
 
     def test_an_address_is_itself_in_either_form(self, clock):
         throttle = Throttle(clock)
-        for _ in range(FREE):
+        for _ in range(FREE_TRIES):
             throttle.wait("::ffff:10.0.0.1")
         assert throttle.wait("10.0.0.1") > 0.0
 
     def test_addresses_are_forgotten_so_that_memory_is_bounded(self, clock, monkeypatch):
-        monkeypatch.setattr("impslam.platform.console.throttle.MOST", 10)
+        monkeypatch.setattr("impslam.platform.console.throttle.MAX_ADDRESSES", 10)
         throttle = Throttle(clock)
         for k in range(100):
             clock.moment += 60.0
             throttle.wait(f"10.0.0.{k}")
         assert len(throttle._tries) == 10
 
-    def test_a_bucket_says_when(self, clock):
+    def test_a_bucket_returns_the_wait(self, clock):
         bucket = Bucket(2, 4.0, clock)
         assert [bucket.wait(), bucket.wait(), bucket.wait()] == [0.0, 0.0, 0.25]
         clock.moment += 0.25
@@ -334,7 +347,7 @@ class TestThrottle:
 
 
 class TestRefusals:
-    def told(self, caplog):
+    def messages(self, caplog):
         return [record.getMessage() for record in caplog.records]
 
     def test_the_first_at_once_the_rest_as_a_count(self, clock, caplog):
@@ -342,12 +355,12 @@ class TestRefusals:
         for k in range(1000):
             refusals.record("10.0.0.1", "login", f"try {k}")
         assert len(caplog.records) == FIRST
-        assert self.told(caplog)[0] == "refused 10.0.0.1: login (try 0)"
+        assert self.messages(caplog)[0] == "refused 10.0.0.1: login (try 0)"
         clock.moment += WINDOW
         refusals.flush()
-        assert self.told(caplog)[-1] == "refused 10.0.0.1: login: 995 more in 60 s"
+        assert self.messages(caplog)[-1] == "refused 10.0.0.1: login: 995 more in 60 s"
         refusals.record("10.0.0.1", "login")
-        assert self.told(caplog)[-1] == "refused 10.0.0.1: login"
+        assert self.messages(caplog)[-1] == "refused 10.0.0.1: login"
 
     def test_kinds_and_addresses_are_counted_apart(self, clock, caplog):
         refusals = Refusals(clock)
@@ -357,14 +370,14 @@ class TestRefusals:
         refusals.record("10.0.0.2", "login")
         assert len(caplog.records) == FIRST + 2
 
-    def test_nothing_is_told_twice_and_nothing_is_lost_at_the_end(self, clock, caplog):
+    def test_nothing_is_logged_twice_or_lost_at_the_end(self, clock, caplog):
         refusals = Refusals(clock)
         for _ in range(FIRST + 1):
             refusals.record("10.0.0.1", "login")
         refusals.flush()
         assert len(caplog.records) == FIRST
         refusals.flush(everything=True)
-        assert self.told(caplog)[-1].endswith("1 more in 0 s")
+        assert self.messages(caplog)[-1].endswith("1 more in 0 s")
         refusals.flush(everything=True)
         assert len(caplog.records) == FIRST + 1
 
@@ -372,10 +385,10 @@ class TestRefusals:
         refusals = Refusals(clock)
         for k in range(100_000):
             refusals.record(f"10.{k >> 16}.{k >> 8 & 255}.{k & 255}", "login")
-        assert len(caplog.records) == LINES
+        assert len(caplog.records) == LINE_BURST
         refusals.flush(everything=True)
-        assert len(caplog.records) == LINES + 1
-        assert f"{100_000 - LINES} more" in self.told(caplog)[-1]
+        assert len(caplog.records) == LINE_BURST + 1
+        assert f"{100_000 - LINE_BURST} more" in self.messages(caplog)[-1]
 
     def test_one_line_a_second_whatever_comes(self, clock, caplog):
         caplog.set_level(logging.INFO)
@@ -386,16 +399,16 @@ class TestRefusals:
             refusals.admit(f"10.0.{k % 9}.{k % 250}", "logs in as watcher")
             if k % 100 == 0:
                 refusals.flush()
-        assert len(caplog.records) <= LINES + 600
-        assert len(refusals._counts) <= MOST + 1
+        assert len(caplog.records) <= LINE_BURST + 600
+        assert len(refusals._counts) <= MAX_KINDS + 1
 
     @pytest.mark.parametrize(
         "text", ["a\nrefused 10.0.0.9: login", "\x1b[31m", "\u202e", "é" * 999]
     )
-    def test_what_comes_from_outside_cannot_write_lines_of_its_own(self, text):
-        assert shown(text).isascii()
-        assert shown(text).isprintable()
-        assert len(shown(text)) <= 120
+    def test_untrusted_text_cannot_forge_log_lines(self, text):
+        assert sanitised(text).isascii()
+        assert sanitised(text).isprintable()
+        assert len(sanitised(text)) <= 120
 
 
 @pytest.mark.anyio
@@ -440,14 +453,14 @@ class TestGate:
         for _ in range(100):
             with pytest.raises(LoginRefused):
                 await authenticator.enter("10.0.0.1", "guessed-password")
-        with pytest.raises(LoginRefused, match="Too many") as told:
+        with pytest.raises(LoginRefused, match="Too many") as messages:
             await authenticator.enter("10.0.0.1", DRIVE)
-        assert told.value.wait > 0.0
-        assert len(hashes) == FREE
+        assert messages.value.wait > 0.0
+        assert len(hashes) == FREE_TRIES
         assert (await authenticator.enter("10.0.0.2", DRIVE))[1].may_drive
 
     async def test_right_logins_keep_nobody_out(self, authenticator, monkeypatch, caplog):
-        """However often somebody logs in who may watch, the driver gets in from that address too."""
+        """Logins of watchers do not delay those of a driver from the same address."""
         hashes = []
         real = authenticator.accounts.right
         monkeypatch.setattr(
@@ -483,7 +496,7 @@ class TestGate:
         assert "chmod 600" in caplog.text
         assert not authenticator.open_by_link()
 
-    def test_a_link_is_good_once(self, linked, shown):
+    def test_a_link_is_valid_once(self, linked, shown):
         linked.offer_link()
         token = shown[0].partition("token=")[2]
         with pytest.raises(LoginRefused):
@@ -493,20 +506,20 @@ class TestGate:
         with pytest.raises(LoginRefused, match="used before"):
             linked.redeem("127.0.0.1", token)
 
-    def test_a_link_is_good_for_ten_minutes_and_then_another_is_shown(self, linked, shown, clock):
+    def test_a_link_is_valid_for_ten_minutes_and_then_replaced(self, linked, shown, clock):
         linked.offer_link()
         linked.offer_link()
         assert len(shown) == 1
-        clock.moment += LINK_LIFE
+        clock.moment += LINK_LIFETIME
         with pytest.raises(LoginRefused):
             linked.redeem("127.0.0.1", shown[0].partition("token=")[2])
         linked.offer_link()
         assert len(shown) == 2
         linked.redeem("127.0.0.1", shown[1].partition("token=")[2])
         clock.moment += 10.0
-        assert linked.offer_link() == LINK_PAUSE - 10.0  # one a minute
+        assert linked.offer_link() == LINK_INTERVAL - 10.0  # one a minute
         assert len(shown) == 2
-        clock.moment += LINK_PAUSE
+        clock.moment += LINK_INTERVAL
         assert linked.offer_link() == 0.0
         assert len(shown) == 3
 
@@ -532,7 +545,7 @@ class TestGate:
             assert session is not None
             assert not session.may_drive  # it fetches, nothing else
         assert len(hashes) == 1
-        clock.moment += KNOWN_LIFE
+        clock.moment += CACHE_LIFETIME
         await authenticator.basic("10.0.0.1", self.basic("drive", DRIVE))
         assert len(hashes) == 2
         authenticator.accounts.set("drive", "another password")
@@ -551,7 +564,7 @@ class TestGate:
         assert await authenticator.basic("10.0.0.1", self.basic("watch", WATCH)) is not None
 
     async def test_scripts_are_throttled_as_logins_are(self, authenticator):
-        for k in range(FREE):
+        for k in range(FREE_TRIES):
             await authenticator.basic("10.0.0.1", self.basic("drive", f"guess-{k}"))
         assert await authenticator.basic("10.0.0.1", self.basic("drive", DRIVE)) is None
         with pytest.raises(LoginRefused, match="Too many"):

@@ -1,4 +1,4 @@
-"""What those may take of the server who may not drive: turns, pages, sockets."""
+"""Limits of watchers: turns, pages, sockets."""
 
 import asyncio
 import contextlib
@@ -14,15 +14,15 @@ from tests.platform.console.serving import WATCH, serving
 from tests.platform.console.test_security import opened, page_of, soon, status
 
 from impslam.platform.console import admission, pages
-from impslam.platform.console.admission import EACH, Lane
-from impslam.platform.console.pages import OPEN, UNOPENED, WATCHED
+from impslam.platform.console.admission import MAX_PER_CLIENT, Lane
+from impslam.platform.console.pages import MAX_PAGES, MAX_UNOPENED, MAX_WATCHER_PAGES
 
 BUILD = 0.1  # s that a page takes to build, as on an ARM board
 
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory):
-    """A server with a page that takes long to build, and tells when it was."""
+    """A server with a page that is slow to build, and records the times."""
     built = []
 
     def build(_):
@@ -38,13 +38,13 @@ def served(tmp_path_factory):
 
 
 def owned(session_may_drive):
-    """The pages that exist of watchers, or of drivers."""
+    """Return the existing pages of watchers, or of drivers."""
     found = [getattr(page.request.state, "session", None) for page in Client.instances.values()]
     return [one for one in found if one is not None and one.may_drive is session_may_drive]
 
 
 def statuses(client, path, number):
-    """Ask for one path many times at once; return the answers."""
+    """Request a path many times at once; return the answers."""
     with ThreadPoolExecutor(number) as pool:
         return [one.status_code for one in pool.map(lambda _: client.get(path), range(number))]
 
@@ -57,7 +57,7 @@ class TestLane:
         return "asyncio"
 
     async def test_one_at_a_time_in_their_order_with_a_pause(self, monkeypatch):
-        monkeypatch.setattr(admission, "PAUSE", 2.0)
+        monkeypatch.setattr(admission, "PAUSE_RATIO", 2.0)
         lane, spans = Lane(), []
 
         async def work(key):
@@ -76,7 +76,7 @@ class TestLane:
     async def test_one_session_may_not_fill_it(self):
         lane = Lane()
         first = await lane.turn("a")
-        waiting = [asyncio.ensure_future(lane.turn("a")) for _ in range(EACH)]
+        waiting = [asyncio.ensure_future(lane.turn("a")) for _ in range(MAX_PER_CLIENT)]
         await asyncio.sleep(0)
         assert await lane.turn("a") is None
         other = asyncio.ensure_future(lane.turn("b"))
@@ -88,17 +88,17 @@ class TestLane:
         assert not lane._waiting
 
     async def test_all_together_are_bounded(self, monkeypatch):
-        monkeypatch.setattr(admission, "PATIENCE", 0.05)
+        monkeypatch.setattr(admission, "WAIT_TIMEOUT", 0.05)
         lane = Lane()
         await lane.turn("held")
-        waiting = [asyncio.ensure_future(lane.turn(f"{k}")) for k in range(admission.QUEUE)]
+        waiting = [asyncio.ensure_future(lane.turn(f"{k}")) for k in range(admission.MAX_WAITING)]
         await asyncio.sleep(0)
         assert await lane.turn("another") is None
         assert set(await asyncio.gather(*waiting)) == {None}  # none waits for ever
 
 
 class TestRequests:
-    def test_a_driver_goes_before_the_pages_of_a_watcher(self, served):
+    def test_requests_of_a_driver_are_not_delayed_by_a_watcher(self, served):
         with served.logged_in() as driver, served.logged_in(WATCH) as watcher:
             driver.get("/camera.jpg")
             with ThreadPoolExecutor(6) as pool:
@@ -111,18 +111,18 @@ class TestRequests:
                     assert len(served.built) <= count + 1  # not behind all that wait
                 assert {one.result().status_code for one in asked} == {200}
 
-    def test_who_sends_too_many_at_once_is_told_to_wait(self, served, caplog):
+    def test_too_many_requests_at_once_are_refused(self, served, caplog):
         with served.logged_in(WATCH) as watcher:
-            told = statuses(watcher, "/", 20)
-            assert set(told) == {200, 503}
-            assert told.count(200) >= EACH
+            codes = statuses(watcher, "/", 20)
+            assert set(codes) == {200, 503}
+            assert codes.count(200) >= MAX_PER_CLIENT
         assert "too many requests at once" in caplog.text
 
     def test_a_driver_is_not(self, served):
         with served.logged_in() as driver:
             assert statuses(driver, "/", 20) == [200] * 20
 
-    def test_a_stranger_does_not_hold_up_watchers_nor_another_stranger_for_long(self, served):
+    def test_a_stranger_does_not_delay_watchers_or_other_strangers(self, served):
         with served.client() as stranger, served.logged_in(WATCH) as watcher:
             assert set(statuses(stranger, "/login", 30)) <= {200, 503}
             assert watcher.get("/camera.jpg").status_code == 200
@@ -130,20 +130,20 @@ class TestRequests:
 
     def test_a_browser_s_six_connections_are_never_refused(self, served):
         with served.logged_in(WATCH) as watcher, ThreadPoolExecutor(6) as pool:
-            told = list(pool.map(lambda _: watcher.get("/camera.jpg").status_code, range(60)))
-        assert told == [200] * 60
+            codes = list(pool.map(lambda _: watcher.get("/camera.jpg").status_code, range(60)))
+        assert codes == [200] * 60
 
 
 class TestPages:
-    def test_pages_that_nobody_opens_do_not_pile_up(self, served):
+    def test_unopened_pages_do_not_pile_up(self, served):
         with served.logged_in(WATCH) as watcher:
-            for _ in range(UNOPENED + 4):
+            for _ in range(MAX_UNOPENED + 4):
                 assert watcher.get("/").status_code == 200
             mine = served.built[-1]
-            assert owned(False).count(mine) == UNOPENED
+            assert owned(False).count(mine) == MAX_UNOPENED
 
-    def test_pages_that_were_left_are_given_up_once(self, served, monkeypatch, caplog):
-        monkeypatch.setattr(pages, "UNOPENED", 1)
+    def test_pages_that_were_left_are_deleted_once(self, served, monkeypatch, caplog):
+        monkeypatch.setattr(pages, "MAX_UNOPENED", 1)
         with served.logged_in(WATCH) as watcher:
             page, _ = page_of(watcher)
             with opened(served, watcher, page=page):
@@ -155,7 +155,7 @@ class TestPages:
         assert not [record for record in caplog.records if record.name == "nicegui"]
 
     def test_open_pages_are_kept_and_bounded(self, served, monkeypatch, caplog):
-        monkeypatch.setattr(pages, "OPEN", 2)
+        monkeypatch.setattr(pages, "MAX_PAGES", 2)
         with served.logged_in(WATCH) as watcher, contextlib.ExitStack() as stack:
             for _ in range(2):
                 stack.enter_context(opened(served, watcher, page=page_of(watcher)[0]))
@@ -164,7 +164,7 @@ class TestPages:
             assert "too many pages" in caplog.text
 
     def test_all_watchers_together_are_bounded(self, served, monkeypatch):
-        monkeypatch.setattr(pages, "WATCHED", 4)
+        monkeypatch.setattr(pages, "MAX_WATCHER_PAGES", 4)
         for _ in range(4):
             with served.logged_in(WATCH) as watcher:
                 for _ in range(2):
@@ -174,16 +174,16 @@ class TestPages:
     def test_drivers_have_room(self, served):
         before = len(owned(True))
         with served.logged_in() as driver:
-            for _ in range(OPEN + 2):
+            for _ in range(MAX_PAGES + 2):
                 assert driver.get("/").status_code == 200
-        assert len(owned(True)) >= before + OPEN
-        assert WATCHED > OPEN > UNOPENED
+        assert len(owned(True)) >= before + MAX_PAGES
+        assert MAX_WATCHER_PAGES > MAX_PAGES > MAX_UNOPENED
 
 
 class TestSockets:
     def test_a_watcher_has_a_few(self, served, caplog):
         with served.logged_in(WATCH) as watcher, contextlib.ExitStack() as stack:
-            for _ in range(EACH):
+            for _ in range(MAX_PER_CLIENT):
                 stack.enter_context(opened(served, watcher))
             assert status(served, watcher) == 503
             assert "too many sockets" in caplog.text
@@ -194,10 +194,10 @@ class TestSockets:
 
     def test_a_driver_has_more(self, served):
         with served.logged_in() as driver, contextlib.ExitStack() as stack:
-            for _ in range(EACH + 2):
+            for _ in range(MAX_PER_CLIENT + 2):
                 stack.enter_context(opened(served, driver))
 
 
-def test_what_was_loaded_before_the_start_is_no_garbage_to_look_for(served):
-    """Looking through all that is imported takes 0.1 s, in which no command passes."""
+def test_loaded_modules_are_frozen_for_the_garbage_collector(served):
+    """A collection over all imported objects would delay commands by 0.1 s."""
     assert gc.get_freeze_count() > 100_000

@@ -1,4 +1,4 @@
-"""Logs, maps and the picture, fetched as users fetch them: by browser, and by curl with resume."""
+"""Downloads of logs, maps and the picture: by browser, and by curl with resume."""
 
 import dataclasses
 import hashlib
@@ -13,7 +13,7 @@ import pytest
 from tests.platform.console.serving import DRIVE, PICTURE, WATCH, serving
 
 from impslam.platform.console.downloads import FixedLengthFileResponse
-from impslam.platform.console.throttle import FORGET
+from impslam.platform.console.throttle import RESET_TIME
 from impslam.platform.station.store import StoredLog
 
 CONTENT = os.urandom(300_000)
@@ -39,8 +39,8 @@ def served(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def calm(served):
-    """Nobody waits for what the test before tried."""
-    served.clock.ahead += FORGET
+    """Reset the throttle between tests."""
+    served.clock.ahead += RESET_TIME
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ class TestLogs:
         assert answer.content == b""
 
     @pytest.mark.parametrize(
-        ("asked", "part"),
+        ("requested", "part"),
         [
             ("bytes=100-199", slice(100, 200)),
             ("bytes=299990-", slice(299_990, None)),
@@ -72,20 +72,20 @@ class TestLogs:
             ("bytes=299999-999999", slice(-1, None)),
         ],
     )
-    def test_a_part_of_it(self, client, asked, part):
-        answer = client.get("/logs/one.mcap", headers={"range": asked})
+    def test_a_part_of_it(self, client, requested, part):
+        answer = client.get("/logs/one.mcap", headers={"range": requested})
         assert answer.status_code == 206
         assert answer.content == CONTENT[part]
 
-    @pytest.mark.parametrize("asked", ["bytes=300000-", "bytes=999999-1000000"])
-    def test_there_is_nothing_beyond_the_end(self, client, asked):
-        answer = client.get("/logs/one.mcap", headers={"range": asked})
+    @pytest.mark.parametrize("requested", ["bytes=300000-", "bytes=999999-1000000"])
+    def test_there_is_nothing_beyond_the_end(self, client, requested):
+        answer = client.get("/logs/one.mcap", headers={"range": requested})
         assert answer.status_code == 416
         assert answer.headers["content-range"] == f"bytes */{len(CONTENT)}"
 
-    @pytest.mark.parametrize("asked", ["bytes=x", "rows=1-2", "bytes=5-3", "bytes=", "="])
-    def test_an_odd_range_harms_nobody(self, client, asked):
-        answer = client.get("/logs/one.mcap", headers={"range": asked})
+    @pytest.mark.parametrize("requested", ["bytes=x", "rows=1-2", "bytes=5-3", "bytes=", "="])
+    def test_an_odd_range_harms_nobody(self, client, requested):
+        answer = client.get("/logs/one.mcap", headers={"range": requested})
         assert answer.status_code in {200, 206, 400, 416}
         assert client.get("/logs/one.mcap").content == CONTENT
 
@@ -121,12 +121,12 @@ class TestLogs:
         got += client.get("/logs/growing.mcap", headers={"range": f"bytes={len(got)}-"}).content
         assert got == path.read_bytes()
 
-    def test_the_sum_is_what_sha256sum_checks(self, client):
-        told = client.get("/logs/one.mcap.sha256").text
-        assert told == f"{hashlib.sha256(CONTENT).hexdigest()}  one.mcap\n"
+    def test_the_digest_is_accepted_by_sha256sum(self, client):
+        digest = client.get("/logs/one.mcap.sha256").text
+        assert digest == f"{hashlib.sha256(CONTENT).hexdigest()}  one.mcap\n"
         assert client.head("/logs/one.mcap.sha256").status_code == 200
 
-    def test_names_are_any_that_a_file_has(self, client):
+    def test_any_valid_file_name_is_accepted(self, client):
         assert client.get("/logs/with space & ä.mcap").content == b"odd"
 
     def test_the_list(self, client, monkeypatch):
@@ -136,7 +136,7 @@ class TestLogs:
 
 
 class TestCurl:
-    """As docs say; skipped where there is no curl."""
+    """As documented; skipped without curl."""
 
     @pytest.fixture(autouse=True)
     def curl(self):
@@ -152,7 +152,7 @@ class TestCurl:
             check=False,
         )
 
-    def test_it_goes_on_where_it_was_broken_off(self, served, tmp_path):
+    def test_an_interrupted_download_is_resumed(self, served, tmp_path):
         (tmp_path / "one.mcap").write_bytes(CONTENT[:123_456])
         done = self.fetch(served, tmp_path, "-u", f"watch:{WATCH}", "-C", "-", "-O")
         assert done.returncode == 0, done.stderr
@@ -167,8 +167,8 @@ class TestCurl:
 class TestChallenge:
     def test_a_script_is_asked_for_the_password_and_a_browser_is_not(self, served):
         with served.client() as client:
-            asked = client.get("/logs").headers["www-authenticate"]
-            assert asked == 'Basic realm="logs", charset="UTF-8"'
+            requested = client.get("/logs").headers["www-authenticate"]
+            assert requested == 'Basic realm="logs", charset="UTF-8"'
             browser = client.get("/logs", headers={"sec-fetch-mode": "cors"})
             assert "www-authenticate" not in browser.headers
             assert "www-authenticate" not in client.get("/camera.jpg").headers

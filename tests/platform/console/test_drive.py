@@ -1,4 +1,4 @@
-"""Who drives, how the page commands, and everything that must make it stop."""
+"""The drive panel: the helm, commands, and everything that must stop the robot."""
 
 import math
 import time
@@ -38,7 +38,7 @@ def test_a_malformed_command_is_none(bad):
     assert pad_command(bad) is None
 
 
-def test_a_command_tells_how_long_it_was_under_way():
+def test_the_age_of_a_command_is_measured():
     assert pad_command([1.0, 0.0, milliseconds(0.7)])[2] == pytest.approx(0.74, abs=0.06)
     assert pad_command([1.0, 0.0, milliseconds(-5.0)]) is None, "a beat that was never sent"
     assert pad_command([1.0, 0.0, None]) is None
@@ -58,7 +58,7 @@ def middle(page):
 
 
 def press_forward(page):
-    """Hold the joystick fully ahead."""
+    """Hold the joystick fully forward."""
     x, y = middle(page)
     page.mouse.move(x, y)
     page.mouse.down()
@@ -74,7 +74,7 @@ def moves(robot):
     return robot.state()["speed"] > 0
 
 
-def stands(robot):
+def is_stationary(robot):
     state = robot.state()
     return state["speed"] == 0 and state["turn_rate"] == 0
 
@@ -95,7 +95,7 @@ def test_the_joystick_drives_and_its_release_stops(browser, robot):
         expect(page.get_by_test_id("command")).to_contain_text("0.30")
         page.mouse.up()
         released = now()
-        until(lambda: stands(robot))
+        until(lambda: is_stationary(robot))
         told = robot.state()["told"]
         assert told[-1][1:] == [0.0, 0.0]
         assert told[-1][0] - released < 0.25, "a release must not wait for the dead man"
@@ -106,7 +106,7 @@ def test_the_joystick_drives_and_its_release_stops(browser, robot):
         until(lambda: robot.state()["turn_rate"] == pytest.approx(0.75))  # to the left
         assert robot.state()["speed"] == pytest.approx(0.0, abs=0.02)
         page.mouse.up()
-        until(lambda: stands(robot))
+        until(lambda: is_stationary(robot))
         assert not watched.complaints
 
 
@@ -127,16 +127,16 @@ def test_keys_drive_where_no_text_is_written(browser, robot):
         until(lambda: robot.state()["turn_rate"] == 0)
         assert moves(robot)
         page.keyboard.up("w")
-        until(lambda: stands(robot))
+        until(lambda: is_stationary(robot))
         page.keyboard.down("s")
         until(lambda: robot.state()["speed"] < 0)
         page.keyboard.up("s")
-        until(lambda: stands(robot))
+        until(lambda: is_stationary(robot))
 
 
 @pytest.mark.browser
 @pytest.mark.parametrize("leave", ["blur", "pagehide", "visibilitychange"])
-def test_a_page_that_is_left_lets_go_at_once(browser, robot, leave):
+def test_leaving_a_page_leaves_the_helm_at_once(browser, robot, leave):
     with visit(browser, robot) as watched:
         page = watched.page
         take(page)
@@ -145,10 +145,10 @@ def test_a_page_that_is_left_lets_go_at_once(browser, robot, leave):
         target = "document" if leave == "visibilitychange" else "window"
         page.evaluate(f"{target}.dispatchEvent(new Event('{leave}'))")
         left = now()
-        until(lambda: stands(robot))
+        until(lambda: is_stationary(robot))
         assert robot.state()["told"][-1][0] - left < 0.25
         page.wait_for_timeout(500)
-        assert stands(robot), "the key is still down, but must be pressed anew"
+        assert is_stationary(robot), "the key is still down, but must be pressed anew"
         page.keyboard.up("w")
         page.keyboard.down("w")
         until(lambda: moves(robot))
@@ -171,19 +171,19 @@ def test_anyone_stops_and_only_the_driver_releases(browser, robot, how):
         else:
             watcher.page.keyboard.press(how)
         until(lambda: robot.state()["stopped"])
-        assert stands(robot)
+        assert is_stationary(robot)
         expect(page.get_by_test_id("stopped")).to_have_text("Emergency stop by watcher 3")
         expect(page.get_by_test_id("stop")).to_have_attribute("data-stopped", "true")
         page.mouse.up()
         press_forward(page)
         page.wait_for_timeout(400)
-        assert stands(robot)
+        assert is_stationary(robot)
         page.mouse.up()
         expect(watcher.page.get_by_test_id("stopped")).to_be_visible()
         expect(watcher.page.get_by_test_id("release")).to_be_hidden()
         page.get_by_test_id("release").click()
         until(lambda: not robot.state()["stopped"])
-        assert stands(robot)
+        assert is_stationary(robot)
         expect(page.get_by_test_id("stop")).to_have_attribute("data-stopped", "false")
         press_forward(page)
         until(lambda: moves(robot))
@@ -231,7 +231,7 @@ def test_a_session_that_ends_leaves_the_helm_and_commands_no_more(browser, robot
         until(lambda: moves(robot))
         page.context.request.get(f"{robot.address}/fake/end?as=driver")
         until(lambda: robot.state()["driver"] == "")
-        until(lambda: stands(robot))
+        until(lambda: is_stationary(robot))
         # Chromium never answers to a close in the middle of a reload: see the reload to its end
         expect(page.get_by_text("log in again")).to_be_visible()
 
@@ -273,25 +273,25 @@ def test_a_watcher_changes_nothing_whatever_is_sent(browser, robot):
 
 
 @pytest.mark.browser
-def test_who_may_no_more_drive_commands_no_more(browser, robot):
-    """The page still has all its buttons and ids; the rights are asked for at each command."""
+def test_an_ended_session_cannot_command(browser, robot):
+    """The page still has all its buttons and ids, but rights are checked at each command."""
     with visit(browser, robot) as watched:
         page = watched.page
         take(page)
         page.keyboard.down("w")
         until(lambda: moves(robot))
         robot.ask("demote")
-        until(lambda: stands(robot))
+        until(lambda: is_stationary(robot))
         for _ in range(5):
             page.evaluate(FORGE, [f"[1,0,{page.evaluate(NEWEST)}]"])
             page.wait_for_timeout(100)
-        assert stands(robot)
+        assert is_stationary(robot)
         assert not robot.state()["recording"]
         assert robot.state()["starts"] == 0
 
 
 @pytest.mark.browser
-def test_a_link_that_dies_is_told_and_the_page_lets_go(browser, robot):
+def test_a_lost_link_is_shown_and_leaves_the_helm(browser, robot):
     with visit(browser, robot) as watched:
         page = watched.page
         take(page)
@@ -312,7 +312,7 @@ def test_a_link_that_dies_is_told_and_the_page_lets_go(browser, robot):
         page.wait_for_timeout(600)
         late = [told for told in robot.state()["told"] if told[0] > thawed and told[1] > 0]
         assert not late, "what was sent before or while the link was dead must not move the robot"
-        assert stands(robot)
+        assert is_stationary(robot)
         page.keyboard.up("w")
         expect(page.get_by_test_id("driver")).to_have_text("You drive")
         page.keyboard.down("w")
@@ -334,7 +334,7 @@ def test_commands_that_waited_on_a_slow_link_do_not_move_the_robot(browser, robo
         page.wait_for_timeout(600)
         late = [told for told in robot.state()["told"] if told[0] > thawed and told[1] > 0]
         assert not late
-        assert stands(robot)
+        assert is_stationary(robot)
         expect(page.get_by_test_id("link-lost")).to_have_count(0)
 
 
@@ -357,8 +357,8 @@ def test_a_thumb_drives(browser, robot):
         until(lambda: robot.state()["speed"] == pytest.approx(0.3))
         assert page.evaluate("scrollY") == 0
         send("touchEnd")
-        until(lambda: stands(robot))
+        until(lambda: is_stationary(robot))
         send("touchStart", (x, y - 60))
         until(lambda: moves(robot))
         send("touchCancel")
-        until(lambda: stands(robot))
+        until(lambda: is_stationary(robot))

@@ -1,4 +1,4 @@
-"""The whole robot: log in, drive round the arena, record, stop, download, and map what came down."""
+"""The whole robot: log in, drive round the arena, record, stop, download, and map the log."""
 
 import os
 from pathlib import Path

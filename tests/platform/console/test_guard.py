@@ -1,4 +1,4 @@
-"""What the guard does that cannot be seen well from outside; the rest is in test_security.py."""
+"""The guard with fake apps; tests over the network are in test_security.py."""
 
 import asyncio
 
@@ -50,7 +50,7 @@ def scope(*headers, kind="http", method="GET", path=None):
 
 
 async def ask(guarded, request, messages=({"type": "http.request", "body": b""},)):
-    """Send messages, and then nothing; return what is answered."""
+    """Send messages, and then nothing; return the answers."""
     left, sent = list(messages), []
 
     async def receive():
@@ -88,7 +88,7 @@ async def test_the_app_sees_the_session_and_the_whole_body(authenticator, cookie
     assert dict(sent[0]["headers"])[b"cache-control"] == b"no-store"
 
 
-async def test_who_leaves_in_the_middle_of_a_body_does_not_reach_the_app(authenticator, cookie):
+async def test_an_incomplete_body_does_not_reach_the_app(authenticator, cookie):
     async def app(*_):
         pytest.fail("reached")
 
@@ -97,7 +97,7 @@ async def test_who_leaves_in_the_middle_of_a_body_does_not_reach_the_app(authent
     assert await ask(Guard(app, authenticator, ["robot"]), request, parts) == []
 
 
-async def test_the_start_of_the_app_is_left_alone(authenticator):
+async def test_lifespan_messages_pass_unchanged(authenticator):
     seen = []
 
     async def app(scope, receive, send):
@@ -107,7 +107,7 @@ async def test_the_start_of_the_app_is_left_alone(authenticator):
     assert seen == [{"type": "lifespan"}]
 
 
-async def test_a_download_breaks_off_when_its_session_ends(authenticator, cookie, caplog):
+async def test_a_download_aborts_when_its_session_ends(authenticator, cookie, caplog):
     parts = []
 
     async def app(scope, receive, send):
@@ -124,10 +124,8 @@ async def test_a_download_breaks_off_when_its_session_ends(authenticator, cookie
     assert "the rest after its session ended" in caplog.text
 
 
-async def test_an_app_that_goes_on_after_the_cut_is_ended(
-    authenticator, cookie, monkeypatch, caplog
-):
-    monkeypatch.setattr(guard, "LOOK", 0.01)
+async def test_an_app_that_ignores_the_cut_is_cancelled(authenticator, cookie, monkeypatch, caplog):
+    monkeypatch.setattr(guard, "CHECK_INTERVAL", 0.01)
     monkeypatch.setattr(guard, "GRACE", 0.05)
     ended = asyncio.Event()
 
@@ -149,10 +147,10 @@ async def test_an_app_that_goes_on_after_the_cut_is_ended(
     assert "an open socket whose session has ended" in caplog.text
 
 
-async def test_a_socket_that_takes_nothing_does_not_hold_the_guard(
+async def test_a_socket_that_takes_nothing_does_not_block_the_guard(
     authenticator, cookie, monkeypatch
 ):
-    monkeypatch.setattr(guard, "LOOK", 0.01)
+    monkeypatch.setattr(guard, "CHECK_INTERVAL", 0.01)
     monkeypatch.setattr(guard, "GRACE", 0.05)
     never = asyncio.get_running_loop().create_future
 
@@ -172,10 +170,10 @@ async def test_a_socket_that_takes_nothing_does_not_hold_the_guard(
 
 
 async def test_a_socket_that_is_not_read_is_cut(authenticator, cookie, monkeypatch, caplog):
-    """Else what waits for it would fill the memory."""
-    monkeypatch.setattr(guard, "LOOK", 0.01)
+    """Otherwise, waiting messages would fill the memory."""
+    monkeypatch.setattr(guard, "CHECK_INTERVAL", 0.01)
     monkeypatch.setattr(guard, "GRACE", 0.05)
-    monkeypatch.setattr(connection, "STUCK", 0.05)
+    monkeypatch.setattr(connection, "SEND_TIMEOUT", 0.05)
     never = asyncio.get_running_loop().create_future
 
     async def app(scope, receive, send):
@@ -190,7 +188,7 @@ async def test_a_socket_that_is_not_read_is_cut(authenticator, cookie, monkeypat
 
 
 async def test_no_message_passes_after_the_end(authenticator, cookie, monkeypatch):
-    monkeypatch.setattr(guard, "LOOK", 0.01)
+    monkeypatch.setattr(guard, "CHECK_INTERVAL", 0.01)
     got = []
 
     async def app(scope, receive, send):
@@ -205,7 +203,7 @@ async def test_no_message_passes_after_the_end(authenticator, cookie, monkeypatc
     assert got == ["websocket.connect", "websocket.disconnect"]
 
 
-async def test_what_goes_wrong_in_the_app_is_not_swallowed(authenticator, cookie):
+async def test_errors_of_the_app_are_raised(authenticator, cookie):
     async def app(scope, receive, send):
         raise LookupError("a bug")
 
@@ -241,7 +239,7 @@ async def test_the_address_of_the_connection_is_no_foreign_host(
     assert sent[0]["status"] == status
 
 
-def test_addresses_have_one_form():
+def test_addresses_are_made_canonical():
     assert plain("::ffff:10.0.0.5") == "10.0.0.5"
     assert plain("FE80::1%eth0") == "fe80::1"
     assert plain("robot") == "robot"

@@ -1,4 +1,4 @@
-"""What a page is sent of a map: exact enough, no more than it lacks, and never faster than it draws."""
+"""Frames of a map: exact enough, only changes, and never faster than a page draws them."""
 
 import base64
 import json
@@ -15,7 +15,15 @@ from tests.platform.console.browsing import until, visit
 
 from impslam.observers.live_view import GridPicture, Snapshot
 from impslam.platform.console import encoding
-from impslam.platform.console.encoding import STEP, Known, common, difference, ellipse, mark, packed
+from impslam.platform.console.encoding import (
+    STEP,
+    SentState,
+    common,
+    difference,
+    ellipse,
+    mark,
+    packed,
+)
 from impslam.platform.console.feed import Cached, Feed
 from impslam.platform.console.model import Model
 from impslam.platform.devices.base import now
@@ -27,9 +35,9 @@ EMPTY = Snapshot(
 )  # fmt: skip
 
 
-def unpacked(sent, about):
+def unpacked(sent, origin):
     xy = np.frombuffer(base64.b64decode(sent["xy"]), "<i2").reshape(-1, 2)
-    return about + sent["step"] * xy
+    return origin + sent["step"] * xy
 
 
 def path_of(sent, before):
@@ -41,8 +49,8 @@ def post(number, x=1.0, seen=1):
     return Landmark(number, "cylinder", np.array([x, 2.0]), {}, np.eye(2) * 1e-4, None, seen, 0, 0)
 
 
-def news(snapshot, known):
-    return difference(snapshot, {one.id: mark(one) for one in snapshot.landmarks}, known)
+def updates(snapshot, sent_state):
+    return difference(snapshot, {one.id: mark(one) for one in snapshot.landmarks}, sent_state)
 
 
 def grid(version):
@@ -55,11 +63,11 @@ def grid(version):
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 1000.0))
 def test_points_come_out_within_half_a_step(seed, reach):
     generator = np.random.default_rng(seed)
-    about = generator.uniform(-1e4, 1e4, 2)
-    points = (about + generator.uniform(-reach, reach, (50, 2))).astype(np.float32)
-    sent = packed(points, about)
-    assert sent["step"] == pytest.approx(max(STEP, np.abs(points - about).max() / 32767))
-    assert np.abs(unpacked(sent, about) - points).max() <= 0.5 * sent["step"] + 1e-9
+    origin = generator.uniform(-1e4, 1e4, 2)
+    points = (origin + generator.uniform(-reach, reach, (50, 2))).astype(np.float32)
+    sent = packed(points, origin)
+    assert sent["step"] == pytest.approx(max(STEP, np.abs(points - origin).max() / 32767))
+    assert np.abs(unpacked(sent, origin) - points).max() <= 0.5 * sent["step"] + 1e-9
 
 
 def test_points_that_are_none_are_left_out():
@@ -80,41 +88,43 @@ def test_an_ellipse_has_the_axes_and_direction_of_the_covariance():
 
 
 def test_a_map_that_has_not_begun_is_json():
-    frame = common(EMPTY) | news(EMPTY, Known())
+    frame = common(EMPTY) | updates(EMPTY, SentState())
     assert json.loads(json.dumps(frame, allow_nan=False))["t"] is None
 
 
 # --------------------------------------------------------------------------- differences
 
 
-def test_only_what_is_new_of_a_path_is_sent():
-    known, path = Known(), np.cumsum(np.ones((100, 2), np.float32), 0)
-    first = news(replace(EMPTY, path=path[:50]), known)
+def test_only_the_new_part_of_a_path_is_sent():
+    sent_state, path = SentState(), np.cumsum(np.ones((100, 2), np.float32), 0)
+    first = updates(replace(EMPTY, path=path[:50]), sent_state)
     assert first["path"]["from"] == 0
-    second = news(replace(EMPTY, path=path), known)
+    second = updates(replace(EMPTY, path=path), sent_state)
     assert second["path"]["from"] == 49
     assert path_of(second["path"], path[:50]) == pytest.approx(path)
-    thinned = news(replace(EMPTY, path=path[::2]), known)
+    thinned = updates(replace(EMPTY, path=path[::2]), sent_state)
     assert thinned["path"]["from"] == 0
 
 
-def test_only_changed_landmarks_are_sent_and_gone_ones_told():
-    known = Known()
-    assert len(news(replace(EMPTY, landmarks=(post(1), post(2))), known)["marks"]["set"]) == 2
-    assert "marks" not in news(replace(EMPTY, landmarks=(post(1), post(2))), known)
-    moved = news(replace(EMPTY, landmarks=(post(1), post(2, 1.0001))), known)
+def test_only_changed_and_removed_landmarks_are_sent():
+    sent_state = SentState()
+    assert (
+        len(updates(replace(EMPTY, landmarks=(post(1), post(2))), sent_state)["marks"]["set"]) == 2
+    )
+    assert "marks" not in updates(replace(EMPTY, landmarks=(post(1), post(2))), sent_state)
+    moved = updates(replace(EMPTY, landmarks=(post(1), post(2, 1.0001))), sent_state)
     assert "marks" not in moved, "a tenth of a millimetre is not to be seen"
-    change = news(replace(EMPTY, landmarks=(post(2, 1.5),)), known)["marks"]
+    change = updates(replace(EMPTY, landmarks=(post(2, 1.5),)), sent_state)["marks"]
     assert [one[0] for one in change["set"]] == [2]
     assert change["gone"] == [1]
 
 
-def test_a_grid_is_told_once_a_version_and_a_new_map_begins_anew():
-    known = Known()
+def test_a_grid_is_sent_once_per_version_and_again_for_a_new_map():
+    sent_state = SentState()
     snapshot = replace(EMPTY, grid=grid(3), landmarks=(post(1),), path=np.ones((4, 2), np.float32))
-    assert news(snapshot, known)["grid"]["v"] == 3
-    assert "grid" not in news(snapshot, known)
-    again = news(replace(snapshot, run=2), known)
+    assert updates(snapshot, sent_state)["grid"]["v"] == 3
+    assert "grid" not in updates(snapshot, sent_state)
+    again = updates(replace(snapshot, run=2), sent_state)
     assert again["grid"]["v"] == 3
     assert len(again["marks"]["set"]) == 1
     assert again["path"]["from"] == 0
@@ -122,12 +132,14 @@ def test_a_grid_is_told_once_a_version_and_a_new_map_begins_anew():
 
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 3), st.integers(0, 40)), max_size=12))
 def test_differences_add_up_to_the_map(changes):
-    """Whatever happens to a map, who adds up what was sent has what there is."""
-    known, marks, path = Known(), {}, np.zeros((0, 2), np.float32)
+    """The sum of all differences is the map, whatever happens to it."""
+    sent_state, marks, path = SentState(), {}, np.zeros((0, 2), np.float32)
     for version, (count, shift, length) in enumerate(changes, 1):
         landmarks = tuple(post(number, number + 0.1 * shift) for number in range(count))
         walked = np.cumsum(np.full((length, 2), 0.1 + shift, np.float32), 0)
-        sent = news(replace(EMPTY, version=version, landmarks=landmarks, path=walked), known)
+        sent = updates(
+            replace(EMPTY, version=version, landmarks=landmarks, path=walked), sent_state
+        )
         for one in sent.get("marks", {}).get("set", []):
             marks[one[0]] = one
         for number in sent.get("marks", {}).get("gone", []):
@@ -148,15 +160,15 @@ class View:
         return self.now
 
 
-def test_what_pages_share_is_made_once(monkeypatch):
+def test_shared_data_is_made_once(monkeypatch):
     made = []
     monkeypatch.setattr(
         "impslam.platform.console.feed.common", lambda one: made.append(1) or encoding.common(one)
     )
     view = View(replace(EMPTY, version=5, landmarks=(post(1),)))
     feed = Feed(Model("x", view))
-    pages = [Known(), Known(), Known()]
-    assert all(feed.frame(known)["seq"] == 5 for known in pages)
+    pages = [SentState(), SentState(), SentState()]
+    assert all(feed.frame(sent_state)["seq"] == 5 for sent_state in pages)
     assert len(made) == 1
     assert feed.frame(pages[0]) is None
     view.now = replace(view.now, version=6)
@@ -168,20 +180,20 @@ def test_what_pages_share_is_made_once(monkeypatch):
 def test_latency_counts_from_the_scans_arrival_and_only_for_what_was_sent():
     view = View(replace(EMPTY, version=1, arrived=now() - 0.25))
     feed = Feed(Model("x", view, station=object()))
-    feed.frame(Known())
+    feed.frame(SentState())
     feed.drawn(1)
     feed.drawn(2)
     feed.drawn(-1)
     assert feed.latencies() == pytest.approx([0.25], abs=0.1)
 
 
-def test_latencies_and_what_is_remembered_for_them_are_bounded():
+def test_latencies_and_pending_snapshots_are_bounded():
     view = View(EMPTY)
     feed = Feed(Model("x", view, station=object()))
-    known = Known()
+    sent_state = SentState()
     for version in range(1, 1500):
         view.now = replace(EMPTY, version=version, arrived=now())
-        feed.frame(known)
+        feed.frame(sent_state)
         feed.drawn(version)
     assert len(feed.latencies()) == 1000
     assert len(feed._arrived) <= 64
@@ -189,7 +201,7 @@ def test_latencies_and_what_is_remembered_for_them_are_bounded():
 
 def test_a_replays_scans_have_no_latency():
     feed = Feed(Model("x", View(replace(EMPTY, version=1, arrived=now()))))
-    feed.frame(Known())
+    feed.frame(SentState())
     feed.drawn(1)
     assert len(feed.latencies()) == 0
 
@@ -201,8 +213,8 @@ def test_a_cached_value_is_made_once_a_period():
     assert Cached(lambda: made.append(1) or len(made), 0.0)() == 2
 
 
-def test_expiring_a_value_that_is_being_made_waits_for_nobody():
-    """The disk may hang for whom it is looked at in a thread; the page's own loop must not."""
+def test_expiring_a_value_that_is_being_made_does_not_block():
+    """If the disk hangs, threads may wait, but not the event loop."""
     entered, go_on, made = threading.Event(), threading.Event(), []
 
     def make():
@@ -242,7 +254,7 @@ def colours(page):
 
 
 @pytest.mark.browser
-def test_the_map_element_tells_the_pose_that_it_shows(browser, robot):
+def test_the_map_element_has_the_shown_pose(browser, robot):
     with visit(browser, robot) as watched:
         shown = watched.page.get_by_test_id("map")
         expect(shown).to_have_attribute("data-landmarks", "7")
@@ -253,14 +265,14 @@ def test_the_map_element_tells_the_pose_that_it_shows(browser, robot):
         assert float(data["heading"]) == pytest.approx(heading, abs=1e-3)
         assert int(data["scans"]) > 400
         expect(watched.page.get_by_test_id("pose-x")).to_have_text(f"{x:.3f}")
-        said = float(watched.page.get_by_test_id("pose-heading").inner_text())
-        assert said == pytest.approx(math.degrees(heading), abs=0.11)
+        shown = float(watched.page.get_by_test_id("pose-heading").inner_text())
+        assert shown == pytest.approx(math.degrees(heading), abs=0.11)
         until(lambda: colours(watched.page) > 10)
         assert not watched.complaints
 
 
 @pytest.mark.browser
-def test_a_page_that_draws_no_more_is_sent_no_more(browser, robot):
+def test_a_page_that_stops_drawing_gets_no_frames(browser, robot):
     with visit(browser, robot) as watched:
         page = watched.page
         page.wait_for_timeout(1200)
@@ -279,9 +291,9 @@ def test_a_frame_of_a_known_map_is_small_and_the_grid_comes_when_it_is_new(brows
         page.wait_for_timeout(3500)
         later = frames(watched)[5:]
         assert sum(map(len, later)) / len(later) < 6000
-        asked = [url for url in watched.requests if "grid.png" in url]
-        assert 2 <= len(asked) <= 8
-        assert len(set(asked)) == len(asked)
+        requests = [url for url in watched.requests if "grid.png" in url]
+        assert 2 <= len(requests) <= 8
+        assert len(set(requests)) == len(requests)
 
 
 @pytest.mark.browser
@@ -340,14 +352,14 @@ def test_the_tip_names_a_wall_wherever_it_is_touched(browser, robot):
 @pytest.mark.browser
 def test_what_rounds_to_zero_has_no_sign(browser, robot):
     with visit(browser, robot) as watched:
-        told = watched.page.evaluate(
+        texts = watched.page.evaluate(
             """() => {
             const elements = Object.keys(mounted_app.elements).map((id) => getElement(+id));
             const map = elements.find((e) => e?.view?.scale);
-            return [-0.0004, 0.0004, -0.0006, -0].map((value) => map.told(value, 3));
+            return [-0.0004, 0.0004, -0.0006, -0].map((value) => map.fixed(value, 3));
             }"""
         )
-    assert told == ["0.000", "0.000", "-0.001", "0.000"]
+    assert texts == ["0.000", "0.000", "-0.001", "0.000"]
 
 
 @pytest.mark.browser

@@ -1,4 +1,4 @@
-"""The real page, and a watcher's socket that sends its elements events of any content."""
+"""The real page, with a watcher's socket that sends events of any content to its elements."""
 
 import gc
 import itertools
@@ -12,7 +12,7 @@ from tests.platform.console.serving import WATCH, serving
 from tests.platform.console.test_security import opened, soon
 
 from impslam.platform.console import page
-from impslam.platform.console.connection import MESSAGES
+from impslam.platform.console.connection import MESSAGE_BURST
 from impslam.platform.console.model import Model
 from impslam.platform.console.refusals import FIRST, Refusals
 from impslam.platform.console.session_store import Sessions
@@ -25,7 +25,7 @@ ARGUMENTS = [
 
 
 @pytest.mark.parametrize("replay", [False, True])
-def test_whatever_a_watcher_sends_to_the_page_raises_nothing(tmp_path, replay, caplog):
+def test_no_message_of_a_watcher_raises_an_error(tmp_path, replay, caplog):
     caplog.set_level("INFO")
     station = FakeStation(tmp_path, tour=False)
     model = Model(
@@ -41,7 +41,7 @@ def test_whatever_a_watcher_sends_to_the_page_raises_nothing(tmp_path, replay, c
                 listeners = [(one.id, key) for one in list(found) for key in one._event_listeners]
                 assert len(listeners) >= (6 if replay else 3)
                 sent = list(itertools.product(listeners, ARGUMENTS))
-                assert len(sent) < MESSAGES  # else the socket would be cut
+                assert len(sent) < MESSAGE_BURST  # else the socket would be cut
                 for (ident, key), args in sent:
                     event = {"id": ident, "client_id": name, "listener_id": key, "args": args}
                     line.send("42" + json.dumps(["event", event]))
@@ -49,10 +49,12 @@ def test_whatever_a_watcher_sends_to_the_page_raises_nothing(tmp_path, replay, c
                 line.send(last)
                 soon(lambda: "a message of another kind" in caplog.text)
         gc.collect()  # a task that failed is told when it is collected
-        told = list(
+        records = list(
             caplog.records
         )  # nicegui complains at the end of a server that is not the first
-    assert not [one for one in told if one.name in {"nicegui", "asyncio"} or one.exc_info], told
+    assert not [one for one in records if one.name in {"nicegui", "asyncio"} or one.exc_info], (
+        records
+    )
 
 
 def test_refused_commands_of_a_watcher_do_not_fill_the_log(caplog):

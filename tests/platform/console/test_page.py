@@ -18,12 +18,12 @@ from impslam.types import Climate, Event
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
 
 
-def test_sizes_and_times_are_told_as_people_read_them():
+def test_sizes_and_durations_are_readable():
     assert [size(n) for n in (0, 999, 48_213_554, 23.4e9)] == ["0 B", "999 B", "48.2 MB", "23.4 GB"]
     assert [duration(s) for s in (0, 61.9, 7812, float("nan"))] == ["0:00", "1:01", "2:10:12", ""]
 
 
-def test_what_a_device_says_is_text_and_never_markup():
+def test_texts_of_devices_are_escaped():
     evil = "<img src=x onerror=alert(1)>"
     health = Health("lost", evil, {evil: 1.0}, {"lost" + evil: 1}, 0.0)
     for made in (device_row(evil, health), event_row(Event(0.0, evil, evil, evil))):
@@ -31,7 +31,7 @@ def test_what_a_device_says_is_text_and_never_markup():
         assert "&lt;img" in made
 
 
-def test_the_air_is_shown_and_its_age_noticed():
+def test_the_climate_is_shown_and_its_age_checked():
     row = climate_row(Climate(100.0, 23.14, 0.448), 101.0)
     assert "23.1 °C" in row
     assert "45 % humidity" in row
@@ -39,7 +39,7 @@ def test_the_air_is_shown_and_its_age_noticed():
     assert 'data-state="silent"' in climate_row(Climate(100.0, 23.14, 0.448), 120.0)
 
 
-def test_a_state_is_told_in_words_icon_and_colour_and_only_troubles_are_counted():
+def test_a_state_has_text_icon_and_colour_and_only_problems_are_counted():
     row = device_row("lidar", Health("silent", "URG", {"LaserScan": 9.96}, {"LaserScan": 812}, 0.0))
     assert 'data-state="silent"' in row
     assert "hourglass_empty" in row
@@ -53,7 +53,7 @@ def test_a_state_is_told_in_words_icon_and_colour_and_only_troubles_are_counted(
     assert "0 lost" not in troubled
 
 
-def test_latency_is_told_with_median_and_p99():
+def test_latency_is_shown_with_median_and_p99():
     row = page_row([0.01] * 99 + [1.0])
     assert 'data-median="0.0100"' in row
     assert 'data-count="100"' in row
@@ -86,7 +86,7 @@ def test_the_page_is_offline_quiet_and_fits(browser, robot, context):
 
 
 @pytest.mark.browser
-def test_everything_that_is_pressed_has_a_name(browser, robot):
+def test_every_control_has_a_name(browser, robot):
     with visit(browser, robot) as watched:
         nameless = watched.page.evaluate(
             """() => [...document.querySelectorAll('button, a, input, select, canvas')].filter((e) =>
@@ -99,7 +99,7 @@ def test_everything_that_is_pressed_has_a_name(browser, robot):
 
 @pytest.mark.browser
 @pytest.mark.parametrize("scheme", ["dark", "light"])
-def test_the_page_looks_as_the_system_does_until_it_is_told_otherwise(browser, robot, scheme):
+def test_the_page_follows_the_theme_of_the_system_until_it_is_switched(browser, robot, scheme):
     with visit(browser, robot, color_scheme=scheme) as watched:
         page = watched.page
         dark = "document.body.classList.contains('body--dark')"
@@ -111,7 +111,7 @@ def test_the_page_looks_as_the_system_does_until_it_is_told_otherwise(browser, r
 
 @pytest.mark.browser
 @pytest.mark.parametrize("who", ["driver", "watcher"])
-def test_who_logs_out_has_left_and_lets_go_of_the_helm(browser, robot, who):
+def test_logging_out_ends_the_session_and_leaves_the_helm(browser, robot, who):
     with visit(browser, robot, who) as watched:
         page = watched.page
         if who == "driver":
@@ -202,7 +202,7 @@ def test_maps_are_listed_deleted_and_restored(browser, robot):
 
 
 @pytest.mark.browser
-def test_a_map_is_gone_on_with_and_a_click_tells_where_the_robot_is(browser, robot):
+def test_a_map_is_continued_and_a_click_gives_a_hint(browser, robot):
     with visit(browser, robot) as watched, visit(browser, robot, "watcher") as watcher:
         page = watched.page
         page.get_by_test_id("tab-maps").click()
@@ -216,8 +216,8 @@ def test_a_map_is_gone_on_with_and_a_click_tells_where_the_robot_is(browser, rob
         expect(watcher.page.get_by_test_id("sought")).not_to_contain_text("click")
         expect(page.get_by_test_id("pose-x")).to_have_count(0)
         page.get_by_test_id("tab-record").click()
-        said = page.get_by_test_id("mapping")
-        expect(said).to_contain_text("Localising in map-20261120-141503, not found in it yet")
+        status = page.get_by_test_id("mapping")
+        expect(status).to_contain_text("Localising in map-20261120-141503, not found in it yet")
         expect(page.get_by_test_id("map-save")).to_be_hidden()
         canvas = page.get_by_test_id("map").locator("canvas")
         for looked in (watcher.page.get_by_test_id("map").locator("canvas"), canvas):
@@ -228,12 +228,12 @@ def test_a_map_is_gone_on_with_and_a_click_tells_where_the_robot_is(browser, rob
         ((x, y),) = robot.state()["hints"]
         assert -2.0 < x < 8.0  # the middle of the map, or near it
         assert -2.0 < y < 6.0
-        expect(said).to_contain_text("Localising in map-20261120-141503 ·")
+        expect(status).to_contain_text("Localising in map-20261120-141503 ·")
         assert not watched.complaints
 
 
 @pytest.mark.browser
-def test_mapping_is_begun_anew_and_saved(browser, robot):
+def test_mapping_is_restarted_and_saved(browser, robot):
     with visit(browser, robot) as watched:
         page = watched.page
         starts = robot.state()["starts"]
@@ -246,7 +246,7 @@ def test_mapping_is_begun_anew_and_saved(browser, robot):
         expect(link).to_have_attribute("href", "/maps/map-20261121-101500.zip")
 
 
-def test_every_fault_on_the_page_is_one_that_a_virtual_robot_knows():
+def test_every_fault_on_the_page_exists_in_a_virtual_robot():
     asked = [parse_fault(f.model_dump()) for faults in FAULTS.values() for f in faults.values()]
     kinds = {"noise", "delay", "unplug", "reboot", "malfunction", "stall"}
     assert {fault.fault for fault in asked} == kinds
@@ -294,7 +294,7 @@ def test_health_alarms_and_events(browser, robot):
 
 
 @pytest.mark.browser
-def test_the_picture_comes_only_while_it_is_in_sight(browser, robot):
+def test_the_picture_is_loaded_only_while_it_is_visible(browser, robot):
     with visit(browser, robot) as watched:
         page = watched.page
 
@@ -315,7 +315,7 @@ def test_the_picture_comes_only_while_it_is_in_sight(browser, robot):
 
 
 @pytest.mark.browser
-def test_a_replay_is_steered_and_shows_no_robot(browser):
+def test_a_replay_is_controlled_and_shows_no_robot(browser):
     with browsing.robot("--replay") as replay, visit(browser, replay) as watched:
         page = watched.page
         expect(page.get_by_test_id("stop")).to_have_count(0)

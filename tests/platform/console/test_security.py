@@ -1,4 +1,4 @@
-"""What an attacker on the network would try, against a real server: refused, and told in the log."""
+"""Attacks over the network on a real server: refused and logged."""
 
 import contextlib
 import gc
@@ -16,8 +16,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from impslam.platform.console import guard, pages, protocol, refusals
-from impslam.platform.console.session import IDLE, LIFE
-from impslam.platform.console.throttle import FORGET, FREE
+from impslam.platform.console.session import IDLE_TIMEOUT, LIFETIME
+from impslam.platform.console.throttle import FREE_TRIES, RESET_TIME
 
 SOCKET = "/_nicegui_ws/socket.io/"
 SECRET = b"not for everyone"
@@ -37,10 +37,10 @@ def served(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def calm(served):
-    """Every test begins with nothing counted, no page open and nobody waiting."""
+    """Begin every test without counts, pages and waits."""
     served.close_pages()
     served.server.authenticator.refusals.flush(everything=True)
-    served.clock.ahead += FORGET
+    served.clock.ahead += RESET_TIME
 
 
 def cookie(client):
@@ -80,14 +80,14 @@ def opened(served, client=None, *, page="", origin=None, host=None, **headers):
 
 
 def status(served, *arguments, **options):
-    """The status that a socket is refused with."""
+    """Return the status with which a socket is refused."""
     with pytest.raises(InvalidStatus) as refused, opened(served, *arguments, **options):
         pass
     return refused.value.response.status_code
 
 
 def closing(line, *messages):
-    """Send messages, and return the code that the server closes the socket with."""
+    """Send messages, and return the code with which the server closes the socket."""
     with contextlib.suppress(ConnectionClosed):
         for message in messages:
             line.send(message)
@@ -98,7 +98,7 @@ def closing(line, *messages):
 
 
 def page_of(client):
-    """Open the page; return its id and what to send to press its button."""
+    """Open the page; return its id and the message that presses its button."""
     found = re.search(r"'client_id': '([0-9a-f-]+)'", client.get("/").text)
     assert found is not None
     page = found[1]
@@ -205,7 +205,7 @@ class TestSessions:
         assert "127.0.0.1 logs in as driver" in caplog.text
         assert DRIVE not in caplog.text
 
-    def test_the_cookie_is_out_of_reach(self, served):
+    def test_the_cookie_is_inaccessible_to_scripts(self, served):
         with served.client() as client:
             answer = client.post(
                 "/login", data={"password": DRIVE}, headers={"origin": served.origin}
@@ -217,8 +217,8 @@ class TestSessions:
         assert "expires" not in flags
         assert "max-age" not in flags
 
-    @pytest.mark.parametrize("age", [IDLE, LIFE])
-    def test_a_stolen_session_that_has_expired_opens_nothing(self, served, age, caplog):
+    @pytest.mark.parametrize("age", [IDLE_TIMEOUT, LIFETIME])
+    def test_a_stolen_expired_session_is_useless(self, served, age, caplog):
         with served.logged_in() as thief:
             assert thief.get("/camera.jpg").status_code == 200
             served.clock.ahead += age
@@ -227,7 +227,7 @@ class TestSessions:
         assert "a session that has ended (GET /camera.jpg)" in caplog.text
         assert "a session that has ended (GET /_nicegui_ws/socket.io/)" in caplog.text
 
-    def test_a_session_stolen_before_the_logout_opens_nothing_after(self, served, caplog):
+    def test_a_session_stolen_before_the_logout_is_useless_after(self, served, caplog):
         with served.logged_in() as owner, served.client() as thief:
             thief.cookies.update(owner.cookies)
             assert thief.get("/camera.jpg").status_code == 200
@@ -252,7 +252,7 @@ class TestSessions:
 
     def test_an_open_socket_is_cut_when_the_session_is_too_old(self, served):
         with served.logged_in() as client, opened(served, client) as line:
-            served.clock.ahead += LIFE
+            served.clock.ahead += LIFETIME
             assert closing(line) == 1008
 
     def test_a_socket_that_says_nothing_is_cut_as_well(self, served, caplog):
@@ -274,7 +274,7 @@ class TestSessions:
             )
             for _ in range(3):
                 used = session.used
-                served.clock.ahead += IDLE * 0.6
+                served.clock.ahead += IDLE_TIMEOUT * 0.6
                 line.send("3")  # what answers the server's ping
                 soon(lambda used=used: session.used > used)
             assert client.get("/camera.jpg").status_code == 200
@@ -373,7 +373,7 @@ class TestForeignPages:
             )
 
     @pytest.mark.parametrize("host", ["", "a b", "a/b", "a@b", "[", "127.0.0.1:x", "é"])
-    def test_a_host_that_is_none_is_refused(self, served, host):
+    def test_an_invalid_host_is_refused(self, served, host):
         request = b"GET /login HTTP/1.1\r\nHost: " + host.encode() + b"\r\n\r\n"
         assert raw(served.port, request).startswith(b"HTTP/1.1 400")
 
@@ -383,7 +383,7 @@ class TestForeignPages:
             headers = {"host": host.format(port=served.port)}
             assert client.get("/login", headers=headers).status_code == 200
 
-    def test_what_a_proxy_is_said_to_have_seen_is_not_believed(self, served, caplog):
+    def test_headers_of_proxies_are_ignored(self, served, caplog):
         headers = {"x-forwarded-for": "10.9.9.9", "x-forwarded-prefix": "//evil.example"}
         headers |= {"x-forwarded-host": "evil.example", "forwarded": "for=10.9.9.9"}
         with served.logged_in() as client:
@@ -394,7 +394,7 @@ class TestForeignPages:
             client.get("/", headers=headers)
         assert "10.9.9.9" not in caplog.text
 
-    def test_every_answer_keeps_the_browser_tight(self, served):
+    def test_every_answer_has_the_security_headers(self, served):
         with served.logged_in() as client:
             answers = [client.get(path) for path in ("/", "/login", "/camera.jpg", "/none")]
         for answer in answers:
@@ -522,7 +522,7 @@ class TestRoutes:
 
     def test_a_path_that_no_route_takes_costs_no_page(self, served, monkeypatch):
         """As /logs in a replay: the guard lets it through, and the app has no such route."""
-        monkeypatch.setattr(guard, "route", lambda asked: None)
+        monkeypatch.setattr(guard, "check_route", lambda request: None)
         with served.logged_in(WATCH) as client:
             before = len(Client.instances)
             assert client.get("/nothing").text == "not found\n"
@@ -559,7 +559,7 @@ class TestSizes:
         assert answer.startswith(b"HTTP/1.1 413")
         assert "a large body" in caplog.text
 
-    def test_who_has_no_session_may_send_less(self, served, caplog):
+    def test_bodies_without_a_session_are_limited_further(self, served, caplog):
         with served.client() as client:
             answer = client.post("/login", content=b"x" * 5000, headers={"origin": served.origin})
         assert answer.status_code == 413
@@ -571,7 +571,7 @@ class TestSizes:
         assert answer.status_code == 400
 
     @pytest.mark.parametrize("length", ["-1", "1e3", "x", "5, 6", ""])
-    def test_a_length_that_is_none_is_refused(self, served, length, caplog):
+    def test_an_invalid_length_is_refused(self, served, length, caplog):
         with served.logged_in() as client:
             answer = self.post(served, client, f"Content-Length: {length}")
         assert answer.startswith(b"HTTP/1.1 400")
@@ -597,7 +597,7 @@ class TestSizes:
     @pytest.mark.parametrize("parts", [1, 50])
     def test_a_large_message_closes_the_socket(self, served, parts, caplog):
         with served.logged_in() as client, opened(served, client) as line:
-            part = "x" * (guard.BODY // parts + 10)
+            part = "x" * (guard.MAX_BODY // parts + 10)
             assert closing(line, [part] * parts if parts > 1 else part) == 1009
             soon(lambda: "a socket message that is odd, or too large" in caplog.text)
 
@@ -607,26 +607,26 @@ class TestSizes:
         assert "too many messages on a socket" in caplog.text
 
     @pytest.mark.parametrize("data", [b"\0" * 100, b"hello\r\n\r\n", b"\x16\x03\x01\x02" * 30])
-    def test_what_is_no_http_is_refused(self, served, data, caplog):
+    def test_other_protocols_than_http_are_refused(self, served, data, caplog):
         assert raw(served.port, data)[:12] in {b"HTTP/1.1 400", b""}
         assert "a request that is none, or too large" in caplog.text
 
 
 class TestMessages:
-    """What a watcher's socket sends reaches neither the toolkit's log nor its tracebacks."""
+    """Messages of a watcher's socket reach neither nicegui's log nor its tracebacks."""
 
     FORGED = "\x1b[31mall is well\nimp: warning: all is well"
 
     @pytest.fixture
     def page(self, served, monkeypatch):
-        monkeypatch.setattr(pages, "WATCHED", 1000)  # a page that was left stays for 3 s
+        monkeypatch.setattr(pages, "MAX_WATCHER_PAGES", 1000)  # a page that was left stays for 3 s
         with served.logged_in(WATCH) as client:
             page, press = page_of(client)
             with opened(served, client, page=page) as line:
                 yield served, line, page, json.loads(press[2:])[1]
 
     def sent(self, page, *messages):
-        """Send messages and press the button: what was sent before has then been looked at."""
+        """Send messages and press the button, so that earlier messages have been processed."""
         served, line, _, press = page
         before = len(served.pressed.by)
         for message in messages:
@@ -637,8 +637,8 @@ class TestMessages:
     @pytest.mark.parametrize("level", ["debug", "info", "warning", "error"])
     def test_nothing_is_written_into_the_log(self, page, level, caplog):
         caplog.set_level("DEBUG", "nicegui")
-        told = {"client_id": page[2], "level": level, "message": self.FORGED}
-        self.sent(page, "42" + json.dumps(["log", told]))
+        logged = {"client_id": page[2], "level": level, "message": self.FORGED}
+        self.sent(page, "42" + json.dumps(["log", logged]))
         assert "all is well" not in caplog.text
         assert "a message of another kind than the page sends" in caplog.text
 
@@ -717,8 +717,8 @@ class TestMessages:
 
 
 class TestSlowness:
-    def test_a_slow_body_is_given_up(self, served, monkeypatch, caplog):
-        monkeypatch.setattr(guard, "BODY_TIME", 0.2)
+    def test_a_slow_body_times_out(self, served, monkeypatch, caplog):
+        monkeypatch.setattr(guard, "BODY_TIMEOUT", 0.2)
         head = (
             f"POST /login HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\nOrigin: {served.origin}\r\n"
         )
@@ -728,13 +728,13 @@ class TestSlowness:
         assert "a slow body" in caplog.text
 
     @pytest.mark.parametrize("data", [b"", b"GET / HTTP/1.1\r\nHost: "])
-    def test_a_slow_head_is_given_up(self, served, data, monkeypatch, caplog):
-        monkeypatch.setattr(protocol, "HEAD_TIME", 0.2)
+    def test_a_slow_head_times_out(self, served, data, monkeypatch, caplog):
+        monkeypatch.setattr(protocol, "HEAD_TIMEOUT", 0.2)
         assert raw(served.port, data) == b""
         assert "a slow request" in caplog.text
 
-    def test_a_slow_second_head_is_given_up(self, served, monkeypatch, caplog):
-        monkeypatch.setattr(protocol, "HEAD_TIME", 0.2)
+    def test_a_slow_second_head_times_out(self, served, monkeypatch, caplog):
+        monkeypatch.setattr(protocol, "HEAD_TIMEOUT", 0.2)
         first = b"GET /login.css HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
         with socket.create_connection(("127.0.0.1", served.port), timeout=5.0) as connection:
             connection.sendall(first)
@@ -742,15 +742,15 @@ class TestSlowness:
             connection.sendall(b"GET /lo")
             soon(lambda: "a slow request" in caplog.text)
 
-    def test_a_connection_that_is_used_is_not_given_up(self, served, monkeypatch):
-        monkeypatch.setattr(protocol, "HEAD_TIME", 0.2)
+    def test_a_used_connection_does_not_time_out(self, served, monkeypatch):
+        monkeypatch.setattr(protocol, "HEAD_TIMEOUT", 0.2)
         with served.client() as client:
             for _ in range(4):
                 assert client.get("/login").status_code == 200
                 time.sleep(0.1)
 
     def test_one_address_cannot_take_every_connection(self, served, monkeypatch, caplog):
-        monkeypatch.setattr(protocol, "PER_ADDRESS", 5)
+        monkeypatch.setattr(protocol, "MAX_PER_ADDRESS", 5)
         held = [socket.create_connection(("127.0.0.1", served.port)) for _ in range(30)]
         try:
             soon(lambda: "too many connections" in caplog.text)
@@ -764,7 +764,7 @@ class TestSlowness:
 
 class TestGuessing:
     def test_a_thousand_logins_in_a_minute(self, served, caplog):
-        """All but a few are refused before a hash, and another address gets in meanwhile."""
+        """All but a few are refused without a hash, and another address can log in meanwhile."""
         counts = {401: 0, 429: 0}
         hashes = []
         accounts = served.server.authenticator.accounts
@@ -791,17 +791,17 @@ class TestGuessing:
         finally:
             del accounts.right
         assert counts[401] == len(hashes) - 1
-        assert FREE <= counts[401] <= 8
+        assert FREE_TRIES <= counts[401] <= 8
         assert counts[401] + counts[429] == 1000
         assert spent < 60.0
         served.server.authenticator.refusals.flush(everything=True)
         assert "refused 127.0.0.1: login (a wrong password)" in caplog.text
-        [told] = re.findall(r"refused 127\.0\.0\.1: login: (\d+) more in", caplog.text)
-        assert int(told) + 5 == 1001
+        [logged] = re.findall(r"refused 127\.0\.0\.1: login: (\d+) more in", caplog.text)
+        assert int(logged) + 5 == 1001
         assert len(caplog.records) < 20
         assert "guess-" not in caplog.text
 
-    def test_the_answer_does_not_tell_what_was_wrong(self, served):
+    def test_the_answer_does_not_reveal_what_was_wrong(self, served):
         with served.client(headers={"origin": served.origin}) as client:
             texts = {
                 client.post("/login", data=form).text
@@ -817,7 +817,7 @@ class TestGuessing:
 
 
 class TestRights:
-    def test_a_watcher_is_told_as_one(self, served):
+    def test_a_watcher_is_shown_as_one(self, served):
         with served.logged_in(WATCH) as client:
             page, press = page_of(client)
             before = len(served.pressed.by)
@@ -838,7 +838,7 @@ class TestRights:
                 foe.send(press)
                 foe.send(press.replace('"event"', '"javascript_response"'))
                 foe.send("42" + json.dumps(["ack", {"client_id": drivers, "next_message_id": 9}]))
-                foe.send(press_own)  # in order: what was sent before has been looked at
+                foe.send(press_own)  # in order: earlier messages have been processed
                 soon(lambda: len(served.pressed.by) == before + 1)
                 assert not served.pressed.by[-1].may_drive
                 line.send(press)

@@ -31,51 +31,51 @@ print("put away", flush=True)
 
 
 def refused(tmp_path, **settings):
-    """The one line that the server refuses to serve with."""
+    """Return the line with which the server refuses to serve."""
     wanted = ServerSettings(port=0, accounts=tmp_path / "accounts.json", **settings)
-    with listening(wanted) as listener, pytest.raises(ImpError) as told:
+    with listening(wanted) as listener, pytest.raises(ImpError) as notices:
         prepared(stand_in(tmp_path), wanted, listener, print, lambda model: None, Clock())
-    assert "\n" not in str(told.value)
-    return str(told.value)
+    assert "\n" not in str(notices.value)
+    return str(notices.value)
 
 
 class TestWhereItListens:
     @pytest.mark.parametrize("host", ["0.0.0.0", "::"])
-    def test_nobody_beyond_is_served_without_a_password(self, tmp_path, host):
+    def test_other_computers_are_not_served_without_a_password(self, tmp_path, host):
         assert "until a password to drive is set" in refused(tmp_path, host=host)
 
     def test_a_password_to_watch_is_not_enough(self, tmp_path):
         Accounts(tmp_path / "accounts.json").set("watch", "watch-password")
         assert "until a password to drive is set" in refused(tmp_path, host="0.0.0.0")
 
-    def test_passwords_that_others_can_read_are_none(self, tmp_path):
+    def test_passwords_that_others_can_read_are_refused(self, tmp_path):
         Accounts(tmp_path / "accounts.json").set("drive", DRIVE)
         (tmp_path / "accounts.json").chmod(0o644)
         assert "chmod 600" in refused(tmp_path, host="0.0.0.0")
 
-    def test_a_certificate_comes_with_its_key(self, tmp_path):
+    def test_a_certificate_needs_its_key(self, tmp_path):
         assert "give both" in refused(tmp_path, certificate=tmp_path / "certificate.pem")
 
     @pytest.mark.parametrize("host", ["192.0.2.1", "no such host", "a" * 300])
-    def test_an_address_that_is_not_there_is_told(self, host):
+    def test_an_unknown_address_is_an_error(self, host):
         with pytest.raises(ImpError, match="choose another"):
             listening(ServerSettings(host=host, port=0))
 
     @pytest.mark.parametrize("port", [-1, 65536])
-    def test_a_port_that_is_none_is_told(self, port):
+    def test_an_invalid_port_is_an_error(self, port):
         with pytest.raises(ImpError, match="choose another"):
             listening(ServerSettings(port=port))
 
-    def test_a_port_that_is_taken_is_told(self):
+    def test_a_used_port_is_an_error(self):
         with listening(ServerSettings(port=0)) as taken, pytest.raises(ImpError, match="in use"):
             listening(ServerSettings(port=taken.getsockname()[1]))
 
 
 class TestLink:
-    def test_without_a_password_the_link_of_the_terminal_opens_the_page_once(self, tmp_path):
+    def test_without_a_password_the_one_time_link_opens_the_page(self, tmp_path):
         with serving(tmp_path, passwords=False) as served:
-            assert served.told[0] == f"the page is at {served.origin}"
-            link = served.told[1].removeprefix("open ")
+            assert served.notices[0] == f"the page is at {served.origin}"
+            link = served.notices[1].removeprefix("open ")
             with served.client() as client:
                 assert client.get("/camera.jpg").status_code == 401
                 assert client.get("/login?token=wrong").status_code == 401
@@ -92,17 +92,17 @@ class TestLink:
                     form = {"password": guess}
                     assert thief.post("/login", data=form, headers=headers).status_code == 401
 
-    def test_another_link_is_shown_where_somebody_asks_for_the_page(self, tmp_path):
+    def test_another_link_is_shown_when_the_page_is_requested(self, tmp_path):
         with serving(tmp_path, passwords=False) as served, served.client() as client:
-            client.get(served.told[1].removeprefix("open "))
+            client.get(served.notices[1].removeprefix("open "))
             assert "again in 60 s" in client.get("/login?token=used").text  # one a minute
-            assert len(served.told) == 2
+            assert len(served.notices) == 2
             served.clock.ahead += 3600.0
             assert client.get("/camera.jpg").status_code == 401
             assert "newest one is printed" in client.get("/login").text
             client.get("/login")
-            assert len(served.told) == 3
-            assert client.get(served.told[2].removeprefix("open ")).status_code == 200
+            assert len(served.notices) == 3
+            assert client.get(served.notices[2].removeprefix("open ")).status_code == 200
             assert client.get("/camera.jpg").status_code == 200
 
 
@@ -118,9 +118,9 @@ def secured(tmp_path_factory):
 
 
 class TestTls:
-    def test_the_fingerprint_is_told(self, secured):
-        assert secured.told[0].startswith("the page is at https://127.0.0.1:")
-        assert secured.told[1].startswith("SHA-256 of its certificate: ")
+    def test_the_fingerprint_is_reported(self, secured):
+        assert secured.notices[0].startswith("the page is at https://127.0.0.1:")
+        assert secured.notices[1].startswith("SHA-256 of its certificate: ")
 
     def test_the_cookie_is_bound_to_host_and_tls(self, secured):
         with secured.client() as client:
@@ -133,12 +133,12 @@ class TestTls:
         assert "path=/;" in given.lower() + ";"
         assert "domain" not in given.lower()
 
-    def test_a_page_that_is_not_on_tls_is_foreign(self, secured):
+    def test_a_page_without_tls_is_foreign(self, secured):
         with secured.logged_in() as client:
             headers = {"origin": secured.origin.replace("https", "http")}
             assert client.post("/logout", headers=headers).status_code == 403
 
-    def test_sockets_are_on_tls_too(self, secured):
+    def test_sockets_use_tls_too(self, secured):
         with secured.logged_in() as client:
             cookie = "; ".join(f"{name}={value}" for name, value in client.cookies.items())
             address = f"wss://127.0.0.1:{secured.port}/_nicegui_ws/socket.io/?EIO=4"
@@ -158,7 +158,7 @@ class TestTls:
 
     @pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1, ssl.TLSVersion.TLSv1_1])
     @pytest.mark.filterwarnings("ignore:ssl.TLSVersion.TLSv1:DeprecationWarning")
-    def test_old_versions_are_not_spoken(self, secured, version):
+    def test_old_tls_versions_are_refused(self, secured, version):
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
         context.set_ciphers("ALL:@SECLEVEL=0")
@@ -173,7 +173,7 @@ class TestTls:
 class TestBeyondLoopback:
     def test_it_is_on_tls_with_a_certificate_of_its_own(self, tmp_path):
         with serving(tmp_path, host="0.0.0.0", names=("robot.example",), verify=False) as served:
-            assert served.told[0] == f"the page is at https://robot.example:{served.port}"
+            assert served.notices[0] == f"the page is at https://robot.example:{served.port}"
             assert served.server.authenticator.secure
             assert (tmp_path / "accounts" / "certificate.pem").exists()
             with served.client() as client:
@@ -231,7 +231,7 @@ class TestEnd:
             assert child.wait(10.0) == 0
         assert spent < 2.0
 
-    def test_who_presses_ctrl_c_twice_sees_no_traceback(self, tmp_path):
+    def test_pressing_ctrl_c_twice_shows_no_traceback(self, tmp_path):
         child = subprocess.Popen(
             [sys.executable, "-c", CHILD, tmp_path],
             stdout=subprocess.PIPE,

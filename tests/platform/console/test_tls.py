@@ -12,7 +12,12 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from impslam.errors import ImpError
 from impslam.platform.console import hosts, tls
-from impslam.platform.console.tls import LIFE, CertificateError, CertificateFiles, own_certificate
+from impslam.platform.console.tls import (
+    LIFETIME,
+    CertificateError,
+    CertificateFiles,
+    own_certificate,
+)
 
 NAMES, ADDRESSES = ("robot", "robot.local"), ("10.0.0.5", "fd00::5")
 
@@ -32,15 +37,15 @@ def names(pem):
     return {*found.get_values_for_type(x509.DNSName), *addresses}
 
 
-class TestOwnPapers:
+class TestOwnCertificate:
     def test_it_is_for_the_names_and_addresses_and_nothing_else(self, pem):
         found = read(pem)
         assert names(pem) == {*NAMES, *ADDRESSES}
         key = found.public_key()
         assert isinstance(key, ec.EllipticCurvePublicKey)
         assert key.curve.name == "secp256r1"
-        assert found.not_valid_after_utc - found.not_valid_before_utc == LIFE
-        assert datetime.timedelta(days=825) >= LIFE
+        assert found.not_valid_after_utc - found.not_valid_before_utc == LIFETIME
+        assert datetime.timedelta(days=825) >= LIFETIME
         basic = found.extensions.get_extension_for_class(x509.BasicConstraints)
         assert not basic.value.ca
 
@@ -60,10 +65,10 @@ class TestOwnPapers:
         assert pem.fingerprint() == before
 
     def test_it_does_not_grow_for_ever(self, pem):
-        for k in range(tls.MOST_NAMES + 3):
+        for k in range(tls.MAX_NAMES + 3):
             own_certificate(pem.key.parent, NAMES, (f"10.0.1.{k}",))
-        assert len(names(pem)) <= tls.MOST_NAMES
-        assert {*NAMES, f"10.0.1.{tls.MOST_NAMES + 2}"} <= names(pem)
+        assert len(names(pem)) <= tls.MAX_NAMES
+        assert {*NAMES, f"10.0.1.{tls.MAX_NAMES + 2}"} <= names(pem)
 
     @pytest.mark.parametrize("days", [800, 10_000, -5])
     def test_it_is_renewed_before_its_end_and_where_the_clock_was_wrong(
@@ -78,7 +83,7 @@ class TestOwnPapers:
 
     @pytest.mark.parametrize("broken", ["certificate", "key"])
     @pytest.mark.parametrize("content", [None, b"", b"nonsense"])
-    def test_what_is_broken_is_made_anew(self, pem, broken, content):
+    def test_a_broken_certificate_is_replaced(self, pem, broken, content):
         before = pem.fingerprint()
         path = getattr(pem, broken)
         path.unlink()
@@ -88,7 +93,7 @@ class TestOwnPapers:
         pem.context()
         assert pem.fingerprint() != before
 
-    def test_a_folder_that_cannot_be_written_is_told(self, tmp_path):
+    def test_a_folder_that_cannot_be_written_is_an_error(self, tmp_path):
         (tmp_path / "file").write_text("")
         with pytest.raises(CertificateError, match="make it yours"):
             own_certificate(tmp_path / "file", NAMES, ADDRESSES)
@@ -105,7 +110,7 @@ class TestOwnPapers:
 
 class TestGivenPapers:
     @pytest.mark.parametrize("swap", ["certificate", "key", "both", "missing", "encrypted"])
-    def test_what_does_not_serve_is_told_in_one_line(self, pem, tmp_path, swap):
+    def test_an_unusable_certificate_is_a_one_line_error(self, pem, tmp_path, swap):
         other = own_certificate(tmp_path / "other", NAMES, ADDRESSES)
         nonsense = tmp_path / "nonsense.pem"
         nonsense.write_text("nonsense")
@@ -127,9 +132,9 @@ class TestGivenPapers:
             "missing": CertificateFiles(tmp_path / "none", pem.key),
             "encrypted": CertificateFiles(pem.certificate, encrypted),
         }[swap]
-        with pytest.raises(CertificateError, match="give a PEM certificate") as told:
+        with pytest.raises(CertificateError, match="give a PEM certificate") as raised:
             given.context()
-        assert "\n" not in str(told.value)
+        assert "\n" not in str(raised.value)
 
     @pytest.mark.parametrize(
         ("version", "fits"),
@@ -141,7 +146,7 @@ class TestGivenPapers:
         ],
     )
     @pytest.mark.filterwarnings("ignore:ssl.TLSVersion.TLSv1:DeprecationWarning")
-    def test_old_versions_are_not_spoken(self, pem, version, fits):
+    def test_old_tls_versions_are_refused(self, pem, version, fits):
         client = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         client.load_verify_locations(pem.certificate)
         client.set_ciphers("ALL:@SECLEVEL=0")  # else it is the client that refuses
@@ -169,19 +174,19 @@ def _serve(context, line):
 
 class TestHosts:
     @pytest.mark.parametrize("host", ["127.0.0.1", "127.8.9.1", "localhost", "::1"])
-    def test_loopback_is_near(self, host):
+    def test_loopback_addresses(self, host):
         assert hosts.loopback(host)
 
     @pytest.mark.parametrize("host", ["0.0.0.0", "::", "10.0.0.1", "192.0.2.1", "fd00::1", ""])
-    def test_everything_else_is_not(self, host):
+    def test_other_addresses(self, host):
         assert not hosts.loopback(host or "0.0.0.0")
 
     @pytest.mark.parametrize("host", ["no such host", "-", "a" * 300, "."])
-    def test_a_name_without_address_is_told(self, host):
+    def test_a_name_without_address_is_an_error(self, host):
         with pytest.raises(ImpError, match="no such name"):
             hosts.loopback(host)
 
-    def test_this_computer_knows_its_own(self):
+    def test_names_and_addresses_of_this_computer(self):
         assert "localhost" in hosts.names()
         assert "127.0.0.1" in hosts.addresses()
         for address in hosts.addresses():

@@ -1,4 +1,4 @@
-"""A driver and an emulated autopilot on one bench, in a time that runs as fast as they compute."""
+"""A driver and an emulated autopilot on one bench, in simulated time."""
 
 import threading
 from contextlib import closing
@@ -12,16 +12,16 @@ from impslam.platform.virtual.autopilot import AutopilotEmulator
 from impslam.types import Event
 
 HOST = 1.7e9  # s, host time when the virtual robot began
-TICK = 1e-3  # s between two looks at the line
+TICK = 1e-3  # s between reads of the line
 RADIUS = 0.0635  # m
 
 
 class Vehicle:
-    """Two wheels that turn as told at once; remembers what it was told and when."""
+    """Two wheels that follow commands at once; records commands and times."""
 
     def __init__(self):
         self.time, self.angles, self.speeds = 0.0, np.zeros(2), np.zeros(2)
-        self.stalled, self.told = (False, False), []
+        self.stalled, self.commands = (False, False), []
 
     def advance(self, time):
         self.angles += self.speeds / RADIUS * (time - self.time)
@@ -29,7 +29,7 @@ class Vehicle:
 
     def drive(self, left, right):
         self.speeds = np.array([left, right])
-        self.told.append((self.time, left, right))
+        self.commands.append((self.time, left, right))
 
     def wheel_angles(self):
         return tuple(self.angles.tolist())
@@ -42,7 +42,7 @@ class Vehicle:
 
 
 class Bench:
-    """The port between them, with a USB's delays, and the clock of both."""
+    """The port between driver and emulator, with delays of USB, and their clock."""
 
     port = "bench"
 
@@ -51,8 +51,8 @@ class Bench:
         self.vehicle = Vehicle()
         self.emulator = AutopilotEmulator(self.vehicle, drift=drift, seed=seed)
         self.rng = np.random.default_rng(seed)
-        self.at = []  # what happens: (time, action), in order
-        self.spoil = lambda data: data  # what the line does to the autopilot's bytes
+        self.at = []  # events: (time, action), in order
+        self.spoil = lambda data: data  # corrupts the autopilot's bytes
         self.spoil_commands = lambda data: data
         self.plugged, self.blocked, self.closed = True, False, 0
         self.readings, self._under_way = [], []
@@ -68,7 +68,7 @@ class Bench:
     # what tests do
 
     def run(self, seconds):
-        """Let the driver's thread do its work for so long."""
+        """Run the driver's thread for some time."""
         self.end = self.time + seconds
         self.driver._keep_serving()
 
@@ -122,7 +122,7 @@ class Bench:
         self.emulator.receive(self.spoil_commands(data), self.time)
 
     def _let_pass(self, seconds):
-        """Move the world on, in ticks."""
+        """Advance the world in ticks."""
         end = self.time + seconds
         while self.time < end - 1e-9:
             self.time = round(self.time + TICK, 6)
@@ -140,7 +140,7 @@ class Bench:
 
 
 class BenchEvent(threading.Event):
-    """Says that it is set when the bench's time is over; waiting lets that time pass."""
+    """An event that is set at the end of the bench's time; waiting advances the time."""
 
     def __init__(self, bench):
         super().__init__()

@@ -1,4 +1,4 @@
-"""What receives a device's readings in tests that run in real time."""
+"""A receiver of readings for tests in real time."""
 
 import threading
 
@@ -6,22 +6,22 @@ PATIENCE = 20.0  # s, for a loaded machine
 
 
 class Inbox:
-    """What a device delivered."""
+    """Records the readings of a device."""
 
     def __init__(self):
-        self.readings, self.news = [], threading.Condition()
+        self.readings, self.changed = [], threading.Condition()
 
     def __call__(self, reading):
-        with self.news:
+        with self.changed:
             self.readings.append(reading)
-            self.news.notify_all()
+            self.changed.notify_all()
 
     def of(self, kind):
         return [r for r in self.readings if isinstance(r.message, kind)]
 
     def wait(self, kind, number):
-        """Return the readings of a kind when there are `number` of them."""
-        with self.news:
-            there = self.news.wait_for(lambda: len(self.of(kind)) >= number, PATIENCE)
-            assert there, [r.message for r in self.readings]
+        """Wait for `number` readings of a kind, and return them."""
+        with self.changed:
+            arrived = self.changed.wait_for(lambda: len(self.of(kind)) >= number, PATIENCE)
+            assert arrived, [r.message for r in self.readings]
             return self.of(kind)

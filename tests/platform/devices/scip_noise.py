@@ -1,16 +1,16 @@
-"""How much damage gets past the checks: `python -m tests.platform.devices.scip_noise` prints the table."""
+"""Undetected damage: `python -m tests.platform.devices.scip_noise` prints the table."""
 
 import numpy as np
 
 from impslam.platform.devices import scip
 from impslam.platform.devices.scip import Splitter
-from impslam.platform.devices.scip_encoding import DamagedError, encode, sealed
+from impslam.platform.devices.scip_encoding import DamagedError, encode, with_checksum
 
 ECHO = "MD0044072501000"
 VALUES = np.random.default_rng(1).integers(20, 5600, 682)
 CLEAN = (
     f"{ECHO}\n99b\n".encode("ascii")
-    + sealed(encode(np.array([123456]), 4))
+    + with_checksum(encode(np.array([123456]), 4))
     + scip.in_lines(encode(VALUES, 3))
     + b"\n"
 )
@@ -45,14 +45,14 @@ def lost(data, errors, rng):
 
 
 def swapped(data, _, rng):
-    """Two neighbours change places, which a sum cannot see."""
+    """Swap two neighbours, which a sum cannot detect."""
     start = rng.integers(0, len(data) - 1)
     data[[start, start + 1]] = data[[start + 1, start]]
     return data
 
 
 def accepted(raw):
-    """Return the scan that the driver would take from these bytes, or None."""
+    """Return the scan that the driver would read from these bytes, or None."""
     for piece in Splitter().feed(raw + b"\n\n"):
         try:
             response = scip.parse(piece)
@@ -64,7 +64,7 @@ def accepted(raw):
 
 
 def share(damage, errors, trials, rng):
-    """Return the share of damaged scans that are taken although they are wrong."""
+    """Return the share of damaged scans that are accepted although they are wrong."""
     wrong = 0
     for _ in range(trials):
         data = damage(np.frombuffer(CLEAN, np.uint8).copy(), errors, rng)

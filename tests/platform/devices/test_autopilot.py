@@ -1,4 +1,4 @@
-"""The driver against the emulated firmware: what it delivers, what it insists on, what it survives."""
+"""The driver with the emulated firmware: readings, commands, and faults."""
 
 import contextlib
 import math
@@ -69,7 +69,7 @@ def test_no_frame_is_lost_on_a_clean_line(bench):
     assert not {"lost", "corrupt", "late", "repeated", "refused", "reboots"} & set(counts)
 
 
-def test_wheel_angles_are_those_of_the_wheels_and_voltages_their_place_in_the_turn(bench):
+def test_wheel_angles_and_voltages_match_the_wheels(bench):
     bench.drive_on(0.4, 0.3, 6.0)
     bench.run(6.0)
     left, right = bench.messages(WheelAngles)[-1].left, bench.messages(WheelAngles)[-1].right
@@ -82,14 +82,14 @@ def test_wheel_angles_are_those_of_the_wheels_and_voltages_their_place_in_the_tu
     assert voltages.right == pytest.approx(right * turn % 5.0, abs=0.004)
 
 
-def test_stamps_increase_and_tell_when_it_was_sampled(bench):
+def test_stamps_increase_and_match_the_sampling_times(bench):
     bench.run(12.0)
     stamps = np.array([m.stamp for m in bench.messages(DeviceTime)])
     clocks = np.array([m.device_stamp for m in bench.messages(DeviceTime)])
     assert np.all(np.diff(stamps) > 0.0)
     truth = 1.7e9 + clocks / (1 + 50e-6)  # the clock runs since 0
     late = stamps - truth
-    assert np.all(np.abs(late[1000:] - TICK) < 2e-4)  # the least delay that the bench knows
+    assert np.all(np.abs(late[1000:] - TICK) < 2e-4)  # the minimum delay of the bench
     arrived = np.array([r.arrived for r in bench.readings if isinstance(r.message, DeviceTime)])
     assert np.all(arrived - stamps > -1e-4)
     assert all(
@@ -99,7 +99,7 @@ def test_stamps_increase_and_tell_when_it_was_sampled(bench):
     )
 
 
-def test_the_least_delay_is_taken_off_the_stamps(monkeypatch):
+def test_the_least_delay_is_subtracted_from_stamps(monkeypatch):
     stamps = []
     for least_delay in (0.0, 0.25):
         bench = Bench(monkeypatch)
@@ -128,15 +128,15 @@ def test_wheel_speeds_keep_to_the_curve_and_below_the_top_speed(speed, turn_rate
 
 
 @pytest.mark.parametrize("command", [(math.nan, 0.0), (0.0, math.inf)])
-def test_what_is_no_motion_is_refused(command):
-    with pytest.raises(ValueError, match="no motion"):
+def test_commands_that_are_not_finite_are_refused(command):
+    with pytest.raises(ValueError, match="not finite"):
         Autopilot().drive(*command)
 
 
-def test_a_drive_reaches_the_motors_at_once_and_the_dead_man_ends_it(bench):
+def test_a_drive_reaches_the_motors_at_once_and_times_out(bench):
     bench.later(1.0, lambda: bench.driver.drive(0.3, 0.0))
     bench.run(3.0)
-    (begin, *speeds), (end, *stand) = bench.vehicle.told[-2:]
+    (begin, *speeds), (end, *stand) = bench.vehicle.commands[-2:]
     assert begin == pytest.approx(1.0, abs=0.002)
     assert speeds == [0.3, 0.3]
     assert stand == [0.0, 0.0]
@@ -154,15 +154,15 @@ def test_round_trips_are_measured(bench):
     assert bench.health.counts["commands"] == 80  # 79 drives after the port is open, one time
 
 
-def test_a_stop_holds_against_drives_until_the_release(bench):
+def test_drives_are_ignored_from_a_stop_until_the_release(bench):
     bench.drive_on(0.3, 0.0, 4.0)
     bench.later(1.01, bench.driver.emergency_stop)
     bench.later(3.01, bench.driver.release)
     bench.run(4.0)
-    moving = [t for t, left, _ in bench.vehicle.told if left > 0]
+    moving = [t for t, left, _ in bench.vehicle.commands if left > 0]
     assert not [t for t in moving if 1.011 < t < 3.01]
     assert [t for t in moving if t > 3.01]
-    stopped = [t for t, left, _ in bench.vehicle.told if left == 0.0]
+    stopped = [t for t, left, _ in bench.vehicle.commands if left == 0.0]
     assert any(abs(t - 1.01) < 0.003 for t in stopped)
     counts = bench.health.counts
     assert counts["drive held back"] == 40
@@ -176,9 +176,9 @@ def test_a_stop_is_repeated_until_it_is_answered(bench):
     bench.later(1.0, bench.driver.emergency_stop)
     bench.later(1.24, lambda: setattr(bench, "spoil_commands", lambda data: data))
     bench.run(3.6)
-    assert bench.vehicle.told[-1][1:] == (0.0, 0.0)
-    assert bench.vehicle.told[-1][0] == pytest.approx(1.27, abs=0.03)
-    assert bench.health.counts["commands"] == pytest.approx(26, abs=2)  # it has not gone on
+    assert bench.vehicle.commands[-1][1:] == (0.0, 0.0)
+    assert bench.vehicle.commands[-1][0] == pytest.approx(1.27, abs=0.03)
+    assert bench.health.counts["commands"] == pytest.approx(26, abs=2)  # it does not continue
     assert bench.health.counts["commands unanswered"] in {6, 7}  # 5 stops, and drives before
 
 
@@ -205,7 +205,7 @@ def test_an_old_answer_does_not_confirm_a_new_stop(bench):
     assert bench.events[-1] == "emergency stop holds"
 
 
-def test_after_a_reboot_the_stop_is_demanded_again(bench):
+def test_after_a_reboot_the_stop_is_sent_again(bench):
     bench.later(1.0, bench.driver.emergency_stop)
     bench.later(2.0, lambda: bench.emulator.reboot(bench.time))
     bench.run(3.0)
@@ -224,7 +224,7 @@ def test_commands_to_a_lost_autopilot_are_counted_and_do_not_wait(monkeypatch):
     assert driver.health().counts["commands not sent"] == 2
 
 
-def test_a_port_that_takes_nothing_is_opened_anew(bench):
+def test_a_port_that_takes_nothing_is_reopened(bench):
     bench.drive_on(0.1, 0.0, 3.0)
     bench.later(1.0, lambda: setattr(bench, "blocked", True))
     bench.later(1.6, lambda: setattr(bench, "blocked", False))
@@ -232,7 +232,7 @@ def test_a_port_that_takes_nothing_is_opened_anew(bench):
     assert bench.closed >= 2
     assert bench.health.state == "ok"
     assert bench.health.counts["commands not sent"] > 3
-    assert bench.vehicle.told[-1][1] == 0.1
+    assert bench.vehicle.commands[-1][1] == 0.1
 
 
 # ------------------------------------------------------------------------ what it survives
@@ -257,7 +257,7 @@ def test_an_unplug_loses_only_what_was_sent_meanwhile_and_counts_it(bench):
     assert "reboots" not in counts
 
 
-def test_silence_is_counted_told_and_ended_by_opening_anew(bench):
+def test_silence_is_counted_and_notified_and_reopens_the_port(bench):
     healths = []
     bench.later(2.0, lambda: setattr(bench, "spoil", lambda data: b""))
     bench.later(3.5, lambda: healths.append(bench.health))
@@ -273,7 +273,7 @@ def test_silence_is_counted_told_and_ended_by_opening_anew(bench):
     assert bench.closed == 3
 
 
-def test_a_wrong_baud_rate_or_another_device_is_told(bench):
+def test_a_wrong_baud_rate_or_another_device_is_reported(bench):
     rng = np.random.default_rng(1)
     bench.spoil = lambda data: rng.integers(0, 256, len(data), np.uint8).tobytes()
     bench.run(3.0)
@@ -284,7 +284,7 @@ def test_a_wrong_baud_rate_or_another_device_is_told(bench):
     assert bench.health.counts["corrupt"] > 10
 
 
-def test_an_autopilot_that_never_says_hello_is_told(bench):
+def test_an_autopilot_without_hello_is_reported(bench):
     def without_hello(data):
         return b"".join(piece + b"\0" for piece in data.split(b"\0")[:-1] if len(piece) in {68, 20})
 
@@ -296,14 +296,14 @@ def test_an_autopilot_that_never_says_hello_is_told(bench):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_wheels_angles_go_on_across_reboots_to_the_step(monkeypatch, seed):
+def test_wheel_angles_continue_across_reboots_to_the_step(monkeypatch, seed):
     bench = Bench(monkeypatch, seed=seed)
     rng = np.random.default_rng(seed)
     bench.drive_on(rng.uniform(-0.4, 0.4), rng.uniform(-1.0, 1.0), 9.0)
     for at in np.sort(rng.uniform(1.0, 8.5, 5)):
         bench.later(at, lambda: bench.emulator.reboot(bench.time))
     bench.run(10.0)
-    angles = bench.messages(WheelAngles)[-1]  # it stands by now
+    angles = bench.messages(WheelAngles)[-1]  # it is stationary by now
     assert bench.health.counts["reboots"] == 5
     assert angles.left == pytest.approx(bench.vehicle.angles[0], abs=2 * STEP)
     assert angles.right == pytest.approx(bench.vehicle.angles[1], abs=2 * STEP)
@@ -315,14 +315,14 @@ def test_the_wheels_angles_go_on_across_reboots_to_the_step(monkeypatch, seed):
     assert np.max(np.abs(np.diff(lefts))) < 0.15 * 1.0 / RADIUS
 
 
-def test_a_reboot_under_the_same_boot_number_is_seen_by_the_clock(bench):
+def test_a_reboot_under_the_same_boot_number_is_detected_by_the_clock(bench):
     bench.drive_on(0.3, 0.0, 3.0)
 
-    def forget():
+    def reset_link():
         bench.emulator._boots -= 1
         bench.emulator.reboot(bench.time)
 
-    bench.later(2.0, forget)
+    bench.later(2.0, reset_link)
     bench.run(4.0)
     assert bench.health.counts["reboots"] == 1
     assert bench.messages(WheelAngles)[-1].left == pytest.approx(
@@ -346,11 +346,11 @@ def test_its_time_is_set_at_the_start_and_every_ten_seconds_and_after_a_reboot(b
     bench.later(14.0, lambda: bench.emulator.reboot(bench.time))
     bench.run(18.0)
     assert bench.health.counts["commands"] == 3
-    hello = bench.driver._known.hello
+    hello = bench.driver._state.hello
     assert hello.host_offset * 1e-6 == pytest.approx(1.7e9 + 14.0, abs=0.01)
 
 
-def test_flags_that_change_are_told(bench):
+def test_changed_flags_are_notified(bench):
     bench.later(1.0, lambda: setattr(bench.vehicle, "stalled", (True, False)))
     bench.later(1.5, lambda: setattr(bench.vehicle, "stalled", (False, False)))
     bench.later(2.0, lambda: setattr(bench.emulator, "low_supply", True))
@@ -362,7 +362,7 @@ def test_flags_that_change_are_told(bench):
     ]
 
 
-def test_a_clock_that_jumps_is_told_and_followed(bench):
+def test_a_clock_jump_is_notified_and_tracked(bench):
     def jump():
         bench.emulator._ready_at -= 3.0  # its clock is 3 s further
 
@@ -376,7 +376,7 @@ def test_a_clock_that_jumps_is_told_and_followed(bench):
     assert np.all(np.abs(arrived - stamps)[-300:] < 0.02)
 
 
-def test_a_frame_that_fits_but_cannot_be_true_is_counted_and_told_once(bench):
+def test_an_impossible_frame_is_counted_and_notified_once(bench):
     encoder = Encoder(77)
     bad = b"".join(
         encoder.encode(kind, struct.pack("<B", 9))[1] for kind in sorted(FROM_AUTOPILOT) * 2
@@ -404,7 +404,7 @@ def test_on_a_noisy_line_every_frame_is_accounted_for_and_no_value_is_wrong(monk
     bench.run(1.0)
     counts = bench.health.counts
     sent = bench.emulator._encoder._next
-    # A spoilt frame is told as lost by the gap that it leaves.
+    # A corrupt frame is counted as lost by the gap that it leaves.
     assert counts["frames"] + counts.get("lost", 0) == sent
     assert counts.get("lost", 0) == pytest.approx(sent * (1 - (1 - rate) ** 69), rel=0.25, abs=4)
     lefts = np.array([m.left for m in bench.messages(WheelAngles)])
@@ -451,7 +451,7 @@ def test_driver_and_emulator_talk_through_a_pseudo_terminal():
         os.close(master)
         os.close(slave)
     assert [r for r in readings if isinstance(r.message, WheelAngles)]
-    assert any(left == 0.2 for _, left, _ in vehicle.told)
+    assert any(left == 0.2 for _, left, _ in vehicle.commands)
     assert driver.health().state == "stopped"
     assert not math.isnan(driver.latency()[0])
 
@@ -470,12 +470,12 @@ def test_it_is_registered():
     assert components("device")["autopilot"] is Autopilot
 
 
-def test_a_stop_from_before_this_program_is_known_until_it_is_released(bench):
+def test_an_earlier_stop_is_reported_until_it_is_released(bench):
     bench.driver.emergency_stop()
     bench.run(1.0)
     driver = Autopilot(port="bench", label="imp", least_delay=0.0)
     driver._stopping, driver._receiver = bench.driver._stopping, bench.driver._receiver
-    bench.driver = driver  # another program; the micro-controller was on all the while
+    bench.driver = driver  # another program; the micro-controller was on all the time
     bench.run(1.0)
     assert driver.stopped
     driver.release()
@@ -485,9 +485,9 @@ def test_a_stop_from_before_this_program_is_known_until_it_is_released(bench):
     assert "emergency stop released" in bench.events
 
 
-def test_a_line_that_stays_silent_is_told_once(bench):
+def test_a_silent_line_is_notified_once(bench):
     bench.spoil = lambda data: b""
     bench.run(30.0)
-    told = [text for text in bench.events if "nothing understood" in text]
-    assert len(told) == 1
+    notices = [text for text in bench.events if "nothing understood" in text]
+    assert len(notices) == 1
     assert bench.health.counts["lost connection"] > 5

@@ -1,4 +1,4 @@
-"""Commands from many threads go out whole and in order; a dead port makes nobody wait."""
+"""Commands from many threads are sent whole and in order; a dead port blocks nobody."""
 
 import contextlib
 import math
@@ -18,7 +18,7 @@ from impslam.platform.devices.framing import Decoder
 
 
 class Port:
-    """One end of a socket pair, as pyserial's ports look to us."""
+    """One end of a socket pair, with the interface of pyserial's ports."""
 
     port = "pair"
 
@@ -30,7 +30,7 @@ class Port:
 
 
 class Firmware:
-    """The other end: reads what was sent."""
+    """The other end, which reads frames."""
 
     def __init__(self, end):
         self.end, self.counts, self.frames = end, Counter(), []
@@ -47,7 +47,7 @@ class Firmware:
 
 
 def fill(descriptor):
-    """Write until nothing more is taken."""
+    """Write until the port is full."""
     with contextlib.suppress(BlockingIOError):
         while True:
             os.write(descriptor, bytes(1 << 16))
@@ -93,7 +93,7 @@ def test_commands_of_many_threads_go_out_whole_and_in_order(pair, link, counts):
         assert [d.right for d in drives if d.left == number] == list(range(100))
 
 
-def test_nothing_is_driven_after_a_stop_until_the_release(pair, link, counts):
+def test_no_drive_is_sent_from_a_stop_until_the_release(pair, link, counts):
     _, firmware = pair
     link.drive(0.1, 0.1)
     link.stop(True)
@@ -108,51 +108,51 @@ def test_nothing_is_driven_after_a_stop_until_the_release(pair, link, counts):
 def test_a_stop_is_repeated_every_twentieth_of_a_second_until_its_own_answer(pair, link):
     _, firmware = pair
     start = autopilot_link.now()
-    link.tend(start)
+    link.update(start)
     link.stop(True)
     for step in range(1, 31):
-        link.tend(start + 0.01 * step)
+        link.update(start + 0.01 * step)
     stops = [frame for frame in firmware.read() if frame.type == Kind.STOP]
     assert len(stops) in {6, 7}
     refused = Ack(Kind.STOP, Result.UNKNOWN, stops[0].sequence, 0)
     other = Ack(Kind.DRIVE, Result.DONE, stops[1].sequence, 0)
     for ack in (refused, other):
-        link.answered(ack, start)
-    link.tend(start + 0.5)
+        link.on_ack(ack, start)
+    link.update(start + 0.5)
     assert firmware.read()
-    link.answered(Ack(Kind.STOP, Result.DONE, stops[2].sequence, 0), start + 0.5)
-    link.tend(start + 0.9)
+    link.on_ack(Ack(Kind.STOP, Result.DONE, stops[2].sequence, 0), start + 0.5)
+    link.update(start + 0.9)
     assert not firmware.read()
 
 
 def test_the_answer_to_an_earlier_stop_does_not_end_the_repeating(pair, link):
     _, firmware = pair
     start = autopilot_link.now()
-    link.tend(start)
+    link.update(start)
     for wanted in (True, False, True):
         link.stop(wanted)
     first, _, second = [frame for frame in firmware.read() if frame.type != Kind.SET_TIME]
-    link.answered(Ack(Kind.STOP, Result.DONE, first.sequence, 0), start)
-    link.tend(start + 0.5)
+    link.on_ack(Ack(Kind.STOP, Result.DONE, first.sequence, 0), start)
+    link.update(start + 0.5)
     (again,) = firmware.read()
     assert again.type == Kind.STOP
-    link.answered(Ack(Kind.STOP, Result.DONE, second.sequence, 0), start + 0.5)
-    link.tend(start + 0.9)
+    link.on_ack(Ack(Kind.STOP, Result.DONE, second.sequence, 0), start + 0.5)
+    link.update(start + 0.9)
     assert not firmware.read()
 
 
-def test_what_is_asked_for_while_lost_is_done_when_it_is_found_again(pair, counts):
+def test_a_stop_requested_while_lost_is_sent_after_reconnection(pair, counts):
     port, firmware = pair
     link = CommandLink(lambda what, n: counts.update({what: n}))
     link.stop(True)
     link.drive(0.1, 0.1)
     assert counts == {"commands not sent": 1, "drive held back": 1}
     link.attach(port)
-    link.tend(autopilot_link.now())
+    link.update(autopilot_link.now())
     assert [frame.type for frame in firmware.read()] == [Kind.STOP, Kind.SET_TIME]
 
 
-def test_a_full_port_makes_nobody_wait_for_long_and_is_told(pair, link, counts):
+def test_a_full_port_does_not_block_for_long_and_is_reported(pair, link, counts):
     port, _ = pair
     fill(port.fileno())
     begin = time.monotonic()
@@ -161,21 +161,21 @@ def test_a_full_port_makes_nobody_wait_for_long_and_is_told(pair, link, counts):
     assert time.monotonic() - begin < 0.5
     assert counts == {"commands not sent": 100}
     with pytest.raises(DeviceError, match="takes nothing any more"):
-        link.tend(autopilot_link.now())
+        link.update(autopilot_link.now())
 
 
-def test_what_was_never_answered_is_counted(pair, link, counts):
+def test_unanswered_commands_are_counted(pair, link, counts):
     link.drive(0.1, 0.1)
-    link.tend(autopilot_link.now() + 2.0)
+    link.update(autopilot_link.now() + 2.0)
     assert counts["commands unanswered"] == 2  # the drive, and the time that was set
     link.drive(0.1, 0.1)
     link.attach(pair[0])
     assert counts["commands unanswered"] == 3
-    link.answered(Ack(Kind.DRIVE, Result.DONE, 0, 0), 0.0)
+    link.on_ack(Ack(Kind.DRIVE, Result.DONE, 0, 0), 0.0)
     assert counts["answers to nothing"] == 1
 
 
-def test_each_connection_is_a_sender_of_its_own(pair, link):
+def test_each_connection_is_a_new_sender(pair, link):
     _, firmware = pair
     link.drive(0.1, 0.1)
     link.attach(pair[0])
@@ -186,14 +186,14 @@ def test_each_connection_is_a_sender_of_its_own(pair, link):
     assert firmware.counts == {"frames": 2, "restarted": 1}
 
 
-def test_the_round_trip_of_answers_is_kept(pair, link):
+def test_round_trips_of_answers_are_recorded(pair, link):
     _, firmware = pair
     assert all(math.isnan(value) for value in link.latency())
     for number in range(100):
         link.drive(0.1, 0.1)
         (frame,) = firmware.read()
         delay = 0.5 if number == 7 else 0.01
-        link.answered(Ack(Kind.DRIVE, Result.DONE, frame.sequence, 0), autopilot_link.now() + delay)
+        link.on_ack(Ack(Kind.DRIVE, Result.DONE, frame.sequence, 0), autopilot_link.now() + delay)
     median, high = link.latency()
     assert median == pytest.approx(0.01, abs=0.01)
     assert 0.01 < high < 0.5

@@ -1,4 +1,4 @@
-"""Payloads come back as they were packed; what cannot be true is refused in one line."""
+"""Packed payloads are parsed exactly; impossible values are refused in one line."""
 
 import math
 import struct
@@ -71,12 +71,12 @@ HELLO = Hello(1, 1, 0, Reset.POWER, 0.5, 0.25, 0.125, 0.0625, 0, 0)
 
 
 @given(ALL)
-def test_what_is_packed_is_parsed(message):
+def test_packed_payloads_are_parsed(message):
     assert type(message).parse(message.pack()) == message
 
 
 def read(kind, payload):
-    """The message, or why it is refused."""
+    """Return the message, or the error."""
     try:
         return kind.parse(payload)
     except MessageError as error:
@@ -85,7 +85,7 @@ def read(kind, payload):
 
 @pytest.mark.parametrize("kind", [Hello, Sensors, Ack, Drive, SetTime])
 @given(data=st.data())
-def test_any_bytes_are_read_or_refused_in_one_line(kind, data):
+def test_any_bytes_are_parsed_or_refused_in_one_line(kind, data):
     size = kind.LAYOUT.size
     payload = data.draw(st.binary(max_size=100) | st.binary(min_size=size, max_size=size))
     read_or_why = read(kind, payload)
@@ -105,7 +105,7 @@ def test_wrong_lengths_are_refused(message, change):
 
 @pytest.mark.parametrize("scale", [math.nan, math.inf, -1e-3, 0.0, 1.0])
 @pytest.mark.parametrize("which", range(4))
-def test_scales_that_cannot_be_are_refused(scale, which):
+def test_impossible_scales_are_refused(scale, which):
     payload = bytearray(HELLO.pack())
     struct.pack_into("<f", payload, 7 + 4 * which, scale)
     with pytest.raises(MessageError, match="a scale"):
@@ -125,7 +125,7 @@ def test_scales_that_cannot_be_are_refused(scale, which):
         (52, "<Q", 1, "a command's moment"),  # later than the clock
     ],
 )
-def test_readings_that_cannot_be_are_refused(offset, layout, value, what):
+def test_impossible_readings_are_refused(offset, layout, value, what):
     payload = bytearray(STILL.pack())
     struct.pack_into(layout, payload, offset, value)
     with pytest.raises(MessageError, match=what):
@@ -143,7 +143,7 @@ def test_readings_that_cannot_be_are_refused(offset, layout, value, what):
         (SetTime, struct.pack("<Q", 10**16), "a time"),
     ],
 )
-def test_other_values_that_cannot_be_are_refused(kind, payload, what):
+def test_other_impossible_values_are_refused(kind, payload, what):
     with pytest.raises(MessageError, match=what):
         kind.parse(payload)
 

@@ -1,4 +1,4 @@
-"""What docs/autopilot-protocol.md says is what the code does: tables, examples, budget, C code."""
+"""docs/autopilot-protocol.md matches the code: tables, examples, budget, C code."""
 
 import ctypes
 import re
@@ -51,7 +51,7 @@ EXAMPLE = Sensors(
 
 
 def rows(section):
-    """The cells of the first table after a heading that begins so."""
+    """Return the cells of the first table after a heading with this beginning."""
     text = PAGE[PAGE.index(f"\n{section}") + 1 :]
     table = re.search(r"(?:^\|.*\n)+", text, re.MULTILINE).group()
     return [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()[2:]]
@@ -73,7 +73,7 @@ def test_the_tables_are_the_layouts(kind):
     assert offset == layout.size
 
 
-def test_the_codes_are_those_of_the_code():
+def test_the_codes_match_the_code():
     assert f"STOP, 0x{Kind.STOP:02x}, and RELEASE, 0x{Kind.RELEASE:02x}" in PAGE
     reasons = ", ".join(f"{r.value} {r.name.lower().replace('_', '-')}" for r in Reset)
     assert reasons.replace("4 pin", "4 reset pin") in PAGE
@@ -94,7 +94,7 @@ def test_the_budget_adds_up():
     assert f"{total / 1e3:.0f} kbit/s, {total / 460800:.0%}".replace("%", " %") in PAGE
 
 
-def test_the_examples_are_what_the_code_sends():
+def test_the_examples_match_encoded_frames():
     examples = [bytes.fromhex(text) for text in re.findall(r"```hex\n(.*?)```", PAGE, re.DOTALL)]
     host = Encoder(1)
     drive, stop = host.encode(Kind.DRIVE, Drive(300, -200).pack()), host.encode(Kind.STOP)
@@ -142,7 +142,7 @@ def test_c_and_python_read_each_other(firmware):
     assert counts == {"frames": 2000}
 
 
-def test_c_takes_noise_and_the_frame_after_it(firmware):
+def test_c_decodes_the_frame_after_noise(firmware):
     rng = np.random.default_rng(2)
     body = ctypes.create_string_buffer(256)
     noise = rng.integers(0, 256, 300_000, np.uint8).tolist() + [7] * 1000

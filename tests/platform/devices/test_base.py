@@ -1,4 +1,4 @@
-"""A device's thread lives through whatever the hardware does, and counts it."""
+"""The thread of a device survives all errors of the hardware, and counts them."""
 
 import threading
 import time
@@ -13,7 +13,7 @@ from impslam.types import Climate, Event
 
 
 class Toy(Device):
-    """Serves what the test's script says, one function a session."""
+    """Runs a script of the test, one function per session."""
 
     name = "toy"
     _script: Queue[Callable[["Toy"], None]] = PrivateAttr(default_factory=Queue)
@@ -52,7 +52,7 @@ def toy():
     device.stop()
 
 
-def test_the_time_base_counts_on_whatever_the_wall_clock_does(monkeypatch):
+def test_the_time_base_does_not_depend_on_the_wall_clock(monkeypatch):
     before = now()
     monkeypatch.setattr(time, "time", lambda: 0.0)
     assert 0.0 <= now() - before < 1.0
@@ -63,9 +63,9 @@ def test_a_reading_reaches_the_receiver_with_both_clocks(toy):
     toy._script.put(lambda self: (self._ready("toy 1.0"), self.speak(), self._stopping.wait()))
     toy.start(got.append)
     until(lambda: len(got) == 2)
-    told, reading = got
-    assert isinstance(told.message, Event)
-    assert told.message.text == "toy 1.0"
+    notice, reading = got
+    assert isinstance(notice.message, Event)
+    assert notice.message.text == "toy 1.0"
     assert isinstance(reading.message, Climate)
     assert (reading.device, reading.device_stamp) == ("toy", 1.5)
     health = toy.health()
@@ -74,7 +74,7 @@ def test_a_reading_reaches_the_receiver_with_both_clocks(toy):
     assert health.rates["Climate"] == 0.5  # one in two seconds
 
 
-def test_a_lost_device_is_opened_again_and_told_once_while_the_reason_stays(toy):
+def test_a_lost_device_is_reopened_and_notified_once_per_reason(toy):
     got: list[Reading] = []
     for _ in range(3):
         toy._script.put(Toy.fail)
@@ -86,7 +86,7 @@ def test_a_lost_device_is_opened_again_and_told_once_while_the_reason_stays(toy)
     assert toy._sessions == 4
 
 
-def test_what_is_wrong_can_be_read_while_it_is_tried_again(toy):
+def test_the_error_is_readable_while_the_device_is_retried(toy):
     toy._script.put(Toy.fail)
     resume = threading.Event()
     toy._script.put(lambda self: (resume.wait(), self.idle()))
@@ -98,14 +98,14 @@ def test_what_is_wrong_can_be_read_while_it_is_tried_again(toy):
     until(lambda: toy.health().state == "ok")
 
 
-def test_a_fault_of_the_program_does_not_end_the_thread(toy, caplog):
+def test_a_bug_does_not_end_the_thread(toy, caplog):
     toy._script.put(Toy.break_down)
     toy.start(lambda reading: None)
     until(lambda: toy.health().state == "ok")
     assert "ZeroDivisionError" in caplog.text
 
 
-def test_an_open_device_that_says_nothing_is_silent(toy):
+def test_an_open_device_without_messages_is_silent(toy):
     toy.start(lambda reading: None)
     until(lambda: toy.health().state == "ok")
     until(lambda: toy.health().state == "silent")
@@ -123,7 +123,7 @@ def test_it_stops_and_can_be_started_again(toy):
         toy.start(lambda reading: None)
 
 
-def test_a_receiver_that_fails_cuts_no_device_off(toy, caplog):
+def test_a_receiver_that_fails_does_not_disturb_the_device(toy, caplog):
     def fail(reading):
         raise ZeroDivisionError("oops")
 

@@ -48,19 +48,19 @@ def test_pictures_come_at_their_rate_decode_and_are_fresh(served):
     assert "640 x 240" in camera.health().detail
 
 
-def test_unplugged_it_is_told_and_opened_again(served, eye):
+def test_an_unplugged_camera_is_notified_and_reopened(served, eye):
     camera, inbox = served
     before = len(inbox.wait(Image, 1))
     eye.unplug(0.3)
     inbox.wait(Image, before + 3)
-    told = [r.message for r in inbox.of(Event) if r.message.level == "error"]
+    events = [r.message for r in inbox.of(Event) if r.message.level == "error"]
     # Cut and refused are two reasons; or one, if the cut is seen only when it is back.
-    assert 1 <= len(told) <= 2
-    assert all(eye.url in event.text for event in told)
+    assert 1 <= len(events) <= 2
+    assert all(eye.url in event.text for event in events)
     assert camera.health().counts["lost connection"] >= 1
 
 
-def test_a_camera_that_hangs_does_not_hang_the_end(served, eye):
+def test_a_camera_that_hangs_does_not_delay_the_stop(served, eye):
     camera, inbox = served
     inbox.wait(Image, 1)
     eye.freeze(PATIENCE)
@@ -80,18 +80,18 @@ def test_a_camera_that_hangs_does_not_hang_the_end(served, eye):
         ("/dev/null", "another program"),
     ],
 )
-def test_what_cannot_be_opened_is_explained_once(source, advice, capfd):
+def test_a_camera_that_cannot_be_opened_is_notified_once(source, advice, capfd):
     camera, inbox = Camera(source=source, retry=0.02), Inbox()
     camera.start(inbox)
     inbox.wait(Event, 1)
     time.sleep(0.2)
     camera.stop()
-    told = inbox.of(Event)
-    assert len(told) == 1
-    assert source in told[0].message.text
-    assert advice in told[0].message.text
+    events = inbox.of(Event)
+    assert len(events) == 1
+    assert source in events[0].message.text
+    assert advice in events[0].message.text
     assert capfd.readouterr().err == ""
 
 
-def test_it_is_found_by_its_kind():
+def test_it_is_registered_by_its_name():
     assert build("device", {"kind": "camera", "source": "0", "rate": 2}).rate == 2

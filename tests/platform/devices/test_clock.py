@@ -1,4 +1,4 @@
-"""A device's clock from arrivals that are late by a tail: near the truth, and never backwards."""
+"""A device's clock from delayed arrivals: accurate, and never backwards."""
 
 import math
 from collections import deque
@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from impslam.platform.devices.clock import STALL, DeviceClock, Unwrapper, lower_hull
+from impslam.platform.devices.clock import STALL_DELAY, DeviceClock, Unwrapper, lower_hull
 
 HOST = 1.79e9  # s
-LEAST = 0.5e-3  # s, the delay that nobody can see from one side
+LEAST = 0.5e-3  # s, the delay that is unobservable from one side
 
 
 def arrivals(rng, sampled, tail=1e-3, stalls=()):
-    """Host times: least delay, exponential tail, a USB polled every 1 to 4 ms, stalls of 0.5 s."""
+    """Return host times: minimum delay, exponential tail, USB polled every 1 to 4 ms, stalls of 0.5 s."""
     polled = rng.uniform(1e-3, 4e-3, len(sampled)) * rng.uniform(0.0, 1.0, len(sampled))
     host = sampled + LEAST + rng.exponential(tail, len(sampled)) + polled
     for begin in stalls:
@@ -60,7 +60,7 @@ def test_stamps_are_right_to_a_millisecond_after_a_few_seconds(drift, seed):
 
 
 @pytest.mark.parametrize("change", [0.1e-6, -0.1e-6])
-def test_a_drift_that_changes_is_followed(change):
+def test_a_changing_drift_is_tracked(change):
     """A crystal that warms by 0.1 ppm/s for five minutes."""
     rng = np.random.default_rng(4)
     sampled = np.arange(12000) / 40
@@ -80,7 +80,7 @@ def test_ten_readings_a_second_are_enough():
 
 
 def test_the_mean_would_be_wrong_by_the_tail():
-    """The reason for the lower edge: a line through the middle is late by the mean delay."""
+    """Reason for the lower edge: a line through the middle is late by the mean delay."""
     rng = np.random.default_rng(5)
     sampled = np.arange(3000) / 100
     host = arrivals(rng, sampled, tail=20e-3)
@@ -89,7 +89,7 @@ def test_the_mean_would_be_wrong_by_the_tail():
     assert np.max(np.abs(stamps - sampled - LEAST)[1000:]) < 4e-3
 
 
-def test_a_restart_of_the_device_is_seen_and_stamps_go_on():
+def test_a_restart_of_the_device_is_detected_and_stamps_increase():
     rng = np.random.default_rng(6)
     sampled = np.arange(4000) / 100
     device = np.where(sampled < 20.0, sampled + 5.0, sampled - 19.9) * (1.0 + 50e-6)
@@ -103,7 +103,7 @@ def test_a_restart_of_the_device_is_seen_and_stamps_go_on():
 
 
 @pytest.mark.parametrize("jump", [0.5, 30.0, -0.6, -30.0])
-def test_a_jump_of_the_hosts_clock_is_seen_and_followed(jump):
+def test_a_jump_of_the_hosts_clock_is_detected_and_tracked(jump):
     """A computer that slept (its clock stood still), or a device's clock that stood still."""
     rng = np.random.default_rng(7)
     sampled = np.arange(4000) / 100
@@ -117,7 +117,7 @@ def test_a_jump_of_the_hosts_clock_is_seen_and_followed(jump):
         assert np.max(np.abs(stamps - sampled - LEAST - jump)[3000:]) < 1e-3
 
 
-def test_very_first_arrivals_that_were_held_up_are_forgotten_without_a_word():
+def test_delayed_first_arrivals_do_not_count_as_a_restart():
     sampled = np.arange(1000) / 100
     host = np.maximum(sampled, 0.4) + LEAST
     clock = DeviceClock()
@@ -127,12 +127,12 @@ def test_very_first_arrivals_that_were_held_up_are_forgotten_without_a_word():
     assert np.max(np.abs(stamps - sampled - LEAST)[200:]) < 1e-3
 
 
-def test_a_stall_is_told_by_the_delay():
+def test_a_stall_is_detected_by_the_delay():
     clock = DeviceClock()
     follow(clock, np.arange(300) / 100, np.arange(300) / 100)
     clock.observe(3.0, HOST + 3.4)
     assert clock.delay == pytest.approx(0.4, abs=1e-5)
-    assert clock.delay > STALL
+    assert clock.delay > STALL_DELAY
     assert clock.stalls == 1
 
 
@@ -145,7 +145,7 @@ def test_a_stall_is_told_by_the_delay():
         max_size=60,
     )
 )
-def test_stamps_of_a_growing_clock_grow_whatever_arrives_when(steps):
+def test_stamps_always_increase_with_the_device_clock(steps):
     """Any gaps of the device's clock, any jumps of the host's."""
     clock, device, before = DeviceClock(), 0.0, -math.inf
     for gap, jump in steps:
@@ -164,7 +164,7 @@ def test_earlier_moments_get_earlier_stamps():
     assert clock.to_host(9.99) == stamps[0]
 
 
-def test_it_knows_nothing_before_the_first_arrival():
+def test_the_clock_is_unknown_before_the_first_arrival():
     clock = DeviceClock()
     assert math.isnan(clock.offset)
     assert math.isinf(clock.sigma)
@@ -183,7 +183,7 @@ def test_the_lower_hull_is_convex_and_below_all_points(heights):
     assert set(hull) <= set(points)
 
 
-def test_a_counter_goes_on_over_its_wraps():
+def test_a_counter_is_unwrapped():
     unwrap = Unwrapper(24, 1e-3)  # the URG's: it wraps every 4 h 39 min
     ticks = np.cumsum(np.full(2000, 40_000)).tolist()
     seconds = [unwrap(tick % (1 << 24)) for tick in ticks]

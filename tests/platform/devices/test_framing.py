@@ -1,4 +1,4 @@
-"""Frames come back as they were sent, or not at all, and what is missing is counted."""
+"""Frames are decoded exactly or not at all, and losses are counted."""
 
 import binascii
 import time
@@ -38,7 +38,7 @@ def pieces(data, cuts):
 
 
 @given(PAYLOADS, st.lists(st.integers(0, 10_000), max_size=50))
-def test_frames_come_back_however_they_are_cut(payloads, cuts):
+def test_frames_are_decoded_from_any_pieces(payloads, cuts):
     taker, counts = decoder()
     got = [
         frame
@@ -72,14 +72,14 @@ def test_a_payload_that_does_not_fit_is_refused():
         Encoder().encode(1, bytes(MAX_PAYLOAD + 1))
 
 
-def test_sequence_numbers_go_round():
+def test_sequence_numbers_wrap():
     encoder, (taker, counts) = Encoder(), decoder()
     got = [taker.feed(encoder.encode(1)[1])[0].sequence for _ in range(65_540)]
     assert got[65_534:] == [65_534, 65_535, 0, 1, 2, 3]
     assert counts == {"frames": 65_540}
 
 
-def test_zeros_between_frames_are_nothing():
+def test_zeros_between_frames_are_ignored():
     taker, counts = decoder()
     for wire in frames_of([b"a", b"b"]):
         taker.feed(b"\0\0" + wire + b"\0")
@@ -90,7 +90,7 @@ def test_zeros_between_frames_are_nothing():
 
 
 @given(st.sets(st.integers(1, 198)))
-def test_what_is_missing_is_counted(missing):
+def test_lost_frames_are_counted(missing):
     taker, counts = decoder()
     for number, wire in enumerate(frames_of([b"x"] * 200)):
         if number not in missing:
@@ -99,7 +99,7 @@ def test_what_is_missing_is_counted(missing):
     assert counts["frames"] == 200 - len(missing)
 
 
-def test_losses_across_the_end_of_the_numbers_are_counted():
+def test_losses_across_the_wrap_of_numbers_are_counted():
     taker, counts = decoder()
     for number, wire in enumerate(frames_of([b""] * 65_600)):
         if not 65_500 <= number < 65_560:
@@ -115,7 +115,7 @@ def test_repeated_and_late_frames_are_dropped_and_counted():
     assert counts == {"frames": 3, "lost": 1, "repeated": 1, "late": 2}
 
 
-def test_a_sender_that_begins_anew_has_lost_nothing():
+def test_a_restart_of_the_sender_is_not_a_loss():
     taker, counts = decoder()
     for wire in frames_of([b""] * 500, boot=1)[400:]:
         taker.feed(wire)
@@ -124,7 +124,7 @@ def test_a_sender_that_begins_anew_has_lost_nothing():
     assert counts == {"frames": 119, "restarted": 1}
 
 
-def test_a_sender_that_begins_anew_under_the_same_number_is_believed_after_three_frames():
+def test_a_restart_under_the_same_boot_number_is_accepted_after_three_frames():
     taker, counts = decoder()
     for wire in frames_of([b""] * 500):
         taker.feed(wire)
@@ -133,7 +133,7 @@ def test_a_sender_that_begins_anew_under_the_same_number_is_believed_after_three
     assert counts == {"frames": 518, "late": 2, "restarted": 1}
 
 
-def test_late_frames_that_do_not_follow_each_other_are_no_new_beginning():
+def test_inconsecutive_late_frames_are_not_a_restart():
     taker, counts = decoder()
     wires = frames_of([b""] * 500)
     for wire in wires:
@@ -143,7 +143,7 @@ def test_late_frames_that_do_not_follow_each_other_are_no_new_beginning():
     assert counts == {"frames": 500, "late": 7}
 
 
-def test_other_versions_and_types_are_counted_apart():
+def test_other_versions_and_types_are_counted_separately():
     taker, counts = decoder(known={1})
     encoder = Encoder()
     got = taker.feed(encoder.encode(1)[1] + encoder.encode(9)[1] + encoder.encode(1)[1])
@@ -200,8 +200,8 @@ def test_garbage_without_a_zero_takes_no_memory():
 
 
 @pytest.mark.parametrize("length", range(7, 254))
-def test_zeros_are_no_frame_although_their_crc_is_zero(length):
-    """Readings of 0 stand in a row in real frames, and noise cuts pieces out of them."""
+def test_zeros_are_not_a_frame_although_their_crc_is_zero(length):
+    """Real frames contain readings of 0 in a row, and noise cuts pieces out of them."""
     taker, counts = decoder()
     assert not taker.feed(cobs.encode(bytes(length)) + b"\0")
     assert counts == {"unknown version": 1}
@@ -221,8 +221,8 @@ def test_millions_of_bytes_of_noise_are_read_fast_and_hold_no_more_frames_than_c
     assert len(noise) / spent > 2e6  # forty times what the line carries
 
 
-def test_a_frame_spoilt_by_any_burst_up_to_16_bits_before_cobs_is_found():
-    """What a CRC of 16 bits promises, of the bytes that it covers: every such burst."""
+def test_any_burst_error_up_to_16_bits_before_cobs_is_detected():
+    """A CRC of 16 bits detects every such burst in the bytes that it covers."""
     body = cobs.decode(frames_of([bytes(range(40))])[0][:-1])
     taker, counts = decoder()
     rng = np.random.default_rng(2)
@@ -238,8 +238,8 @@ def test_a_frame_spoilt_by_any_burst_up_to_16_bits_before_cobs_is_found():
 
 
 @pytest.mark.parametrize("flips", [2, 5, 12, 270])
-def test_spoilt_frames_pass_no_more_often_than_the_crc_says(flips):
-    """Wrong bits anywhere on the wire, 50 000 times each; 270 of 544 is noise through and through."""
+def test_corrupt_frames_pass_no_more_often_than_expected_of_the_crc(flips):
+    """Wrong bits anywhere on the wire, 50 000 times each; 270 of 544 is pure noise."""
     rng = np.random.default_rng(20261121 + flips)
     wire = frames_of([rng.integers(0, 256, 60, np.uint8).tobytes()])[0][:-1]
     bits = np.unpackbits(np.frombuffer(wire, np.uint8))

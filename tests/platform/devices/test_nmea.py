@@ -1,4 +1,4 @@
-"""NMEA 0183 put together to fixes, from bytes that come in any pieces, and some of them spoilt."""
+"""Fixes from NMEA 0183, in any pieces, and with corrupt bytes."""
 
 import math
 from collections import Counter
@@ -43,17 +43,17 @@ def gst(clock="120000.00", errors="3.0,2.0,90.0,2.0,3.0,4.0", talker="GN"):
 
 
 def epochs(*pieces):
-    """Return the epochs of pieces of bytes that come a tenth of a second apart, and the counts."""
+    """Return the epochs of pieces of bytes a tenth of a second apart, and the counts."""
     counts = Counter()
     reader, found = Epochs(), []
     lines = Sentences(pynmeagps, lambda what, n: counts.update({what: n}))
     for k, piece in enumerate(pieces):
-        for said, began in lines.feed(piece, 0.1 * k):
-            found += reader.add(said, began)
+        for parsed, began in lines.feed(piece, 0.1 * k):
+            found += reader.add(parsed, began)
     return found, counts
 
 
-def test_a_makers_example_is_read():
+def test_an_example_of_a_manufacturer_is_read():
     (fix, *_), _ = epochs(UBLOX, gga("092726.00"))
     assert fix.latitude == pytest.approx(47 + 17.11399 / 60, abs=1e-9)
     assert fix.longitude == pytest.approx(8 + 33.91590 / 60, abs=1e-9)
@@ -63,7 +63,7 @@ def test_a_makers_example_is_read():
     np.testing.assert_allclose(np.diag(fix.covariance)[:2], side**2)
 
 
-def test_the_ellipse_of_gst_lies_as_it_says():
+def test_the_ellipse_of_gst_has_the_right_orientation():
     """Trimble's: 23 mm along 273.6 degrees from north, nearly west, and 20 mm across."""
     place = gga("172814.0", quality=4)
     (fix, *_), _ = epochs(place + TRIMBLE + gga("172815.0"))
@@ -98,13 +98,13 @@ def test_any_cutting_of_the_bytes_gives_the_same_fixes(size):
     assert not counts
 
 
-def test_an_epoch_is_given_as_soon_as_it_is_whole_and_begins_with_its_first_sentence():
+def test_an_epoch_is_returned_once_complete_and_begins_with_its_first_sentence():
     found, _ = epochs(rmc(), gga(), gst(), rmc("120001.00"), gga("120001.00"), gst("120001.00"))
     assert len(found) == 2  # the second without waiting for a third
     assert [fix.arrived for fix in found] == pytest.approx([0.0, 0.3])
 
 
-def test_no_fix_is_told_and_has_no_place():
+def test_no_fix_is_reported_without_a_position():
     empty = sentence("GNGGA,120000.00,,,,,0,00,99.99,,,,,,")
     for text in (empty, gga(quality=0), gga(quality=6), gga(quality=8), gga() + rmc(status="V")):
         (fix, *_), _ = epochs(text + gga("120001.00"))
@@ -127,12 +127,12 @@ def test_rmc_alone_gives_a_fix_without_a_covariance():
     assert np.isnan(fix.covariance).all()
 
 
-def test_quality_2_is_one_with_corrections():
+def test_quality_2_is_a_corrected_fix():
     (fix, *_), _ = epochs(gga(quality=2) + gga("120001.00"))
     assert fix.status == SATELLITES
 
 
-def test_spoilt_bytes_are_dropped_and_counted(rng):
+def test_corrupt_bytes_are_dropped_and_counted(rng):
     stream = bytearray(
         b"".join(
             rmc(f"12{k // 60:02}{k % 60:02}.00") + gga(f"12{k // 60:02}{k % 60:02}.00")
@@ -156,7 +156,7 @@ def test_bytes_without_lines_are_not_kept():
         assert len(lines._rest) <= 1124
 
 
-def test_midnight_goes_on():
+def test_time_is_unwrapped_over_midnight():
     found, _ = epochs(gga("235959.00") + gga("000000.00") + gga("000001.00"))
     assert np.diff([fix.seconds for fix in found]) == pytest.approx([1.0, 1.0][: len(found) - 1])
 
@@ -164,7 +164,7 @@ def test_midnight_goes_on():
 # --------------------------------------------------------------------------- emulator and driver
 
 
-def test_the_emulators_fixes_lie_about_the_truth_as_they_say():
+def test_the_emulators_fixes_are_consistent_with_the_truth():
     truth = np.array([30.0, -20.0, 1.0])
     emulator = GpsEmulator(lambda: truth, seed=3)
     data = b"".join(emulator.due(0.5 * k) for k in range(8000))
@@ -178,7 +178,7 @@ def test_the_emulators_fixes_lie_about_the_truth_as_they_say():
     assert np.diff(off, axis=0).std() == pytest.approx(math.sqrt(2.0) * WHITE, rel=0.1)
 
 
-def test_the_driver_delivers_stamped_fixes_and_tells_when_they_are_lost():
+def test_the_driver_delivers_stamped_fixes_and_notifies_their_loss():
     emulator = GpsEmulator(lambda: np.zeros(3))
     line = Line(emulator)
     inbox = Inbox()

@@ -1,4 +1,4 @@
-"""Byte ports open, read and write within their time, and say what is wrong in one line."""
+"""Byte ports open, read and write in time, and report errors in one line."""
 
 import contextlib
 import errno
@@ -12,14 +12,14 @@ import tty
 import pytest
 
 from impslam.platform.devices.base import DeviceError
-from impslam.platform.devices.port import TIMEOUT, extra, open_port, read_some, write_all
+from impslam.platform.devices.port import IO_TIMEOUT, extra, open_port, read_some, write_all
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
 
 
 @pytest.fixture
 def pty():
-    """The master's descriptor and the path of a pseudo-terminal."""
+    """Return the master's descriptor and the path of a pseudo-terminal."""
     master, slave = os.openpty()
     tty.setraw(slave)
     yield master, os.ttyname(slave)
@@ -75,19 +75,19 @@ def test_a_second_program_is_refused(pty):
         open_port(pty[1], 115200)
 
 
-def test_a_missing_port_is_told(tmp_path):
+def test_a_missing_port_is_an_error(tmp_path):
     with pytest.raises(DeviceError, match=r"ttyNONE: cannot be opened: no such port; plug it in"):
         open_port(str(tmp_path / "ttyNONE"), 115200)
 
 
-def test_a_file_is_no_port(tmp_path):
+def test_a_file_is_not_a_port(tmp_path):
     path = tmp_path / "file"
     path.touch()
     with pytest.raises(DeviceError, match="cannot be opened"):
         open_port(str(path), 115200)
 
 
-def test_a_port_of_others_is_told(monkeypatch):
+def test_a_port_without_permission_is_an_error(monkeypatch):
     serial = importlib.import_module("serial")
 
     def refuse(*_, **__):
@@ -112,7 +112,7 @@ def test_the_system_s_reason_is_found_behind_pyserial_s(url, advice):
 
 
 def test_a_failed_lookup_is_not_taken_for_a_missing_port(monkeypatch):
-    """Lookups have numbers of their own: on macOS a name server's silence has that of ENOENT."""
+    """Lookups have separate error numbers: on macOS, a name server's silence has that of ENOENT."""
     serial = importlib.import_module("serial")
 
     def refuse(*_, **__):
@@ -127,19 +127,19 @@ def test_a_failed_lookup_is_not_taken_for_a_missing_port(monkeypatch):
 
 
 @pytest.mark.parametrize("url", ["socket://127.0.0.1:1", "socket://127.0.0.1", "what://ever", ""])
-def test_what_cannot_be_opened_is_told_in_one_line(url):
+def test_a_port_that_cannot_be_opened_is_a_one_line_error(url):
     with pytest.raises(DeviceError) as caught:
         open_port(url, 115200)
     assert "\n" not in str(caught.value)
     assert "cannot be opened" in str(caught.value)
 
 
-def test_an_impossible_baud_rate_is_told(pty):
+def test_an_impossible_baud_rate_is_an_error(pty):
     with pytest.raises(DeviceError, match="cannot be opened"):
         open_port(pty[1], -1)
 
 
-def test_a_pulled_plug_is_told_by_reads_and_writes(pty):
+def test_a_pulled_plug_is_reported_by_reads_and_writes(pty):
     master, path = pty
     with open_port(path, 115200) as port:
         os.close(master)
@@ -149,7 +149,7 @@ def test_a_pulled_plug_is_told_by_reads_and_writes(pty):
             write_all(port, b"x")
 
 
-def test_a_tcp_peer_that_hangs_up_is_told(tcp):
+def test_a_tcp_peer_that_hangs_up_is_an_error(tcp):
     server, url = tcp
     with open_port(url, 115200) as port:
         server.accept()[0].close()
@@ -157,7 +157,7 @@ def test_a_tcp_peer_that_hangs_up_is_told(tcp):
             read_some(port, 1.0)
 
 
-def test_a_closed_port_is_told(pty):
+def test_a_closed_port_is_an_error(pty):
     port = open_port(pty[1], 115200)
     port.close()
     with pytest.raises(DeviceError):
@@ -166,16 +166,16 @@ def test_a_closed_port_is_told(pty):
         write_all(port, b"x")
 
 
-def test_a_write_that_nobody_takes_ends_in_time(pty):
+def test_a_write_to_a_full_port_times_out(pty):
     with open_port(pty[1], 115200) as port:
         begin, spent = time.monotonic(), time.process_time()
         with pytest.raises(DeviceError, match="takes nothing any more"):
             write_all(port, bytes(1 << 20))
-        assert time.monotonic() - begin < TIMEOUT + 1.0
-        assert time.process_time() - spent < 0.5 * TIMEOUT  # it slept
+        assert time.monotonic() - begin < IO_TIMEOUT + 1.0
+        assert time.process_time() - spent < 0.5 * IO_TIMEOUT  # it slept
 
 
-def test_a_write_goes_on_where_the_port_took_part_of_it(tcp):
+def test_a_partial_write_is_continued(tcp):
     server, url = tcp
     data = os.urandom(1 << 16)
     with open_port(url, 115200) as port:
@@ -188,7 +188,7 @@ def test_a_write_goes_on_where_the_port_took_part_of_it(tcp):
     assert got == data
 
 
-def test_a_missing_extra_is_told_with_what_to_install(monkeypatch):
+def test_a_missing_extra_is_reported_with_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "serial", None)
     with pytest.raises(DeviceError, match=r"pip install .*(pyserial|impslam\[robot\])"):
         open_port("/dev/ttyUSB0", 115200)

@@ -21,7 +21,7 @@ from impslam.types import Event, LaserScan
 
 
 def stream(turns, beams=360, shift=0.0, ranges=None, first=0):
-    """Nodes of whole turns, clockwise, evenly spaced, shifted by an angle in rad."""
+    """Return nodes of whole turns, clockwise, evenly spaced, shifted by an angle in rad."""
     number = np.arange(turns * beams)
     values = (number % beams + 1) / 100.0 if ranges is None else np.tile(ranges, turns)
     angles = (number * 2 * np.pi / beams + shift) % (2 * np.pi)
@@ -39,7 +39,7 @@ def split(nodes, cuts):
 # --------------------------------------------------------------------------- turns
 
 
-def test_turns_are_cut_at_their_starts_however_they_come(rng):
+def test_turns_are_split_at_their_starts(rng):
     nodes = stream(5)
     for cuts in ([], [1, 2, 3], [360], [359, 361, 1000], np.sort(rng.integers(1, 1799, 40))):
         turns = Turns()
@@ -52,7 +52,7 @@ def test_turns_are_cut_at_their_starts_however_they_come(rng):
         assert turns.broken == 0
 
 
-def test_a_turn_that_begins_in_the_middle_is_no_turn():
+def test_a_turn_without_a_start_is_dropped():
     turns = Turns()
     late = split(stream(3), [100])[1]
     assert [turn.first for turn in turns.add(late)] == [360]
@@ -113,7 +113,7 @@ def test_the_first_angle_may_lie_before_zero():
     np.testing.assert_allclose(scan.ranges, np.arange(1, 361) / 100)
 
 
-def test_beams_go_where_their_things_are():
+def test_beams_have_the_angles_of_their_targets():
     """A post on the device's right (clockwise 90 deg) is at -90 deg of the laser frame."""
     ranges = np.where(np.arange(360) == 90, 1.0, 3.0)
     scan = laser_scan(one_turn(ranges=ranges), 0.0, 1e-3, (0.15, 12.0))
@@ -137,8 +137,8 @@ def test_uneven_angles_are_rounded_by_half_a_step_at_most(rng):
     assert len(taken) > 340
 
 
-def test_an_echo_wins_over_none():
-    """Two measurements for one place: the one that says something is kept, though farther off."""
+def test_a_measurement_with_an_echo_is_preferred():
+    """Of two measurements for one beam, the one with an echo is kept, even if its angle is farther off."""
     nodes = stream(2)
     angles, ranges = nodes.angles.copy(), nodes.ranges.copy()
     angles[200] = angles[201] - 0.3 * 2 * np.pi / 360
@@ -153,7 +153,7 @@ def test_an_echo_wins_over_none():
 
 
 @pytest.mark.parametrize("rate", [1970.0, 2000.0, 4070.0])
-def test_the_clock_finds_rate_and_moment_in_late_arrivals(rate, rng):
+def test_the_clock_estimates_rate_and_offset_from_late_arrivals(rate, rng):
     clock, begin = NodeClock(), 1.7e9
     arrived = begin
     for step in range(1, 1200):
@@ -169,7 +169,7 @@ def test_the_clock_finds_rate_and_moment_in_late_arrivals(rate, rng):
             assert period == pytest.approx(1 / rate, rel=5e-4)
 
 
-def test_bytes_lost_unseen_are_noticed():
+def test_unnoticed_losses_of_bytes_are_detected():
     clock, rate = NodeClock(), 2000.0
     for step in range(1200):
         time_ = step * 0.01
@@ -180,7 +180,7 @@ def test_bytes_lost_unseen_are_noticed():
             assert at_zero + (time_ * rate - 100) * period == pytest.approx(time_, abs=0.002)
 
 
-def test_before_it_knows_it_says_nothing():
+def test_there_is_no_fit_before_enough_arrivals():
     clock = NodeClock()
     assert clock.fit() is None
     for step in range(30):
@@ -192,7 +192,7 @@ def test_before_it_knows_it_says_nothing():
 
 
 class Rings:
-    """Surroundings whose range tells the time at which each beam was fired, modulo 8 s."""
+    """Surroundings whose ranges encode the time at which each beam was fired, modulo 8 s."""
 
     def __init__(self, begin, beams=A1.beams):
         self.begin, self.offsets = begin, np.arange(beams) * A1.beam_time
@@ -266,7 +266,7 @@ def test_scans_come_with_the_right_beams_and_stamps(line, mode):
         times = scan.stamp - line.begin + scan.time_offsets
         known = scan.ranges > 0
         errors.append(np.median((times - fired + 4.0)[known] % 8.0 - 4.0))
-    # Stamps are right within what this machine delays at best; on an idle one within 3 ms.
+    # Stamps are right within the minimum delay of this computer; on an idle one within 3 ms.
     assert -0.02 < np.median(errors) < 0.05
     assert np.std(errors[4:]) < 0.02
     health = lidar.health()
@@ -292,9 +292,9 @@ def test_a_reboot_and_a_cut_line_are_survived(line):
     assert "measures nothing" in errors[0]
 
 
-def test_an_ill_lidar_is_reset(line, monkeypatch):
-    monkeypatch.setattr("impslam.platform.devices.rplidar.BOOT", 0.1)
-    line.emulator.ill = 0x8002
+def test_a_lidar_with_an_error_is_reset(line, monkeypatch):
+    monkeypatch.setattr("impslam.platform.devices.rplidar.BOOT_TIME", 0.1)
+    line.emulator.error_code = 0x8002
     lidar, inbox = device(line), Inbox()
     lidar.start(inbox)
     inbox.wait(LaserScan, 1)
@@ -302,10 +302,10 @@ def test_an_ill_lidar_is_reset(line, monkeypatch):
     assert lidar.health().counts["reset"] == 1
 
 
-def test_one_that_stays_ill_is_told_once_with_its_code(line, monkeypatch):
-    monkeypatch.setattr("impslam.platform.devices.rplidar.BOOT", 0.05)
+def test_a_lasting_error_is_notified_once_with_its_code(line, monkeypatch):
+    monkeypatch.setattr("impslam.platform.devices.rplidar.BOOT_TIME", 0.05)
     monkeypatch.setattr(
-        RPLidarEmulator, "ill", property(lambda _: 0x8002, lambda *_: None), raising=False
+        RPLidarEmulator, "error_code", property(lambda _: 0x8002, lambda *_: None), raising=False
     )
     lidar, inbox = device(line), Inbox()
     lidar.start(inbox)
@@ -327,5 +327,5 @@ def test_silence_on_the_line_is_explained():
     assert "115200" in event.message.text
 
 
-def test_it_is_found_by_its_kind():
+def test_it_is_registered_by_its_name():
     assert build("device", {"kind": "rplidar", "port": "/dev/imp-lidar"}).baud == 115200

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from impslam.platform.devices.rplidar_parser import CHAIN, HELD, Parser
+from impslam.platform.devices.rplidar_parser import HELD_BACK, MIN_CHAIN, Parser
 from impslam.platform.devices.rplidar_protocol import (
     CAPSULE,
     DESCRIPTORS,
@@ -23,7 +23,7 @@ BEAMS = 400
 
 
 def node(number, start=None):
-    """A node of a turn of 400, whose distance tells its number."""
+    """Return a node of a turn of 400, whose distance encodes its number."""
     place = number % BEAMS
     first = place == 0 if start is None else start
     angle = round(place * 360 * 64 / BEAMS) << 1 | 1
@@ -36,7 +36,7 @@ def node(number, start=None):
 
 
 def capsule(number, degrees=28.8, fresh=False, shift=0):
-    """The capsule of that number, 28.8 deg wide; distances in mm tell the measurement's number."""
+    """Return a capsule, 28.8 deg wide; distances in mm encode the measurement's number."""
     angle = round((number * degrees) % 360.0 * 64)
     body = (angle | (0x8000 if fresh else 0)).to_bytes(2, "little")
     for cabin in range(SAMPLES // 2):
@@ -66,7 +66,7 @@ def joined(parts, field):
 
 
 def told_numbers(command, parts):
-    """Numbers that the accepted distances tell."""
+    """Return the numbers encoded in accepted distances."""
     unit = 4000 if command == Command.SCAN else 1000
     return np.round(joined(parts, "ranges") * unit).astype(int) - 1
 
@@ -84,7 +84,7 @@ def told_numbers(command, parts):
         (DESCRIPTORS[Command.HEALTH], "A55A0300000006"),
     ],
 )
-def test_bytes_are_those_of_the_makers_notes(made, printed):
+def test_requests_match_the_manufacturers_notes(made, printed):
     assert made == bytes.fromhex(printed)
 
 
@@ -111,7 +111,7 @@ def test_a_printed_node():
         for k, a in enumerate(angles)
     )
     (nodes,) = started(Command.SCAN).feed(data)
-    np.testing.assert_allclose(np.degrees(nodes.angles), angles[:-HELD])
+    np.testing.assert_allclose(np.degrees(nodes.angles), angles[:-HELD_BACK])
     np.testing.assert_array_equal(nodes.ranges, 1.0)
     np.testing.assert_array_equal(nodes.qualities, 15.0)
     np.testing.assert_array_equal(nodes.starts, [True, False, False, False])
@@ -123,7 +123,7 @@ def test_a_clean_stream_is_read_whole_however_cut(command, size):
     parser, data = started(command), STREAMS[command]
     parts = [p for i in range(0, len(data), size) for p in parser.feed(data[i : i + size])]
     numbers = told_numbers(command, parts)
-    whole = 1000 - HELD if command == Command.SCAN else 59 * SAMPLES  # the last one waits
+    whole = 1000 - HELD_BACK if command == Command.SCAN else 59 * SAMPLES  # the last one waits
     np.testing.assert_array_equal(numbers, np.arange(whole))
     assert [p.first for p in parts] == np.cumsum([0, *(len(p.ranges) for p in parts)])[:-1].tolist()
     assert not parser.counts
@@ -145,7 +145,7 @@ def test_a_capsules_shift_is_taken_off_its_angle():
     np.testing.assert_allclose(nodes.ranges, (np.arange(32) + 33) / 1000)
 
 
-def test_every_flipped_bit_of_a_capsule_is_seen():
+def test_every_flipped_bit_of_a_capsule_is_detected():
     sound, following = capsule(1), capsule(2)
     for bit in range(8 * CAPSULE):
         broken = bytearray(sound)
@@ -155,15 +155,15 @@ def test_every_flipped_bit_of_a_capsule_is_seen():
         assert parser.counts["corrupt"] == SAMPLES
 
 
-def test_flipped_bits_of_nodes_are_seen_where_the_format_lets_them():
+def test_flipped_bits_of_nodes_are_detected_if_the_format_allows():
     seen = 0
     for bit in range(8 * NODE):
         data = bytearray(NODES[: 100 * NODE])
         data[50 * NODE + bit // 8] ^= 1 << bit % 8
         parser = started(Command.SCAN)
         number = len(joined(parser.feed(bytes(data)), "ranges"))
-        costs = 100 - HELD - number
-        assert costs in {0, 1 + HELD}
+        costs = 100 - HELD_BACK - number
+        assert costs in {0, 1 + HELD_BACK}
         assert parser.counts["corrupt"] == costs
         seen += costs > 0
     # S, not S, the check bit, and the angle's upper bits (16 deg and more): 8 of 40.
@@ -172,16 +172,16 @@ def test_flipped_bits_of_nodes_are_seen_where_the_format_lets_them():
 
 @pytest.mark.parametrize("command", STREAMS)
 @pytest.mark.parametrize("lost", [1, 2, 3, 4, 7, 83])
-def test_lost_bytes_cost_what_they_touch_and_no_more(command, lost):
+def test_lost_bytes_only_affect_their_measurements(command, lost):
     data = STREAMS[command]
     size, most = (
-        (NODE, lost // NODE + 2 + HELD) if command == Command.SCAN else (CAPSULE, 3 * SAMPLES)
+        (NODE, lost // NODE + 2 + HELD_BACK) if command == Command.SCAN else (CAPSULE, 3 * SAMPLES)
     )
     at = size * 10 + 3
     parser = started(command)
     numbers = told_numbers(command, parser.feed(data[:at] + data[at + lost :]))
     total = len(data) // size * (1 if size == NODE else SAMPLES)
-    waits = HELD if size == NODE else SAMPLES
+    waits = HELD_BACK if size == NODE else SAMPLES
     assert total - waits - len(numbers) <= most
     np.testing.assert_array_equal(np.setdiff1d(numbers, np.arange(total)), [])
     assert parser.counts["corrupt"] > 0 or parser.counts["gaps"] > 0
@@ -199,7 +199,7 @@ def test_a_lost_capsule_does_not_stretch_the_one_before():
 
 @pytest.mark.parametrize("command", STREAMS)
 def test_noise_on_the_line(command, rng):
-    """Bits flip at 1e-3: what is accepted is right within what the format can tell."""
+    """Bits flip at 1e-3: accepted values are right as far as the format can detect errors."""
     data = np.frombuffer(STREAMS[command] * 20, np.uint8).copy()
     if command == Command.EXPRESS:
         data = np.frombuffer(b"".join(capsule(k) for k in range(1200)), np.uint8).copy()
@@ -229,7 +229,7 @@ def test_random_bytes_are_refused_within_theory(command, rng):
     accepted = len(joined(parts, "ranges"))
     if command == Command.SCAN:
         # At each byte a chain of four begins with 0.18^4 (2 * 15/360)^3 = 6e-7.
-        assert accepted <= 2 * CHAIN
+        assert accepted <= 2 * MIN_CHAIN
         assert parser.counts["corrupt"] == pytest.approx(len(data) / NODE, rel=0.01)
     else:
         assert accepted == 0  # two capsules in a row: 200000 / 65536^2
@@ -249,7 +249,7 @@ def test_random_bytes_are_refused_within_theory(command, rng):
     ),
     st.integers(1, 97),
 )
-def test_whatever_comes_nothing_is_raised_and_values_are_possible(command, pieces, size):
+def test_any_bytes_are_parsed_to_possible_values_without_errors(command, pieces, size):
     parser = started(command) if command else Parser()
     data = b"".join(pieces)
     for i in range(0, len(data), size):
@@ -264,7 +264,7 @@ def test_whatever_comes_nothing_is_raised_and_values_are_possible(command, piece
     assert len(parser._buffer) < 2 * CAPSULE  # nothing is kept for ever
 
 
-def test_cut_anywhere_the_same_is_found(rng):
+def test_results_do_not_depend_on_the_pieces(rng):
     data = NODES[:300] + b"\x00\x13" + NODES[302:900] + NODES[903:2000]
     whole = told_numbers(Command.SCAN, started(Command.SCAN).feed(data))
     for _ in range(20):

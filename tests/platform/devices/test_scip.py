@@ -1,4 +1,4 @@
-"""SCIP 2.0: its characters, checksums, responses and words, against the protocol's own examples."""
+"""SCIP 2.0: characters, checksums, responses and statuses, with examples of the protocol."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,13 @@ from tests.platform.devices import scip_noise
 from impslam.platform.devices import scip, scip_status
 from impslam.platform.devices.base import DeviceError
 from impslam.platform.devices.scip import Splitter
-from impslam.platform.devices.scip_encoding import DamagedError, decode, encode, sealed, unsealed
+from impslam.platform.devices.scip_encoding import (
+    DamagedError,
+    decode,
+    encode,
+    with_checksum,
+    without_checksum,
+)
 from impslam.platform.devices.scip_info import Parameters, Version, fields, to_line
 
 # As the protocol's text prints them; the checksums are Hokuyo's.
@@ -42,26 +48,26 @@ def test_the_protocols_own_encodings(value, text):
 
 
 @given(st.integers(1, 4), st.data())
-def test_what_is_encoded_is_decoded(width, data):
+def test_encoded_values_are_decoded(width, data):
     values = data.draw(st.lists(st.integers(0, 64**width - 1), max_size=70))
     array = np.array(values, dtype=np.int64)
     assert decode(encode(array, width), width).tolist() == values
 
 
 @pytest.mark.parametrize("data", [b"0/", b"0p", b"0\n", b"000"])
-def test_characters_that_are_none_are_refused(data):
+def test_invalid_characters_are_refused(data):
     with pytest.raises(DamagedError):
         decode(data, 2)
 
 
 def test_status_checksums():
-    assert sealed(b"00") == b"00P\n"
-    assert sealed(b"99") == b"99b\n"
-    assert unsealed(b"0Ee") == b"0E"
+    assert with_checksum(b"00") == b"00P\n"
+    assert with_checksum(b"99") == b"99b\n"
+    assert without_checksum(b"0Ee") == b"0E"
     with pytest.raises(DamagedError):
-        unsealed(b"00Q")
+        without_checksum(b"00Q")
     with pytest.raises(DamagedError):
-        unsealed(b"P")
+        without_checksum(b"P")
 
 
 def test_requests():
@@ -89,7 +95,7 @@ def test_responses_are_found_however_the_bytes_are_cut(cuts):
     ]
 
 
-def test_bytes_without_an_end_are_given_up():
+def test_bytes_without_an_end_are_dropped():
     splitter = Splitter()
     for _ in range(40):
         assert splitter.feed(b"x" * 1000) == []
@@ -146,13 +152,13 @@ def test_a_damaged_stamp_is_refused(stamp):
         scip.sweep(response(stamp, b"0000"), 3, 1)
 
 
-def test_a_response_without_a_body_is_no_scan():
+def test_a_response_without_a_body_is_refused():
     with pytest.raises(DamagedError):
         scip.sweep(scip.Response("MD", "99", ()), 3, 1)
 
 
 def test_no_single_wrong_byte_gets_past_the_checks(rng):
-    """The 64 characters all differ in their sum's low 6 bits; others are refused as such."""
+    """The 64 characters differ in the low 6 bits of their sum; others are refused as invalid."""
     clean = scip_noise.CLEAN
     assert scip_noise.accepted(clean) is not None
     for place in range(len(clean)):
@@ -171,7 +177,7 @@ def test_no_single_wrong_byte_gets_past_the_checks(rng):
         (scip_noise.burst, 16, 1e-3),
     ],
 )
-def test_more_wrong_bytes_seldom_get_past(damage, errors, most, rng):
+def test_several_wrong_bytes_rarely_get_past_the_checks(damage, errors, most, rng):
     assert scip_noise.share(damage, errors, 2000, rng) <= most
 
 
@@ -182,7 +188,7 @@ def test_any_bytes_are_taken_without_raising(junk, place):
     scip_noise.accepted(clean[:place] + junk + clean[place:])
 
 
-def test_error_codes_and_what_lies_outside_the_limits_are_no_ranges():
+def test_error_codes_and_values_outside_the_limits_are_not_ranges():
     values = np.array([0, 1, 19, 20, 21, 5600, 5601, 262143])
     expected = [0, 0, 0, 0.020, 0.021, 5.6, 0, 0]
     np.testing.assert_allclose(scip.to_metres(values, 20, 5600), expected, atol=1e-12)
@@ -193,7 +199,7 @@ def test_error_codes_and_what_lies_outside_the_limits_are_no_ranges():
 # --------------------------------------------------------------------------- what it says of itself
 
 
-def test_the_protocols_own_examples_of_what_a_sensor_says():
+def test_the_protocols_examples_of_version_and_parameters():
     known = Parameters.of(PP)
     assert known == Parameters(
         "URG-04LX(Hokuyo Automatic Co.,Ltd.)", 20, 5600, 1024, 44, 725, 384, 600
@@ -206,7 +212,7 @@ def test_the_protocols_own_examples_of_what_a_sensor_says():
     assert fields(II)["STAT"] == "Sensor works well."
 
 
-def test_lines_are_written_as_they_are_read():
+def test_written_lines_are_read_back():
     assert b"".join(to_line(k, v) for k, v in fields(PP).items()) == b"\n".join((*PP, b""))
 
 
@@ -236,9 +242,9 @@ def test_damaged_lines_are_refused(line):
         ("SCAN", "²"),
     ],
 )
-def test_parameters_that_cannot_be_are_refused(key, value):
-    said = fields(PP) | {key: value}
-    lines = tuple(to_line(k, v)[:-1] for k, v in said.items() if v.isascii())
+def test_impossible_parameters_are_refused(key, value):
+    changed = fields(PP) | {key: value}
+    lines = tuple(to_line(k, v)[:-1] for k, v in changed.items() if v.isascii())
     with pytest.raises(DeviceError, match="is it a SCIP"):
         Parameters.of(lines)
 
@@ -262,18 +268,18 @@ EVERY = [
 
 
 @pytest.mark.parametrize(("command", "status"), EVERY)
-def test_every_status_is_told_in_words(command, status):
+def test_every_status_has_a_description(command, status):
     assert "does not explain" not in scip_status.words(command, status)
 
 
 @pytest.mark.parametrize(
     ("command", "status"), [("QT", "01"), ("MD", "08"), ("VV", "xx"), ("", "")]
 )
-def test_an_unknown_status_is_told_as_such(command, status):
+def test_an_unknown_status_is_described_as_such(command, status):
     assert "does not explain" in scip_status.words(command, status)
 
 
-def test_which_statuses_mean_what():
+def test_statuses_are_classified():
     assert [n for n in range(100) if scip_status.is_verifying(f"{n:02d}")] == [*range(21, 50)]
     assert [n for n in range(100) if scip_status.is_malfunction("MD", f"{n:02d}")] == [
         *range(50, 98)

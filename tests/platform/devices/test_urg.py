@@ -1,4 +1,4 @@
-"""The driver against the emulated sensor: every state, every fault, and what it makes of time."""
+"""The driver with the emulated sensor: states, faults, and stamps."""
 
 import os
 import socket
@@ -25,7 +25,7 @@ STREAM = b"MD0044072501000\n"
 
 
 def true_begins(bench, room):
-    """When the first beam of each scan was really fired, on the host."""
+    """Return the true host times of the first beams of scans."""
     began = HOST + np.array(room.began)
     stamps = np.array([scan.stamp for scan in bench.scans])
     return began[np.abs(began[:, None] - stamps).argmin(0)]
@@ -46,7 +46,7 @@ def test_the_beams_of_a_urg_04lx():
     assert beams.limits == (20, 5600)
 
 
-def test_clusters_look_along_their_middle():
+def test_clusters_have_the_angle_of_their_middle():
     beams = Beams.of(URG, "MS", (380, 388), 4, 2)
     assert beams.request == b"MS0380038804200\n"
     steps = beams.angles / (2 * np.pi / 1024) + 384
@@ -58,7 +58,7 @@ def test_clusters_look_along_their_middle():
 
 
 @pytest.mark.parametrize("mode", ["MD", "GD", "MS", "GS"])
-def test_scans_come_as_the_room_was(monkeypatch, mode):
+def test_scans_match_the_room(monkeypatch, mode):
     emulator, room = sensor(drift=-80e-6, seed=1)
     bench = Bench(emulator, monkeypatch, stop_after=60, mode=mode)
     scans = bench.run()
@@ -78,7 +78,7 @@ def test_scans_come_as_the_room_was(monkeypatch, mode):
     assert not emulator.laser
 
 
-def test_what_it_is_stands_in_its_health(monkeypatch):
+def test_its_health_shows_what_it_is(monkeypatch):
     emulator, _ = sensor()
     bench = Bench(emulator, monkeypatch, stop_after=1)
     bench.run()
@@ -143,7 +143,7 @@ def test_it_starts_from_any_state(monkeypatch, before, options):
     assert bench.time < 4.0
 
 
-def test_nothing_there(monkeypatch):
+def test_an_absent_sensor_is_an_error(monkeypatch):
     emulator, _ = sensor()
     bench = Bench(emulator, monkeypatch, spoil=lambda _: b"")
     with pytest.raises(DeviceError, match="bench: nothing there speaks SCIP; check"):
@@ -158,7 +158,7 @@ def test_steps_that_it_does_not_measure_are_refused(monkeypatch):
 
 
 @pytest.mark.parametrize("line", [b"ARES:1024;\\", b"AMAX:725;o", b"SCAN:600;e"])
-def test_parameters_that_cannot_be_never_become_scans(monkeypatch, line):
+def test_impossible_parameters_are_an_error(monkeypatch, line):
     key = line[:5]
     hostile = key + b"0;" + bytes([(sum(key + b"0") & 0x3F) + 0x30])
     emulator, _ = sensor()
@@ -168,8 +168,8 @@ def test_parameters_that_cannot_be_never_become_scans(monkeypatch, line):
     assert bench.scans == []
 
 
-def test_parameters_are_believed_when_two_answers_agree(monkeypatch):
-    """A change that its checksum does not show: 44 to 35 with the same sum."""
+def test_parameters_are_accepted_when_two_answers_agree(monkeypatch):
+    """A change that the checksum does not detect: 44 to 35 with the same sum."""
     emulator, _ = sensor()
     damaged = iter([True])
 
@@ -190,7 +190,7 @@ def test_an_rs232_line_is_found_and_made_faster(monkeypatch):
     monkeypatch.setattr("impslam.platform.devices.urg.is_rs232", lambda _: True)
 
     def matched(data):
-        """At another bit rate bytes come as others; SS is answered at the old one."""
+        """At a wrong bit rate, bytes are garbled; SS is answered at the old one."""
         fits = bench.baudrate == emulator.bit_rate or data.startswith(b"SS")
         return data if fits else b"\xe0" * len(data)
 
@@ -212,11 +212,11 @@ def test_a_line_slower_than_the_scans_is_warned_of(monkeypatch):
 
 
 def instead(old, new):
-    """Put an answer in another's place."""
+    """Replace an answer."""
     return lambda data: data.replace(old, new)
 
 
-def test_a_bit_rate_that_is_refused_stays(monkeypatch):
+def test_the_bit_rate_stays_if_a_change_is_refused(monkeypatch):
     emulator, _ = sensor(serial=115200)
     spoil = instead(b"SS250000\n00P", b"SS250000\n04T")
     bench = Bench(emulator, monkeypatch, stop_after=2, baud=250000, spoil=spoil)
@@ -226,7 +226,7 @@ def test_a_bit_rate_that_is_refused_stays(monkeypatch):
     assert bench.events[0] == "stays at 115200 bit/s: this model's bit rate cannot be set"
 
 
-def test_a_sensor_that_waits_for_firmware_is_reset_and_reported(monkeypatch):
+def test_a_sensor_in_update_mode_is_reset_and_reported(monkeypatch):
     emulator, _ = sensor()
     bench = Bench(emulator, monkeypatch, spoil=instead(b"QT\n00P", b"QT\n0Ii"))
     with pytest.raises(DeviceError, match="firmware update mode"):
@@ -251,10 +251,10 @@ def test_a_sensor_without_tm_is_stamped_by_arrival(monkeypatch):
     assert 1e-3 < late.mean() < 5e-3  # by the sensor's 2 ms and the way
 
 
-def test_what_a_sensor_says_to_be_wrong_is_told(monkeypatch):
+def test_a_bad_state_of_the_sensor_is_notified(monkeypatch):
     emulator, _ = sensor()
-    said = b"STAT:Motor tired"
-    told = said + b";" + bytes([(sum(said) & 0x3F) + 0x30])
+    state = b"STAT:Motor tired"
+    told = state + b";" + bytes([(sum(state) & 0x3F) + 0x30])
     spoil = instead(b"STAT:Sensor works well.;8", told)
     bench = Bench(emulator, monkeypatch, stop_after=1, spoil=spoil)
     bench.run()
@@ -302,7 +302,7 @@ def test_a_laser_that_cannot_be_switched_on_is_reset(monkeypatch):
     assert any("a malfunction keeps the laser off" in text for text in bench.events)
 
 
-def test_a_lasting_malfunction_is_told_and_left_to_the_supervision(monkeypatch):
+def test_a_lasting_malfunction_is_raised(monkeypatch):
     emulator, _ = sensor()
     emulator.fail(77, lasting=True)
     bench = Bench(emulator, monkeypatch)
@@ -312,7 +312,7 @@ def test_a_lasting_malfunction_is_told_and_left_to_the_supervision(monkeypatch):
     assert bench.time < 5.0
 
 
-def test_an_error_that_the_sensor_verifies_itself_is_waited_for(monkeypatch):
+def test_the_verification_of_an_error_is_awaited(monkeypatch):
     emulator, _ = sensor()
     bench = Bench(emulator, monkeypatch, stop_after=20)
     bench.at = [(1.0, lambda: emulator.fail(21))]
@@ -339,19 +339,19 @@ def test_a_sensor_that_reboots_is_started_again(monkeypatch):
     assert np.diff(stamps).max() < 4.0  # the patience, the boot, and the start from SCIP 1.1
 
 
-def test_a_motor_faster_than_it_says(monkeypatch):
+def test_a_motor_faster_than_nominal(monkeypatch):
     emulator, room = sensor(turn=0.098)
     bench = Bench(emulator, monkeypatch, stop_after=120)
     bench.spoil = lambda data: b"" if 6.0 < bench.time < 9.1 else data
     with pytest.raises(DeviceError, match="nothing there"):
         bench.run()
-    bench.wait(0.5)  # the supervision opens it anew
+    bench.wait(0.5)  # the thread reopens it
     stamps = np.array([scan.stamp for scan in bench.run()])
     assert np.abs(stamps - true_begins(bench, room)).max() < 2e-3
     assert bench.counts["missed scans"] == round(float(np.diff(stamps).max()) / 0.098) - 1 > 25
 
 
-def test_a_clock_that_jumps_is_asked_for_anew(monkeypatch):
+def test_a_clock_jump_restarts_the_synchronisation(monkeypatch):
     emulator, room = sensor()
     bench = Bench(emulator, monkeypatch, stop_after=40)
     jump = 3_600_000
@@ -366,8 +366,8 @@ def test_a_clock_that_jumps_is_asked_for_anew(monkeypatch):
     assert np.abs([scan.stamp for scan in scans] - true_begins(bench, room)).max() < 2e-3
 
 
-def test_held_up_scans_are_placed_where_they_were_taken(monkeypatch):
-    """The host sleeps for 3 s; what the line kept comes at once."""
+def test_delayed_scans_have_the_stamps_of_their_measurement(monkeypatch):
+    """The host sleeps for 3 s; buffered bytes then arrive at once."""
     emulator, room = sensor()
     bench = Bench(emulator, monkeypatch, stop_after=80)
     bench.at = [(4.0, lambda: bench.wait(3.0))]
@@ -394,7 +394,7 @@ def test_held_up_scans_are_placed_where_they_were_taken(monkeypatch):
     ids=["malfunction", "verifying", "reboot", "stopped", "reset", "adjusting"],
 )
 def test_a_hundred_faults(monkeypatch, fault, at_most):
-    """Recovery is bounded, stamps stay right and increase, and no scan is lost uncounted."""
+    """Recovery is bounded, stamps stay right and increase, and every lost scan is counted."""
     emulator, room = sensor(seed=9)
     bench = Bench(emulator, monkeypatch, stop_after=10_000)
     moments = 3.0 + np.cumsum(bench.rng.uniform(1.5, 2.1, 100))
@@ -411,7 +411,7 @@ def test_a_hundred_faults(monkeypatch, fault, at_most):
 
 
 def noise(rate, seed):
-    """Bytes flip, vanish, double, and strange ones appear, each at a rate per byte."""
+    """Bytes are changed, dropped, doubled and inserted, each at a rate per byte."""
     rng = np.random.default_rng(seed)
 
     def spoil(data):
@@ -431,13 +431,13 @@ def noise(rate, seed):
 
 
 @pytest.mark.parametrize("rate", [1e-5, 1e-4, 1e-3])
-def test_no_damaged_scan_is_taken_and_none_is_lost_uncounted(monkeypatch, rate):
+def test_no_damaged_scan_is_delivered_and_every_loss_is_counted(monkeypatch, rate):
     emulator, room = sensor(seed=3)
     bench = Bench(emulator, monkeypatch, stop_after=150, seconds=60.0, spoil=noise(rate, 8))
     try:
         scans = bench.run()
     except DeviceError:
-        scans = bench.scans  # so much noise that it could not be started; the supervision goes on
+        scans = bench.scans  # too much noise to start; the thread retries
     began = true_begins(bench, room)
     index = np.searchsorted(HOST + np.array(room.began), began - 1e-6)
     for scan, number in zip(scans, index, strict=True):
@@ -448,7 +448,7 @@ def test_no_damaged_scan_is_taken_and_none_is_lost_uncounted(monkeypatch, rate):
         assert int(index[-1] - index[0]) + 1 == len(scans) + counts.get("missed scans", 0)
 
 
-def test_random_bytes_in_place_of_a_sensor(monkeypatch):
+def test_random_bytes_instead_of_a_sensor(monkeypatch):
     rng = np.random.default_rng(2)
     emulator, _ = sensor()
     junk = np.frombuffer(b"0123456789MDQTP\n\n\n\n;bZ~\x00\xff", np.uint8)
@@ -465,7 +465,7 @@ def test_random_bytes_in_place_of_a_sensor(monkeypatch):
 
 
 def arrivals(number, drift, rng, wrap_at=0, period=0.1, least=0.073):
-    """Device stamps (raw ms) and arrivals of a sensor whose clock drifts, with a tail of delays."""
+    """Return device stamps (raw ms) and arrivals of a sensor with a drifting clock and a tail of delays."""
     true = period * np.arange(number) + 0.0371
     raw = (np.floor(1e3 * (1.0 + drift) * true).astype(int) + wrap_at) % 2**24
     return (
@@ -476,7 +476,7 @@ def arrivals(number, drift, rng, wrap_at=0, period=0.1, least=0.073):
 
 
 @pytest.mark.parametrize("drift", [-100e-6, 0.0, 100e-6])
-def test_a_long_run_stays_on_time(drift, rng):
+def test_stamps_stay_right_over_a_long_run(drift, rng):
     """Ten minutes over a wrap of the clock."""
     true, raw, arrived = arrivals(6000, drift, rng, wrap_at=2**24 - 200_000)
     times = SweepTimes(DeviceClock(), 0.1, 0.0708)
@@ -491,13 +491,13 @@ def test_a_long_run_stays_on_time(drift, rng):
         unwrapped, host = times.place(int(raw_stamp), HOST + moment)
         errors.append(host - HOST - stamp)
         device.append(unwrapped)
-    assert np.abs(errors).max() < 1.6e-3  # the clock is cut to ms, and counts on from there
+    assert np.abs(errors).max() < 1.6e-3  # the clock is truncated to ms
     assert abs(np.mean(errors[100:])) < 1e-3
     assert np.diff(device) == pytest.approx(0.1, abs=1.1e-3)
     assert times.delay == pytest.approx(0.073, abs=1e-3)
 
 
-def test_without_an_answer_to_tm_the_least_delay_is_taken_as_given(rng):
+def test_without_tm_the_initial_delay_is_used(rng):
     true, raw, arrived = arrivals(100, 0.0, rng)
     times = SweepTimes(DeviceClock(), 0.1, 0.0708)
     errors = [
@@ -507,7 +507,7 @@ def test_without_an_answer_to_tm_the_least_delay_is_taken_as_given(rng):
     assert np.abs(np.array(errors[20:]) - (0.073 - 0.0708)).max() < 1.5e-3
 
 
-def test_an_answer_to_tm_that_cannot_be_is_left_out():
+def test_an_implausible_answer_to_tm_is_ignored():
     times = SweepTimes(DeviceClock(), 0.1, 0.07)
     for raw, sent in ((1000, 0.0), (9000, 0.002), (900, 0.004), (1006, 0.006)):
         times.synchronise(raw, HOST + sent, HOST + sent + 1e-3)
@@ -656,4 +656,4 @@ def test_over_tcp_through_an_unplug():
 
 def test_learning_is_short_against_the_drift():
     """The drift at most bends the first scans' stamps by less than the clock's resolution."""
-    assert urg_clock.LEARNING * 0.1 * 100e-6 < 0.5 * urg_clock.UNIT
+    assert urg_clock.LEARNING_SCANS * 0.1 * 100e-6 < 0.5 * urg_clock.UNIT

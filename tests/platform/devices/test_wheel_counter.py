@@ -1,4 +1,4 @@
-"""A wheel's angle goes on across wraps of the accumulator and across reboots."""
+"""A wheel's angle is continuous across wraps of the accumulator and reboots."""
 
 import math
 
@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from impslam.platform.devices.wheel_counter import WheelCounter, shorter_way
+from impslam.platform.devices.wheel_counter import WheelCounter, wrapped_difference
 
 STEP = 2 * math.pi / 4096
 
 
-def test_a_wheel_counter_continues_the_shorter_way():
+def test_a_wheel_counter_continues_by_the_smaller_rotation():
     wheel = WheelCounter(4096, 4096)
     assert wheel(10, 4000) == 0.0
     wheel.restart()
@@ -23,7 +23,7 @@ def test_a_wheel_counter_continues_the_shorter_way():
 
 
 @given(st.lists(st.integers(-(2**30), 2**30), max_size=30))
-def test_a_wheel_counter_follows_any_way_across_wraps(steps):
+def test_a_wheel_counter_tracks_any_rotation_across_wraps(steps):
     wheel, count = WheelCounter(4096, 4096), 2**31 - 5
     wheel(count, 0)
     for total in np.cumsum(steps, dtype=np.int64).tolist():
@@ -32,10 +32,10 @@ def test_a_wheel_counter_follows_any_way_across_wraps(steps):
 
 
 @given(st.integers(-(2**40), 2**40), st.integers(1, 2**33))
-def test_the_shorter_way_is_within_half_a_turn_and_leads_there(difference, half):
-    way = shorter_way(difference, 2 * half)
-    assert -half <= way < half
-    assert (way - difference) % (2 * half) == 0
+def test_the_wrapped_difference_is_within_half_a_turn_and_consistent(difference, half):
+    turned = wrapped_difference(difference, 2 * half)
+    assert -half <= turned < half
+    assert (turned - difference) % (2 * half) == 0
 
 
 def test_an_encoder_of_other_counts_is_bridged_by_its_angle():

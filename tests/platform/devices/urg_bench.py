@@ -1,4 +1,4 @@
-"""A driver and an emulated sensor on one bench, in a time that runs as fast as they compute."""
+"""A driver and an emulated sensor on one bench, in simulated time."""
 
 import threading
 
@@ -12,11 +12,11 @@ from impslam.types import Event, LaserScan
 
 HOST = 1.7e9  # s, host time when the virtual robot began
 BEAMS = 682
-TICK = 5e-4  # s between two looks at the line
+TICK = 5e-4  # s between reads of the line
 
 
 class Room:
-    """Ranges that tell which sweep they are of; remembers when each sweep really began."""
+    """Ranges that encode their sweep; records the true start of each sweep."""
 
     def __init__(self):
         self.began = []
@@ -33,14 +33,14 @@ class Room:
 
 
 class Bench:
-    """The port between them, with a USB's delays, and the clock of both."""
+    """The port between driver and emulator, with delays of USB, and their clock."""
 
     port, baudrate = "bench", 115200
 
     def __init__(self, emulator, monkeypatch, stop_after=10, seconds=600.0, spoil=None, **settings):
         self.emulator, self.time, self.end = emulator, 0.0, seconds
         self.spoil = spoil or (lambda data: data)
-        self.at = []  # what happens to the emulator: (time, action), in order
+        self.at = []  # events of the emulator: (time, action), in order
         self.rng = np.random.default_rng(5)
         self.readings, self.sent = [], []
         self.stop_after = stop_after
@@ -55,7 +55,7 @@ class Bench:
 
     def run(self):
         """Serve one opened port to its end; return the scans."""
-        self.driver._converse(ScipLink(self, self.stopping, self.driver._count))
+        self.driver._run_link(ScipLink(self, self.stopping, self.driver._count))
         return self.scans
 
     @property
@@ -74,7 +74,7 @@ class Bench:
         return HOST + self.time
 
     def wait(self, seconds):
-        """Let time pass; the bench gives up where a test would never end."""
+        """Advance the time; fail if a test would never end."""
         self.time += seconds
         while self.at and self.at[0][0] <= self.time:
             self.at.pop(0)[1]()
@@ -103,7 +103,7 @@ class Bench:
 
 
 class BenchEvent(threading.Event):
-    """Waits in the bench's time."""
+    """An event that waits in the bench's time."""
 
     def __init__(self, bench):
         super().__init__()
@@ -116,6 +116,6 @@ class BenchEvent(threading.Event):
 
 
 def sensor(**options):
-    """Return an emulated sensor and the room that it is in."""
+    """Return an emulated sensor and its room."""
     room = Room()
     return UrgEmulator(room, **options), room

@@ -1,4 +1,4 @@
-"""The map on the disk: each minute, at its end, when asked for; whole, or as it was before."""
+"""The map on the disk: saved every minute, at its end, and on request, atomically."""
 
 import threading
 import time
@@ -24,7 +24,7 @@ class Toy:
 
     kind = ImpError
 
-    def start(self, going_on=None):
+    def start(self, continued=None):
         self.steps = 0
 
     def status(self):
@@ -47,19 +47,19 @@ class Toy:
 
 @pytest.fixture
 def toy(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "PERIOD", 0.02)
+    monkeypatch.setattr(module, "SAVE_INTERVAL", 0.02)
     monkeypatch.setattr(module.time, "strftime", lambda form: "map-1")
     return Toy()
 
 
 @pytest.fixture
-def told():
+def notices():
     return []
 
 
 @pytest.fixture
-def keeper(toy, tmp_path, told):
-    keeper = MapKeeper(toy, tmp_path / "maps", lambda level, text: told.append((level, text)))
+def keeper(toy, tmp_path, notices):
+    keeper = MapKeeper(toy, tmp_path / "maps", lambda level, text: notices.append((level, text)))
     yield keeper
     keeper.stop()
 
@@ -71,7 +71,7 @@ def wait_until(true, seconds=10.0):
         time.sleep(0.002)
 
 
-def test_what_is_new_is_saved_by_itself_and_what_is_not_new_is_not(keeper, toy, tmp_path):
+def test_only_a_grown_map_is_saved_automatically(keeper, toy, tmp_path):
     keeper.start()
     time.sleep(0.1)
     assert toy.saved == []
@@ -86,8 +86,8 @@ def test_what_is_new_is_saved_by_itself_and_what_is_not_new_is_not(keeper, toy, 
     assert keeper.name == "map-1"
 
 
-def test_the_end_saves_what_is_not_saved(keeper, toy, monkeypatch):
-    monkeypatch.setattr(module, "PERIOD", 60.0)
+def test_stopping_saves_the_map(keeper, toy, monkeypatch):
+    monkeypatch.setattr(module, "SAVE_INTERVAL", 60.0)
     keeper.start()
     toy.steps = 3
     keeper.stop()
@@ -102,7 +102,7 @@ def test_a_new_map_saves_the_present_one_and_has_a_folder_of_its_own(keeper, toy
     assert toy.saved == [("map-1", 3), ("map-1-2", 4)]
 
 
-def test_who_saves_by_hand_has_all_files_in_the_same_folder(keeper, toy, tmp_path):
+def test_manual_saving_writes_all_files_to_the_same_folder(keeper, toy, tmp_path):
     toy.steps = 3
     threads = [threading.Thread(target=keeper.save) for _ in range(4)]
     for thread in threads:
@@ -113,17 +113,17 @@ def test_who_saves_by_hand_has_all_files_in_the_same_folder(keeper, toy, tmp_pat
     assert [path.name for path in (tmp_path / "maps").iterdir()] == ["map-1"]
 
 
-def test_a_disk_that_refuses_is_told_once_and_leaves_no_half_map(keeper, toy, told, tmp_path):
+def test_a_disk_error_is_notified_once_and_leaves_no_partial_map(keeper, toy, notices, tmp_path):
     toy.error, toy.steps = "the disk is full", 3
     keeper.start()
-    wait_until(lambda: told)
+    wait_until(lambda: notices)
     time.sleep(0.1)
-    assert told == [("error", "the map is not saved: the disk is full")]
+    assert notices == [("error", "the map is not saved: the disk is full")]
     with keeper._saving:  # not while it tries once more
         assert list((tmp_path / "maps").iterdir()) == []
     with pytest.raises(ImpError, match="full"):
         keeper.save()
-    with pytest.raises(ImpError, match="full"):  # the present map is not given up for a new one
+    with pytest.raises(ImpError, match="full"):  # the present map is kept
         keeper.begin()
     assert toy.steps == 3
     toy.error = ""
@@ -141,7 +141,7 @@ def test_a_map_that_takes_long_to_save_is_saved_less_often(keeper, toy):
     assert len(toy.saved) == 1  # the next one is due after a second
 
 
-def test_what_a_dead_program_left_is_removed(keeper, tmp_path):
+def test_partial_files_of_a_killed_program_are_removed(keeper, tmp_path):
     folder = tmp_path / "maps" / "map-0"
     folder.mkdir(parents=True)
     (folder / "map.imp").write_text("a map")
@@ -150,9 +150,9 @@ def test_what_a_dead_program_left_is_removed(keeper, tmp_path):
     assert [path.name for path in folder.iterdir()] == ["map.imp"]
 
 
-def test_a_live_map_comes_back_from_its_file(tmp_path, told):
+def test_a_live_map_can_be_loaded_from_its_file(tmp_path, notices):
     mapper = live(load("imp"))
-    keeper = MapKeeper(mapper, tmp_path, lambda *event: told.append(event))
+    keeper = MapKeeper(mapper, tmp_path, lambda *event: notices.append(event))
     keeper.begin()
     hand(mapper, perfect(load_world("room"))[:600])
     drain(mapper)
@@ -161,13 +161,13 @@ def test_a_live_map_comes_back_from_its_file(tmp_path, told):
     known = Map.load(tmp_path / keeper.name / "map.imp")
     assert len(known.stamps) == mapper.status().steps > 10
     assert known.about["counts"]["steps"] == len(known.stamps)
-    assert told == []
+    assert notices == []
 
 
-def test_a_fault_of_the_estimator_does_not_end_the_saving(keeper, toy, told):
+def test_an_error_of_the_estimator_does_not_end_the_saving(keeper, toy, notices):
     toy.kind, toy.error, toy.steps = ZeroDivisionError, "oops", 3
     keeper.start()
-    wait_until(lambda: told)
-    assert told == [("error", "the map is not saved: ZeroDivisionError: oops")]
+    wait_until(lambda: notices)
+    assert notices == [("error", "the map is not saved: ZeroDivisionError: oops")]
     toy.error = ""
     wait_until(lambda: toy.saved)

@@ -1,4 +1,4 @@
-"""The maps on the disk: nothing outside the folder, nothing overwritten, nothing gone at once."""
+"""The maps on the disk: nothing outside the folder, nothing overwritten, and a recycle bin."""
 
 import os
 from dataclasses import replace
@@ -21,7 +21,7 @@ def make(folder, name, scans=50):
 
 @pytest.fixture
 def folder(tmp_path):
-    """A folder with two maps, a damaged one, and much that is none of the store's business."""
+    """A folder with two maps, a damaged one, and other files."""
     folder = tmp_path / "maps"
     for i, name in enumerate(("map-1", "map-2")):
         os.utime(make(folder, name, 50 + i) / "map.imp", (1000.0 + i, 1000.0 + i))
@@ -84,7 +84,7 @@ def test_the_map_that_is_being_made_is_not_deleted(folder):
 @pytest.mark.parametrize(
     "name", ["", ".", "..", ".bin", "link", "nothing", "../maps/map-1", "map.imp"]
 )
-def test_nothing_else_is_reached(folder, name):
+def test_only_maps_of_the_folder_are_accessible(folder, name):
     store = MapStore(folder)
     store.delete("map-2")
     for act in (store.path, store.delete, store.restore, store.purge):
@@ -92,7 +92,7 @@ def test_nothing_else_is_reached(folder, name):
             act(name)
 
 
-def test_the_table_of_a_map_is_read_alone(folder):
+def test_only_the_description_of_a_map_is_read(folder):
     assert archive.about(folder / "map-1" / "map.imp") == {"logs": [{"scans": 1}, {"scans": 49}]}
     with pytest.raises(ImpError, match="not a map"):
         archive.about(folder / "broken" / "map.imp")

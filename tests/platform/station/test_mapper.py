@@ -34,7 +34,7 @@ from impslam.types import Climate, DeviceTime, LaserScan, TruePose, WheelAngles
 
 @register("test_slow")
 class Slow(Extractor):
-    """Finds nothing, and takes its time; or fails at a scan."""
+    """Finds nothing, slowly, or fails at a scan."""
 
     seconds: float = parameter(0.0, "s", "how long a scan takes")
     fails_at: int = parameter(-1, "1", "the scan at which it fails")
@@ -63,10 +63,10 @@ def slow(seconds=0.0, fails_at=-1):
 
 
 class Ready(LiveMapper):
-    """Has nothing to compile: what comes after its start is mapped."""
+    """A mapper without compilation: messages after its start are mapped."""
 
-    def start(self, going_on=None):
-        super().start(going_on)
+    def start(self, continued=None):
+        super().start(continued)
         wait_until(lambda: self.status().state != "compiling")
 
 
@@ -95,10 +95,10 @@ def hand(mapper, messages):
 
 
 def drain(mapper):
-    """Wait until the estimator has taken all that was put."""
+    """Wait until the estimator has processed all messages."""
     mapping = mapper._mapping
     wait_until(lambda: mapping._inbox.empty)
-    with mapping._door, mapping._between:
+    with mapping._next_turn, mapping._busy:
         pass
     time.sleep(0.01)  # it may have been between the two
 
@@ -125,7 +125,7 @@ def test_the_inbox_keeps_all_motion_and_the_newest_scans():
     assert inbox.waiting == 0
 
 
-def test_who_waits_at_the_inbox_is_woken():
+def test_wake_ends_waiting_at_the_inbox():
     inbox, got = Inbox(), []
     thread = threading.Thread(target=lambda: got.append(inbox.take()))
     thread.start()
@@ -171,7 +171,7 @@ def test_a_live_map_is_that_of_the_log(room, tmp_path):
 
 
 def test_a_map_is_saved_while_scans_come(room, tmp_path):
-    """Every saved path is the beginning of the last one, and the map goes on meanwhile."""
+    """Every saved path is the beginning of the last one, and mapping continues meanwhile."""
     mapper = live(load("imp"))
     with pytest.raises(ImpError, match="no map to save"):
         mapper.save(tmp_path / "early")
@@ -216,7 +216,7 @@ def test_a_map_with_loops_is_saved_as_at_the_end_of_a_log(tmp_path):
 
 
 def test_scans_do_not_wait_while_a_map_is_settled(tmp_path, monkeypatch):
-    """However long that takes; the map that is saved is that of the moment it was asked for."""
+    """The saved map is that at the time of the request, however long settling takes."""
     drive = [m for m in ring() if isinstance(m, LaserScan | WheelAngles)]
     settling, go = threading.Event(), threading.Event()
     settle = graph.Graph.settle
@@ -247,7 +247,7 @@ def test_scans_do_not_wait_while_a_map_is_settled(tmp_path, monkeypatch):
     assert facts["time"]["stages_ms"]["settle"]["mean"] > 0.0
 
 
-def test_a_folder_that_cannot_be_made_ends_in_one_line(room, tmp_path):
+def test_a_folder_that_cannot_be_created_is_a_one_line_error(room, tmp_path):
     mapper = live(load("imp"))
     mapper.start()
     hand(mapper, room[:300])
@@ -262,7 +262,7 @@ def silence(snapshot):
     return int(re.search(r"(\d+) s", snapshot.why)[1])
 
 
-def test_a_robot_whose_lidar_is_silent_is_shown_where_its_wheels_say(tmp_path):
+def test_the_pose_is_dead_reckoned_while_the_lidar_is_silent(tmp_path):
     everything = list(perfect(load_world("room")))
     truth = {m.stamp: m.pose for m in everything if isinstance(m, TruePose)}
     messages = [m for m in everything if isinstance(m, LaserScan | WheelAngles)]
@@ -286,7 +286,7 @@ def test_a_robot_whose_lidar_is_silent_is_shown_where_its_wheels_say(tmp_path):
     assert np.trace(shown.covariance) > np.trace(before.covariance)
     assert (len(before.points) > 0, len(shown.points)) == (True, 0)
     assert (shown.scans, math.isnan(shown.arrived)) == (before.scans, True)
-    wait_until(lambda: silence(view.snapshot()) > seconds)  # also where the wheels say nothing
+    wait_until(lambda: silence(view.snapshot()) > seconds)  # also without odometry
     hand(mapper, messages[2 * third :])
     drain(mapper)
     after = view.snapshot()
@@ -294,10 +294,10 @@ def test_a_robot_whose_lidar_is_silent_is_shown_where_its_wheels_say(tmp_path):
     mapper.save(tmp_path / "live")
     mapper.stop()
     recorder = Recorder(tmp_path / "log")
-    heard = [*messages[:third], *blind, *messages[2 * third :]]
-    map_log(load("imp"), Played.of(heard, tmp_path), [recorder])
+    received = [*messages[:third], *blind, *messages[2 * third :]]
+    map_log(load("imp"), Played.of(received, tmp_path), [recorder])
     paths = [(tmp_path / name / "trajectory.tum").read_text() for name in ("live", "log")]
-    assert paths[0] == paths[1], "looking changes nothing"
+    assert paths[0] == paths[1], "showing the pose changes nothing"
 
 
 def test_a_new_map_begins_at_the_origin(room):
@@ -321,7 +321,7 @@ def test_a_new_map_begins_at_the_origin(room):
     assert mapper.status().steps == steps
 
 
-def test_what_the_estimator_does_not_understand_is_passed_over(room):
+def test_messages_of_other_types_are_ignored(room):
     mapper = live(load("imp"))
     mapper.put(room[0])  # off: nothing happens
     mapper.start()
@@ -339,15 +339,15 @@ def test_what_the_estimator_does_not_understand_is_passed_over(room):
 
 
 def test_a_slow_computer_drops_whole_scans_and_stays_near(room, caplog):
-    """Each scan takes three sweeps: two of three are dropped, and the map is never old."""
+    """Each scan takes three sweeps: two of three are dropped, and the map stays current."""
     seconds, period = 0.15, 0.05
     view = LiveView()
     mapper = live(slow(seconds), view)
     mapper.start()
     behind, latency = [], []
-    begin, most = time.monotonic(), 60
+    begin, count = time.monotonic(), 60
     with caplog.at_level(logging.WARNING, "impslam"):
-        for i in range(most):
+        for i in range(count):
             stamp = i * period
             for k in range(5):
                 mapper.put(WheelAngles(stamp + k * 0.01, (i * 5 + k) * 0.01, (i * 5 + k) * 0.01))
@@ -357,26 +357,26 @@ def test_a_slow_computer_drops_whole_scans_and_stays_near(room, caplog):
             assert status.waiting <= 3
             behind.append(status.behind)
             latency.append(status.latency)
-        mapper.put(WheelAngles(most * period, most * 0.05, most * 0.05))
+        mapper.put(WheelAngles(count * period, count * 0.05, count * 0.05))
         drain(mapper)
         mapper.stop()
         mapper._mapping.thread.join()
     status = mapper.status()
     left = mapper._mapping.run.robot.pending
-    assert status.steps + status.dropped_scans + left == most
+    assert status.steps + status.dropped_scans + left == count
     assert left <= 1
     assert 8 <= status.steps <= 35
     # It waits for three sweeps at most, and for the one at work and itself to be done.
-    bound = 3 * period + 2 * seconds + 0.6  # and what a busy machine takes; without drops 2 s
+    bound = 3 * period + 2 * seconds + 0.6  # and the delays of a busy computer; 2 s without drops
     assert np.nanmax(latency) < bound
     assert np.nanmax(behind) < bound + seconds + period
     counts = mapper._mapping.run.robot.counts
-    assert counts["WheelAngles"] == 5 * most + 1
-    way = view.snapshot().odometry[0] - 0.0635 * view.snapshot().stamp
-    assert abs(way) < 1e-6  # the motion is complete, whatever was dropped
+    assert counts["WheelAngles"] == 5 * count + 1
+    travel_error = view.snapshot().odometry[0] - 0.0635 * view.snapshot().stamp
+    assert abs(travel_error) < 1e-6  # the motion is complete despite dropped scans
     assert f"{status.dropped_scans} scans dropped" in status.detail
-    told = [r for r in caplog.records if "scans dropped" in r.message]
-    assert len(told) == 1  # of 40, within 10 s
+    reports = [r for r in caplog.records if "scans dropped" in r.message]
+    assert len(reports) == 1  # of 40, within 10 s
 
 
 def test_odometry_that_is_off_is_shown_and_logged_once(room, caplog, monkeypatch):
@@ -392,7 +392,7 @@ def test_odometry_that_is_off_is_shown_and_logged_once(room, caplog, monkeypatch
 
 
 def test_the_map_begins_when_the_estimator_is_ready(room):
-    """What was felt before that does not make its origin uncertain."""
+    """Earlier odometry does not make its origin uncertain."""
     compiled, view = threading.Event(), LiveView()
     mapper = LiveMapper(load("imp"), view, lambda _: compiled.wait(20.0))
     mapper.start()
@@ -411,9 +411,9 @@ def test_the_map_begins_when_the_estimator_is_ready(room):
     mapper.stop()
 
 
-def test_scans_go_on_when_the_encoders_are_lost(room, monkeypatch):
-    """They are used with what is known, in time: none waits for 25 others."""
-    monkeypatch.setattr(module, "PATIENCE", 0.05)
+def test_scans_are_mapped_when_the_encoders_are_lost(room, monkeypatch):
+    """They are used in time with the motion so far: none waits for 25 others."""
+    monkeypatch.setattr(module, "ODOMETRY_TIMEOUT", 0.05)
     mapper = live(load("imp"))
     mapper.start()
     middle = len(room) // 2
@@ -430,12 +430,12 @@ def test_scans_go_on_when_the_encoders_are_lost(room, monkeypatch):
 
 
 @pytest.mark.parametrize("wheels", [True, False])
-def test_a_robot_without_encoders_is_told_that_it_has_none(room, monkeypatch, wheels):
-    monkeypatch.setattr(module, "PATIENCE", 0.02)
+def test_missing_odometry_is_reported(room, monkeypatch, wheels):
+    monkeypatch.setattr(module, "ODOMETRY_TIMEOUT", 0.02)
     mapper = live(load("imp"))
     mapper.start()
     hand(mapper, room if wheels else scans(room)[:20])
-    wait_until(lambda: mapper.status().steps >= module.BLIND)
+    wait_until(lambda: mapper.status().steps >= module.MIN_SCANS_WITHOUT_ODOMETRY)
     assert mapper.status().state == "running"
     assert ("no WheelAngles has come" in mapper.status().detail) is not wheels
     mapper.stop()
@@ -444,7 +444,7 @@ def test_a_robot_without_encoders_is_told_that_it_has_none(room, monkeypatch, wh
 # --------------------------------------------------------------------------- faults
 
 
-def test_a_failing_estimator_tells_in_one_line_and_can_begin_anew(room, caplog):
+def test_a_failing_estimator_is_a_one_line_error_and_can_be_restarted(room, caplog):
     mapper = live(slow(fails_at=5))
     mapper.start()
     with caplog.at_level(logging.ERROR, "impslam"):
@@ -466,10 +466,10 @@ def test_a_failing_estimator_tells_in_one_line_and_can_begin_anew(room, caplog):
 
 
 def test_a_flood_that_is_not_taken_fails_instead_of_filling_the_memory(monkeypatch):
-    monkeypatch.setattr("impslam.platform.station.inbox.LIMIT", 50)
+    monkeypatch.setattr("impslam.platform.station.inbox.MAX_MESSAGES", 50)
     mapper = live(load("imp"))
     mapper.start()
-    with mapper._mapping._between:  # the estimator hangs
+    with mapper._mapping._busy:  # the estimator hangs
         for i in range(60):
             mapper.put(WheelAngles(0.01 * i, 0.0, 0.0))
         assert mapper.status().state == "failed"
@@ -498,7 +498,7 @@ def test_bad_messages_do_not_end_the_map(room):
     mapper.stop()
 
 
-def test_arrivals_are_told_on_the_page(room):
+def test_arrival_and_latency_are_reported(room):
     view = LiveView()
     mapper = live(load("imp"), view)
     mapper.start()
@@ -513,7 +513,7 @@ def test_arrivals_are_told_on_the_page(room):
     mapper.stop()
 
 
-def test_the_estimator_is_compiled_apart(monkeypatch, tmp_path):
+def test_the_estimator_is_compiled_in_a_subprocess(monkeypatch, tmp_path):
     calls = []
     monkeypatch.setattr(warm, "_done", set())
     monkeypatch.setattr(warm.subprocess, "run", lambda command, **_: calls.append(command))
@@ -540,7 +540,7 @@ def test_compiling_may_be_done_ahead(caplog):
         wait_until(lambda: "no disk" in caplog.text)
 
 
-def test_what_cannot_be_compiled_apart_is_compiled_in_place(monkeypatch, caplog):
+def test_the_estimator_is_compiled_in_place_if_the_subprocess_fails(monkeypatch, caplog):
     def fail(*_, **__):
         raise OSError("no process")
 
@@ -554,7 +554,7 @@ def test_what_cannot_be_compiled_apart_is_compiled_in_place(monkeypatch, caplog)
 
 
 def test_a_rehearsal_closes_loops_and_settles(monkeypatch):
-    """Or the first loop that a robot closes would wait for the compiler."""
+    """Otherwise, the first loop closure would wait for the compiler."""
     made = []
 
     class Kept(warm.Run):

@@ -1,4 +1,4 @@
-"""Replay: the pace of the stamps, halts and steps at once, and the same files as without."""
+"""Replay: the pace of the stamps, pause and step, and the same files as without."""
 
 import math
 import threading
@@ -32,7 +32,7 @@ def room():
 
 
 class Moments(Observer):
-    """Remembers when each result came."""
+    """Records the time of each result."""
 
     def __init__(self):
         self.stamps, self.moments, self.outcome = [], [], None
@@ -137,7 +137,7 @@ def test_a_changed_speed_counts_from_now(room, tmp_path):
     playing.set_speed(100.0)  # the scan that was due in a second is due at once
     wait_until(lambda: playing.status().steps >= 50, 5.0)
     assert time.monotonic() - begin < 4.0
-    playing.set_speed(0.1)  # and nothing is owed
+    playing.set_speed(0.1)  # and no step is due
     steps = playing.status().steps
     time.sleep(0.3)
     assert playing.status().steps <= steps + 2
@@ -145,9 +145,9 @@ def test_a_changed_speed_counts_from_now(room, tmp_path):
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, 0.05, 101.0, math.nan, -INF])
-def test_what_is_no_speed_is_refused(room, tmp_path, speed):
+def test_an_invalid_speed_is_refused(room, tmp_path, speed):
     playing = player(room, tmp_path)
-    with pytest.raises(ImpError, match="is none"):
+    with pytest.raises(ImpError, match="is invalid"):
         playing.set_speed(speed)
     assert playing.status().speed == 1.0
 
@@ -166,7 +166,7 @@ def test_a_computer_that_is_too_slow_does_not_catch_up_in_a_rush():
 
 
 def test_a_late_scan_is_caught_up_with():
-    """What takes longer now and then does not delay all that comes after: 0.35 s, not 0.47."""
+    """An occasional delay does not delay all later scans: 0.35 s, not 0.47."""
 
     def play():
         pace, begin = Pace(), None
@@ -184,7 +184,7 @@ def test_a_late_scan_is_caught_up_with():
 
 
 class Counted(Played):
-    """Messages that tell how many there are, and how many were read."""
+    """A source with a known total, which counts the messages read."""
 
     _read: int = PrivateAttr(default=0)
     total = property(lambda self: len(self._list))
@@ -195,7 +195,7 @@ class Counted(Played):
             yield located
 
 
-def test_a_replay_goes_on_to_a_place_as_fast_as_it_can_and_halts_there(room, tmp_path):
+def test_seeking_plays_unpaced_and_pauses_at_the_target(room, tmp_path):
     playing = Player(load("imp"), Counted.of(room, tmp_path), (), LiveView(), lambda _: None)
     with pytest.raises(ImpError, match="not known yet"):
         playing.seek(0.5)
@@ -220,7 +220,7 @@ def test_a_replay_goes_on_to_a_place_as_fast_as_it_can_and_halts_there(room, tmp
     assert len(playing.wait(20.0).path()) > 50
 
 
-def test_a_halt_is_at_once_and_a_step_is_one_scan(room, tmp_path):
+def test_a_pause_is_immediate_and_a_step_is_one_scan(room, tmp_path):
     view = LiveView()
     playing = player(room, tmp_path, view=view)
     playing.set_speed(INF)
@@ -240,7 +240,7 @@ def test_a_halt_is_at_once_and_a_step_is_one_scan(room, tmp_path):
     assert playing.wait(60.0) is not None
 
 
-def test_at_a_halt_the_newest_map_is_shown(room, tmp_path):
+def test_the_newest_map_is_shown_while_paused(room, tmp_path):
     view = LiveView()
     playing = player(room, tmp_path, view=view)
     playing.set_speed(INF)
@@ -274,7 +274,7 @@ def test_pausing_takes_less_than_a_tenth_of_a_second(room, tmp_path, speed):
     assert playing.status().state == "stopped"
 
 
-def test_a_halted_replay_takes_no_time_of_the_computer(room, tmp_path):
+def test_a_paused_replay_uses_no_cpu_time(room, tmp_path):
     playing = player(room, tmp_path)
     playing.start()
     wait_until(lambda: playing.status().steps >= 2)
@@ -286,7 +286,7 @@ def test_a_halted_replay_takes_no_time_of_the_computer(room, tmp_path):
     playing.stop()
 
 
-def test_a_stopped_replay_tells_observers_what_is_known(room, tmp_path):
+def test_a_stopped_replay_finishes_its_observers(room, tmp_path):
     kept = Moments()
     playing = player(room, tmp_path, [kept])
     playing.start()
@@ -300,7 +300,7 @@ def test_a_stopped_replay_tells_observers_what_is_known(room, tmp_path):
 # --------------------------------------------------------------------------- odd logs
 
 
-def test_a_gap_is_skipped_at_once_and_told(room, tmp_path):
+def test_a_gap_is_skipped_at_once_and_reported(room, tmp_path):
     playing = player(shifted(room, 3600.0, 1.0), tmp_path)
     playing.set_speed(20.0)
     playing.start()
@@ -331,7 +331,7 @@ def test_stamps_that_jitter_do_not_stretch_time():
     assert pace.place[1] == pytest.approx(9.9)
 
 
-def test_stamps_that_are_no_numbers_do_not_hang_it():
+def test_stamps_that_are_nan_do_not_hang_it():
     pace = Pace()
     assert [pace.wait(stamp) for stamp in (1.0, math.nan, INF, 2.0)] == ["go"] * 4
 
@@ -347,7 +347,7 @@ def test_a_log_that_is_broken_fails_in_one_line(room, tmp_path):
     assert "\n" not in status.detail
 
 
-def test_an_observer_that_fails_is_told(room, tmp_path):
+def test_an_observer_that_fails_is_reported(room, tmp_path):
     class Broken(Observer):
         def revise(self, keyframe, revision, path):
             raise ValueError("two\nlines")
@@ -359,7 +359,7 @@ def test_an_observer_that_fails_is_told(room, tmp_path):
     assert playing.status().detail == "ValueError: two lines"
 
 
-def test_orders_from_many_threads_leave_it_sound(room, tmp_path):
+def test_calls_from_many_threads_leave_it_consistent(room, tmp_path):
     playing = player(room, tmp_path)
     playing.start()
     rng = np.random.default_rng(1)
@@ -378,7 +378,7 @@ def test_orders_from_many_threads_leave_it_sound(room, tmp_path):
 
 
 def test_stopping_waits_for_a_run_folder_that_is_being_written(room, tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "STOP", 0.05)
+    monkeypatch.setattr(module, "STOP_TIMEOUT", 0.05)
     begun = threading.Event()
 
     class Slow(Observer):

@@ -1,4 +1,4 @@
-"""The recorder: everything is in the log, nothing waits for the disk, and every end is told."""
+"""The recorder: everything is in the log, nothing waits for the disk, and every end is notified."""
 
 import errno
 import os
@@ -45,26 +45,26 @@ PATIENCE = 20.0  # s; a loaded machine is no failure
 
 @pytest.fixture
 def recorder(tmp_path: Path) -> LogRecorder:
-    """Tells into its own log, as on the robot."""
+    """Notifies into its own log, as on the robot."""
 
-    def tell(level: str, text: str) -> None:
+    def notify(level: str, text: str) -> None:
         made.put(event("recorder", level, text))
 
-    made = LogRecorder(tmp_path / "logs", "imp", 0, tell)
+    made = LogRecorder(tmp_path / "logs", "imp", 0, notify)
     return made
 
 
 @pytest.fixture
-def told() -> list[tuple[str, str]]:
+def notices() -> list[tuple[str, str]]:
     return []
 
 
 def unheard(_level: str, _text: str) -> None:
-    """Tell nobody."""
+    """Ignore a notice."""
 
 
-def teller(told: list[tuple[str, str]]) -> Callable[[str, str], None]:
-    return lambda level, text: told.append((level, text))
+def notifier(notices: list[tuple[str, str]]) -> Callable[[str, str], None]:
+    return lambda level, text: notices.append((level, text))
 
 
 def until(true: Callable[[], object]) -> None:
@@ -103,7 +103,7 @@ def topics(path: Path) -> dict[str, int]:
     return found
 
 
-def test_all_that_the_robot_says_is_in_the_log(recorder: LogRecorder) -> None:
+def test_all_readings_are_in_the_log(recorder: LogRecorder) -> None:
     path = recorder.start()
     begin, robot = now(), FullRate()
     for number in range(1, 201):
@@ -165,7 +165,7 @@ def test_what_was_put_is_on_the_disk_within_a_second(recorder: LogRecorder) -> N
         assert time.monotonic() - put < PATIENCE
         time.sleep(0.02)
     assert recorder.status().active
-    assert recorder_thread.PERIOD < 0.5
+    assert recorder_thread.SYNC_INTERVAL < 0.5
     recorder.stop()
 
 
@@ -186,7 +186,7 @@ def test_names(recorder: LogRecorder) -> None:
 
 
 @pytest.mark.parametrize(
-    ("said", "name"),
+    ("label", "name"),
     [
         ("", ""),
         ("lab.mcap", "lab"),
@@ -197,11 +197,11 @@ def test_names(recorder: LogRecorder) -> None:
         ("実験", ""),
     ],
 )
-def test_names_are_made_safe(said: str, name: str) -> None:
-    assert file_name(said) == name
+def test_names_are_made_safe(label: str, name: str) -> None:
+    assert file_name(label) == name
 
 
-def test_one_log_at_a_time_and_stopping_twice_is_no_fault(recorder: LogRecorder) -> None:
+def test_one_log_at_a_time_and_stopping_twice_is_no_error(recorder: LogRecorder) -> None:
     assert recorder.stop() is None
     assert recorder.status().path is None
     path = recorder.start()
@@ -213,10 +213,10 @@ def test_one_log_at_a_time_and_stopping_twice_is_no_fault(recorder: LogRecorder)
     assert "WheelAngles" not in recorder.status().written
 
 
-def test_a_bad_message_is_dropped_and_told_once(
-    tmp_path: Path, told: list[tuple[str, str]]
+def test_a_bad_message_is_dropped_and_notified_once(
+    tmp_path: Path, notices: list[tuple[str, str]]
 ) -> None:
-    recorder = LogRecorder(tmp_path, "imp", 0, teller(told))
+    recorder = LogRecorder(tmp_path, "imp", 0, notifier(notices))
     path, moment = recorder.start(), now()
     for _ in range(3):
         recorder.put(scan(moment, uneven=True))
@@ -229,7 +229,7 @@ def test_a_bad_message_is_dropped_and_told_once(
     status = recorder.status()
     assert status.dropped == {"LaserScan": 3, "Steering": 1, "WheelAngles": 2, "Climate": 1}
     assert status.written == {"WheelAngles": 1}
-    assert [text for level, text in told if level == "warning" and "LaserScan" in text] == [
+    assert [text for level, text in notices if level == "warning" and "LaserScan" in text] == [
         "urg: LaserScan cannot be recorded: angles are not equally spaced, which "
         "sensor_msgs/LaserScan cannot say"
     ]
@@ -259,17 +259,17 @@ def test_a_second_lidar_has_a_topic_of_its_own(recorder: LogRecorder) -> None:
     assert source.problems.examples["error on the robot"] == f"{path}: urg: lost"
 
 
-def test_a_slow_disk_makes_nobody_wait_and_pictures_go_first(
-    tmp_path: Path, told: list[tuple[str, str]], monkeypatch: pytest.MonkeyPatch
+def test_a_slow_disk_blocks_nobody_and_pictures_are_dropped_first(
+    tmp_path: Path, notices: list[tuple[str, str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     free = threading.Event()
-    recorder = LogRecorder(tmp_path, "imp", 0, teller(told))
+    recorder = LogRecorder(tmp_path, "imp", 0, notifier(notices))
     monkeypatch.setattr(
         recorder_thread, "ReadingQueue", lambda: ReadingQueue(count=100, size=100_000)
     )
     path = recorder.start()
     monkeypatch.setattr(live_recording, "_sync_data", lambda _: free.wait(PATIENCE))
-    time.sleep(2.0 * recorder_thread.PERIOD)  # by now it waits for the disk
+    time.sleep(2.0 * recorder_thread.SYNC_INTERVAL)  # by now it waits for the disk
     longest = 0.0
     for number in range(90):
         for reading in (wheels(number), image(100), Reading(Imu(1.0, *np.ones((2, 3))), 1.0, "a")):
@@ -280,13 +280,13 @@ def test_a_slow_disk_makes_nobody_wait_and_pictures_go_first(
     dropped = recorder.status().dropped
     assert dropped["Image"] > dropped["Imu"] > dropped["WheelAngles"] > 0
     free.set()
-    until(lambda: any("dropped so far" in text for _, text in told))
+    until(lambda: any("dropped so far" in text for _, text in notices))
     recorder.stop()
     status = recorder.status()
     assert status.dropped == dropped
     for kind in ("WheelAngles", "Imu", "Image"):
         assert status.written[kind] + status.dropped[kind] == 90
-    assert any("too slow" in text for level, text in told if level == "warning")
+    assert any("too slow" in text for level, text in notices if level == "warning")
     assert topics(path)["/joint_states"] == status.written["WheelAngles"]
 
 
@@ -318,10 +318,10 @@ def test_the_queue_drops_by_type_and_counts() -> None:
     assert queue.dropped()["Imu"] == 4
 
 
-def test_a_disk_that_hangs_does_not_hold_up_who_asks(
+def test_a_disk_that_hangs_does_not_block_the_status(
     recorder: LogRecorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recorder_module, "FRESH", 0.01)
+    monkeypatch.setattr(recorder_module, "SAMPLE_INTERVAL", 0.01)
     known, hanging = recorder.status().free, threading.Event()
     assert known > 0
     usage = shutil.disk_usage("/")
@@ -348,9 +348,9 @@ def free_space(monkeypatch: pytest.MonkeyPatch, free: int) -> None:
 
 
 def test_the_disk_is_never_filled_beyond_its_reserve(
-    tmp_path: Path, told: list[tuple[str, str]], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, notices: list[tuple[str, str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recorder = LogRecorder(tmp_path, "imp", 10**9, teller(told))
+    recorder = LogRecorder(tmp_path, "imp", 10**9, notifier(notices))
     free_space(monkeypatch, 10**9 + 5)
     assert recorder.status().free == 5
     path = recorder.start()
@@ -358,7 +358,7 @@ def test_the_disk_is_never_filled_beyond_its_reserve(
     free_space(monkeypatch, 10**9 - 1)
     status = ended(recorder)
     assert "the disk is full up to its reserve" in status.error
-    assert any(level == "error" and str(path) in text for level, text in told)
+    assert any(level == "error" and str(path) in text for level, text in notices)
     assert not read(path)[1].problems.counts  # closed like any other
     with pytest.raises(RecordingError, match="less than the reserve of 1000 MB is free"):
         recorder.start()
@@ -371,7 +371,7 @@ def test_the_disk_is_never_filled_beyond_its_reserve(
 
 
 @pytest.mark.parametrize(
-    ("code", "said"),
+    ("code", "label"),
     [
         (errno.ENOSPC, "No space left on device); delete logs"),
         (errno.EIO, "Input/output error); save its logs and replace the disk"),
@@ -380,7 +380,7 @@ def test_the_disk_is_never_filled_beyond_its_reserve(
     ],
 )
 def test_a_failing_disk_ends_the_recording_and_nothing_else(
-    recorder: LogRecorder, monkeypatch: pytest.MonkeyPatch, code: int, said: str
+    recorder: LogRecorder, monkeypatch: pytest.MonkeyPatch, code: int, label: str
 ) -> None:
     def fail(descriptor: int) -> None:
         raise OSError(code, os.strerror(code))
@@ -389,7 +389,7 @@ def test_a_failing_disk_ends_the_recording_and_nothing_else(
     recorder.put(wheels(7))
     monkeypatch.setattr(live_recording, "_sync_data", fail)
     status = ended(recorder)
-    assert said in status.error
+    assert label in status.error
     assert "\n" not in status.error
     assert status.written.get("WheelAngles", 0) + status.dropped.get("WheelAngles", 0) == 1
     recorder.put(wheels(8))
@@ -401,8 +401,8 @@ def test_a_failing_disk_ends_the_recording_and_nothing_else(
     recorder.stop()
 
 
-def test_robots_may_begin_a_log_in_the_same_second(tmp_path: Path, monkeypatch) -> None:
-    """All find the name free; who makes it has it, and the others take the next."""
+def test_two_recorders_can_start_in_the_same_second(tmp_path: Path, monkeypatch) -> None:
+    """All find the name free; the first to create it gets it, and the others take the next."""
     monkeypatch.setattr(time, "strftime", lambda _: "20260101-000000")
     recorders = [LogRecorder(tmp_path, "imp", 0, lambda *_: None) for _ in range(8)]
     with ThreadPoolExecutor(8) as pool:
@@ -426,7 +426,7 @@ def test_a_log_that_vanishes_ends_the_recording(
     else:
         path.rename(tmp_path / "elsewhere.mcap")
     assert "was moved, deleted or cut while it was written" in ended(recorder).error
-    assert recorder.start().is_file()  # the folder is made anew
+    assert recorder.start().is_file()  # the folder is created again
     assert ended_well(recorder)
 
 
@@ -435,7 +435,7 @@ def ended_well(recorder: LogRecorder) -> bool:
     return recorder.status().error == ""
 
 
-def test_a_folder_that_cannot_be_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_an_impossible_folder_is_a_one_line_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     recorder = LogRecorder(tmp_path / "file" / "logs", "imp", 0, unheard)
     with pytest.raises(RecordingError, match="cannot be written") as raised:
@@ -445,7 +445,7 @@ def test_a_folder_that_cannot_be_is_refused_in_one_line(tmp_path: Path) -> None:
     assert not recorder.status().active
 
 
-def test_a_fault_of_the_recorder_is_told_and_does_not_spread(
+def test_a_bug_of_the_recorder_is_notified_and_does_not_spread(
     recorder: LogRecorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(self: object) -> None:
@@ -482,7 +482,7 @@ print(path)
 
 
 def test_a_write_that_fails_halfway_leaves_what_was_written_before(tmp_path: Path) -> None:
-    """The kernel itself refuses to write on, in the middle of a chunk."""
+    """The kernel refuses further writes in the middle of a chunk."""
     command = [sys.executable, "-c", LIMITED, str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     error, path = done.stdout.splitlines()

@@ -1,4 +1,4 @@
-"""A robot file says what a robot is made of, and a wrong one says what is wrong."""
+"""Robot files define devices, and invalid ones give clear errors."""
 
 import pytest
 
@@ -49,13 +49,13 @@ def test_devices_are_named_by_their_tables(write):
         (GOOD.replace("port =", "prot ="), "did you mean 'port'"),
     ],
 )
-def test_what_is_wrong_is_told_in_one_line(write, text, complaint):
+def test_errors_are_one_line(write, text, complaint):
     with pytest.raises(ConfigError) as caught:
         load_robot(write(text))
     assert complaint in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_file_is_told(tmp_path):
+def test_a_missing_file_is_an_error(tmp_path):
     with pytest.raises(ConfigError, match=r"robot\.toml: cannot be read"):
         load_robot(tmp_path / "robot.toml")

@@ -1,4 +1,4 @@
-"""What the guide tells people to type and to write must work."""
+"""The commands and files of the guide work."""
 
 import re
 import tomllib
@@ -52,11 +52,11 @@ COMMANDS = [
 
 
 @pytest.mark.parametrize("command", [*COMMANDS, "imp robot --virtual"])
-def test_its_commands_are_understood(command):
+def test_its_commands_are_valid(command):
     make_app().parse_args(command.removeprefix("imp "), exit_on_error=False, print_error=False)
 
 
-def test_its_links_lead_somewhere():
+def test_its_links_are_valid():
     linked = re.findall(r"\]\(([^)#:]+)\)", GUIDE.read_text("utf-8"))
     assert linked
     for link in set(linked):

@@ -14,7 +14,7 @@ import pytest
 
 from impslam.errors import ConfigError
 from impslam.platform.station.service import WATCHDOG, unit
-from impslam.platform.station.watchdog import STATUS, Watchdog, notify, watchdog_period
+from impslam.platform.station.watchdog import NOTIFY_INTERVAL, Watchdog, notify, watchdog_period
 
 USER = getpass.getuser()
 HERE = Path("/srv/imp")
@@ -37,7 +37,7 @@ def until_silent(link):
 
 @pytest.fixture
 def listener(tmp_path, monkeypatch):
-    """What systemd is: a datagram socket, named by NOTIFY_SOCKET."""
+    """The socket of systemd, named by NOTIFY_SOCKET."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
         link.bind(str(tmp_path / "notify"))
         link.settimeout(10.0)
@@ -48,7 +48,7 @@ def listener(tmp_path, monkeypatch):
 # --------------------------------------------------------------------------- unit
 
 
-def test_the_unit_says_what_matters():
+def test_the_unit_has_the_essential_settings():
     text = made(arguments=["robot", "-c", "/srv/imp/my robot.toml"])
     assert value(text, "ExecStart") == f'"{sys.executable}" "robot" "-c" "/srv/imp/my robot.toml"'
     assert value(text, "Type") == "notify"
@@ -74,7 +74,7 @@ def test_the_unit_says_what_matters():
         ("größe", '"größe"'),
     ],
 )
-def test_what_means_something_to_systemd_is_escaped(argument, escaped):
+def test_special_characters_of_systemd_are_escaped(argument, escaped):
     words = value(made(arguments=[argument]), "ExecStart")
     assert words == f'"{sys.executable}" {escaped}'
     # Once specifiers and variables are undone, a shell's rules for double quotes are the same.
@@ -89,7 +89,7 @@ def test_paths_with_blanks_and_percents():
 
 
 @pytest.mark.parametrize(
-    ("wrong", "told"),
+    ("wrong", "message"),
     [
         ({"program": Path("imp")}, "absolute"),
         ({"folder": Path("logs")}, "absolute"),
@@ -100,8 +100,8 @@ def test_paths_with_blanks_and_percents():
         ({"user": "nobody-of-that-name"}, "adduser"),
     ],
 )
-def test_what_cannot_be_is_explained(wrong, told):
-    with pytest.raises(ConfigError, match=told) as error:
+def test_invalid_arguments_are_explained(wrong, message):
+    with pytest.raises(ConfigError, match=message) as error:
         made(**wrong)
     assert "\n" not in str(error.value)
 
@@ -115,7 +115,7 @@ def test_systemd_finds_nothing_wrong(tmp_path):
     found = subprocess.run(call, capture_output=True, text=True, check=False, timeout=60)
     ours = [line for line in (found.stdout + found.stderr).splitlines() if "imp.service" in line]
     assert ours == []
-    # And it does look: a typo is found.
+    # Check that a typo is found.
     file.write_text(text.replace("WatchdogSec=10", "WatchdogSec=ten"), "utf-8")
     found = subprocess.run(call, capture_output=True, text=True, check=False, timeout=60)
     assert "ignoring: ten" in found.stdout + found.stderr
@@ -141,21 +141,21 @@ def test_lines_reach_an_abstract_socket(monkeypatch):
 
 
 @pytest.mark.parametrize("address", ["", "vsock:2:1234", "/nowhere/at/all"])
-def test_nobody_listens_and_nothing_happens(monkeypatch, address):
+def test_notify_without_a_listener_does_nothing(monkeypatch, address):
     monkeypatch.setenv("NOTIFY_SOCKET", address)
     assert not notify("READY=1")
     with Watchdog(lambda: True):
         pass
 
 
-def test_a_listener_that_is_full_does_not_make_it_wait(listener):
+def test_notify_does_not_block_on_a_full_socket(listener):
     begin = time.monotonic()
     while notify("STATUS=" + "x" * 1000):
         assert time.monotonic() - begin < 10.0
     assert time.monotonic() - begin < 10.0
 
 
-def test_signs_of_life_come_while_it_lives_and_stay_out_after(listener, monkeypatch):
+def test_keep_alives_stop_when_the_robot_is_not_alive(listener, monkeypatch):
     monkeypatch.setenv("WATCHDOG_USEC", "40000")
     monkeypatch.setenv("WATCHDOG_PID", str(os.getpid()))
     alive = threading.Event()
@@ -178,7 +178,7 @@ def test_signs_of_life_come_while_it_lives_and_stay_out_after(listener, monkeypa
     assert last == b"STOPPING=1"
 
 
-def test_who_cannot_tell_whether_it_lives_does_not(listener, monkeypatch):
+def test_a_failing_check_counts_as_not_alive(listener, monkeypatch):
     monkeypatch.setenv("WATCHDOG_USEC", "20000")
 
     def fails():
@@ -197,10 +197,10 @@ def test_who_cannot_tell_whether_it_lives_does_not(listener, monkeypatch):
     [
         ("10000000", "", 5.0),
         ("10000000", "SELF", 5.0),
-        ("10000000", "1", STATUS),  # it is another's
-        ("", "", STATUS),
-        ("0", "", STATUS),
-        ("soon", "", STATUS),
+        ("10000000", "1", NOTIFY_INTERVAL),  # of another process
+        ("", "", NOTIFY_INTERVAL),
+        ("0", "", NOTIFY_INTERVAL),
+        ("soon", "", NOTIFY_INTERVAL),
     ],
 )
 def test_the_period_is_half_of_what_is_allowed(monkeypatch, usec, process, period):

@@ -1,4 +1,4 @@
-"""The station as a whole: what it does when a part of it fails."""
+"""The station as a whole, with failing parts."""
 
 import math
 import threading
@@ -40,7 +40,7 @@ def station(folder, devices=(), floor=0):
     return Station(dict(devices), "imp", folder, (0.5, 1.0), floor)
 
 
-def test_a_disk_without_room_is_told_and_the_robot_goes_on(folder):
+def test_a_full_disk_is_notified_and_the_robot_keeps_running(folder):
     robot = station(folder, floor=NO_DISK)
     robot.begin(record=True, map_=False)
     status = robot.health().recording
@@ -50,7 +50,7 @@ def test_a_disk_without_room_is_told_and_the_robot_goes_on(folder):
     robot.stop()
 
 
-def test_it_begins_to_record_where_it_can(folder):
+def test_begin_starts_recording(folder):
     robot = station(folder)
     robot.begin(record=True, map_=False)
     assert robot.health().recording.active
@@ -58,7 +58,7 @@ def test_it_begins_to_record_where_it_can(folder):
     assert [log.cut for log in robot.store.logs()] == [False]
 
 
-def test_a_part_that_does_not_end_holds_up_no_other(folder, monkeypatch):
+def test_a_part_that_fails_to_stop_does_not_block_the_others(folder, monkeypatch):
     robot = station(folder, {"lidar": Silent()})
     robot.recorder.start()
 
@@ -71,7 +71,7 @@ def test_a_part_that_does_not_end_holds_up_no_other(folder, monkeypatch):
     assert not robot.health().recording.active
 
 
-def test_a_folder_that_cannot_be_made_is_told_in_one_line(folder):
+def test_a_folder_that_cannot_be_created_is_notified_in_one_line(folder):
     folder.write_text("a file")
     robot = station(folder)
     with pytest.raises(RecordingError, match="cannot be written"):
@@ -85,12 +85,12 @@ def test_readings_of_many_threads_leave_the_events_bounded_and_readable(folder):
     robot = station(folder)
     ended = threading.Event()
 
-    def tell():
+    def notify():
         while not ended.is_set():
-            robot._announce("info", "news")
+            robot._notify("info", "news")
             robot.receive(Reading(Climate(now(), 20.0, 0.5), now(), "toy"))
 
-    threads = [threading.Thread(target=tell) for _ in range(4)]
+    threads = [threading.Thread(target=notify) for _ in range(4)]
     for thread in threads:
         thread.start()
     for _ in range(2000):
@@ -103,7 +103,7 @@ def test_readings_of_many_threads_leave_the_events_bounded_and_readable(folder):
 
 @pytest.fixture
 def corridors(folder, monkeypatch):
-    """A station whose robot has mapped a ring of corridors; what it sends next is of a later drive."""
+    """A station that has mapped a ring of corridors, and the messages of a later drive."""
     robot = station(folder)
     monkeypatch.setattr(robot.mapper, "_config", GRAPH)
     monkeypatch.setattr(robot.mapper, "_prepare", lambda config: None)
@@ -125,34 +125,34 @@ def send(robot, messages):
     drain(robot.mapper)
 
 
-def test_a_robot_is_localised_in_a_map_that_stays(corridors):
+def test_a_robot_is_localised_in_a_frozen_map(corridors):
     robot, messages = corridors
     name = robot.keeper.name
     before = (robot.maps.path(name) / "map.imp").read_bytes()
-    robot.go_on(name, frozen=True)
+    robot.continue_map(name, frozen=True)
     send(robot, messages[:100])
     status = robot.mapper.status()
     assert (status.name, status.frozen, status.placed) == (name, True, False)
     assert robot.view.snapshot().grid is not None
     assert len(robot.view.snapshot().path) == 0
-    robot.hint(0.0, 0.0)  # begun anew about that place
+    robot.hint(0.0, 0.0)  # restarted near that position
     send(robot, messages)
     assert robot.mapper.status().placed
-    with pytest.raises(ImpError, match="known where it is"):
+    with pytest.raises(ImpError, match="already located"):
         robot.hint(0.0, 0.0)
     x, y, _ = robot.view.snapshot().pose
     assert math.hypot(x - 9.0, y) < 0.3
-    with pytest.raises(ImpError, match="stays as it is"):
+    with pytest.raises(ImpError, match="frozen map"):
         robot.save_map()
     robot.keeper.stop()
     assert [one.name for one in robot.maps.maps()] == [name]
     assert (robot.maps.path(name) / "map.imp").read_bytes() == before
 
 
-def test_a_map_that_is_gone_on_with_grows_into_a_new_one(corridors):
+def test_a_continued_map_is_saved_as_a_new_one(corridors):
     robot, messages = corridors
     name = robot.keeper.name
-    robot.go_on(name)
+    robot.continue_map(name)
     send(robot, messages)
     assert robot.mapper.status().placed
     robot.keeper.stop()
@@ -164,13 +164,13 @@ def test_a_map_that_is_gone_on_with_grows_into_a_new_one(corridors):
     robot.maps.delete(name)
 
 
-def test_a_map_that_cannot_be_read_leaves_the_present_one(folder):
+def test_a_map_that_cannot_be_read_keeps_the_present_one(folder):
     robot = station(folder)
     (folder / "maps" / "broken").mkdir(parents=True)
     (folder / "maps" / "broken" / "map.imp").write_text("no map")
     for name in ("broken", "nothing"):
         with pytest.raises(ImpError, match=name):
-            robot.go_on(name)
+            robot.continue_map(name)
     assert robot.mapper.status().state == "off"
 
 

@@ -1,4 +1,4 @@
-"""The logs on the disk: nothing outside the folder, nothing overwritten, nothing gone at once."""
+"""The logs on the disk: nothing outside the folder, nothing overwritten, and a recycle bin."""
 
 import os
 import threading
@@ -22,7 +22,7 @@ def record(path: Path, seconds: float = 2.5) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with two logs, a cut one, and much that is none of the store's business."""
+    """A folder with two logs, a cut one, and other files."""
     folder = tmp_path / "logs"
     folder.mkdir()
     for i, name in enumerate(("a.mcap", "b.mcap")):
@@ -46,7 +46,7 @@ def names(store: LogStore) -> list[str]:
     return [log.name for log in store.logs()]
 
 
-def test_logs_newest_first_with_what_is_to_be_told(folder: Path) -> None:
+def test_logs_are_listed_newest_first_with_their_facts(folder: Path) -> None:
     cut, b, a = LogStore(folder).logs()
     assert [log.name for log in (cut, b, a)] == ["cut.mcap", "b.mcap", "a.mcap"]
     assert a.size == (folder / "a.mcap").stat().st_size
@@ -56,7 +56,7 @@ def test_logs_newest_first_with_what_is_to_be_told(folder: Path) -> None:
     assert cut.duration != cut.duration
 
 
-def test_a_log_that_grew_is_looked_into_again(folder: Path) -> None:
+def test_a_log_that_grew_is_read_again(folder: Path) -> None:
     store = LogStore(folder)
     assert store.logs()[0].cut
     (folder / "cut.mcap").write_bytes((folder / "a.mcap").read_bytes())
@@ -65,7 +65,7 @@ def test_a_log_that_grew_is_looked_into_again(folder: Path) -> None:
     assert again.duration == pytest.approx(2.5, abs=1e-6)
 
 
-def test_what_is_no_log_at_all_is_listed_as_cut_and_never_an_error(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_log_is_listed_as_cut(tmp_path: Path) -> None:
     magic = b"\x89MCAP0\r\n"
     contents = {"empty": b"", "short": b"abc", "noise": os.urandom(500), "ends": b"xxxx" + magic}
     for name, content in contents.items():
@@ -74,7 +74,7 @@ def test_what_is_no_log_at_all_is_listed_as_cut_and_never_an_error(tmp_path: Pat
     assert found == {"empty.mcap": True, "short.mcap": True, "noise.mcap": True, "ends.mcap": False}
 
 
-def test_the_log_being_recorded_is_told_and_not_deleted(folder: Path) -> None:
+def test_the_log_being_recorded_cannot_be_deleted(folder: Path) -> None:
     store = LogStore(folder)
     with LiveMcapWriter(folder / "now.mcap", "imp", 100.0):
         (now,) = (log for log in store.logs() if log.recording)
@@ -115,7 +115,7 @@ STRANGE = [
 
 
 @pytest.mark.parametrize("name", STRANGE)
-def test_nothing_but_a_listed_log_is_reached(folder: Path, name: str) -> None:
+def test_only_listed_logs_are_accessible(folder: Path, name: str) -> None:
     store = LogStore(folder)
     for names_of in (name, str(folder.parent / "outside.mcap"), str(folder / "a.mcap")):
         for act in (store.path, store.delete, store.restore, store.purge):
@@ -188,7 +188,7 @@ def test_purging_one_or_all(folder: Path) -> None:
     assert {p.name for p in (folder / ".bin").iterdir()} == {"keep.txt", "99999999T999999Z_x.mcap"}
 
 
-def test_a_bin_that_leads_elsewhere_is_not_used(folder: Path) -> None:
+def test_a_bin_that_is_a_link_is_not_used(folder: Path) -> None:
     (folder.parent / "20260101T000000Z_a.mcap").write_text("secret")
     (folder / ".bin").symlink_to(folder.parent)
     store = LogStore(folder)
@@ -212,7 +212,7 @@ def test_a_missing_folder_has_no_logs(tmp_path: Path) -> None:
         store.delete("a.mcap")
 
 
-def test_a_disk_that_refuses_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_error_is_reported(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(path: Path, target: Path) -> None:
         raise PermissionError(13, "Permission denied")
 
@@ -237,7 +237,7 @@ def test_many_threads_delete_and_restore_and_nothing_is_lost(folder: Path) -> No
                     store.restore(binned.name)
             except StoreError:
                 pass  # another thread was quicker
-            except Exception as error:  # any would be a fault
+            except Exception as error:  # any error is a failure
                 trouble.append(error)
 
     threads = [threading.Thread(target=act, args=(i,)) for i in range(4)]

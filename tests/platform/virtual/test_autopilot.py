@@ -1,4 +1,4 @@
-"""The emulated firmware keeps the protocol: sensors, commands, stop and dead man, reboots."""
+"""The emulated firmware follows the protocol: sensors, commands, stops, timeouts, reboots."""
 
 import math
 
@@ -29,10 +29,10 @@ PARSE = {Kind.HELLO: Hello.parse, Kind.SENSORS: Sensors.parse, Kind.ACK: Ack.par
 
 class Vehicle:
     def __init__(self):
-        self.told, self.angles = [], (0.0, 0.0)
+        self.commands, self.angles = [], (0.0, 0.0)
 
     def drive(self, left, right):
-        self.told.append((left, right))
+        self.commands.append((left, right))
 
     def wheel_angles(self):
         return self.angles
@@ -45,7 +45,7 @@ class Vehicle:
 
 
 class Host:
-    """What a host sees of the emulator."""
+    """The host's end of the emulator."""
 
     def __init__(self, **settings):
         self.vehicle = Vehicle()
@@ -80,7 +80,7 @@ def host():
     return host
 
 
-def test_it_says_hello_first_and_then_a_hundred_readings_a_second():
+def test_it_sends_hello_first_and_then_a_hundred_readings_a_second():
     host = Host()
     host.pass_on(3.05)
     assert isinstance(host.got[0], Hello)
@@ -99,7 +99,7 @@ def test_its_clock_drifts():
     assert host.of(Sensors)[-1].clock % 10_000 == pytest.approx(2000, abs=50)
 
 
-def test_what_is_felt_is_scaled_and_ends_at_16_bits(host):
+def test_inertial_readings_are_scaled_and_clipped_to_16_bits(host):
     hello, sensors = host.of(Hello)[0], host.of(Sensors)[0]
     assert sensors.gyro[:2] == (round(0.1 / hello.gyro), round(-0.2 / hello.gyro))
     assert sensors.gyro[2] == 32_767  # 20 rad/s are beyond 500 deg/s
@@ -110,7 +110,7 @@ def test_what_is_felt_is_scaled_and_ends_at_16_bits(host):
     np.testing.assert_allclose(fields, [0.0, -20e-6, -45e-6], atol=1e-6)
 
 
-def test_when_called_late_it_sends_one_reading_and_not_what_it_missed(host):
+def test_a_late_call_sends_one_reading_and_skips_missed_ones(host):
     before = len(host.of(Sensors))
     host.pass_on(0.2, step=0.05)
     assert len(host.of(Sensors)) - before == 4
@@ -121,9 +121,9 @@ def test_when_called_late_it_sends_one_reading_and_not_what_it_missed(host):
 # ------------------------------------------------------------------------ commands
 
 
-def test_commands_are_done_and_answered(host):
+def test_commands_are_executed_and_answered(host):
     sequence, ack = host.send(Kind.DRIVE, Drive(300, -200).pack())
-    assert host.vehicle.told[-1] == (0.3, -0.2)
+    assert host.vehicle.commands[-1] == (0.3, -0.2)
     assert ack == Ack(Kind.DRIVE, Result.DONE, sequence, ack.clock)
     host.pass_on(0.02)
     sensors = host.of(Sensors)[-1]
@@ -131,31 +131,31 @@ def test_commands_are_done_and_answered(host):
     assert sensors.flags == Flag(0)
 
 
-def test_the_dead_man_stops_it_after_half_a_second(host):
+def test_it_stops_half_a_second_after_the_last_command(host):
     assert host.of(Sensors)[-1].flags == Flag.DEAD_MAN
     host.send(Kind.DRIVE, Drive(300, 300).pack())
     host.pass_on(0.498)
-    assert host.vehicle.told[-1] == (0.3, 0.3)
+    assert host.vehicle.commands[-1] == (0.3, 0.3)
     host.pass_on(0.003)
-    assert host.vehicle.told[-1] == (0.0, 0.0)
+    assert host.vehicle.commands[-1] == (0.0, 0.0)
     host.pass_on(0.01)
     assert host.of(Sensors)[-1].flags == Flag.DEAD_MAN
 
 
-def test_a_stop_holds_until_the_release_and_then_it_stands(host):
+def test_a_stop_lasts_until_the_release_and_then_it_is_stationary(host):
     host.send(Kind.DRIVE, Drive(300, 300).pack())
     assert host.send(Kind.STOP)[1].result is Result.DONE
-    assert host.vehicle.told[-1] == (0.0, 0.0)
+    assert host.vehicle.commands[-1] == (0.0, 0.0)
     assert host.send(Kind.DRIVE, Drive(300, 300).pack())[1].result is Result.STOPPED
-    assert host.vehicle.told[-1] == (0.0, 0.0)
+    assert host.vehicle.commands[-1] == (0.0, 0.0)
     host.pass_on(1.0)
     assert host.of(Sensors)[-1].flags == Flag.STOPPED
     host.send(Kind.RELEASE)
     host.pass_on(0.02)
     assert host.of(Sensors)[-1].flags == Flag.DEAD_MAN
-    assert host.vehicle.told[-1] == (0.0, 0.0)
+    assert host.vehicle.commands[-1] == (0.0, 0.0)
     host.send(Kind.DRIVE, Drive(100, 100).pack())
-    assert host.vehicle.told[-1] == (0.1, 0.1)
+    assert host.vehicle.commands[-1] == (0.1, 0.1)
 
 
 def test_a_release_without_a_stop_changes_nothing(host):
@@ -166,7 +166,7 @@ def test_a_release_without_a_stop_changes_nothing(host):
 
 
 def test_malformed_commands_are_refused_and_do_nothing(host):
-    before = list(host.vehicle.told)
+    before = list(host.vehicle.commands)
     for kind, payload in (
         (Kind.DRIVE, b""),
         (Kind.DRIVE, Drive(30_000, 0).pack()),
@@ -174,26 +174,26 @@ def test_malformed_commands_are_refused_and_do_nothing(host):
         (Kind.SET_TIME, b"\0" * 7),
     ):
         assert host.send(kind, payload)[1].result is Result.MALFORMED
-    assert host.vehicle.told == before
+    assert host.vehicle.commands == before
 
 
-def test_a_stop_with_a_payload_stops_all_the_same(host):
+def test_a_stop_with_a_payload_stops_too(host):
     host.send(Kind.DRIVE, Drive(300, 300).pack())
     assert host.send(Kind.STOP, b"x")[1].result is Result.MALFORMED
-    assert host.vehicle.told[-1] == (0.0, 0.0)
+    assert host.vehicle.commands[-1] == (0.0, 0.0)
 
 
-def test_a_repeated_or_late_command_is_not_done_again(host):
+def test_a_repeated_or_late_command_is_not_executed_again(host):
     _, drive = host.encoder.encode(Kind.DRIVE, Drive(300, 300).pack())
     _, stand = host.encoder.encode(Kind.DRIVE, Drive(0, 0).pack())
-    told = len(host.vehicle.told)
+    commands = len(host.vehicle.commands)
     for wire in (drive, stand, stand, drive):
         host.emulator.receive(wire, host.time)
-    assert host.vehicle.told[told:] == [(0.3, 0.3), (0.0, 0.0)]
+    assert host.vehicle.commands[commands:] == [(0.3, 0.3), (0.0, 0.0)]
     assert host.emulator.counts == {"frames": 2, "repeated": 1, "late": 1}
 
 
-def test_its_time_is_set_and_told_by_a_hello(host):
+def test_its_time_is_set_and_reported_by_hello(host):
     hellos = len(host.of(Hello))
     host.send(Kind.SET_TIME, SetTime(1_700_000_000_000_000).pack())
     assert len(host.of(Hello)) == hellos + 1
@@ -211,21 +211,21 @@ def test_any_bytes_leave_it_running_and_never_move_it(chunks):
         host.emulator.receive(data, host.time)
         host.pass_on(0.002)
     host.pass_on(0.02)
-    assert set(host.vehicle.told) == {(0.0, 0.0)}
+    assert set(host.vehicle.commands) == {(0.0, 0.0)}
     assert host.of(Sensors)
 
 
 # ------------------------------------------------------------------------ faults
 
 
-def test_a_reboot_stops_it_and_begins_its_clock_and_counts_anew(host):
+def test_a_reboot_stops_it_and_resets_its_clock_and_counts(host):
     host.vehicle.angles = (3.0, 4.0)
     host.pass_on(0.3)
     host.send(Kind.DRIVE, Drive(300, 300).pack())
     host.emulator.reboot(host.time, Reset.WATCHDOG)
-    assert host.vehicle.told[-1] == (0.0, 0.0)
+    assert host.vehicle.commands[-1] == (0.0, 0.0)
     assert host.send(Kind.DRIVE, Drive(100, 100).pack())[0]  # while it boots: unheard
-    assert host.vehicle.told[-1] == (0.0, 0.0)
+    assert host.vehicle.commands[-1] == (0.0, 0.0)
     before = len(host.got)
     host.pass_on(0.2)
     assert isinstance(host.got[before], Hello)
@@ -238,7 +238,7 @@ def test_a_reboot_stops_it_and_begins_its_clock_and_counts_anew(host):
     assert "lost" not in host.counts
 
 
-def test_a_stall_and_a_low_supply_are_told(host):
+def test_a_stall_and_a_low_supply_are_reported(host):
     host.vehicle.stalled = (False, True)
     host.emulator.low_supply = True
     host.pass_on(0.02)

@@ -34,7 +34,7 @@ def column(picture, where):
     return picture[:, where].astype(int)
 
 
-def test_a_wall_stands_between_the_rows_of_the_pinhole():
+def test_a_wall_has_the_rows_of_a_pinhole_camera():
     lens = Lens()
     depth = 4.0  # from the camera, which is 0.15 m before base_link
     middle = 0.5 * (lens.height - 1)
@@ -82,7 +82,7 @@ def test_turning_by_the_angle_of_columns_shifts_the_picture():
     assert np.flatnonzero(_orange(turned.picture())).mean() - centre == pytest.approx(100, abs=3)
 
 
-def test_nothing_in_sight_is_no_error():
+def test_an_empty_view_is_not_an_error():
     empty = "[robot]\nwaypoints = [[1.0, 0.0]]\n"
     assert camera(empty).picture().shape == (240, 640, 3)
 

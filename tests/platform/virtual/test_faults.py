@@ -1,4 +1,4 @@
-"""Faults on the bytes of a line, and what may be asked for."""
+"""Faults on the bytes of a line, and their requests."""
 
 from collections import Counter
 
@@ -22,7 +22,7 @@ def disturbance(seed: int = 0) -> tuple[Disturbance, Counter[str]]:
 @given(st.lists(st.binary(max_size=20)))
 def test_without_a_fault_bytes_pass(chunks):
     line, counts = disturbance()
-    assert b"".join(line.passed(chunk, 0.1) for chunk in chunks) == b"".join(chunks)
+    assert b"".join(line.transfer(chunk, 0.1) for chunk in chunks) == b"".join(chunks)
     assert not counts
 
 
@@ -31,34 +31,34 @@ def test_a_delay_keeps_all_bytes_in_order_and_ends(chunks):
     line, _ = disturbance()
     line.hold(1.0)
     chunks = sorted(chunks, key=lambda chunk: chunk[1])
-    early = b"".join(line.passed(data, time) for data, time in chunks if time < 1.0)
-    late = b"".join(line.passed(data, time) for data, time in chunks if time >= 1.0)
+    early = b"".join(line.transfer(data, time) for data, time in chunks if time < 1.0)
+    late = b"".join(line.transfer(data, time) for data, time in chunks if time >= 1.0)
     assert early == b""
-    assert late + line.passed(b"", 2.0) == b"".join(data for data, _ in chunks)
+    assert late + line.transfer(b"", 2.0) == b"".join(data for data, _ in chunks)
 
 
-def test_what_is_held_back_can_be_lost():
+def test_bytes_held_back_can_be_dropped():
     line, _ = disturbance()
     line.hold(1.0)
-    line.passed(b"abc", 0.5)
-    line.forget()
-    assert line.passed(b"d", 1.5) == b"d"
+    line.transfer(b"abc", 0.5)
+    line.clear()
+    assert line.transfer(b"d", 1.5) == b"d"
 
 
-def test_a_line_that_holds_too_much_counts_what_it_loses():
+def test_bytes_beyond_the_limit_of_a_held_line_are_counted():
     line, counts = disturbance()
     line.hold(1.0)
     for _ in range(3):
-        line.passed(bytes(500_000), 0.5)
-    assert len(line.passed(b"", 1.5)) + counts["overrun"] == 1_500_000
+        line.transfer(bytes(500_000), 0.5)
+    assert len(line.transfer(b"", 1.5)) + counts["overrun"] == 1_500_000
     assert counts["overrun"] > 0
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_noise_is_as_frequent_as_said_and_counted(kind):
+def test_noise_has_its_rate_and_is_counted(kind):
     line, counts = disturbance(1)
     line.noise(0.01, kind, until=1.0)
-    out = line.passed(DATA, 0.5)
+    out = line.transfer(DATA, 0.5)
     number = 0.01 * len(DATA)
     assert counts[kind] == pytest.approx(number, abs=4 * np.sqrt(number))
     assert counts.total() == counts[kind]
@@ -69,7 +69,7 @@ def test_noise_is_as_frequent_as_said_and_counted(kind):
 def test_a_flip_changes_one_bit_of_a_byte():
     line, counts = disturbance(2)
     line.noise(0.01, "flip", until=1.0)
-    out = np.frombuffer(line.passed(DATA, 0.5), np.uint8)
+    out = np.frombuffer(line.transfer(DATA, 0.5), np.uint8)
     changed = out ^ np.frombuffer(DATA, np.uint8)
     assert np.count_nonzero(changed) == counts["flip"]
     assert set(np.bitwise_count(changed[changed > 0])) == {1}
@@ -79,9 +79,9 @@ def test_a_flip_changes_one_bit_of_a_byte():
 def test_dropped_and_inserted_bytes_leave_the_others_in_order():
     line, counts = disturbance(3)
     line.noise(0.001, "drop", until=1.0)
-    assert is_part_of(line.passed(DATA, 0.5), DATA)
+    assert is_part_of(line.transfer(DATA, 0.5), DATA)
     line.noise(0.001, "insert", until=1.0)
-    assert is_part_of(DATA, line.passed(DATA, 0.5))
+    assert is_part_of(DATA, line.transfer(DATA, 0.5))
     assert counts["drop"] > 0
     assert counts["insert"] > 0
 
@@ -94,21 +94,21 @@ def is_part_of(part: bytes, whole: bytes) -> bool:
 def test_any_noise_is_of_all_kinds_and_ends():
     line, counts = disturbance(4)
     line.noise(0.05, "any", until=1.0)
-    line.passed(DATA, 0.5)
+    line.transfer(DATA, 0.5)
     assert all(counts[kind] > 500 for kind in KINDS)
-    assert line.passed(DATA, 1.0) == DATA
+    assert line.transfer(DATA, 1.0) == DATA
 
 
-def test_the_same_seed_spoils_alike():
+def test_the_same_seed_gives_the_same_noise():
     outs = []
     for seed in (5, 5, 6):
         line, _ = disturbance(seed)
         line.noise(0.01, "any", until=1.0)
-        outs.append(line.passed(DATA, 0.5))
+        outs.append(line.transfer(DATA, 0.5))
     assert outs[0] == outs[1] != outs[2]
 
 
-def test_faults_are_told_by_name():
+def test_faults_are_parsed_by_name():
     fault = parse_fault({"fault": "noise", "device": "lidar", "rate": 1e-4, "seconds": 1})
     assert fault == Noise(device="lidar", rate=1e-4, seconds=1.0, kind="any")
     assert parse_fault({"fault": "stall", "side": "both", "seconds": 2}) == Stall(
@@ -131,7 +131,7 @@ def test_faults_are_told_by_name():
         {"fault": "stall", "side": "front", "seconds": 1},
     ],
 )
-def test_what_is_no_fault_is_refused_in_one_line(table):
+def test_an_unknown_fault_is_a_one_line_error(table):
     with pytest.raises(ConfigError) as refusal:
         parse_fault(table)
     assert "\n" not in str(refusal.value)

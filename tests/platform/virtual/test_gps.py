@@ -1,4 +1,4 @@
-"""The virtual robot's receiver behind its port, through the host's driver into a log."""
+"""The virtual robot's receiver, from its port through the driver into a log."""
 
 import sys
 import time

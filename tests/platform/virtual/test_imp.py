@@ -1,4 +1,4 @@
-"""The whole virtual IMP, with devices that only say what they are told and when."""
+"""The whole virtual IMP, with devices that only record calls."""
 
 import time
 
@@ -32,11 +32,11 @@ EMPTY = World.model_validate({"robot": {"start": (0, 0, 0), "waypoints": [(1, 0)
 
 
 class Ticker:
-    """Says a byte at every 10 ms; drives at as many cm/s as the last byte that it heard says."""
+    """Sends a byte every 10 ms; drives at the speed in cm/s of the last received byte."""
 
     def __init__(self, body: Body) -> None:
         self.body = body
-        self.said: list[tuple[float, float]] = []
+        self.sent_times: list[tuple[float, float]] = []
         self.calls: list[float] = []
         self.reboots: list[float] = []
 
@@ -46,9 +46,9 @@ class Ticker:
     def due(self, time: float) -> bytes:
         self.calls.append(time)
         out = bytearray()
-        while 0.01 * len(self.said) <= time + 1e-9:
-            self.said.append((time, self.body.time))
-            out.append(len(self.said) % 256)
+        while 0.01 * len(self.sent_times) <= time + 1e-9:
+            self.sent_times.append((time, self.body.time))
+            out.append(len(self.sent_times) % 256)
         return bytes(out)
 
     def reboot(self, time: float) -> None:
@@ -56,7 +56,7 @@ class Ticker:
 
 
 class Camera:
-    """Only notes what is done to it."""
+    """Records its calls."""
 
     def __init__(self) -> None:
         self.done: list[object] = []
@@ -95,7 +95,7 @@ def step(imp: VirtualImp, begin: float, end: float) -> None:
 
 
 def hear(port, number: int) -> bytes:
-    """Read so many bytes; the kernel passes them on in its own time."""
+    """Read some bytes, with delays of the kernel."""
     data, end = b"", time.monotonic() + 5.0
     while len(data) < number and time.monotonic() < end:
         data += read_some(port, 0.01)
@@ -114,7 +114,7 @@ def test_ports_are_told_by_device(imp, tmp_path):
 def test_devices_are_heard_and_obeyed(imp):
     with open_port(imp.ports()["autopilot"], 115200) as port:
         step(imp, 0.0, 0.02)
-        assert hear(port, 2) == bytes([2, 3])  # the first was said before any host was seen
+        assert hear(port, 2) == bytes([2, 3])  # the first was sent before a host was connected
         write_all(port, bytes([30]))
         time.sleep(0.05)
         step(imp, 0.02, 1.0)
@@ -126,7 +126,7 @@ def test_a_late_machine_catches_up_in_slices(imp):
     imp.step(0.2)
     calls = np.array(ticker(imp).calls)
     assert np.diff(calls).max() <= SLICE + 1e-9
-    moments = np.array(ticker(imp).said)
+    moments = np.array(ticker(imp).sent_times)
     # What is due at 10, 20, ... ms is read off the body as it was then, not as it is at the end.
     np.testing.assert_allclose(moments[:, 1], 0.01 * np.arange(len(moments)), atol=SLICE)
     assert len(moments) == 21
@@ -229,7 +229,7 @@ def test_in_real_time_it_keeps_time_and_tells_when_commands_take_effect(imp):
 
 def test_a_pass_that_comes_late_is_counted(imp, caplog):
     naps = iter([0.05])
-    imp._late = 99  # one is nothing to tell: computers are busy at times
+    imp._late = 99  # a single one is not logged: computers are busy at times
     begin = time.monotonic()
     imp.run(lambda: time.monotonic() - begin > 0.1, lambda: time.sleep(next(naps, 0.0)))
     assert imp.status()["late"] >= 100

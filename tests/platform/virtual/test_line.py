@@ -1,4 +1,4 @@
-"""Lines: bytes arrive as they are sent; a plug that is pulled is felt and comes back by its name."""
+"""Lines: bytes arrive as sent; an unplugged port comes back under its name."""
 
 import socket
 import time
@@ -25,7 +25,7 @@ def line(request, tmp_path):
 
 
 def until(condition, seconds: float = 5.0) -> None:
-    """Wait for what the kernel does by itself."""
+    """Wait for the kernel."""
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "has not happened"
@@ -35,8 +35,8 @@ def until(condition, seconds: float = 5.0) -> None:
 def connect(line: Line):
     port = open_port(line.url, 115200)
     write_all(port, b"?")
-    heard = bytearray()
-    until(lambda: heard.extend(line.receive(0.0)) or heard == b"?")
+    received = bytearray()
+    until(lambda: received.extend(line.receive(0.0)) or received == b"?")
     return port
 
 
@@ -52,27 +52,27 @@ def test_all_bytes_pass_both_ways(line):
         line.send(everything, 0.0)
         assert read(port, len(everything)) == everything
         write_all(port, everything)
-        heard = bytearray()
-        until(lambda: heard.extend(line.receive(0.0)) or len(heard) >= len(everything))
-        assert heard == everything
+        received = bytearray()
+        until(lambda: received.extend(line.receive(0.0)) or len(received) >= len(everything))
+        assert received == everything
     assert line.counts["sent"] == len(everything)
     assert line.counts["received"] == len(everything) + 1
 
 
-def test_what_nobody_hears_is_counted_and_not_kept_for_later(line):
+def test_bytes_without_a_host_are_counted_and_dropped(line):
     line.send(b"early", 0.0)
     with connect(line) as port:
         line.send(b"one", 0.0)
         assert read(port, 3) == b"one"
         line.send(b"unread", 0.0)
-    until(lambda: line.receive(0.0) == b"" and not heard(line))
+    until(lambda: line.receive(0.0) == b"" and not received(line))
     with connect(line) as port:
         line.send(b"two", 0.0)
         assert read(port, 3) == b"two"
     assert line.counts["unheard"] >= 5
 
 
-def heard(line: Line) -> bool:
+def received(line: Line) -> bool:
     before = line.counts["unheard"]
     line.send(b".", 0.0)
     return line.counts["unheard"] == before
@@ -86,7 +86,7 @@ def test_what_the_host_does_not_take_is_lost_and_counted(line):
     assert line.counts["sent"] + line.counts["overrun"] == 200 * 65536
 
 
-def test_unplugging_is_felt_and_plugging_in_gives_the_same_name(line):
+def test_unplugging_ends_the_connection_and_plugging_in_keeps_the_name(line):
     url, before = line.url, descriptors()
     for _ in range(4):  # pyserial waits 0.3 s whenever it closes a socket
         port = connect(line)
@@ -103,7 +103,7 @@ def test_unplugging_is_felt_and_plugging_in_gives_the_same_name(line):
         with connect(line) as port:
             line.send(b"again", 1.0)
             assert read(port, 5) == b"again"
-        until(lambda: line.receive(1.0) == b"" and not heard(line))
+        until(lambda: line.receive(1.0) == b"" and not received(line))
     assert line.counts["unplugged"] == 4 * 4
     assert descriptors() == before
 
@@ -113,7 +113,7 @@ def descriptors() -> int:
     return len(list(folder.iterdir())) if folder.exists() else 0
 
 
-def test_noise_reaches_the_far_end_in_the_number_counted(line):
+def test_counted_noise_matches_the_received_bytes(line):
     sent = bytes(2000)
     with connect(line) as port:
         line.noise(0.02, "flip", until=1.0)
@@ -124,7 +124,7 @@ def test_noise_reaches_the_far_end_in_the_number_counted(line):
         assert read(port, len(sent)) == sent
 
 
-def test_noise_spoils_what_the_host_says_too(line):
+def test_noise_corrupts_bytes_of_the_host_too(line):
     with connect(line) as port:
         line.noise(1.0, "drop", until=1.0)
         write_all(port, b"never heard")
@@ -143,7 +143,7 @@ def test_a_delay_ends_in_a_burst(line):
         assert read(port, 8) == b"one two "
 
 
-def test_a_uart_takes_its_time(tmp_path):
+def test_a_uart_delays_bytes(tmp_path):
     line = PtyLine(tmp_path / "uart", baud=115200)  # 10 bits a byte: 86.8 us
     port = open_port(line.url, 115200)
     line.receive(0.0)
@@ -166,7 +166,7 @@ def test_a_uart_takes_its_time(tmp_path):
     line.close()
 
 
-def test_closing_leaves_nothing(tmp_path):
+def test_nothing_is_left_after_closing(tmp_path):
     before = descriptors()
     lines = [PtyLine(tmp_path / "a"), PtyLine(tmp_path / "b"), TcpLine(), TcpLine()]
     lines[1].unplug(1.0)
@@ -181,7 +181,7 @@ def test_closing_leaves_nothing(tmp_path):
         open_port(url, 115200)
 
 
-def test_a_port_that_is_taken_is_refused():
+def test_a_used_port_is_refused():
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen(1)
@@ -193,7 +193,7 @@ def test_a_host_that_is_killed_makes_room_for_the_next():
     line = TcpLine()
     host = connect(line)
     host._socket.close()
-    until(lambda: line.receive(0.0) == b"" and not heard(line))
+    until(lambda: line.receive(0.0) == b"" and not received(line))
     with connect(line):
-        assert heard(line)
+        assert received(line)
     line.close()

@@ -1,4 +1,4 @@
-"""The virtual IMP in its own process: as it starts, is asked, is hurt, and ends."""
+"""The virtual IMP in its own process: start, requests, faults, and end."""
 
 import contextlib
 import os
@@ -17,7 +17,7 @@ from impslam.component import build
 from impslam.errors import ConfigError, ImpError
 from impslam.platform.devices.base import Reading
 from impslam.platform.virtual.assembly import Setup
-from impslam.platform.virtual.process import VirtualRobot, _dumped
+from impslam.platform.virtual.process import VirtualRobot, _to_json
 from impslam.simulation.lidar import laser_poses
 from impslam.simulation.raycast import trace
 from impslam.simulation.robot import Lidar
@@ -39,7 +39,7 @@ def robot():
 
 @pytest.fixture(scope="module")
 def devices(robot):
-    """The host's own drivers, and what they deliver."""
+    """The host's drivers and their readings."""
     readings: list[Reading] = []
     made = {
         name: build("device", {"label": name, **table}, name)
@@ -76,7 +76,7 @@ def count(readings, kind) -> int:
 # ---------------------------------------------------------------------------------- asking
 
 
-def test_it_tells_its_ports_and_the_devices_that_fit(robot):
+def test_it_reports_its_ports_and_devices(robot):
     assert set(robot.ports) == {"autopilot", "lidar", "camera"}
     assert Path(robot.ports["autopilot"]).is_char_device()
     tables = robot.devices()
@@ -85,11 +85,11 @@ def test_it_tells_its_ports_and_the_devices_that_fit(robot):
     assert tables["camera"] == {"kind": "camera", "source": robot.ports["camera"]}
 
 
-def test_truth_is_told_on_the_clock_that_both_share(robot):
+def test_truth_is_stamped_by_the_shared_clock(robot):
     before = time.monotonic()
     first = robot.truth()
     np.testing.assert_allclose(first["pose"], load_world("room").robot.start)
-    # The body stands at its last step when it is asked: a loaded machine may be late by some.
+    # The body is at its last step: a loaded computer may be late by some.
     assert before - 0.5 < first["monotonic"] < time.monotonic()
     time.sleep(0.05)
     second = robot.truth()
@@ -99,7 +99,7 @@ def test_truth_is_told_on_the_clock_that_both_share(robot):
     assert second["time"] > first["time"]
 
 
-def test_what_cannot_be_done_is_an_error_of_one_line(robot):
+def test_invalid_requests_are_one_line_errors(robot):
     with pytest.raises(ImpError, match="no_such"):
         robot.fault("no_such")
     with pytest.raises(ImpError, match="seconds"):
@@ -107,7 +107,7 @@ def test_what_cannot_be_done_is_an_error_of_one_line(robot):
     assert robot.truth()["time"] > 0
 
 
-def test_it_may_be_asked_from_many_threads(robot):
+def test_requests_from_many_threads_are_answered(robot):
     answers: list[float] = []
 
     def ask() -> None:
@@ -121,10 +121,10 @@ def test_it_may_be_asked_from_many_threads(robot):
     assert len(answers) == 100
 
 
-def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(robot):
+def test_a_late_answer_is_not_taken_for_the_next(robot):
     os.kill(robot.pid, signal.SIGSTOP)
     with pytest.raises(ImpError, match="does not answer within"):
-        robot._ask({"ask": "ports"}, patience=0.01)
+        robot._request({"ask": "ports"}, timeout=0.01)
     os.kill(robot.pid, signal.SIGCONT)
     assert "pose" in robot.truth()
 
@@ -132,7 +132,7 @@ def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(robot):
 # ---------------------------------------------------------------------------------- with drivers
 
 
-def test_the_hosts_own_drivers_hear_it(devices):
+def test_the_drivers_receive_its_messages(devices):
     made, readings = devices
     until(lambda: min(count(readings, kind) for kind in (WheelAngles, Imu, LaserScan)) > 10)
     assert {name: device.health().state for name, device in made.items()} == {
@@ -143,7 +143,7 @@ def test_the_hosts_own_drivers_hear_it(devices):
 
 
 def assert_shows_the_room(truth, scan: LaserScan) -> None:
-    """Compare with a ray along each beam from where the robot stands."""
+    """Compare with a ray along each beam from the robot's position."""
     scene = Scene(load_world("room"))
     lasers = laser_poses(np.tile(truth["pose"], (len(scan.angles), 1)), Lidar().mount)
     nothing = np.empty((2, 0, 4)), np.empty((2, 0, 3))
@@ -151,7 +151,7 @@ def assert_shows_the_room(truth, scan: LaserScan) -> None:
     expected, *_ = trace(lasers, scan.angles, at_once, standing, nothing, 5.6)
     errors = np.abs(scan.ranges - expected)
     assert np.median(errors) < 0.01
-    # Not beams at edges, which read between the two, nor those that see nothing.
+    # Without beams at edges, which read in between, and without those without an echo.
     assert np.mean(errors < 0.03) > 0.9
 
 
@@ -165,7 +165,7 @@ def test_scans_show_the_world_as_it_is(robot, devices):
     assert_shows_the_room(robot.truth(), last_scan(readings))
 
 
-def test_so_do_those_of_the_other_lidar():
+def test_scans_of_the_rplidar_show_the_world_as_it_is():
     readings: list[Reading] = []
     with VirtualRobot("room", camera=False, lidar="rplidar", lidar_line="pty") as robot:
         device = build("device", robot.devices()["lidar"], "lidar")
@@ -186,7 +186,7 @@ def test_commands_move_the_wheels_soon_and_stop_without_them(robot, devices):
         latencies.append(robot.truth(since=sent)["commands"][0][0] - sent)
     assert min(latencies) > 0
     assert np.median(latencies) < 0.05
-    # No more commands: the micro-controller's dead man of 0.5 s.
+    # No more commands: the micro-controller's timeout of 0.5 s.
     assert until(lambda: robot.truth()["told"] == [0.0, 0.0]) < 3.0
     until(lambda: abs(robot.truth()["twist"][1]) < 1e-3)
     assert abs(robot.truth()["pose"][2] - load_world("room").robot.start[2]) > 1e-3
@@ -217,7 +217,7 @@ def test_noise_is_counted_on_both_sides_and_ends(robot, devices):
     assert robot.status()["lines"]["autopilot"]["flip"] == spoilt
 
 
-def test_a_lidar_that_fails_is_brought_back(robot, devices):
+def test_a_lidar_malfunction_is_recovered(robot, devices):
     made, readings = devices
     until(lambda: made["lidar"].health().state == "ok")
     robot.fault("malfunction", status=60)
@@ -226,7 +226,7 @@ def test_a_lidar_that_fails_is_brought_back(robot, devices):
     until(lambda: count(readings, LaserScan) > number + 3)
 
 
-def test_a_stall_is_seen(robot):
+def test_a_stall_is_reported(robot):
     robot.fault("stall", side="right", seconds=0.2)
     assert robot.truth()["stalled"] == ["right"]
     until(lambda: robot.truth()["stalled"] == [])
@@ -235,7 +235,7 @@ def test_a_stall_is_seen(robot):
 # ---------------------------------------------------------------------------------- life and death
 
 
-def test_it_ends_and_leaves_nothing():
+def test_nothing_is_left_after_its_end():
     robot = VirtualRobot("room", camera=False)
     assert robot.pid == 0
     robot.start()
@@ -261,8 +261,8 @@ def test_it_can_be_started_again(tmp_path):
             assert robot.devices()["lidar"]["kind"] == "rplidar"
 
 
-def test_it_cannot_outlive_who_started_it():
-    """Neither when that one is killed, nor when another one has inherited the pipe."""
+def test_it_ends_with_its_parent_process():
+    """Even if the parent is killed, or another process has inherited the pipe."""
     program = (
         "import os, sys, time\n"
         "from impslam.platform.virtual.process import VirtualRobot\n"
@@ -288,9 +288,9 @@ def test_it_cannot_outlive_who_started_it():
         os.killpg(int(group), signal.SIGKILL)
 
 
-def test_its_death_is_told():
+def test_its_death_is_an_error():
     with VirtualRobot("room", camera=False) as robot:
-        os.kill(robot.pid, signal.SIGINT)  # Ctrl-C is not meant for it
+        os.kill(robot.pid, signal.SIGINT)  # it ignores Ctrl-C
         assert robot.truth()["time"] > 0
         os.kill(robot.pid, signal.SIGKILL)
         for _ in range(2):
@@ -320,4 +320,4 @@ def test_a_world_that_cannot_be_used_is_refused():
 @pytest.mark.parametrize("name", shipped_worlds())
 def test_every_shipped_world_reaches_the_process_as_it_is(name, tmp_path):
     setup = Setup(world=load_world(name), folder=tmp_path)
-    assert Setup.model_validate_json(_dumped(setup)) == setup
+    assert Setup.model_validate_json(_to_json(setup)) == setup

@@ -18,13 +18,13 @@ N = A1.beams
 
 
 class Ramp:
-    """Ranges that tell the beam, and the turn by its centimetres."""
+    """Ranges that encode the beam, and the turn in centimetres."""
 
     def __init__(self):
-        self.asked = []
+        self.requested_times = []
 
     def ranges(self, time):
-        self.asked.append(time)
+        self.requested_times.append(time)
         return np.where(np.arange(N) % 7 == 3, 0.0, 1.0 + np.arange(N) / 100.0)
 
 
@@ -37,26 +37,26 @@ def ask(lidar, command, payload=b"", time=0.0):
     return Parser().feed(lidar.due(time))
 
 
-def test_it_tells_who_and_how_it_is():
+def test_it_answers_info_and_health():
     lidar = emulator(model=0x31)
     (info,) = ask(lidar, Command.INFO)
     assert Info.parse(info.data).model == 0x31
     (health,) = ask(lidar, Command.HEALTH)
     assert Condition.parse(health.data) == Condition(0, 0)
-    lidar.ill = 0x8002
+    lidar.error_code = 0x8002
     (health,) = ask(lidar, Command.HEALTH)
     assert Condition.parse(health.data) == Condition(2, 0x8002)
-    assert ask(lidar, Command.SCAN) == []  # an ill one does not scan
+    assert ask(lidar, Command.SCAN) == []  # it does not scan with an error
     lidar.receive(request(Command.RESET), 0.0)
     assert lidar.due(0.0) == BANNER
-    assert lidar.ill == 0
+    assert lidar.error_code == 0
 
 
 @pytest.mark.parametrize(
     ("command", "each", "at_once"),
     [(Command.SCAN, 2, 1), (Command.EXPRESS, 1, 32)],
 )
-def test_what_it_measures_is_read_as_it_was(command, each, at_once):
+def test_its_measurements_are_parsed_exactly(command, each, at_once):
     lidar, parser = emulator(), Parser()
     lidar.receive(request(command, bytes(5) if command == Command.EXPRESS else b""), 0.3)
     parts = []
@@ -65,7 +65,7 @@ def test_what_it_measures_is_read_as_it_was(command, each, at_once):
     ranges = np.concatenate([p.ranges for p in parts])
     angles = np.concatenate([p.angles for p in parts])
     starts = np.concatenate([p.starts for p in parts])
-    # 1.6 s, less the turn that it lags behind and what waits for more.
+    # 1.6 s, minus the latency of a turn and incomplete data.
     expected = (1.6 - lidar.latency) * N * A1.rate / each
     assert expected - 3 * at_once - 6 <= len(ranges) <= expected
     beams = np.arange(len(ranges)) * each % N
@@ -77,21 +77,21 @@ def test_what_it_measures_is_read_as_it_was(command, each, at_once):
     assert not parser.counts
 
 
-def test_each_turn_is_asked_for_once_and_after_its_end():
+def test_each_turn_is_computed_once_and_after_its_end():
     lidar = emulator()
     surroundings = lidar._surroundings
     lidar.receive(request(Command.SCAN), 1.0)
     for tick in range(1000, 2000):
-        before = len(surroundings.asked)
+        before = len(surroundings.requested_times)
         lidar.due(tick / 1000)
-        assert all(tick / 1000 >= time + 0.1 for time in surroundings.asked[before:])
-    np.testing.assert_allclose(surroundings.asked, 1.0 + np.arange(9) / 10)
+        assert all(tick / 1000 >= time + 0.1 for time in surroundings.requested_times[before:])
+    np.testing.assert_allclose(surroundings.requested_times, 1.0 + np.arange(9) / 10)
 
 
-def test_it_obeys_stop_and_its_motor():
+def test_stop_and_the_motor_end_a_scan():
     lidar = emulator(model=0x28)
     lidar.receive(request(Command.PWM, bytes(2)), 0.0)
-    assert ask(lidar, Command.SCAN) == []  # it stands
+    assert ask(lidar, Command.SCAN) == []  # the motor is off
     lidar.receive(request(Command.PWM, (660).to_bytes(2, "little")), 0.0)
     lidar.receive(request(Command.SCAN), 0.0)
     assert len(lidar.due(1.0)) > 5000
@@ -108,7 +108,7 @@ def test_a_reboot_ends_the_scan():
     assert lidar.due(2.0) == b""
 
 
-def test_a_request_with_a_wrong_sum_is_none():
+def test_a_request_with_a_wrong_checksum_is_ignored():
     lidar = emulator()
     broken = bytearray(request(Command.EXPRESS, bytes(5)))
     broken[-1] ^= 1
@@ -127,12 +127,12 @@ def test_a_request_with_a_wrong_sum_is_none():
         max_size=10,
     )
 )
-def test_whatever_comes_it_goes_on(pieces):
+def test_it_handles_any_bytes(pieces):
     lidar = emulator()
     for k, piece in enumerate(pieces):
         lidar.receive(piece, k * 0.05)
         lidar.due(k * 0.05 + 0.01)
-    lidar.receive(bytes(300), 1.0)  # ends whatever was begun
+    lidar.receive(bytes(300), 1.0)  # ends an incomplete request
     lidar.receive(request(Command.STOP), 1.0)
     lidar.due(1.0)  # a scan that the rest may have begun
     lidar.receive(request(Command.INFO), 1.0)

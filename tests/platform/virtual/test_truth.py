@@ -1,4 +1,4 @@
-"""A virtual robot's recordings hold where it was."""
+"""Recordings of a virtual robot contain its true poses."""
 
 import threading
 import time
@@ -18,7 +18,7 @@ def fast(monkeypatch):
     monkeypatch.setattr(truth, "PERIOD", 0.002)
 
 
-def test_poses_are_stamped_with_the_time_at_which_they_held():
+def test_poses_are_stamped_with_their_time():
     seen, enough = [], threading.Event()
 
     def put(reading):
@@ -26,9 +26,9 @@ def test_poses_are_stamped_with_the_time_at_which_they_held():
         if len(seen) == 3:
             enough.set()
 
-    told = {"pose": [1.0, 2.0, 0.5], "monotonic": time.monotonic() - 7.0}
+    reported = {"pose": [1.0, 2.0, 0.5], "monotonic": time.monotonic() - 7.0}
     before = now() - 7.0
-    follower = TruthFollower(lambda: told, put)
+    follower = TruthFollower(lambda: reported, put)
     follower.start()
     assert enough.wait(5.0)
     follower.stop()
@@ -36,7 +36,7 @@ def test_poses_are_stamped_with_the_time_at_which_they_held():
     time.sleep(0.02)
     assert len(seen) == count
     assert isinstance(seen[0].message, TruePose)
-    np.testing.assert_array_equal(seen[0].message.pose, told["pose"])
+    np.testing.assert_array_equal(seen[0].message.pose, reported["pose"])
     assert seen[0].message.stamp == pytest.approx(before, abs=0.05)
     assert seen[0].arrived > seen[0].message.stamp + 6.9
 

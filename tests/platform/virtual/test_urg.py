@@ -1,4 +1,4 @@
-"""The emulated URG-04LX answers as the protocol says, at the times at which the sensor would."""
+"""The emulated URG-04LX follows the protocol, at the times of the real sensor."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from impslam.platform.devices import scip
-from impslam.platform.devices.scip_encoding import decode, encode, sealed
+from impslam.platform.devices.scip_encoding import decode, encode, with_checksum
 from impslam.platform.virtual import urg, urg_memory
 from impslam.platform.virtual.urg import UrgEmulator
 from impslam.platform.virtual.urg_sensor import clustered
@@ -17,7 +17,7 @@ SWEPT = TURN * 725 / 1024  # from step 0 to the last that measures
 
 
 class Room:
-    """All beams read the same, which may depend on when the sweep's first beam was fired."""
+    """All beams have the same range, which may depend on the time of the sweep's first beam."""
 
     def __init__(self, read=lambda _: 1.234):
         self.read, self.began = read, []
@@ -28,7 +28,7 @@ class Room:
 
 
 class Talk:
-    """Asks an emulator and takes what it says as text."""
+    """Sends requests to an emulator and returns its answers as text."""
 
     def __init__(self, room=None, **options):
         self.room = room or Room()
@@ -44,12 +44,12 @@ class Talk:
         return self.emulator.due(self.time).decode("latin-1")
 
     def arrivals(self, seconds, step=1e-3):
-        """Return (time, text) of all that is said in some seconds."""
-        said, end = [], self.time + seconds
+        """Return (time, text) of all answers within some seconds."""
+        answers, end = [], self.time + seconds
         while self.time < end:
             if text := self.hear(step):
-                said.append((self.time, text))
-        return said
+                answers.append((self.time, text))
+        return answers
 
 
 def distances(text, width=3):
@@ -71,10 +71,10 @@ def test_parameters_as_the_protocols_text_prints_them():
 def test_version_and_state():
     talk = Talk()
     assert talk.ask("VV").startswith("VV\n00P\nVEND:Hokuyo Automatic Co.,Ltd.;[\n")
-    said = talk.ask("II;who")
-    assert said.startswith("II;who\n00P\n")
-    assert "\nLASR:OFF;7\n" in said
-    assert "\nSTAT:Sensor works well.;8\n\n" in said
+    answers = talk.ask("II;who")
+    assert answers.startswith("II;who\n00P\n")
+    assert "\nLASR:OFF;7\n" in answers
+    assert "\nSTAT:Sensor works well.;8\n\n" in answers
 
 
 @pytest.mark.parametrize(
@@ -125,11 +125,11 @@ def test_version_and_state():
     ],
 )
 def test_statuses(request_, status):
-    said = Talk().ask(request_)
+    answers = Talk().ask(request_)
     if status is None:
-        assert said == ""
+        assert answers == ""
     else:
-        assert said == f"{request_}\n{sealed(status.encode()).decode()}\n"
+        assert answers == f"{request_}\n{with_checksum(status.encode()).decode()}\n"
 
 
 def test_the_laser_can_be_on_once():
@@ -140,7 +140,7 @@ def test_the_laser_can_be_on_once():
     assert not talk.emulator.laser
 
 
-def test_a_scan_to_the_letter():
+def test_a_scan_matches_a_response_by_hand():
     talk = Talk()
     talk.hear(0.05)
     talk.ask("BM")
@@ -152,27 +152,29 @@ def test_a_scan_to_the_letter():
     assert talk.ask("GD0383038501").endswith("0CBO\n\n")  # again, at once
 
 
-def test_sweeps_stream_when_they_have_ended():
+def test_sweeps_are_sent_when_they_have_ended():
     talk = Talk()
     assert talk.ask("MD0044072501000") == "MD0044072501000\n00P\n\n"
-    said = talk.arrivals(1.0)
-    assert [text[:19] for _, text in said] == ["MD0044072501000\n99b"] * len(said)
-    assert [stamp(text) for _, text in said] == [100 * k for k in range(len(said))]
-    late = np.array([time for time, _ in said]) - TURN * np.arange(len(said)) - SWEPT
-    assert len(said) == 10
+    answers = talk.arrivals(1.0)
+    assert [text[:19] for _, text in answers] == ["MD0044072501000\n99b"] * len(answers)
+    assert [stamp(text) for _, text in answers] == [100 * k for k in range(len(answers))]
+    late = np.array([time for time, _ in answers]) - TURN * np.arange(len(answers)) - SWEPT
+    assert len(answers) == 10
     assert late.min() >= urg.PROCESSING
     assert late.max() < urg.PROCESSING + 0.01
     np.testing.assert_allclose(
         talk.room.began, TURN * (np.arange(10) + 44 / 1024), atol=1e-9
     )  # step 44 is 4.3 ms after the stamp
-    assert all((distances(text) == 1234).all() and len(distances(text)) == 682 for _, text in said)
+    assert all(
+        (distances(text) == 1234).all() and len(distances(text)) == 682 for _, text in answers
+    )
 
 
 def test_a_number_of_scans_is_counted_down_and_ends_with_the_laser_off():
     talk = Talk()
     talk.ask("MD0044072501003;x")
-    said = [text for _, text in talk.arrivals(1.0)]
-    assert [text.split("\n")[0] for text in said] == [
+    answers = [text for _, text in talk.arrivals(1.0)]
+    assert [text.split("\n")[0] for text in answers] == [
         "MD0044072501002;x",
         "MD0044072501001;x",
         "MD0044072501000;x",
@@ -180,7 +182,7 @@ def test_a_number_of_scans_is_counted_down_and_ends_with_the_laser_off():
     assert not talk.emulator.laser
 
 
-def test_scans_are_left_out():
+def test_scans_are_skipped():
     talk = Talk()
     talk.ask("MD0044072501200")
     assert [stamp(text) for _, text in talk.arrivals(1.0)] == [0, 300, 600, 900]
@@ -194,12 +196,12 @@ def test_a_second_scan_command_is_refused_until_the_first_ends():
     assert talk.arrivals(0.5) == []
 
 
-def test_what_is_no_distance_is_a_code():
+def test_invalid_distances_are_error_codes():
     talk = Talk(Room(lambda time: [0.0, 0.012, 5.7, 5.6, 0.02][round(time / TURN - 0.04)]))
     talk.ask("MD0000076801005")
-    said = [distances(text) for _, text in talk.arrivals(1.0)]
-    assert [int(values[300]) for values in said] == [0, 6, 0, 5600, 20]
-    for values in said:
+    answers = [distances(text) for _, text in talk.arrivals(1.0)]
+    assert [int(values[300]) for values in answers] == [0, 6, 0, 5600, 20]
+    for values in answers:
         assert len(values) == 769
         assert (values[:44] == 19).all()
         assert (values[726:] == 19).all()
@@ -208,8 +210,8 @@ def test_what_is_no_distance_is_a_code():
 def test_two_characters_reach_to_4095():
     talk = Talk(Room(lambda time: 4.0 if time < TURN else 5.0))
     talk.ask("MS0044072501002")
-    said = [distances(text, 2) for _, text in talk.arrivals(0.5)]
-    assert [int(values[0]) for values in said] == [4000, 4095]
+    answers = [distances(text, 2) for _, text in talk.arrivals(0.5)]
+    assert [int(values[0]) for values in answers] == [4000, 4095]
 
 
 @pytest.mark.parametrize(
@@ -233,9 +235,9 @@ def test_the_clock_wraps():
 def test_a_fast_clock_is_a_fast_motor():
     talk = Talk(drift=0.02)
     talk.ask("MD0044072501000")
-    said = talk.arrivals(5.0)
-    assert [stamp(text) for _, text in said] == [100 * k for k in range(len(said))]
-    assert len(said) == 51  # 51 turns and a part of less than what a sweep takes; else 50
+    answers = talk.arrivals(5.0)
+    assert [stamp(text) for _, text in answers] == [100 * k for k in range(len(answers))]
+    assert len(answers) == 51  # 51 turns and a part of less than what a sweep takes; else 50
 
 
 def test_time_adjustment():
@@ -279,21 +281,23 @@ def test_a_lasting_malfunction_survives_a_reset():
     talk.emulator.reboot(talk.time)
     talk.hear(1.0)
     assert talk.ask("BM") == "BM\n01Q\n\n"
-    talk.emulator.mend()
+    talk.emulator.repair()
     assert talk.ask("BM") == "BM\n00P\n\n"
 
 
-def test_an_error_is_verified_and_scans_go_on():
+def test_an_error_is_verified_and_scans_continue():
     talk = Talk()
     talk.ask("MD0044072501000")
     talk.arrivals(0.3)
     talk.emulator.fail(21)
-    said = [text for _, text in talk.arrivals(2.0)]
-    assert [text.split("\n")[1] for text in said] == ["21S", "98a"] + ["99b"] * (len(said) - 2)
-    assert len(said) > 10
+    answers = [text for _, text in talk.arrivals(2.0)]
+    assert [text.split("\n")[1] for text in answers] == ["21S", "98a"] + ["99b"] * (
+        len(answers) - 2
+    )
+    assert len(answers) > 10
 
 
-def test_reset_begins_the_clock_anew_and_so_does_a_reboot():
+def test_a_reset_and_a_reboot_restart_the_clock():
     talk = Talk(clock_start_ms=5_000_000)
     talk.hear(10.0)
     talk.ask("RS")
@@ -302,30 +306,30 @@ def test_reset_begins_the_clock_anew_and_so_does_a_reboot():
     talk.ask("MD0044072501000")
     talk.emulator.reboot(talk.time)
     assert talk.ask("QT") == ""  # it does not listen while it boots
-    talk.hear(urg.BOOT)
+    talk.hear(urg.BOOT_TIME)
     assert talk.ask("QT") == "QT\n00P\n\n"
     talk.ask("TM0")
     assert talk.ask("TM1").split("\n")[2][:4] == encode(np.array([500]), 4).decode()
 
 
-def test_rs232_takes_its_time_and_scans_are_lost():
+def test_rs232_delays_bytes_and_scans_are_lost():
     talk = Talk(serial=115200)
     talk.ask("MD0044072501000")
-    said = talk.arrivals(2.0)
-    size = len(said[-1][1])
-    took = np.diff([time for time, _ in said[1:]])
+    answers = talk.arrivals(2.0)
+    size = len(answers[-1][1])
+    took = np.diff([time for time, _ in answers[1:]])
     assert took.min() >= 10 * size / 115200
-    assert all(np.diff([stamp(text) for _, text in said[1:]]) == 200)  # 185 ms a scan
+    assert all(np.diff([stamp(text) for _, text in answers[1:]]) == 200)  # 185 ms a scan
     assert talk.emulator.bit_rate == 115200
     talk.ask("RS")
-    assert talk.emulator.bit_rate == 115200  # what it was delivered with
+    assert talk.emulator.bit_rate == 115200  # its initial value
     talk.ask("SS750000")
     assert talk.emulator.bit_rate == 750000
 
 
 @settings(max_examples=60)
 @given(st.lists(st.tuples(st.binary(max_size=40), st.floats(0.0, 0.3)), max_size=20))
-def test_it_takes_any_bytes(pieces):
+def test_it_accepts_any_bytes(pieces):
     emulator, time = UrgEmulator(Room()), 0.0
     for data, pause in pieces:
         emulator.receive(data, time)
@@ -339,7 +343,7 @@ def test_it_takes_any_bytes(pieces):
     st.lists(st.sampled_from(sorted(urg_memory.COMMANDS)), max_size=12),
     st.text("0123456789x;", max_size=14),
 )
-def test_it_takes_any_commands(commands, parameters):
+def test_it_accepts_any_commands(commands, parameters):
     emulator, time = UrgEmulator(Room()), 0.0
     for command in commands:
         emulator.receive(

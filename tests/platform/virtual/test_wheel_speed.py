@@ -1,4 +1,4 @@
-"""The wheels' speed is what was asked for, whatever load there is, and off is off."""
+"""The wheels follow the commanded speed under load, and zero stops them."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def test_gains_follow_from_the_motor():
 
 
 @pytest.mark.parametrize("speeds", [(0.3, 0.3), (-0.2, 0.3), (0.2, -0.2), (-0.3, -0.3)])
-def test_a_step_is_followed_along_the_reference(speeds):
+def test_a_step_is_tracked_along_the_reference(speeds):
     found = driven(speeds, seconds=1.2)
     wanted = np.array(speeds)
     np.testing.assert_allclose(found[-300:].mean(axis=0), wanted, atol=0.002)
@@ -51,7 +51,7 @@ def test_a_step_is_followed_along_the_reference(speeds):
     assert (np.abs(found) < 1.05 * np.abs(wanted)).all()
 
 
-def test_a_load_is_made_up_for():
+def test_a_load_is_compensated():
     def loaded(body, time):
         body.load = 0.25 * (time >= 1.0)
 
@@ -60,7 +60,7 @@ def test_a_load_is_made_up_for():
     np.testing.assert_allclose(found[-500:].mean(axis=0), 0.3, atol=0.003)
 
 
-def test_blocked_wheels_do_not_store_up_speed():
+def test_blocked_wheels_do_not_wind_up_the_integral():
     def blocked(body, time):
         for side in ("left", "right"):
             body.stall(side, 0.6 <= time < 1.6)
@@ -73,21 +73,21 @@ def test_blocked_wheels_do_not_store_up_speed():
     assert stored > 0.7
 
 
-def test_the_greatest_voltage_is_not_exceeded():
+def test_the_maximum_voltage_is_not_exceeded():
     control = SpeedController()
-    control.asked = np.array([5.0, -5.0])
+    control.commanded = np.array([5.0, -5.0])
     given = np.array([control.step((0, 0)) for _ in range(300)])
     assert np.abs(given).max() <= control.settings.top_speed
 
 
-def test_stop_is_at_once_and_forgets():
-    body_told = []
+def test_a_stop_is_immediate_and_resets_the_controller():
+    commands = []
 
     def note(body, time):
-        body_told.append(body.told)
+        commands.append(body.told)
 
     driven((0.3, 0.3), note, seconds=1.0, stop=700)
-    told = np.array(body_told)
+    told = np.array(commands)
     assert told[699].min() > 0.2
     assert not told[701:].any()
 

@@ -1,1 +1,1 @@
-"""The page that the robot serves, and who may use it."""
+"""The robot's web page and its access control."""

@@ -1,4 +1,4 @@
-"""Authentication: passwords and one-time links become sessions here, and nowhere else."""
+"""Authentication: the only place where passwords and one-time links become sessions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 
 from impslam.errors import ImpError
-from impslam.platform.console.accounts import LONGEST, Accounts, AccountsError
+from impslam.platform.console.accounts import MAX_LENGTH, Accounts, AccountsError
 from impslam.platform.console.refusals import Refusals
 from impslam.platform.console.session import Right, Session
 from impslam.platform.console.session_store import Sessions, digest
@@ -21,13 +21,13 @@ from impslam.platform.console.throttle import Throttle
 
 log = logging.getLogger(__name__)
 
-LINK_LIFE = 600.0  # s; long enough to walk from the terminal to the browser
-LINK_PAUSE = 60.0  # s between two links that are made because somebody asks for the page
-KNOWN_LIFE = 300.0  # s that a right password costs no hash again: logins, downloads that resume
+LINK_LIFETIME = 600.0  # s; long enough to walk from the terminal to the browser
+LINK_INTERVAL = 60.0  # s between links that are made because somebody opens the page
+CACHE_LIFETIME = 300.0  # s that a correct password needs no new hash: logins, resumed downloads
 
 
 class LoginRefused(ImpError):
-    """A login that is not let in; `wait` is how many s until the next try is looked at."""
+    """A refused login; `wait` is the time until the next try is possible, s."""
 
     def __init__(self, message: str, wait: float = 0.0) -> None:
         super().__init__(message)
@@ -35,14 +35,14 @@ class LoginRefused(ImpError):
 
 
 class Authenticator:
-    """Begins a session for a password or, where none is set, for the link from the terminal.
+    """Begins sessions with a password or, if none is set, with a one-time link.
 
     Parameters
     ----------
     accounts : the passwords
     secure : whether the page is served over TLS
-    show : called with the path of a new one-time link, to be printed where the robot was started
-    clock : s, never stepping back
+    show : called with the path of a new one-time link, to print it in the terminal of the server
+    clock : monotonic time, s
     """
 
     def __init__(
@@ -59,19 +59,19 @@ class Authenticator:
         self._throttle = Throttle(clock)
         self._show, self._clock = show, clock
         self._link: tuple[bytes, float] | None = None
-        self._linked = -math.inf
+        self._link_shown_at = -math.inf
         self._version = accounts.version()
         self._secret = secrets.token_bytes(32)
-        self._known: dict[bytes, tuple[Right, float]] = {}  # right passwords, so two at most
-        self._hashing = asyncio.Semaphore(1)  # one core at most, whoever logs in
+        self._cache: dict[bytes, tuple[Right, float]] = {}  # correct passwords, so two at most
+        self._hashing = asyncio.Semaphore(1)  # use one core at most
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie; `__Host-` makes browsers keep it from other hosts and from HTTP."""
+        """Name of the cookie; with `__Host-`, browsers never send it to other hosts or over HTTP."""
         return "__Host-imp_session" if self.secure else "imp_session"
 
     def open_by_link(self) -> bool:
-        """Return whether no password is set, so that the link of the terminal lets in."""
+        """Return whether no password is set, so that the one-time link gives access."""
         try:
             return not self.accounts.rights()
         except AccountsError as error:
@@ -79,28 +79,28 @@ class Authenticator:
             return False
 
     def offer_link(self) -> float:
-        """Show a new link where nobody can come in by another; at most one a minute.
+        """Show a new link if none is valid, at most one a minute.
 
-        Returns in how many s a link can be shown; 0 where one holds now.
+        Return the time until a link can be shown, s; 0 if one is valid now.
         """
         moment = self._clock()
-        pause = self._linked + LINK_PAUSE - moment
+        pause = self._link_shown_at + LINK_INTERVAL - moment
         if not self.open_by_link() or (self._link is not None and moment < self._link[1]):
             return 0.0
         if pause > 0.0:
             return pause
         token = secrets.token_urlsafe(32)
-        self._link, self._linked = (digest(token), moment + LINK_LIFE), moment
+        self._link, self._link_shown_at = (digest(token), moment + LINK_LIFETIME), moment
         self._show(f"/login?token={token}")
         return 0.0
 
     def redeem(self, address: str, token: str) -> tuple[str, Session]:
-        """Return a session that may drive, and its token, for a link that was not used before.
+        """Return the token and session, with the right to drive, for the token of a link.
 
         Raises
         ------
-        Refused
-            If it was used, is too old, or never was.
+        LoginRefused
+            If the link was used, is too old, or never existed.
         """
         link, moment = self._link, self._clock()
         known = link is not None and hmac.compare_digest(link[0], digest(token))
@@ -111,24 +111,24 @@ class Authenticator:
         return self._begin(address, "drive", "a link")
 
     async def enter(self, address: str, password: str) -> tuple[str, Session]:
-        """Return a session with the right that a password gives, and its token.
+        """Return the token and session for a password.
 
         Raises
         ------
-        Refused
-            If it gives none, or too many were tried.
+        LoginRefused
+            If the password is wrong, or too many were tried.
         """
-        right = await self._right(address, password, "login")
+        right = await self._check(address, password, "login")
         return self._begin(address, right, "a password")
 
     async def basic(self, address: str, header: str) -> Session | None:
-        """Return a session for one request that carries a user (the right) and its password.
+        """Return a session for one request with basic authentication: the right and its password.
 
-        Nothing is returned where that is not so; the log says why.
+        Return None if they are wrong; the log says why.
         """
-        user, password = _user(header)
+        user, password = _credentials(header)
         try:
-            right = self._remembered(password) or await self._right(
+            right = self._cached_right(password) or await self._check(
                 address, password, "basic login"
             )
         except LoginRefused:
@@ -139,7 +139,7 @@ class Authenticator:
         return Session(f"basic-{right}", f"{user}'s script", may_drive=False, clock=self._clock)
 
     def sweep(self) -> None:
-        """Call about once a second: sessions end when a password changes, counts reach the log."""
+        """End sessions if a password has changed, and log counts; call about once a second."""
         self.refusals.flush()
         version = self.accounts.version()
         if version != self._version:
@@ -148,38 +148,38 @@ class Authenticator:
             log.warning("the passwords have changed: every session has ended")
 
     def close(self) -> None:
-        """End every session and whatever could begin one without a password."""
+        """End every session, the link, and cached passwords."""
         self._link = None
-        self._known.clear()
+        self._cache.clear()
         self.sessions.end_all()
 
-    async def _right(self, address: str, password: str, what: str) -> Right:
+    async def _check(self, address: str, password: str, what: str) -> Right:
         wait = self._throttle.wait(address)
         if wait > 0.0:
             self.refusals.record(address, what, "too many tries")
             raise LoginRefused("Too many tries.", wait)
-        right = self._remembered(password) or await self._hashed(password)
+        right = self._cached_right(password) or await self._check_hash(password)
         if right is None:
             self.refusals.record(address, what, "a wrong password")
             raise LoginRefused("This is not a password of this robot.")
         self._throttle.forgive(address, wholly=right == "drive")
         return right
 
-    async def _hashed(self, password: str) -> Right | None:
+    async def _check_hash(self, password: str) -> Right | None:
         version = self._version
         try:
             async with self._hashing:
-                right = await asyncio.to_thread(self.accounts.right, password[: LONGEST + 1])
+                right = await asyncio.to_thread(self.accounts.right, password[: MAX_LENGTH + 1])
         except AccountsError as error:
             log.error("%s", error)  # noqa: TRY400  # what to do is in the message
             raise LoginRefused("The robot cannot read its passwords; its log says why.") from None
         if right is not None and version == self.accounts.version():
-            self._known[self._key(password)] = right, self._clock() + KNOWN_LIFE
+            self._cache[self._key(password)] = right, self._clock() + CACHE_LIFETIME
         return right
 
-    def _remembered(self, password: str) -> Right | None:
-        """Return the right of a password that was right a while ago; it costs no hash again."""
-        right, until = self._known.get(self._key(password), (None, 0.0))
+    def _cached_right(self, password: str) -> Right | None:
+        """Return the right of a recently used correct password, or None."""
+        right, until = self._cache.get(self._key(password), (None, 0.0))
         fresh = self._clock() < until and self.accounts.version() == self._version
         return right if fresh else None
 
@@ -193,8 +193,8 @@ class Authenticator:
         return token, session
 
 
-def _user(header: str) -> tuple[str, str]:
-    """Return user and password of a header `Basic ...` (RFC 7617), empty where it is none."""
+def _credentials(header: str) -> tuple[str, str]:
+    """Return user and password of a header `Basic ...` (RFC 7617), empty if it is invalid."""
     scheme, _, code = header.partition(" ")
     try:
         text = base64.b64decode(code.strip(), validate=True).decode()

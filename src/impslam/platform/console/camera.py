@@ -1,14 +1,14 @@
-"""The camera's picture on the page, asked for by the page itself while it is in sight."""
+"""The camera picture of the page, requested by the browser while it is visible."""
 
 from __future__ import annotations
 
 from nicegui.element import Element
 
-PERIOD = 0.2  # s between pictures, the camera's own
+PERIOD = 0.2  # s between pictures, as of the camera
 
 
 class Camera(Element, component="camera.js"):
-    """Loads `/camera.jpg` when a beat tells of a new picture, never two at once."""
+    """Loads `/camera.jpg` when a beat announces a new picture, one at a time."""
 
     def __init__(self) -> None:
         super().__init__()

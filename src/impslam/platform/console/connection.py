@@ -1,4 +1,4 @@
-"""What flows after a request was let in: a socket's messages, bodies, and answers of any length."""
+"""Messages of sockets, bodies and long answers of accepted requests."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from impslam.platform.console.request import IncomingRequest, Refusal
 from impslam.platform.console.session import Session
 from impslam.platform.console.throttle import Bucket
 
-MESSAGES = 400  # of a socket at once; beyond, a second:
-RATE, WATCHER_RATE = 200.0, 60.0  # a page sends some 20 a second, and 10 more while it drives
-STUCK = 10.0  # s that a browser may take nothing; what waits for it fills the memory
-UNREADABLE = frozenset({1002, 1003, 1007, 1009})  # codes of closing, RFC 6455 sec. 7.4.1
+MESSAGE_BURST = 400  # messages of a socket at once
+RATE, WATCHER_RATE = 200.0, 60.0  # 1/s; a page sends some 20 a second, and 10 more while it drives
+SEND_TIMEOUT = 10.0  # s that a browser may take nothing; waiting messages fill the memory
+UNREADABLE_CODES = frozenset({1002, 1003, 1007, 1009})  # close codes, RFC 6455 sec. 7.4.1
 
 
 class SocketConnection:
-    """One open socket: checks and counts its messages, and can be cut from outside.
+    """One open socket; checks and counts its messages, and can be closed from outside.
 
     Parameters
     ----------
-    session : whose socket it is
+    session : its session
     receive, send : the socket
-    record : called with why a message is dropped
-    clock : s, never stepping back
+    record : called with the reason when a message is dropped
+    clock : monotonic time, s
     """
 
     def __init__(
@@ -40,39 +40,39 @@ class SocketConnection:
         self._session, self._receive, self._send = session, receive, send
         self._record, self._clock = record, clock
         self._inbox = Inbox(session)
-        self._bucket = Bucket(MESSAGES, RATE if session.may_drive else WATCHER_RATE, clock)
+        self._bucket = Bucket(MESSAGE_BURST, RATE if session.may_drive else WATCHER_RATE, clock)
         self._cut = asyncio.Event()
         self._flooded = False
         self._sending: float | None = None
-        self.broken = False  # whether the server closed it for what was sent
+        self.broken = False  # whether the server closed it because of an invalid message
 
-    def wrong(self) -> str:
-        """Return why it has to be cut, empty where all is well."""
+    def problem(self) -> str:
+        """Return why the socket must be closed, "" if all is well."""
         if not self._session.alive():
             return "an open socket whose session has ended"
-        if self._sending is not None and self._clock() - self._sending > STUCK:
+        if self._sending is not None and self._clock() - self._sending > SEND_TIMEOUT:
             return "a socket that takes nothing"
         return "too many messages on a socket" if self._flooded else ""
 
     async def receive(self) -> Message:
-        """Return the next message in order; once cut or wrong, that the socket is closed."""
+        """Return the next valid message, or a disconnect once the socket is cut."""
         while True:
-            message = await self._next()
-            self.broken = message.get("code") in UNREADABLE
+            message = await self._receive_or_cut()
+            self.broken = message.get("code") in UNREADABLE_CODES
             if message["type"] != "websocket.receive":
                 return message
             self._flooded = self._flooded or self._bucket.wait() > 0.0
-            if self.wrong():
+            if self.problem():
                 await self._cut.wait()
                 return {"type": "websocket.disconnect", "code": 1008}
             self._session.use()
-            if why := self._inbox.refused(message.get("text")):
+            if why := self._inbox.check(message.get("text")):
                 self._record(why)
             else:
                 return message
 
     async def send(self, message: Message) -> None:
-        """Pass a message on, unless it comes too late."""
+        """Send a message, unless the socket is cut."""
         if self._cut.is_set():
             return
         self._sending = self._clock()
@@ -82,12 +82,12 @@ class SocketConnection:
             self._sending = None
 
     async def cut(self) -> None:
-        """Close the socket, and tell the app that it is closed."""
+        """Close the socket for the browser and for the app."""
         if not self._cut.is_set():
             self._cut.set()
             await self._send({"type": "websocket.close", "code": 1008, "reason": "refused"})
 
-    async def _next(self) -> Message:
+    async def _receive_or_cut(self) -> Message:
         message = asyncio.ensure_future(self._receive())
         cut = asyncio.ensure_future(self._cut.wait())
         try:
@@ -101,13 +101,15 @@ class SocketConnection:
 
 
 class SessionEnded(OSError):
-    """A session that ended while its answer was being sent."""
+    """The session ended while its answer was being sent."""
 
 
-async def read(request: IncomingRequest, receive: Receive, limit: int) -> bytes | Refusal | None:
-    """Return the whole body, None where the client has gone; it is small, so it is read first."""
+async def read_body(
+    request: IncomingRequest, receive: Receive, limit: int
+) -> bytes | Refusal | None:
+    """Return the whole body, a refusal if it is too large, or None if the client has gone."""
     too_large = Refusal(413, "a large body", f"{request.path}: more than {limit} bytes")
-    if int(request.header("content-length") or "0") > limit:  # the server saw that it is a number
+    if int(request.header("content-length") or "0") > limit:  # the server has checked the number
         return too_large
     parts = bytearray()
     while True:
@@ -121,8 +123,8 @@ async def read(request: IncomingRequest, receive: Receive, limit: int) -> bytes 
             return bytes(parts)
 
 
-def replayed(body: bytes, receive: Receive) -> Receive:
-    """Return a `receive` that gives the body that was read, and then what comes."""
+def with_body(body: bytes, receive: Receive) -> Receive:
+    """Return a `receive` that gives a body that was read already, and then further messages."""
     first = [{"type": "http.request", "body": body, "more_body": False}]
 
     async def replay() -> Message:
@@ -132,7 +134,7 @@ def replayed(body: bytes, receive: Receive) -> Receive:
 
 
 def while_alive(session: Session | None, send: Send) -> Send:
-    """Return a `send` that breaks off where the session ends, and that counts as using it."""
+    """Return a `send` that aborts when the session ends, and that counts as its use."""
     if session is None:
         return send
 

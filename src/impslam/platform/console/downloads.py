@@ -1,4 +1,4 @@
-"""What can be taken home: logs, with resume, also while they are recorded; maps; the picture."""
+"""Downloads: logs, with resume, even while they are recorded; maps; the camera picture."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from impslam.platform.console.login import address
 from impslam.platform.station.station import Station
 
 CHUNK = 1 << 20  # bytes read at a time
-IN_MEMORY = 8 << 20  # bytes of a zip that need no disk
+MAX_MEMORY = 8 << 20  # bytes of a zip that are kept in memory, not on the disk
 _TYPES: Final = {"jpeg": "image/jpeg", "png": "image/png"}
 
 
@@ -52,10 +52,10 @@ def routes(authenticator: Authenticator, station: Station | None) -> Sequence[Ro
 
 
 class FixedLengthFileResponse(FileResponse):
-    """A file as large as it was when asked for, though it grows while it is sent."""
+    """A file with its size at the time of the request, even if it grows while it is sent."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request; what was written since is left for the next."""
+        """Answer one request, without what is written after it."""
         left = 0
 
         async def cut(message: Message) -> None:
@@ -69,18 +69,18 @@ class FixedLengthFileResponse(FileResponse):
             more = message.get("more_body", False) and left > 0
             await send({**message, "body": body, "more_body": more})
             if message.get("more_body", False) and not more:
-                raise _Sent
+                raise _AllSent
 
-        with contextlib.suppress(_Sent):
+        with contextlib.suppress(_AllSent):
             await super().__call__(scope, receive, cut)
 
 
-class _Sent(Exception):  # no error: all that was promised is sent
-    """Ends the reading of a file that goes on."""
+class _AllSent(Exception):  # not an error: the promised length is sent
+    """Ends the reading of a growing file."""
 
 
 class _FileEndpoints:
-    """Answers requests for files; every name is one that a listing gave, or it is refused."""
+    """Answers requests for files, only with names of the listings."""
 
     def __init__(self, authenticator: Authenticator, station: Station) -> None:
         self._authenticator, self._station = authenticator, station
@@ -92,17 +92,17 @@ class _FileEndpoints:
     async def log(self, request: Request) -> Response:
         path = await run_in_threadpool(self._log, request)
         if path is None:
-            return self._none(request)
+            return self._not_found(request)
         found = await run_in_threadpool(path.stat)
         return FixedLengthFileResponse(
             path, media_type="application/octet-stream", filename=path.name, stat_result=found
         )
 
     async def digest(self, request: Request) -> Response:
-        """Answer with what `sha256sum -c` reads, of the file as it is now."""
+        """Answer with a line for `sha256sum -c`, of the present file."""
         path = await run_in_threadpool(self._log, request)
         if path is None:
-            return self._none(request)
+            return self._not_found(request)
         if request.method == "HEAD":
             return PlainTextResponse("")
         digest = hashlib.sha256()
@@ -119,10 +119,10 @@ class _FileEndpoints:
         maps = await run_in_threadpool(self._maps)
         folder = maps.get(request.path_params["name"])
         if folder is None:
-            return self._none(request)
-        packed = await run_in_threadpool(_packed, folder)
+            return self._not_found(request)
+        zipped = await run_in_threadpool(_zipped, folder)
         headers = {"content-disposition": f'attachment; filename="{folder.name}.zip"'}
-        return StreamingResponse(_blocks(packed), media_type="application/zip", headers=headers)
+        return StreamingResponse(_blocks(zipped), media_type="application/zip", headers=headers)
 
     async def picture(self, request: Request) -> Response:
         picture = self._station.picture
@@ -131,7 +131,7 @@ class _FileEndpoints:
         return Response(picture.data, media_type=_TYPES[picture.format])
 
     def _log(self, request: Request) -> Path | None:
-        """Return the path of the log that is asked for; the store confines it, this looks again."""
+        """Return the path of the requested log, checked here in addition to the store."""
         name = request.path_params["name"]
         try:
             path = self._station.store.path(name)
@@ -141,20 +141,20 @@ class _FileEndpoints:
         return path if regular and path.name == name else None
 
     def _maps(self) -> dict[str, Path]:
-        """Return the folders of the maps by name; links and the recycle bin are none."""
+        """Return the folders of the maps by name, without links and the recycle bin."""
         store = self._station.maps
         return {one.name: store.path(one.name) for one in store.maps()}
 
-    def _none(self, request: Request) -> Response:
+    def _not_found(self, request: Request) -> Response:
         self._authenticator.refusals.record(
             address(request), "a file that is not there", request.url.path
         )
         return PlainTextResponse("no such file\n", 404)
 
 
-def _packed(folder: Path) -> IO[bytes]:
-    """Return a zip of the files of one folder, at its beginning."""
-    file = tempfile.SpooledTemporaryFile(IN_MEMORY)  # noqa: SIM115  # closed once it is sent
+def _zipped(folder: Path) -> IO[bytes]:
+    """Return a zip of the files of a folder, positioned at its beginning."""
+    file = tempfile.SpooledTemporaryFile(MAX_MEMORY)  # noqa: SIM115  # closed once it is sent
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(folder.iterdir()):
             if path.is_file() and not path.is_symlink():
@@ -170,5 +170,5 @@ async def _blocks(file: IO[bytes]) -> AsyncIterator[bytes]:
 
 
 def _finite(value: object) -> object:
-    """Return a value that JSON can say; it has no word for what is not known."""
+    """Return a value as JSON can represent it: NaN and infinity become None."""
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,7 +1,7 @@
-// Joystick and keys. It sends as long as something is held, and one stand when it is let go; it lets
-// go by itself when the page is left, hidden, covered, or its link is lost, and must then be pressed anew.
-const PERIOD = 100; // ms between commands; the robot's dead man takes 300
-const DEAD = 0.08; // of the pad's radius: a thumb that rests is no command
+// Joystick and keys. Commands are sent while something is pressed, and one stop on release. Everything is
+// released when the page is left, hidden, covered, or its link is lost, and must then be pressed again.
+const PERIOD = 100; // ms between commands; the robot stops after 300
+const DEAD = 0.08; // of the pad's radius: a resting thumb is not a command
 const NOT_HERE = "input:is([type=text], :not([type])), textarea, select, [contenteditable=true], .q-dialog";
 const KEYS = {
   ArrowUp: [1, 0], KeyW: [1, 0], ArrowDown: [-1, 0], KeyS: [-1, 0],
@@ -23,8 +23,8 @@ export default {
       </div>
       <div class="drive-side">
         <div class="command" data-testid="command">
-          <div><b>{{ told(command[0] * limits[0], 2) }}</b> m/s</div>
-          <div><b>{{ told(command[1] * limits[1] * 180 / Math.PI, 0) }}</b> °/s</div>
+          <div><b>{{ fixed(command[0] * limits[0], 2) }}</b> m/s</div>
+          <div><b>{{ fixed(command[1] * limits[1] * 180 / Math.PI, 0) }}</b> °/s</div>
         </div>
         <label class="speed">
           <span>Speed up to <b>{{ (share * limits[0]).toFixed(2) }} m/s</b></span>
@@ -66,15 +66,15 @@ export default {
     for (const [target, name, handler] of this.listeners) target.removeEventListener(name, handler);
   },
   methods: {
-    // What rounds to zero has no sign.
-    told: (value, digits) => (Number(value.toFixed(digits)) || 0).toFixed(digits),
+    // No sign for what rounds to zero.
+    fixed: (value, digits) => (Number(value.toFixed(digits)) || 0).toFixed(digits),
     down(event) {
       if (!this.driving || this.pointer !== null || event.button !== 0) return;
       event.preventDefault();
       this.pointer = event.pointerId;
       this.$refs.pad.setPointerCapture(event.pointerId);
       document.activeElement?.blur?.();
-      this.box = this.$refs.pad.getBoundingClientRect(); // as it was pressed: an alarm may move the page
+      this.box = this.$refs.pad.getBoundingClientRect(); // at each press, as an alarm may move the page
       this.point(event);
     },
     move(event) {
@@ -101,7 +101,7 @@ export default {
       if (event.target.closest?.(NOT_HERE)) return;
       if (!this.driving) return;
       event.preventDefault(); // arrows would scroll the page
-      if (event.repeat || this.pressed.includes(event.code)) return; // what was let go must be pressed anew
+      if (event.repeat || this.pressed.includes(event.code)) return; // released keys must be pressed again
       this.pressed = [...this.pressed, event.code];
       this.update();
     },
@@ -140,7 +140,7 @@ export default {
       const link = window.impLink;
       if (this.held && !link?.alive()) return this.release();
       this.command = this.wanted(this.share);
-      // The socket would keep what is sent without a link, and deliver it when that is back.
+      // Without a link, the socket would queue messages, and deliver them when it is back.
       if (link?.alive()) this.$emit("command", [...this.command.map((v) => +v.toFixed(3)), link.clock()]);
     },
   },

@@ -1,4 +1,4 @@
-"""The drive panel: who has the helm, and the commands of who has it."""
+"""The drive panel: who has the helm, and the driver's commands."""
 
 from __future__ import annotations
 
@@ -37,10 +37,12 @@ class DrivePanel:
         self.update()
 
     def update(self) -> None:
-        """Show the helm as it is by now."""
+        """Show the present state of the helm."""
         state = self._station.helm.state()
         may, mine = self._viewer.session.may_drive, state.driver == self._viewer.driver
-        self._who.text = self._said(state, mine=mine, same=state.name == self._viewer.session.name)
+        self._who.text = self._driver_text(
+            state, mine=mine, same=state.name == self._viewer.session.name
+        )
         show(self._take, may and state.driver is None)
         show(self._leave, mine)
         show(self._stopped, bool(state.stopped))
@@ -51,11 +53,11 @@ class DrivePanel:
             self._pad.enable(driving=mine and not state.stopped)
 
     def leave(self) -> None:
-        """Let go of the helm: the page is gone, or its session has ended."""
+        """Leave the helm, as the page is gone, or its session has ended."""
         self._station.helm.leave(self._viewer.driver)
 
     @staticmethod
-    def _said(state: HelmState, *, mine: bool, same: bool) -> str:
+    def _driver_text(state: HelmState, *, mine: bool, same: bool) -> str:
         if state.driver is None:
             return "Nobody drives"
         who = "You drive" if mine or same else f"{state.name} drives"
@@ -78,7 +80,7 @@ class DrivePanel:
         self.update()
 
     def _on_command(self, event: GenericEventArguments) -> None:
-        """Pass a command on; it may come from anywhere, whatever the page shows."""
+        """Pass a command to the helm; a browser may send it even if the page shows no pad."""
         command = pad_command(event.args)
         if command is None or self._viewer.refused():
             return
@@ -87,4 +89,4 @@ class DrivePanel:
         try:
             self._station.helm.drive(self._viewer.driver, forward * speed, left * turn_rate, late)
         except ImpError:
-            self.update()  # someone else has the helm by now: the page shows it
+            self.update()  # someone else has the helm by now: show it

@@ -1,8 +1,8 @@
-"""A snapshot of the map as the page takes it: small, and only what this page does not know yet.
+"""Encode snapshots of the map for a page: small, and only what has changed since the last frame.
 
-A frame is a dict of plain values. The pose and the points of the scan are in each; of the path it
-has what was appended, of the landmarks those that changed, of the grid the number of its picture,
-which the page then asks for. So a frame of a map that hardly changes is as small as its scan.
+A frame is a dict of plain values. It always contains the pose and the points of the scan, and else
+the new part of the path, the changed landmarks, and the version of the picture of the grid, which
+the page then requests. So a frame of a map that hardly changes is as small as its scan.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ Mark: TypeAlias = tuple[Any, ...]
 Points: TypeAlias = npt.NDArray[np.float32]
 
 STEP = 0.005  # m; a lidar's noise is twice that, a pixel of the page ten times
-REACH = 32767  # the largest int16
+MAX_INT16 = 32767  # the largest int16
 
 
 @dataclass(slots=True)
-class Known:
-    """What a page has been sent: the base of the next difference."""
+class SentState:
+    """What has been sent to a page: the base of the next difference."""
 
     version: int = -1
     run: int = -1
@@ -57,23 +57,23 @@ def common(snapshot: Snapshot) -> Frame:
     }
 
 
-def difference(snapshot: Snapshot, marks: dict[int, Mark], known: Known) -> Frame:
-    """Return the rest of a frame, what is news to a page, and note that the page knows it now."""
-    if snapshot.run != known.run:
-        known.path, known.marks, known.grid = np.empty((0, 2), np.float32), {}, -1
-    news: Frame = {"path": _appended(known.path, snapshot.path)}
-    changed = [mark for key, mark in marks.items() if known.marks.get(key) != mark]
-    gone = [key for key in known.marks if key not in marks]
+def difference(snapshot: Snapshot, marks: dict[int, Mark], sent: SentState) -> Frame:
+    """Return the rest of a frame, what has changed for a page, and update `sent`."""
+    if snapshot.run != sent.run:
+        sent.path, sent.marks, sent.grid = np.empty((0, 2), np.float32), {}, -1
+    update: Frame = {"path": _path_update(sent.path, snapshot.path)}
+    changed = [mark for key, mark in marks.items() if sent.marks.get(key) != mark]
+    gone = [key for key in sent.marks if key not in marks]
     if changed or gone:
-        news["marks"] = {"set": changed, "gone": gone}
+        update["marks"] = {"set": changed, "gone": gone}
     grid = snapshot.grid
-    if grid is not None and grid.version != known.grid:
+    if grid is not None and grid.version != sent.grid:
         origin = [_number(value, 4) for value in grid.origin]
-        news["grid"] = {"v": grid.version, "o": origin, "r": grid.resolution, "s": grid.size}
-        known.grid = grid.version
-    known.version, known.run = snapshot.version, snapshot.run
-    known.path, known.marks = snapshot.path, marks
-    return news
+        update["grid"] = {"v": grid.version, "o": origin, "r": grid.resolution, "s": grid.size}
+        sent.grid = grid.version
+    sent.version, sent.run = snapshot.version, snapshot.run
+    sent.path, sent.marks = snapshot.path, marks
+    return update
 
 
 def mark(landmark: Landmark) -> Mark:
@@ -99,16 +99,16 @@ def ellipse(covariance: Array) -> list[float | None]:
     return [_number(major, 4), _number(minor, 4), _number(direction, 2)]
 
 
-def packed(points: Points, about: Array) -> Frame:
-    """Return points (n, 2) about a place as base64 of int16 (x, y pairs) and the m of one step."""
-    offsets = np.asarray(points, dtype=np.float64) - about
+def packed(points: Points, origin: Array) -> Frame:
+    """Return points (n, 2) relative to an origin as base64 of int16 (x, y pairs) and the step, m."""
+    offsets = np.asarray(points, dtype=np.float64) - origin
     offsets = offsets[np.isfinite(offsets).all(axis=1)]
-    step = max(STEP, float(np.abs(offsets).max(initial=0.0)) / REACH)
+    step = max(STEP, float(np.abs(offsets).max(initial=0.0)) / MAX_INT16)
     return {"step": step, "xy": _base64(np.rint(offsets / step).astype("<i2"))}
 
 
-def _appended(old: Points, new: Points) -> Frame:
-    """Return the part of a path from where it differs from the old; its end is always sent."""
+def _path_update(old: Points, new: Points) -> Frame:
+    """Return the part of a path that differs from the old one; the last point is always sent."""
     same = max(min(len(old), len(new)) - 1, 0)
     start = same if np.array_equal(old[:same], new[:same]) else 0
     return {"from": start, "xy": _base64(new[start:].astype("<f4"))}
@@ -123,5 +123,5 @@ def _pose(pose: Array) -> list[float | None]:
 
 
 def _number(value: float, digits: int) -> float | None:
-    """Return a number that JSON can carry: NaN and infinity have no place in it."""
+    """Return a number as JSON can represent it: NaN and infinity become None."""
     return round(float(value), digits) if math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""Faults on command, on the page of a virtual robot: what goes wrong there, without breaking anything."""
+"""Buttons that trigger faults of a virtual robot."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from impslam.platform.console.widgets import button, card, line, tagged
 from impslam.platform.virtual import faults
 from impslam.platform.virtual.faults import Delay, Malfunction, Noise, Reboot, Stall, Unplug
 
-SECONDS = 2.0  # s that a fault lasts: longer than a device's patience
+SECONDS = 2.0  # s that a fault lasts: longer than the timeouts of devices
 FRAMES, SCANS = 0.01, 3e-4
-"""1/byte: noise that spoils every second frame (of 70 bytes), every second scan (of 2100)."""
+"""1/byte: noise that corrupts every second frame (of 70 bytes), every second scan (of 2100)."""
 FAULTS: Mapping[str, Mapping[str, faults.Fault]] = {
     "autopilot": {
         "Noise": Noise(device="autopilot", rate=FRAMES, seconds=SECONDS),
@@ -36,11 +36,11 @@ FAULTS: Mapping[str, Mapping[str, faults.Fault]] = {
     },
     "motors": {"Stall": Stall(side="both", seconds=SECONDS)},
 }
-"""Device -> what a button says -> the fault it asks for."""
+"""Device -> label of a button -> its fault."""
 
 
 def fault_panel(fault: Fault, viewer: Viewer) -> None:
-    """Put up a button for each fault of each device; what follows, health and events tell."""
+    """Add a button for each fault of each device."""
     with card("Virtual robot", "bolt", "faults"), html.details().classes("fold"):
         tagged(html.summary(f"Let something go wrong for {SECONDS:.0f} s"), "faults")
         for device, offered in FAULTS.items():

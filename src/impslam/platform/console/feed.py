@@ -1,4 +1,4 @@
-"""What all open pages share: each thing is made once, however many look at it."""
+"""The data that all open pages share, so that it is made only once."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from impslam.observers.live_view import Snapshot
-from impslam.platform.console.encoding import Frame, Known, Mark, common, difference, mark
+from impslam.platform.console.encoding import Frame, Mark, SentState, common, difference, mark
 from impslam.platform.console.model import Model
 from impslam.platform.devices.base import now
 from impslam.platform.station.map_store import StoredMap
@@ -22,12 +22,12 @@ from impslam.types import Array
 
 T = TypeVar("T")
 
-KEPT = 1000  # latencies: a minute and a half of scans, enough for a 99th percentile
-SENT = 64  # snapshots whose arrival is remembered until the pages tell that they are drawn
+MAX_LATENCIES = 1000  # latencies: a minute and a half of scans, enough for a 99th percentile
+MAX_PENDING = 64  # snapshots that wait for pages to report that they are drawn
 
 
 class Cached(Generic[T]):
-    """A value that is asked for by many and made anew at most every `period` s."""
+    """A value that is recomputed at most every `period` s."""
 
     def __init__(self, make: Callable[[], T], period: float) -> None:
         self._make, self._period = make, period
@@ -44,17 +44,17 @@ class Cached(Generic[T]):
             return self._value
 
     def expire(self) -> None:
-        """Have it made anew when it is asked for next; never waits for who makes it now."""
+        """Recompute the value at the next call; never blocks."""
         self._expired = True
 
 
 class Feed:
-    """Frames of a model's map for any number of pages, and how late they were drawn.
+    """Frames of a model's map for any number of pages, and the latencies of drawing.
 
     Attributes
     ----------
-    health : how a robot is doing; call it
-    logs, maps : those on its disk, and their recycle bin; call it, in a thread, since it looks there
+    health : returns the status of the robot
+    logs, maps : return those on its disk, and their recycle bin; call in a thread, as the disk is read
     """
 
     def __init__(self, model: Model) -> None:
@@ -66,25 +66,25 @@ class Feed:
         self._marks: dict[int, Mark] = {}
         self._landmarks: Any = None
         self._arrived: dict[int, float] = {}
-        self._latencies: deque[float] = deque(maxlen=KEPT)
+        self._latencies: deque[float] = deque(maxlen=MAX_LATENCIES)
 
-    def frame(self, known: Known) -> Frame | None:
-        """Return what is news to a page, None if nothing is; call it from the event loop only."""
+    def frame(self, sent: SentState) -> Frame | None:
+        """Return what has changed for a page, None if nothing; call it only in the event loop."""
         snapshot = self.model.view.snapshot()
-        if snapshot.version == known.version:
+        if snapshot.version == sent.version:
             return None
         if snapshot.version != self._common["seq"]:
             self._encode(snapshot)
-        return self._common | difference(snapshot, self._marks, known)
+        return self._common | difference(snapshot, self._marks, sent)
 
     def drawn(self, version: int) -> None:
-        """Note that a page has drawn a snapshot; a number that was never sent is ignored."""
+        """Record that a page has drawn a snapshot; ignore versions that were never sent."""
         arrived = self._arrived.get(version)
         if arrived is not None:
             self._latencies.append(now() - arrived)
 
     def latencies(self) -> Array:
-        """Return (n,) s from a scan's arrival to its being drawn and acknowledged, oldest first."""
+        """Return (n,) s from the arrival of a scan to the report that it is drawn, oldest first."""
         return np.array(self._latencies)
 
     def _health(self) -> StationHealth:
@@ -106,8 +106,8 @@ class Feed:
         if snapshot.landmarks is not self._landmarks:
             self._landmarks = snapshot.landmarks
             self._marks = {one.id: mark(one) for one in snapshot.landmarks}
-        # A replay's scans arrived when the log was made; a map without a scan yet says NaN.
+        # Scans of a replay arrived when the log was made; before the first scan, it is NaN.
         if self.model.station is not None and np.isfinite(snapshot.arrived):
             self._arrived[snapshot.version] = snapshot.arrived
-            while len(self._arrived) > SENT:
+            while len(self._arrived) > MAX_PENDING:
                 del self._arrived[next(iter(self._arrived))]

@@ -1,9 +1,8 @@
-"""The guard: stands before the whole app, and lets nothing through that it has not looked at.
+"""The guard: the outermost middleware, which checks every request and socket.
 
-Every request and every socket is checked for its size, the host it believes to talk to (else a name
-that is bound to the robot's address would make it a page of its own: DNS rebinding), the page it
-comes from (else any page in the same browser could use the robot), and its session. What passes
-carries the session as `request.state.session`.
+It checks the size, the host (against DNS rebinding: a foreign name that resolves to the robot's
+address), the origin (else any page in the same browser could use the robot), and the session, which
+the app finds as `request.state.session`.
 """
 
 from __future__ import annotations
@@ -23,23 +22,23 @@ from impslam.platform.console.authenticator import Authenticator
 from impslam.platform.console.connection import (
     SessionEnded,
     SocketConnection,
-    read,
-    replayed,
+    read_body,
     while_alive,
+    with_body,
 )
-from impslam.platform.console.messages import opening
-from impslam.platform.console.pages import room
+from impslam.platform.console.messages import check_opening
+from impslam.platform.console.pages import make_room
 from impslam.platform.console.request import IncomingRequest, Refusal
-from impslam.platform.console.request_checks import host, origin, shape
-from impslam.platform.console.routes import PAGE, route
+from impslam.platform.console.request_checks import check_host, check_origin, check_shape
+from impslam.platform.console.routes import PAGE, check_route
 from impslam.platform.console.security_headers import SecurityHeaders
 from impslam.platform.console.session import Session
 
-BODY = 64 * 1024  # bytes of a request's body, and of a socket's message
-LOGIN_BODY = 4 * 1024  # bytes, from those who have no session yet
-BODY_TIME = 10.0  # s for the whole body: below 64 kbit/s no page can be driven from anyway
-GRACE = 1.0  # s for a socket that is cut to take note
-LOOK = 0.25  # s between two looks whether an open socket's session still holds
+MAX_BODY = 64 * 1024  # bytes of the body of a request, or of a socket message
+MAX_LOGIN_BODY = 4 * 1024  # bytes, without a session
+BODY_TIMEOUT = 10.0  # s for the whole body; a link below 64 kbit/s is too slow to drive anyway
+GRACE = 1.0  # s for a socket to close
+CHECK_INTERVAL = 0.25  # s between checks of an open socket's session
 
 BUSY = Refusal(503, "too many requests at once")
 
@@ -47,14 +46,14 @@ _FORWARDED = re.compile(rb"x-forwarded-.*|forwarded|x-real-ip|x-original-.*")
 
 
 class Guard:
-    """Middleware (pure ASGI, outermost) that refuses what is not in order, and tells the log.
+    """Middleware (pure ASGI, outermost) that refuses and logs invalid requests.
 
     Parameters
     ----------
-    app : what is guarded
-    authenticator : knows the sessions
-    names : host names that this server is reached by, beside the address it is reached at
-    clock : s, never stepping back
+    app : the guarded app
+    authenticator : holds the sessions
+    names : host names of this server, in addition to its address
+    clock : monotonic time, s
     """
 
     def __init__(
@@ -70,34 +69,34 @@ class Guard:
         self._admission, self._sockets = Admission(), Sockets()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Look at one request or socket, and pass it on or refuse it."""
+        """Check one request or socket, and pass it to the app or refuse it."""
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
             return
         request = IncomingRequest(scope)
         send = SecurityHeaders(request, send)
-        refusal = shape(request) or host(request, self._names) or origin(request)
-        session = None if refusal else await self._session(request)
+        refusal = check_shape(request) or check_host(request, self._names) or check_origin(request)
+        session = None if refusal else await self._find_session(request)
         if refusal is None and session is None and not request.public:
             refusal = Refusal(401, "no session", f"{request.method} {request.path}")
-        refusal = refusal or route(request)
+        refusal = refusal or check_route(request)
         if refusal is None and session is not None and request.socket:
-            refusal = opening(request, session)
+            refusal = check_opening(request, session)
         if refusal is not None:
             await self._refuse(request, refusal, receive, send)
             return
-        scope = _passed(scope, session)
+        scope = _forwarded_scope(scope, session)
         if session is None or not request.socket:
-            await self._request(request, session, scope, receive, send)
+            await self._handle_request(request, session, scope, receive, send)
         elif self._sockets.take(session):
             try:
-                await self._socket(request, session, scope, receive, send)
+                await self._handle_socket(request, session, scope, receive, send)
             finally:
                 self._sockets.leave(session)
         else:
             await self._refuse(request, Refusal(503, "too many sockets"), receive, send)
 
-    async def _session(self, request: IncomingRequest) -> Session | None:
+    async def _find_session(self, request: IncomingRequest) -> Session | None:
         token = request.cookie(self._authenticator.cookie)
         session = self._authenticator.sessions.find(token) if token else None
         if session is not None:
@@ -114,10 +113,10 @@ class Guard:
             why = Refusal(401, "a session that has ended", detail)
         self._refusals.record(request.address, why.what, detail)
         response = _answer(request, why)
-        response.headers["connection"] = "close"  # what it goes on to send is not read
+        response.headers["connection"] = "close"  # the rest of the body is not read
         await response(request.scope, receive, send)
 
-    async def _request(
+    async def _handle_request(
         self,
         request: IncomingRequest,
         session: Session | None,
@@ -125,10 +124,10 @@ class Guard:
         receive: Receive,
         send: Send,
     ) -> None:
-        limit = BODY if session is not None else LOGIN_BODY
+        limit = MAX_BODY if session is not None else MAX_LOGIN_BODY
         try:
-            async with asyncio.timeout(BODY_TIME):
-                body = await read(request, receive, limit)
+            async with asyncio.timeout(BODY_TIMEOUT):
+                body = await read_body(request, receive, limit)
         except TimeoutError:
             body = Refusal(408, "a slow body")
         if isinstance(body, Refusal):
@@ -141,20 +140,20 @@ class Guard:
             await self._refuse(request, BUSY, receive, send)
             return
         try:
-            if session is not None and request.path == PAGE and not room(session):
+            if session is not None and request.path == PAGE and not make_room(session):
                 await self._refuse(request, Refusal(503, "too many pages"), receive, send)
                 return
             sent = turn.ended_by(while_alive(session, send))
-            await self.app(scope, replayed(body, receive), sent)
+            await self.app(scope, with_body(body, receive), sent)
         except SessionEnded:
             self._refusals.record(request.address, "the rest after its session ended", request.path)
         finally:
             turn.end()
 
-    async def _socket(
+    async def _handle_socket(
         self, request: IncomingRequest, session: Session, scope: Scope, receive: Receive, send: Send
     ) -> None:
-        """Pass messages on for as long as the session holds, then close the socket."""
+        """Forward messages while the session is alive, then close the socket."""
         turn = await self._admission.turn(request, session)
         if turn is None:
             await self._refuse(request, BUSY, receive, send)
@@ -164,15 +163,13 @@ class Guard:
         app = asyncio.ensure_future(self.app(scope, connection.receive, connection.send))
         try:
             while not app.done():
-                if why := connection.wrong():
+                if why := connection.problem():
                     self._refusals.record(request.address, why, request.path)
-                    with contextlib.suppress(TimeoutError):
-                        await asyncio.wait_for(
-                            connection.cut(), GRACE
-                        )  # who reads nothing gets nothing
+                    with contextlib.suppress(TimeoutError):  # the browser may not read
+                        await asyncio.wait_for(connection.cut(), GRACE)
                     await asyncio.wait({app}, timeout=GRACE)
                     break
-                await asyncio.wait({app}, timeout=LOOK)
+                await asyncio.wait({app}, timeout=CHECK_INTERVAL)
         finally:
             turn.end()
             if not app.done():
@@ -184,7 +181,7 @@ class Guard:
 
 
 def _answer(request: IncomingRequest, why: Refusal) -> Response:
-    """Return what the client of a refusal gets to see."""
+    """Return the answer to a refused request."""
     if why.status != 401:
         headers = {"retry-after": "1"} if why.status == 503 else None
         return PlainTextResponse(f"{why.what}\n", why.status, headers)
@@ -198,8 +195,8 @@ def _answer(request: IncomingRequest, why: Refusal) -> Response:
     return response
 
 
-def _passed(scope: Scope, session: Session | None) -> Scope:
-    """Return what the app sees: the session, and nothing of what proxies are said to have seen."""
+def _forwarded_scope(scope: Scope, session: Session | None) -> Scope:
+    """Return the scope for the app: with the session, and without headers of proxies."""
     headers = [(name, value) for name, value in scope["headers"] if not _FORWARDED.fullmatch(name)]
     state = {**scope.get("state", {}), "session": session}
     return {**scope, "headers": headers, "state": state}

@@ -1,4 +1,4 @@
-"""The top of the page: what the robot is doing, who looks, and the emergency stop."""
+"""The header of the page: status of the robot, session, and emergency stop."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from impslam.platform.station.station import Station
 
 
 class Header:
-    """Title, chips of state, the look of the page, and STOP.
+    """Title, status chips, theme, and STOP.
 
     Attributes
     ----------
@@ -25,7 +25,7 @@ class Header:
     def __init__(self, model: Model, viewer: Viewer) -> None:
         self.stop: StopButton | None = None
         self._dark = ui.dark_mode(None)
-        self._looks = itertools.cycle([True, False, None])
+        self._modes = itertools.cycle([True, False, None])
         with html.header().classes("top"):
             symbol("smart_toy" if model.station is not None else "replay").classes("mark")
             html.h1(model.title)
@@ -41,7 +41,7 @@ class Header:
                 self.stop = StopButton(lambda: self._on_stop(model.station, viewer))
 
     def update(self, recording: RecordingStatus, driver: str) -> None:
-        """Show whether a log is being written, and who drives."""
+        """Show the recording, and who drives."""
         show(self._recording, recording.active)
         self._recording.text = f"REC {duration(recording.seconds)}"
         show(self._driver, bool(driver))
@@ -54,8 +54,10 @@ class Header:
         return chip
 
     def _on_theme(self) -> None:
-        """From what the system prefers to dark, to light, and back."""
-        self._dark.value = next(self._looks)  # not from what it is: the browser may tell anything
+        """Switch from the theme of the system to dark, to light, and back."""
+        self._dark.value = next(
+            self._modes
+        )  # its present value comes from the browser: not trusted
 
     @staticmethod
     def _on_stop(station: Station | None, viewer: Viewer) -> None:
@@ -64,7 +66,7 @@ class Header:
 
 
 def _logout() -> None:
-    """Make the button to log out: a form and no script, since who leaves must be able to."""
+    """Add the button to log out: a form, so that it works without scripts."""
     with html.form().props("method=post action=/logout"), html.button() as leave:
         leave.classes("button quiet").props("type=submit")
         leave.props["aria-label"] = leave.props["title"] = "Log out"

@@ -1,4 +1,4 @@
-"""How everything is doing: devices, recorder, mapper, the page itself, and what happened."""
+"""Health of devices, recorder, mapper and page, and recent events."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from impslam.platform.station.recorder import RecordingStatus
 from impslam.platform.station.station import StationHealth
 from impslam.types import Climate, Event
 
-SHOWN = 40  # events
-CLIMATE_OLD = 10.0  # s: ten of its readings
+MAX_EVENTS = 40  # events
+CLIMATE_TIMEOUT = 10.0  # s: ten readings
 LOOKS = {
     "ok": ("check_circle", "ok"),
     "silent": ("hourglass_empty", "warning"),
@@ -32,18 +32,18 @@ LOOKS = {
     "failed": ("error", "error"),
     "off": ("radio_button_unchecked", "idle"),
 }
-"""State -> icon, and how it is coloured."""
+"""State -> icon and colour."""
 LEVELS = {"info": "info", "warning": "warning", "error": "error"}
-UNSEEN = {"DeviceTime", "Event"}
-"""Messages about messages: what they tell has a place of its own."""
-TROUBLE = re.compile(
+HIDDEN_TYPES = {"DeviceTime", "Event"}
+"""Messages about messages: their content is shown elsewhere."""
+PROBLEM_COUNTERS = re.compile(
     "lost|corrupt|drop|late|repeat|bad|error|reopen|restart|reboot|skip|refus|timeout|unknown|cut"
 )
-"""Counters worth seeing: what should not happen. How many messages came, the rates tell."""
+"""Counters to show: of what should not happen. The others are shown as rates."""
 
 
 class HealthPanel:
-    """A row for each device, and for what works on what the devices say."""
+    """A row for each device, the recorder, the mapper, the page and the climate."""
 
     def __init__(self, feed: Feed, health: StationHealth) -> None:
         self._feed = feed
@@ -55,7 +55,7 @@ class HealthPanel:
         self.update(health)
 
     def update(self, health: StationHealth) -> None:
-        """Show how everything is doing by now; rows that are as before send nothing."""
+        """Show the present status; unchanged rows send nothing."""
         for name, device in health.devices.items():
             self._rows[name].content = device_row(name, device)
         self._rows["recorder"].content = recorder_row(health.recording)
@@ -66,7 +66,7 @@ class HealthPanel:
 
 
 class EventPanel:
-    """The newest events, the last one first."""
+    """The latest events, newest first."""
 
     def __init__(self) -> None:
         self._newest: tuple[int, float] = (0, 0.0)
@@ -76,31 +76,31 @@ class EventPanel:
             self._list.props["role"] = "log"
 
     def update(self, events: list[Event]) -> None:
-        """Show them, if there are others than before."""
+        """Show the events, if there are new ones."""
         newest = (len(events), events[-1].stamp if events else 0.0)
         if newest != self._newest:
             self._newest = newest
-            self._list.content = "".join(event_row(one) for one in reversed(events[-SHOWN:]))
+            self._list.content = "".join(event_row(one) for one in reversed(events[-MAX_EVENTS:]))
 
 
 def device_row(name: str, health: Health) -> str:
-    """Return a device's state, rates, troubles and detail as HTML."""
+    """Return a device's state, rates, problems and detail as HTML."""
     rates = (
-        f"{_spoken(kind)} {rate:.{_digits(rate)}f} Hz"
+        f"{_words(kind)} {rate:.{_digits(rate)}f} Hz"
         for kind, rate in health.rates.items()
-        if kind not in UNSEEN
+        if kind not in HIDDEN_TYPES
     )
     troubles = (
         f"{count} {kind}"
         for kind, count in health.counts.items()
-        if count and TROUBLE.search(kind.lower())
+        if count and PROBLEM_COUNTERS.search(kind.lower())
     )
     return _row(name, health.state, rates, troubles, health.detail)
 
 
 def recorder_row(status: RecordingStatus) -> str:
     """Return the recorder's state as HTML."""
-    dropped = (f"{n} {_spoken(kind)} dropped" for kind, n in status.dropped.items() if n)
+    dropped = (f"{n} {_words(kind)} dropped" for kind, n in status.dropped.items() if n)
     facts = [f"{size(status.free)} free"]
     if status.active:
         facts.insert(0, f"{size(status.size)} written")
@@ -119,13 +119,15 @@ def mapper_row(status: MapperStatus) -> str:
 
 
 def climate_row(climate: Climate, moment: float) -> str:
-    """Return temperature and humidity about the autopilot as HTML; silent if they are old."""
+    """Return temperature and humidity at the autopilot as HTML; silent if they are old."""
     facts = [f"{climate.temperature:.1f} °C", f"{100.0 * climate.humidity:.0f} % humidity"]
-    return _row("climate", "ok" if moment - climate.stamp < CLIMATE_OLD else "silent", facts, [])
+    return _row(
+        "climate", "ok" if moment - climate.stamp < CLIMATE_TIMEOUT else "silent", facts, []
+    )
 
 
 def page_row(latencies: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
-    """Return how late pages draw, with the figures as data attributes, as HTML."""
+    """Return the latency of drawing as HTML, with the figures as data attributes."""
     if not len(latencies):
         return _row("page", "ok", ["scan to page: not known yet"], [], "")
     median, p99 = np.percentile(latencies, (50, 99))
@@ -135,13 +137,13 @@ def page_row(latencies: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
 
 
 def event_row(event: Event) -> str:
-    """Return an event as HTML, its time of day as the robot's clock shows it."""
+    """Return an event as HTML, with its time of day by the robot's clock."""
     look = LEVELS.get(event.level, "info")
     moment = time.strftime("%H:%M:%S", time.localtime(event.stamp))
-    said = f"<b>{html.escape(event.source)}</b> {html.escape(event.text)}"
+    content = f"<b>{html.escape(event.source)}</b> {html.escape(event.text)}"
     return (
         f'<div class="event {look}"><time>{moment}</time>{_icon(look)}<span>'
-        f'<span class="sr">{look}: </span>{said}</span></div>'
+        f'<span class="sr">{look}: </span>{content}</span></div>'
     )
 
 
@@ -164,7 +166,7 @@ def _icon(name: str) -> str:
     return f'<i class="q-icon material-icons notranslate" aria-hidden="true">{name}</i>'
 
 
-def _spoken(kind: str) -> str:
+def _words(kind: str) -> str:
     """Return a message type as words: "WheelAngles" is "wheel angles"."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", kind).lower()
 

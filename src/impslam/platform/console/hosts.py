@@ -1,4 +1,4 @@
-"""By which names and addresses this computer is reached."""
+"""The names and addresses of this computer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 
 def loopback(host: str) -> bool:
-    """Return whether only this computer itself reaches what listens on `host`.
+    """Return whether `host` is reachable only from this computer.
 
     Raises
     ------
@@ -28,14 +28,14 @@ def loopback(host: str) -> bool:
 
 
 def names() -> tuple[str, ...]:
-    """Return the names of this computer: as it calls itself, by mDNS, and on its own."""
+    """Return the names of this computer: host name, short, by mDNS, and localhost."""
     name = socket.gethostname().lower()
     short = name.partition(".")[0]
     return tuple(dict.fromkeys((name, short, f"{short}.local", "localhost")))
 
 
 def addresses() -> tuple[str, ...]:
-    """Return the addresses of this computer, without those that only hold on one link."""
+    """Return the addresses of this computer, without link-local ones."""
     found = []
     for adapter in ifaddr.get_adapters():
         for given in adapter.ips:
@@ -47,12 +47,12 @@ def addresses() -> tuple[str, ...]:
 
 
 def ip(text: object) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
-    """Return an address in its one form: without zone, and as IPv4 where IPv6 only wraps it.
+    """Return an address in its canonical form: without zone, and as IPv4 if it is IPv4-mapped.
 
     Raises
     ------
     ValueError
-        If it is none.
+        If it is not an address.
     """
     found = ipaddress.ip_address(str(text).partition("%")[0])
     mapped = found.ipv4_mapped if isinstance(found, ipaddress.IPv6Address) else None

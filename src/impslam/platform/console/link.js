@@ -1,4 +1,4 @@
-// Watches over the link by itself: nothing that the server does or fails to do can keep it quiet.
+// Monitors the link in the browser, independently of the server.
 export default {
   template: `
     <div class="alarms" role="alert" aria-live="assertive">
@@ -19,9 +19,9 @@ export default {
     window.impLink = {
       beat: null,
       picture: 0,
-      // The robot's clock, ms: too early by the time that the newest beat was under way.
+      // The robot's clock, ms, behind by the travel time of the newest beat.
       clock: () => window.impLink.beat + Math.round(performance.now() - this.last),
-      // What drives asks this before each command.
+      // Checked by the drive pad before each command.
       alive: () =>
         window.socket?.connected === true &&
         performance.now() - this.last < 1000 * this.patience,

@@ -1,4 +1,4 @@
-"""The link between page and robot: beats, what is wrong with the robot, and its end."""
+"""The link between page and robot: beats, alarms, and the age of commands."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from collections.abc import Sequence
 from nicegui.element import Element
 
 PERIOD = 0.2  # s between beats
-PATIENCE = 1.0  # s without a beat after which the page says that the link is lost
-ROUNDING = 0.01  # s that a command may seem to come from the future: clocks are read in ms
+BEAT_TIMEOUT = 1.0  # s without a beat until the page shows that the link is lost
+CLOCK_TOLERANCE = 0.01  # s that a command may seem to come from the future: clocks are read in ms
 
 
 class Link(Element, component="link.js"):
-    """Sends beats, by which the page knows that the robot lives; without them it says so by itself.
+    """Sends beats to the page, which shows a lost link when they stop.
 
-    A beat carries the robot's clock. Each command from the page carries that clock as well, gone on
-    since the newest beat came, so that the robot knows how long the beat and the command together
-    were on their way: what waited in a queue that a broken link filled must not move it.
+    A beat contains the robot's clock. Each command from the page contains the clock of the newest
+    beat plus the time since then, so that the robot knows the travel time of beat and command
+    together: a command that waited in the queue of a broken link must not move the robot.
     """
 
     def __init__(self, *, robot: bool) -> None:
         super().__init__()
-        self._props["patience"] = PATIENCE
+        self._props["patience"] = BEAT_TIMEOUT
         self._props["robot"] = robot
         self._props["alarms"] = []
 
@@ -32,17 +32,17 @@ class Link(Element, component="link.js"):
         self.run_method("beat", _milliseconds(), picture)
 
     def warn(self, alarms: Sequence[str]) -> None:
-        """Show what is wrong with the robot, for as long as it is."""
+        """Show the present alarms of the robot."""
         if list(alarms) != self._props["alarms"]:
             self._props["alarms"] = list(alarms)
 
 
 def age(stamp: object) -> float:
-    """Return for how many s a command with this stamp (ms) has been under way; NaN if it is none."""
+    """Return the age of a command with this stamp (ms), s; NaN if the stamp is invalid."""
     if not isinstance(stamp, int):
         return math.nan
     seconds = (_milliseconds() - stamp) / 1000
-    return max(seconds, 0.0) if seconds > -ROUNDING else math.nan
+    return max(seconds, 0.0) if seconds > -CLOCK_TOLERANCE else math.nan
 
 
 def _milliseconds() -> int:

@@ -1,4 +1,4 @@
-"""Recording, and the logs on the robot's disk."""
+"""The panels to record, and of the logs on the robot's disk."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from impslam.platform.station.store import StoredLog
 
 
 class RecordPanel:
-    """Record and stop."""
+    """Buttons to record and stop, and the status of the recording."""
 
     def __init__(self, station: Station, viewer: Viewer) -> None:
         self._station, self._viewer = station, viewer
@@ -30,27 +30,29 @@ class RecordPanel:
                 self._name.props["aria-label"] = "Name of the log"
                 tagged(self._name, "record-name").classes("field")
                 self._name.on("input", self._on_name, js_handler="(e) => emit(e.target.value)")
-                self._said = text("recording", "", "recording")
+                self._status = text("recording", "", "recording")
             self._error = text("record-error", "", "error-text")
-        self._wanted = ""
+        self._log_name = ""
         self._may = may
 
     def update(self, status: RecordingStatus) -> None:
-        """Show the recorder as it is by now."""
+        """Show the present status of the recorder."""
         show(self._start, self._may and not status.active)
         show(self._name, self._may and not status.active)
         show(self._stop, self._may and status.active)
-        told = f"{duration(status.seconds)} · {size(status.size)}" if status.active else ""
-        self._said.text = told or ("" if self._may else "Not recording")
-        self._said.classes(add="on" if status.active else "", remove="" if status.active else "on")
+        progress = f"{duration(status.seconds)} · {size(status.size)}" if status.active else ""
+        self._status.text = progress or ("" if self._may else "Not recording")
+        self._status.classes(
+            add="on" if status.active else "", remove="" if status.active else "on"
+        )
         self._error.text = status.error
         show(self._error, bool(status.error))
 
     def _on_name(self, event: Any) -> None:
-        self._wanted = str(event.args)[:40].strip()
+        self._log_name = str(event.args)[:40].strip()
 
     async def _on_start(self) -> None:
-        name = self._wanted or None
+        name = self._log_name or None
         await self._viewer.run(lambda: self._station.recorder.start(name))
         self.update(self._station.recorder.status())
 
@@ -63,8 +65,8 @@ class LogPanel(StoredPanel[StoredLog]):
     """The logs with size and date: download, delete; and the recycle bin."""
 
     def __init__(self, feed: Feed, station: Station, viewer: Viewer) -> None:
-        none = "No logs yet. Press Record to make one."
-        super().__init__("log", "folder", none, feed.logs, station.store, viewer)
+        empty_text = "No logs yet. Press Record to make one."
+        super().__init__("log", "folder", empty_text, feed.logs, station.store, viewer)
 
     def facts(self, one: StoredLog) -> Sequence[str]:
         """Return date, size, duration and state."""
@@ -75,8 +77,8 @@ class LogPanel(StoredPanel[StoredLog]):
             "cut short" if one.cut and not one.recording else "",
         )
 
-    def acts(self, one: StoredLog) -> None:
-        """Make the buttons."""
+    def add_buttons(self, one: StoredLog) -> None:
+        """Add the buttons of a log."""
         if not one.recording:
-            self.download(one.name, one.name)
-            self.deleter(one.name)
+            self.add_download_button(one.name, one.name)
+            self.add_delete_button(one.name)

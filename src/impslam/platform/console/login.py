@@ -1,4 +1,4 @@
-"""The login: a plain page that needs no script, so that it works wherever a form does."""
+"""The login: a plain page with a form, without scripts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from starlette.routing import Route
 
 from impslam.platform.console.authenticator import Authenticator, LoginRefused
 
-PATHS = frozenset({"/login", "/login.css"})  # what is served without a session
+PATHS = frozenset({"/login", "/login.css"})  # served without a session
 POLICY = (
     "default-src 'none'; style-src 'self'; img-src data:; form-action 'self'; "
     "base-uri 'none'; frame-ancestors 'none'"
@@ -37,11 +37,11 @@ _SOON = (
     "<code>imp robot</code> runs."
 )
 _ENTER = '<p><a href="/">Open the page</a></p>'
-_GO_ON = '<meta http-equiv="refresh" content="0; url=/" />'
+_REDIRECT = '<meta http-equiv="refresh" content="0; url=/" />'
 
 
 def routes(authenticator: Authenticator, title: str) -> Sequence[Route]:
-    """Return `/login`, `/logout` and what the page of the login needs."""
+    """Return the routes of `/login`, its style, and `/logout`."""
     endpoints = _LoginEndpoints(authenticator, title)
     return [
         Route("/login", endpoints.form, methods=["GET"]),
@@ -52,7 +52,7 @@ def routes(authenticator: Authenticator, title: str) -> Sequence[Route]:
 
 
 class _LoginEndpoints:
-    """Answers requests for the login."""
+    """Answers requests for login and logout."""
 
     def __init__(self, authenticator: Authenticator, title: str) -> None:
         folder = files("impslam.platform.console")
@@ -63,70 +63,74 @@ class _LoginEndpoints:
     async def form(self, request: Request) -> Response:
         token = request.query_params.get("token")
         if request.method == "GET" and token is not None:
-            return self._follow(request, token)
+            return self._use_link(request, token)
         if not self._authenticator.open_by_link():
-            return self._shown(_FORM)
-        return self._shown(self._offered())
+            return self._page_with(_FORM)
+        return self._page_with(self._link_offer())
 
     async def enter(self, request: Request) -> Response:
         try:
             fields = parse_qs((await request.body()).decode("utf-8", "replace"), max_num_fields=8)
         except ValueError:
-            return self._shown(_FORM, "That was no login.", status=400)
+            return self._page_with(_FORM, "That was no login.", status=400)
         try:
             token, _ = await self._authenticator.enter(
                 address(request), fields.get("password", [""])[0]
             )
         except LoginRefused as error:
             return self._refused(error)
-        return self._admitted(RedirectResponse("/", 303), token)
+        return self._with_cookie(RedirectResponse("/", 303), token)
 
     async def leave(self, request: Request) -> Response:
         request.state.session.end()
-        return self._admitted(RedirectResponse("/login", 303), "", lasting=0)
+        return self._with_cookie(RedirectResponse("/login", 303), "", max_age=0)
 
     async def css(self, _: Request) -> Response:
         return Response(self._style, media_type="text/css")
 
-    def _follow(self, request: Request, token: str) -> Response:
+    def _use_link(self, request: Request, token: str) -> Response:
         try:
             token, _ = self._authenticator.redeem(address(request), token)
         except LoginRefused as error:
             return self._refused(error)
-        # Not a redirect: the link may have been opened from another site's page, and browsers
-        # would withhold the strict cookie from a redirect that began there.
-        return self._admitted(self._shown(_ENTER, head=_GO_ON), token)
+        # Not an HTTP redirect: if the link was opened from another site's page, browsers would not
+        # send the strict cookie with a redirect.
+        return self._with_cookie(self._page_with(_ENTER, head=_REDIRECT), token)
 
     def _refused(self, error: LoginRefused) -> Response:
         if error.wait > 0.0:
             seconds = math.ceil(error.wait)
-            response = self._shown(_FORM, f"{error} Wait {seconds} s.", status=429)
+            response = self._page_with(_FORM, f"{error} Wait {seconds} s.", status=429)
             response.headers["retry-after"] = str(seconds)
             return response
-        return self._shown(
-            self._offered() if self._authenticator.open_by_link() else _FORM, str(error), status=401
+        return self._page_with(
+            self._link_offer() if self._authenticator.open_by_link() else _FORM,
+            str(error),
+            status=401,
         )
 
-    def _offered(self) -> str:
-        """Offer a link, and return where it is found."""
+    def _link_offer(self) -> str:
+        """Offer a link, and return the text that says where it is printed."""
         seconds = math.ceil(self._authenticator.offer_link())
         where = Template(_SOON).substitute(seconds=seconds) if seconds else _PRINTED
         return Template(_LINK).substitute(where=where)
 
-    def _shown(self, body: str, message: str = "", head: str = "", status: int = 200) -> Response:
+    def _page_with(
+        self, body: str, message: str = "", head: str = "", status: int = 200
+    ) -> Response:
         notice = f'<p class="refused" role="alert">{html.escape(message)}</p>' if message else ""
         text = self._page.substitute(
             title=html.escape(self._title), head=head, message=notice, body=body
         )
         return HTMLResponse(text, status, {"content-security-policy": POLICY})
 
-    def _admitted(self, response: Response, token: str, lasting: int | None = None) -> Response:
-        """Hand over the cookie: out of reach of scripts, and never sent along from other sites."""
+    def _with_cookie(self, response: Response, token: str, max_age: int | None = None) -> Response:
+        """Set the cookie: inaccessible to scripts, and never sent from other sites."""
         authenticator = self._authenticator
         response.set_cookie(
             authenticator.cookie,
             token,
-            lasting,
+            max_age,
             secure=authenticator.secure,
             httponly=True,
             samesite="strict",
@@ -135,5 +139,5 @@ class _LoginEndpoints:
 
 
 def address(request: Request) -> str:
-    """Return where a request comes from; what proxies claim is ignored."""
+    """Return the address of a client; headers of proxies are ignored."""
     return request.client.host if request.client is not None else "unknown"

@@ -1,5 +1,5 @@
-// The map: a canvas that is drawn when something has changed, and what floats above it.
-import { paint, decode16, decode32, recolour, bounds, distance, told } from "impslam-map";
+// The map: a canvas that is redrawn after changes, and overlays above it.
+import { paint, decode16, decode32, recolour, bounds, distance, fixed } from "impslam-map";
 
 const LAYERS = [
   ["grid", "Grid map", true], ["path", "Path", true], ["scan", "Scan", true], ["marks", "Landmarks", true],
@@ -14,9 +14,9 @@ export default {
         @wheel.prevent="wheel" @dblclick="fit"></canvas>
       <div class="hud" data-testid="pose">
         <template v-if="pose">
-          <span><i>x</i> <b data-testid="pose-x">{{ told(pose[0], 3) }}</b> m</span>
-          <span><i>y</i> <b data-testid="pose-y">{{ told(pose[1], 3) }}</b> m</span>
-          <span><i>heading</i> <b data-testid="pose-heading">{{ told(pose[2] * 180 / Math.PI, 1) }}</b>°</span>
+          <span><i>x</i> <b data-testid="pose-x">{{ fixed(pose[0], 3) }}</b> m</span>
+          <span><i>y</i> <b data-testid="pose-y">{{ fixed(pose[1], 3) }}</b> m</span>
+          <span><i>heading</i> <b data-testid="pose-heading">{{ fixed(pose[2] * 180 / Math.PI, 1) }}</b>°</span>
           <span class="soft" data-testid="pose-sigma" title="One standard deviation">σ {{ sigma }}</span>
         </template>
         <span v-else-if="sought" class="sought" data-testid="sought" role="status">
@@ -61,7 +61,7 @@ export default {
     },
   },
   created() {
-    // Not reactive: these change ten times a second, and only the canvas looks at them.
+    // Not reactive: these change ten times a second, and only the canvas uses them.
     this.map = { path: new Float32Array(0), dead: [], truth: [], marks: new Map(), points: null, grid: null };
     this.view = { x: 0, y: 0, scale: 60 };
     this.pointers = new Map();
@@ -85,7 +85,7 @@ export default {
     document.removeEventListener("visibilitychange", this.onHidden);
   },
   methods: {
-    told,
+    fixed,
     frame(frame) {
       const map = this.map;
       if (frame.run !== map.run) {
@@ -182,7 +182,7 @@ export default {
     },
     frameAll() {
       const [left, low, right, high] = bounds(this.map, this.shown);
-      // px for what floats above the map, and for labels
+      // px, for overlays and labels
       const [west, north, east, south] = [36, 56, this.open && this.width > 700 ? 190 : 84, 44];
       const across = (this.width - west - east) / (right - left);
       const up = (this.height - north - south) / (high - low);
@@ -206,7 +206,7 @@ export default {
       const scale = Math.min(Math.max(view.scale * factor, 1), 2000);
       if (this.mode === "fit") this.mode = "free";
       if (this.mode === "free") {
-        // The place under the pointer stays where it is.
+        // Keep the position under the pointer.
         view.x += (x - this.width / 2) * (1 / view.scale - 1 / scale);
         view.y -= (y - this.height / 2) * (1 / view.scale - 1 / scale);
       }
@@ -258,7 +258,7 @@ export default {
       let found = null;
       for (const mark of this.map.marks.values()) {
         const ends = mark[5] ?? [mark[2], mark[3], mark[2], mark[3]];
-        const wall = mark[5] ? 7 : 0; // a point on a wall, and near it, is what is meant
+        const wall = mark[5] ? 7 : 0; // prefer points near a wall to the wall
         const far = wall + distance([x, y], px(ends[0], ends[1]), px(ends[2], ends[3]));
         if (far < nearest) [nearest, found] = [far, mark];
       }

@@ -1,4 +1,4 @@
-"""The map on the page: one canvas, and frames that come as fast as it draws them."""
+"""The map on the page: one canvas, and frames at the rate at which it draws them."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from typing import TypeAlias
 from nicegui.element import Element
 from nicegui.events import GenericEventArguments
 
-from impslam.platform.console.encoding import Known
+from impslam.platform.console.encoding import SentState
 from impslam.platform.console.feed import Feed
 
-FARTHEST = 1e6  # m from the origin of the map, beyond any
-PERIOD = 0.05  # s between looks for something new: half a sweep of the fastest lidar
+MAX_COORDINATE = 1e6  # m from the origin of a map, larger than any map
+PERIOD = 0.05  # s between checks for a new frame: half a sweep of the fastest lidar
 
 
 Hint: TypeAlias = Callable[[float, float], Awaitable[None]]
 
 
 class MapView(Element, component="map_view.js", esm={"impslam-map": "map"}):
-    """Shows a map. A frame is sent when the page has drawn the one before, so that none ever waits.
+    """Shows a map; a frame is sent only when the page has drawn the previous one.
 
-    A page that is slow, or hidden, so sees fewer frames, and each as new as can be.
+    So no frame ever waits, and a slow or hidden page gets fewer, but always the newest frames.
 
     Parameters
     ----------
-    feed : where the frames come from
-    hint : called with x and y (m in map) where who may drive clicks, while the robot is sought in a map
-    footprint : m, length and width of the robot as it is drawn
+    feed : source of the frames
+    hint : called with the position (m in map) of a click while the robot is being located in a map
+    footprint : length and width of the robot as drawn, m
     """
 
     def __init__(
@@ -41,41 +41,41 @@ class MapView(Element, component="map_view.js", esm={"impslam-map": "map"}):
         self._hint = hint
         self._props["asks"] = False
         self._feed = feed
-        self._known = Known()
-        self._awaited: int | None = None
+        self._sent_state = SentState()
+        self._pending_version: int | None = None
         self._props["footprint"] = list(footprint)
         self.on("drawn", self._on_drawn)
         if hint is not None:
             self.on("hint", self._on_hint)
 
     def offer(self) -> None:
-        """Send what is new, if the page can take it."""
-        if self._awaited is not None or not self.client.has_socket_connection:
+        """Send a frame if there is a new one and the page is ready for it."""
+        if self._pending_version is not None or not self.client.has_socket_connection:
             return
-        frame = self._feed.frame(self._known)
+        frame = self._feed.frame(self._sent_state)
         if frame is not None:
-            self._awaited = frame["seq"]
+            self._pending_version = frame["seq"]
             self.run_method("frame", frame)
 
-    def ask(self, wanted: bool) -> None:
-        """Say that a click tells where the robot is, or not; that is for who may tell."""
+    def accept_hints(self, wanted: bool) -> None:
+        """Enable or disable hints by a click, if this page may give hints."""
         asks = wanted and self._hint is not None
         if asks != self._props["asks"]:
             self._props["asks"] = asks
             self.update()
 
     async def _on_hint(self, event: GenericEventArguments) -> None:
-        """Pass on a place; what is no place is ignored."""
+        """Forward a valid position; ignore anything else."""
         match event.args:
-            case [int() | float() as x, int() | float() as y] if math.hypot(x, y) < FARTHEST:
+            case [int() | float() as x, int() | float() as y] if math.hypot(x, y) < MAX_COORDINATE:
                 assert self._hint is not None
                 await self._hint(float(x), float(y))
 
     def _on_drawn(self, event: GenericEventArguments) -> None:
-        """Take the number of what is drawn, and whether the page was in sight all the while."""
+        """Handle the version that is drawn, and whether the page was visible all the time."""
         match event.args:
-            case [int(version), bool(seen)] if version == self._awaited:
-                self._awaited = None
+            case [int(version), bool(seen)] if version == self._pending_version:
+                self._pending_version = None
                 if seen:
                     self._feed.drawn(version)
                 self.offer()

@@ -1,4 +1,4 @@
-"""Start and save the map."""
+"""The panel to start and save the map."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from impslam.platform.console.widgets import button, card, line, show, tagged, t
 from impslam.platform.station.mapper_status import MapperStatus
 from impslam.platform.station.station import Station
 
-SAID = {
+STATE_TEXTS = {
     "off": "Not mapping",
     "compiling": "Compiling for this machine; once, up to a minute",
     "running": "Mapping",
@@ -21,7 +21,7 @@ SAID = {
 
 
 class MappingPanel:
-    """Begin a map where the robot stands; save it as it is by now."""
+    """Buttons to begin and save a map, and the status of the mapper."""
 
     def __init__(self, station: Station, viewer: Viewer) -> None:
         self._station, self._viewer = station, viewer
@@ -31,35 +31,39 @@ class MappingPanel:
                 self._start = button(
                     "Start mapping", "map-start", self._on_start, "primary", "add_location"
                 )
-                self._anew = button("New map", "map-new", self._on_anew, "plain", "restart_alt")
+                self._restart = button(
+                    "New map", "map-new", self._on_restart, "plain", "restart_alt"
+                )
                 self._save = button("Save", "map-save", self._on_save, "plain", "save")
-                self._said = text("mapping", "", "soft")
+                self._status = text("mapping", "", "soft")
             with line("saved") as self._saved_line:
                 self._saved = text("map-saved", "", "soft")
                 self._link = tagged(html.a("Download").classes("button plain"), "map-download")
             show(self._saved_line, False)
 
     def update(self, status: MapperStatus) -> None:
-        """Show the mapper as it is by now."""
+        """Show the present status of the mapper."""
         on = status.state in {"running", "compiling"}
         show(self._start, self._may and not on)
-        show(self._anew, self._may and on)
+        show(self._restart, self._may and on)
         show(self._save, self._may and status.steps > 0 and not status.frozen)
         scans = f" · {status.steps} scans" if status.steps else ""
-        self._said.text = _said(status) + (f": {status.detail}" if status.detail else scans)
+        self._status.text = _status_text(status) + (
+            f": {status.detail}" if status.detail else scans
+        )
 
     async def _on_start(self) -> None:
         await self._viewer.run(self._station.start_mapping)
         self.update(self._station.mapper.status())
 
-    async def _on_anew(self) -> None:
+    async def _on_restart(self) -> None:
         if await self._viewer.confirm(
             "Begin a new map? The present one stays under Maps.", "New map"
         ):
             await self._on_start()
 
     async def _on_save(self) -> None:
-        self._said.text = "Saving …"
+        self._status.text = "Saving …"
         saved: Path | None = await self._viewer.run(self._station.save_map)
         self.update(self._station.mapper.status())
         if saved is not None:
@@ -69,9 +73,8 @@ class MappingPanel:
             show(self._saved_line, True)
 
 
-def _said(status: MapperStatus) -> str:
-    """Return what the mapper does."""
+def _status_text(status: MapperStatus) -> str:
     if status.state != "running" or not status.name:
-        return SAID[status.state]
-    sought = "" if status.placed else ", not found in it yet"
-    return f"{'Localising in' if status.frozen else 'Going on with'} {status.name}{sought}"
+        return STATE_TEXTS[status.state]
+    suffix = "" if status.placed else ", not found in it yet"
+    return f"{'Localising in' if status.frozen else 'Going on with'} {status.name}{suffix}"

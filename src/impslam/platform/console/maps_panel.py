@@ -1,4 +1,4 @@
-"""The maps on the robot's disk."""
+"""The panel of the maps on the robot's disk."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class MapsPanel(StoredPanel[StoredMap]):
     """The maps with size and date: download, delete; and the recycle bin."""
 
     def __init__(self, feed: Feed, station: Station, viewer: Viewer) -> None:
-        none = "No maps yet. Start mapping to make one; it is saved each minute."
+        empty_text = "No maps yet. Start mapping to make one; it is saved each minute."
         self._station = station
-        super().__init__("map", "map", none, feed.maps, station.maps, viewer)
+        super().__init__("map", "map", empty_text, feed.maps, station.maps, viewer)
 
     def facts(self, one: StoredMap) -> Sequence[str]:
         """Return date, size, number of scans and state."""
@@ -31,19 +31,19 @@ class MapsPanel(StoredPanel[StoredMap]):
             "damaged" if one.damage else "",
         )
 
-    def acts(self, one: StoredMap) -> None:
-        """Make the buttons."""
-        self.download(one.name, f"{one.name}.zip")
+    def add_buttons(self, one: StoredMap) -> None:
+        """Add the buttons of a map."""
+        self.add_download_button(one.name, f"{one.name}.zip")
         if one.mapping:
             return
         if self._viewer.session.may_drive and not one.damage:
-            go_on = self._starter(one.name, frozen=False)
-            button(f"Go on with {one.name}", "go-on", go_on, "quiet", "add_location")
-            localise = self._starter(one.name, frozen=True)
+            continue_ = self._start_action(one.name, frozen=False)
+            button(f"Go on with {one.name}", "go-on", continue_, "quiet", "add_location")
+            localise = self._start_action(one.name, frozen=True)
             button(f"Localise in {one.name}", "localise", localise, "quiet", "my_location")
-        self.deleter(one.name)
+        self.add_delete_button(one.name)
 
-    def _starter(self, name: str, *, frozen: bool) -> Callable[[], Awaitable[None]]:
+    def _start_action(self, name: str, *, frozen: bool) -> Callable[[], Awaitable[None]]:
         act = "Localise" if frozen else "Go on"
         question = (
             f"Localise in {name}? It stays as it is."
@@ -54,7 +54,7 @@ class MapsPanel(StoredPanel[StoredMap]):
 
         async def start() -> None:
             if await self._viewer.confirm(f"{question} The present map stays under Maps.", act):
-                await self._viewer.run(lambda: self._station.go_on(name, frozen=frozen))
-                await self.anew()
+                await self._viewer.run(lambda: self._station.continue_map(name, frozen=frozen))
+                await self.refresh()
 
         return start

@@ -1,4 +1,4 @@
-"""What the page shows: a robot that lives, or a log that plays."""
+"""The model of the page: a live robot, or a log that is replayed."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from impslam.platform.station.player import Player
 from impslam.platform.station.station import Station
 
 Fault: TypeAlias = Callable[..., None]
-"""Lets something go wrong on a virtual robot: fault("unplug", device="lidar", seconds=2.0)."""
+"""Triggers a fault of a virtual robot: fault("unplug", device="lidar", seconds=2.0)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """A page has a map; a station with it drives and records, a player with it replays a log.
+    """The map, and either a station, which drives and records, or a player, which replays a log.
 
     Attributes
     ----------
-    title : the robot's or the log's name
-    view : the map as it is by now
+    title : name of the robot or the log
+    view : the present map
     station : the robot computer, None in a replay
-    player : the log that plays, None on a robot
-    fault : what a virtual robot offers to go wrong, None on a real one
+    player : the player of a log, None on a robot
+    fault : triggers a fault of a virtual robot, None on a real one
     """
 
     title: str

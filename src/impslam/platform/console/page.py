@@ -20,12 +20,12 @@ from impslam.platform.station.station import Station
 from impslam.types import Array
 
 STYLE = Path(__file__).with_name("console.css")
-SLOW = 1.0  # s between updates of what people read
+SLOW_PERIOD = 1.0  # s between updates of texts
 _feeds: list[Feed] = []
 
 
 def build(model: Model) -> None:
-    """Register the page at `/`, and the picture of the grid that it asks for."""
+    """Register the page at `/`, and the picture of the grid that it requests."""
     feed = Feed(model)
     _feeds[:] = [feed]
 
@@ -43,7 +43,7 @@ def build(model: Model) -> None:
 
 
 def latencies() -> Array:
-    """Return (n,) s from a scan's arrival to its being drawn on a page, the newest thousand."""
+    """Return (n,) s from the arrival of a scan until it is drawn on a page, the newest thousand."""
     return _feeds[0].latencies()
 
 
@@ -57,10 +57,10 @@ class Page:
         ui.add_css(STYLE)
         with html.div().classes("console"):
             self._build(model)
-        self._slow()
+        self._update_slow()
         ui.timer(map_view.PERIOD, self._map.offer)
         ui.timer(link.PERIOD, self._beat)
-        ui.timer(SLOW, self._slow)
+        ui.timer(SLOW_PERIOD, self._update_slow)
         viewer.client.on_disconnect(self._leave)
 
     def _build(self, model: Model) -> None:
@@ -75,7 +75,7 @@ class Page:
                     self._panels = ReplayPanel(model.player, self._viewer)
 
     def _hint_for(self, station: Station | None) -> Hint | None:
-        """Return what takes a click on the map while the robot is sought there, None for who watches."""
+        """Return the handler of clicks while the robot is being located, None for watchers."""
         if station is None or not self._viewer.session.may_drive:
             return None
 
@@ -85,7 +85,7 @@ class Page:
         return hint
 
     def _beat(self) -> None:
-        """Show that the robot lives, and what must not wait."""
+        """Send a beat, and update what is urgent."""
         if not self._viewer.session.alive():
             self._end()
             return
@@ -99,13 +99,13 @@ class Page:
         elif self._panels is not None:
             self._panels.fast()
 
-    def _slow(self) -> None:
+    def _update_slow(self) -> None:
         if isinstance(self._panels, RobotPanels):
             self._link.warn(self._panels.slow())
-            self._map.ask(bool(self._feed.health().mapping.name))
+            self._map.accept_hints(bool(self._feed.health().mapping.name))
 
     def _end(self) -> None:
-        """Leave: the session is over, and the guard will ask for a password."""
+        """Reload the page, as the session has ended; the guard then requires a login."""
         if not self._gone:
             self._gone = True
             self._leave()

@@ -1,4 +1,4 @@
-"""How many pages those may have who may not drive: each takes memory, and time for its updates."""
+"""Limit the pages of watchers: each takes memory, and time for its updates."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from nicegui import Client
 
 from impslam.platform.console.session import Session
 
-UNOPENED = 3  # pages of a session that no socket has opened yet; a browser does so within a second
-OPEN = 8  # pages of a session
-WATCHED = 24  # pages of all who may not drive
+MAX_UNOPENED = 3  # pages of a session without a socket so far; a browser opens it within a second
+MAX_PAGES = 8  # pages of a session
+MAX_WATCHER_PAGES = 24  # pages of all watchers
 
 
-def room(session: Session) -> bool:
-    """Return whether a session may have one more page; give up what nobody opened to make room.
+def make_room(session: Session) -> bool:
+    """Return whether a session may have one more page; delete pages without a socket if necessary.
 
-    nicegui itself keeps a page for a minute that no socket has opened; what was opened and lost its
-    socket it gives up after 3 s, and must not be given up twice.
+    nicegui itself keeps a page without a socket for a minute. It deletes a page that has lost its
+    socket after 3 s; such a page must not be deleted twice.
     """
     if session.may_drive:
         return True
@@ -23,12 +23,12 @@ def room(session: Session) -> bool:
     watched = [page for page, owner in pages if not owner.may_drive]
     mine = [page for page, owner in pages if owner is session]
     unopened = [page for page in mine if page.environ is None]
-    gone = set(unopened[: max(0, len(unopened) - UNOPENED + 1)])
+    gone = set(unopened[: max(0, len(unopened) - MAX_UNOPENED + 1)])
     others = [page for page in watched if page.environ is None and page not in gone]
-    gone |= set(others[: max(0, len(watched) - len(gone) - WATCHED + 1)])
+    gone |= set(others[: max(0, len(watched) - len(gone) - MAX_WATCHER_PAGES + 1)])
     for page in gone:
         page.delete()
-    return len(set(mine) - gone) < OPEN and len(set(watched) - gone) < WATCHED
+    return len(set(mine) - gone) < MAX_PAGES and len(set(watched) - gone) < MAX_WATCHER_PAGES
 
 
 def _owner(page: Client) -> Session | None:

@@ -1,7 +1,7 @@
-"""What the server asks of a connection before there is a request: to be quick, and not one of many.
+"""Limits of connections before there is a request: their number, and the time for a head.
 
-The guard sees requests. Who opens connections and says nothing, or a header a minute, is seen here
-alone, and would else keep everyone out: the server has room for a limited number of connections.
+The guard only sees requests. A client that opens connections and sends nothing, or a header a minute,
+is only seen here, and could keep everyone out, since the number of connections is limited.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from uvicorn.server import ServerState
 
 from impslam.platform.console.refusals import Refusals
 
-HEAD_TIME = 10.0  # s for a request's head, from the first byte or from the connection on
-CONNECTIONS = 256  # in all: sockets and downloads included, each costs some 50 kB
-PER_ADDRESS = 48  # a browser holds 6 and a socket for each page; several people behind one router
+HEAD_TIMEOUT = 10.0  # s for the head of a request, from its first byte or from the connection
+MAX_CONNECTIONS = 256  # in total, with sockets and downloads; each costs some 50 kB
+MAX_PER_ADDRESS = 48  # a browser holds 6 and a socket per page; people may share an address
 
 
 class LimitedProtocol(H11Protocol):
-    """HTTP/1.1 with a time limit for heads, and a limit of connections in all and by address."""
+    """HTTP/1.1 with a timeout of heads, and limits of connections in total and by address."""
 
     refusals: Refusals
 
@@ -33,34 +33,34 @@ class LimitedProtocol(H11Protocol):
         _loop: asyncio.AbstractEventLoop | None = None,
     ) -> None:
         super().__init__(config, server_state, app_state, _loop)
-        self._due: asyncio.TimerHandle | None = None
+        self._timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take a connection, unless there are too many."""
+        """Accept a connection, unless there are too many."""
         super().connection_made(transport)
         others = [getattr(other, "client", None) for other in self.connections]
         mine = sum(other is not None and other[0] == self._address() for other in others)
-        if mine > PER_ADDRESS or len(others) > CONNECTIONS:
+        if mine > MAX_PER_ADDRESS or len(others) > MAX_CONNECTIONS:
             self._record("too many connections")
             transport.abort()
         else:
-            self._due = self.loop.call_later(HEAD_TIME, self._late)
+            self._timer = self.loop.call_later(HEAD_TIMEOUT, self._on_timeout)
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes; the clock runs wherever a head is not complete."""
+        """Process bytes; the timer runs while a head is incomplete."""
         super().data_received(data)
         if self.conn.their_state is not h11.IDLE:
-            self._disarm()
-        elif self._due is None:
-            self._due = self.loop.call_later(HEAD_TIME, self._late)
+            self._cancel_timer()
+        elif self._timer is None:
+            self._timer = self.loop.call_later(HEAD_TIMEOUT, self._on_timeout)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget the connection."""
-        self._disarm()
+        self._cancel_timer()
         super().connection_lost(exc)
 
     def send_400_response(self, msg: str) -> None:
-        """Refuse what is no HTTP, or has too large a head."""
+        """Refuse a request that is not HTTP, or has too large a head."""
         self._record("a request that is none, or too large")
         super().send_400_response(msg)
 
@@ -70,17 +70,17 @@ class LimitedProtocol(H11Protocol):
     def _record(self, what: str) -> None:
         self.refusals.record(self._address(), what)
 
-    def _late(self) -> None:
-        self._due = None
+    def _on_timeout(self) -> None:
+        self._timer = None
         self._record("a slow request")
         self.transport.abort()
 
-    def _disarm(self) -> None:
-        if self._due is not None:
-            self._due.cancel()
-            self._due = None
+    def _cancel_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
 
 
 def protocol(refusals: Refusals) -> type[LimitedProtocol]:
-    """Return the protocol of a server that tells `refusals` what it refuses."""
+    """Return the protocol of a server that records what it refuses in `refusals`."""
     return type("Protocol", (LimitedProtocol,), {"refusals": refusals})

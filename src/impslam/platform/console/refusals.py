@@ -1,7 +1,6 @@
-"""What strangers and watchers cause in the log: the first of a kind at once, the rest as a count.
+"""Log refusals and logins: the first of a kind at once, the rest as a count.
 
-A thousand refusals a minute must neither hide among others nor fill the disk, and a thousand logins
-no more than they.
+A thousand refusals or logins a minute must neither hide other lines nor fill the disk.
 """
 
 from __future__ import annotations
@@ -16,11 +15,11 @@ from impslam.platform.console.throttle import Bucket
 
 log = logging.getLogger(__name__)
 
-FIRST = 5  # of each kind are logged one by one
+FIRST = 5  # of each kind, logged one by one
 WINDOW = 60.0  # s, then the rest is logged as one count
-MOST = 256  # kinds kept apart; all beyond are logged as one
-LINES, RATE = 10, 1.0  # lines at once, and a second in the long run
-LONGEST = 120  # characters of what a request said of itself
+MAX_KINDS = 256  # kinds counted separately; all others are logged as one
+LINE_BURST, RATE = 10, 1.0  # lines at once, and per second in the long run
+MAX_DETAIL_LENGTH = 120  # characters of details from a request
 
 _Kind = tuple[int, str]  # level, and what the line begins with
 _OTHERS: _Kind = (logging.WARNING, "refused others: requests")
@@ -34,29 +33,29 @@ class _Count:
 
 
 class Refusals:
-    """Tells the log of refusals and logins, at a bounded rate.
+    """Logs refusals and logins at a bounded rate.
 
     Parameters
     ----------
-    clock : s, never stepping back
+    clock : monotonic time, s
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._lock = threading.Lock()
-        self._lines = Bucket(LINES, RATE, clock)
+        self._lines = Bucket(LINE_BURST, RATE, clock)
         self._counts: dict[_Kind, _Count] = {}
 
     def record(self, address: str, what: str, detail: str = "") -> None:
-        """Note one refusal: to whom, what kind, and what it was about (never a secret)."""
+        """Record a refusal: the client, the kind, and details (never a secret)."""
         self._note((logging.WARNING, f"refused {address}: {what}"), detail)
 
     def admit(self, address: str, what: str, detail: str = "") -> None:
-        """Note what an address was let do: what kind, and more about it (never a secret)."""
+        """Record a granted access: the client, the kind, and details (never a secret)."""
         self._note((logging.INFO, f"{address} {what}"), detail)
 
     def flush(self, *, everything: bool = False) -> None:
-        """Tell the counts whose time is up; call it about once a second, and at the end."""
+        """Log the counts of expired windows; call it about once a second, and at the end."""
         moment, others = self._clock(), 0
         with self._lock:
             for kind, count in list(self._counts.items()):
@@ -75,7 +74,7 @@ class Refusals:
 
     def _note(self, kind: _Kind, detail: str) -> None:
         with self._lock:
-            if kind not in self._counts and len(self._counts) >= MOST:
+            if kind not in self._counts and len(self._counts) >= MAX_KINDS:
                 kind = _OTHERS
             count = self._counts.setdefault(kind, _Count(self._clock()))
             count.number += 1
@@ -83,7 +82,7 @@ class Refusals:
                 return
             count.logged += 1
         level, what = kind
-        log.log(level, "%s%s", what, f" ({shown(detail)})" if detail else "")
+        log.log(level, "%s%s", what, f" ({sanitised(detail)})" if detail else "")
 
     @staticmethod
     def _write(kind: _Kind, more: int, seconds: float) -> None:
@@ -91,8 +90,8 @@ class Refusals:
         log.log(level, "%s: %d more in %.0f s", what, more, seconds)
 
 
-def shown(text: str) -> str:
-    """Return text from outside as one short line of plain characters, fit for a log."""
+def sanitised(text: str) -> str:
+    """Return untrusted text as one short line of printable ASCII, for the log."""
     plain = text.encode("ascii", "backslashreplace").decode()
     plain = "".join(letter if letter.isprintable() else f"\\x{ord(letter):02x}" for letter in plain)
-    return plain if len(plain) <= LONGEST else plain[: LONGEST - 3] + "..."
+    return plain if len(plain) <= MAX_DETAIL_LENGTH else plain[: MAX_DETAIL_LENGTH - 3] + "..."

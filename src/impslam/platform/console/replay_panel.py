@@ -1,4 +1,4 @@
-"""Play, pause, step and speed of a log that is replayed."""
+"""The panel to play, pause, step and seek in a replay."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SPEEDS = {
 }
 SEEK = "(e) => emit(e.offsetX / e.currentTarget.clientWidth)"
 OVER = {"ended", "stopped", "failed", "writing"}
-SAID = {
+STATE_TEXTS = {
     "ready": "Ready to play",
     "compiling": "Compiling for this machine; once, up to a minute",
     "writing": "Writing the results",
@@ -31,7 +31,7 @@ SAID = {
 
 
 class ReplayPanel:
-    """Steers a player."""
+    """Controls a player."""
 
     def __init__(self, player: Player, viewer: Viewer) -> None:
         self._player, self._viewer = player, viewer
@@ -51,12 +51,12 @@ class ReplayPanel:
             self._bar.props["aria-label"] = "Position in the log; a click continues from there"
             if self._may:
                 self._bar.classes("seek").on("click", self._on_seek, js_handler=SEEK)
-            self._said = text("replay", "", "soft")
+            self._status = text("replay", "", "soft")
             self._detail = text("replay-detail", "", "soft")
         self.update()
 
     def update(self) -> None:
-        """Show the player as it is by now."""
+        """Show the present status of the player."""
         status = self._player.status()
         going, over = status.state == "playing", status.state in OVER
         show(self._play, self._may and not going and not over)
@@ -66,7 +66,7 @@ class ReplayPanel:
         share = round(status.position / status.total, 3) if status.total else float(over)
         if share != self._bar.props.get("value"):
             self._bar.props["value"] = share
-        self._said.text = _said(status, share)
+        self._status.text = _status_text(status, share)
         self._detail.text = status.detail
 
     def _on_play(self) -> None:
@@ -92,8 +92,8 @@ class ReplayPanel:
         self.update()
 
 
-def _said(status: PlayerStatus, share: float) -> str:
-    state = SAID.get(status.state, status.state.capitalize())
+def _status_text(status: PlayerStatus, share: float) -> str:
+    state = STATE_TEXTS.get(status.state, status.state.capitalize())
     usual = status.speed == 1 or math.isinf(status.speed) or status.state in OVER
     speed = "" if usual else f" at {status.speed:g}×"
     facts = (f"{100 * share:.0f} %", duration(status.seconds), f"{status.steps} scans")

@@ -1,4 +1,4 @@
-"""What a request or a socket presents."""
+"""The data of a request or socket for the checks of the guard."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from starlette.types import Scope
 
 from impslam.platform.console import login
 
-FILES = ("/logs", "/maps")  # what scripts may fetch with user and password, without a session
+FILES = ("/logs", "/maps")  # scripts may fetch these with user and password, without a session
 
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why a request goes no further: the status of the answer, and what is logged."""
+    """Why a request is refused: the status of the answer, and what is logged."""
 
     status: int
     what: str
@@ -23,7 +23,7 @@ class Refusal:
 
 
 class IncomingRequest:
-    """One request or socket, as it presents itself."""
+    """One request or socket, as the client sent it."""
 
     def __init__(self, scope: Scope) -> None:
         self.scope = scope
@@ -40,7 +40,7 @@ class IncomingRequest:
         return [value.decode("latin-1") for header, value in self.scope["headers"] if header == key]
 
     def header(self, name: str) -> str:
-        """Return a header's value, empty where it is missing."""
+        """Return the first value of a header, empty if it is missing."""
         return next(iter(self.headers(name)), "")
 
     @property
@@ -50,7 +50,7 @@ class IncomingRequest:
 
     @property
     def origin(self) -> str:
-        """The origin that a page of this server has."""
+        """The origin of a page of this server."""
         scheme = "https" if self.scope["scheme"] in {"https", "wss"} else "http"
         return f"{scheme}://{self.header('host')}".lower()
 
@@ -61,17 +61,17 @@ class IncomingRequest:
 
     @property
     def public(self) -> bool:
-        """Whether it is served to those who have no session."""
+        """Whether it is served without a session."""
         return not self.socket and self.path in login.PATHS
 
     @property
     def by_script(self) -> bool:
-        """Whether user and password may stand in for a session."""
+        """Whether user and password may replace a session."""
         files = any(self.path == top or self.path.startswith(f"{top}/") for top in FILES)
         return files and not self.changes
 
     def cookie(self, name: str) -> str:
-        """Return a cookie's value, empty where it is missing."""
+        """Return the value of a cookie, empty if it is missing."""
         try:
             return cookie_parser("; ".join(self.headers("cookie"))).get(name, "")
         except CookieError:

@@ -1,4 +1,4 @@
-"""Refuses a request or a socket whose shape, host or origin is not in order."""
+"""Check the size, host and origin of a request or socket."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from collections.abc import Collection
 from impslam.platform.console import hosts
 from impslam.platform.console.request import IncomingRequest, Refusal
 
-TARGET = 4096  # bytes of path and query; the page's longest is below 300
-HEADERS = 16 * 1024  # bytes of all headers; browsers send below 2 kB
+MAX_TARGET = 4096  # bytes of path and query; those of the page are below 300
+MAX_HEADERS = 16 * 1024  # bytes of all headers; browsers send below 2 kB
 METHODS = frozenset({"GET", "HEAD", "POST"})
 
 HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9_.-]+)(?::[0-9]{1,5})?", re.IGNORECASE)
@@ -17,11 +17,11 @@ _ODD = re.compile(r"[\x00-\x1f\x7f\\]|(?:^|/)\.\.?(?:/|$)")
 _HIDDEN = re.compile(rb"%(?:2f|5c|00)", re.IGNORECASE)
 
 
-def shape(request: IncomingRequest) -> Refusal | None:
-    """Refuse what is larger or odder than anything the page sends."""
-    if len(request.target) > TARGET:
+def check_shape(request: IncomingRequest) -> Refusal | None:
+    """Refuse a request that is larger, or of another form, than any of the page."""
+    if len(request.target) > MAX_TARGET:
         return Refusal(414, "a long target", f"{len(request.target)} bytes")
-    if request.size > HEADERS:
+    if request.size > MAX_HEADERS:
         return Refusal(431, "large headers", f"{request.size} bytes")
     if _ODD.search(request.path) or _HIDDEN.search(request.target.partition(b"?")[0]):
         return Refusal(400, "an odd path", request.target.partition(b"?")[0].decode("latin-1"))
@@ -30,8 +30,8 @@ def shape(request: IncomingRequest) -> Refusal | None:
     return None
 
 
-def host(request: IncomingRequest, names: Collection[str]) -> Refusal | None:
-    """Refuse who believes to talk to another host (an address cannot be bound anew)."""
+def check_host(request: IncomingRequest, names: Collection[str]) -> Refusal | None:
+    """Refuse a host that is none of the names, nor the address of this server."""
     found = request.headers("host")
     match = HOST.fullmatch(found[0]) if len(found) == 1 else None
     if match is None:
@@ -43,11 +43,11 @@ def host(request: IncomingRequest, names: Collection[str]) -> Refusal | None:
     return Refusal(421, "a foreign host", found[0])
 
 
-def origin(request: IncomingRequest) -> Refusal | None:
-    """Refuse what pages of others send; what changes something has to say where it comes from.
+def check_origin(request: IncomingRequest) -> Refusal | None:
+    """Refuse requests from foreign pages, and changing requests without an origin.
 
-    Cookies do not tell ports apart, so that a page on another port of the same host counts as
-    foreign here, whatever `SameSite` says. Only a link may lead here from anywhere.
+    Cookies do not distinguish ports, so a page on another port of the same host counts as foreign
+    here, regardless of `SameSite`. Only a link may lead here from anywhere.
     """
     origins, site = request.headers("origin"), request.header("sec-fetch-site")
     if any(origin.lower() != request.origin for origin in origins) or len(origins) > 1:
@@ -62,7 +62,7 @@ def origin(request: IncomingRequest) -> Refusal | None:
 
 
 def plain(address: str) -> str:
-    """Return an address in its one form; unchanged where it is none."""
+    """Return an address in its canonical form, any other text unchanged."""
     try:
         return str(hosts.ip(address))
     except ValueError:

@@ -1,4 +1,4 @@
-"""All panels beside a robot's map: what drives stays in sight, the others share a place in tabs."""
+"""All panels beside a robot's map: the drive panel stays visible, the others are in tabs."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ TABS = {
     "health": ("monitor_heart", "Health"),
     "camera": ("photo_camera", "Camera"),
 }
-"""Tab -> icon, title. Where there is room, drive has a place of its own."""
-CHOOSE = (
+"""Tab -> icon, title. If there is room, drive has a place of its own."""
+SELECT_TAB = (
     "(e) => {{ document.body.dataset.tab = '{name}'; const now = e.currentTarget; "
     "for (const tab of now.parentNode.children) tab.ariaSelected = String(tab === now); }}"
 )
-"""What a tab does in the browser: shows its panel, and says to screen readers that it does."""
-LOOK = 2  # of the slow updates: the disk is looked at half as often
+"""Script of a tab: shows its panel, also for screen readers."""
+DISK_UPDATE_RATIO = 2  # slow updates per update of the lists of files
 
 
 class RobotPanels:
@@ -46,7 +46,7 @@ class RobotPanels:
         with html.aside().classes("side"):
             with _tab("drive"):
                 self._drive = DrivePanel(station, viewer, header.stop)
-            _tabs()  # after drive, as they stand: the key Tab goes the way the eyes go
+            _tabs()  # after drive: the key Tab follows the layout
             with _tab("record"):
                 self._record = RecordPanel(station, viewer)
                 self._mapping = MappingPanel(station, viewer)
@@ -62,11 +62,11 @@ class RobotPanels:
                 Camera()
 
     def fast(self) -> None:
-        """Show who drives, and whether the robot may move."""
+        """Update the drive panel."""
         self._drive.update()
 
     def slow(self) -> list[str]:
-        """Show the rest, and return what is wrong with the robot."""
+        """Update all other panels, and return the alarms of the robot."""
         health = self._feed.health()
         helm = self._station.helm.state()
         self._header.update(health.recording, f"{helm.name} drives" if helm.driver else "")
@@ -74,18 +74,18 @@ class RobotPanels:
         self._mapping.update(health.mapping)
         self._health.update(health)
         self._events.update(list(self._station.events))
-        if self._count % LOOK == 0:
+        if self._count % DISK_UPDATE_RATIO == 0:
             background_tasks.create(self._logs.update(), name="logs")
             background_tasks.create(self._maps.update(), name="maps")
         self._count += 1
         return self._alarms(health)
 
     def leave(self) -> None:
-        """Let go of the helm."""
+        """Leave the helm."""
         self._drive.leave()
 
     def _alarms(self, health: StationHealth) -> list[str]:
-        """Return which devices are lost; one that drives is told first, since nothing stops it."""
+        """Return which devices are lost; a drive device comes first, since it cannot be stopped."""
         lost = [name for name, one in health.devices.items() if one.state == "lost"]
         lost.sort(key=lambda name: not isinstance(self._station.devices.get(name), DriveDevice))
         return [f"{name} lost: {health.devices[name].detail}" for name in lost]
@@ -95,7 +95,7 @@ def _tabs() -> None:
     with html.nav().classes("tabs").props("role=tablist"):
         for name, (icon, title) in TABS.items():
             tab: Element = html.button().classes(f"tab tab-{name}").props("type=button role=tab")
-            with tagged(tab.on("click", js_handler=CHOOSE.format(name=name)), f"tab-{name}"):
+            with tagged(tab.on("click", js_handler=SELECT_TAB.format(name=name)), f"tab-{name}"):
                 symbol(icon)
                 html.span(title)
 

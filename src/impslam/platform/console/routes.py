@@ -1,7 +1,7 @@
-"""What is served: methods and paths, to those without a session and to those with one.
+"""The methods and paths that are served.
 
-The guard refuses everything else before it reaches the page's toolkit, which would build a page of
-its own, and keep it for a minute, to say that something is not found.
+The guard refuses all others, so that they do not reach nicegui, which would build a page for "not
+found" and keep it for a minute.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from impslam.platform.console.request import IncomingRequest, Refusal
 PAGE = "/"
 SOCKET = "/_nicegui_ws/socket.io/"
 READ = frozenset({"GET", "HEAD"})
-_SERVED = tuple(
+_ROUTES = tuple(
     (re.compile(pattern), methods)
     for pattern, methods in (
         (PAGE, frozenset({"GET"})),
@@ -29,12 +29,12 @@ _SERVED = tuple(
 )
 
 
-def route(request: IncomingRequest) -> Refusal | None:
-    """Refuse a path that is not served, and a method that its path does not take."""
+def check_route(request: IncomingRequest) -> Refusal | None:
+    """Refuse a path that is not served, and a method that its path does not accept."""
     what = f"{request.method} {request.path}"
     if request.socket:
         return None if request.path == SOCKET else Refusal(404, "a path", what)
-    methods = next((taken for path, taken in _SERVED if path.fullmatch(request.path)), None)
+    methods = next((taken for path, taken in _ROUTES if path.fullmatch(request.path)), None)
     if methods is None:
         return Refusal(404, "a path", what)
     return None if request.method in methods else Refusal(405, "a method", what)

@@ -1,4 +1,4 @@
-"""The headers that every answer carries, so that browsers do no more with it than they should."""
+"""The security headers of every answer."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ _HEADERS: Final = {
 
 
 class SecurityHeaders:
-    """Puts the headers on every answer that keep browsers from doing more than they should."""
+    """Adds security headers to every answer, and removes those of CORS and the server."""
 
     def __init__(self, request: IncomingRequest, send: Send) -> None:
         self._request, self._send = request, send
 
     async def __call__(self, message: Message) -> None:
-        """Pass a message on, with the headers where it has any."""
+        """Send a message, with the headers if it begins an answer."""
         if message["type"] in {"http.response.start", "websocket.http.response.start"}:
             message = {**message, "headers": self._headers(message.get("headers", []))}
         await self._send(message)
@@ -54,7 +54,7 @@ class SecurityHeaders:
         return [*kept, *ours.items()]
 
     def _policy(self) -> str:
-        # 'self' does not cover sockets in older browsers; the host was looked at before.
+        # 'self' does not cover sockets in older browsers; the guard checks the host.
         match = HOST.fullmatch(self._request.header("host"))
         socket = f"ws{self._request.origin[4:]}" if match else ""
         return PAGE_POLICY.format(socket=socket)

@@ -1,4 +1,4 @@
-"""The server of the page: loopback alone, or TLS with a password; everything behind the guard."""
+"""The server of the page: on loopback only, or with TLS and a password; always behind the guard."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ from impslam.errors import ImpError
 from impslam.platform.console import downloads, hosts, login
 from impslam.platform.console.accounts import Accounts
 from impslam.platform.console.authenticator import Authenticator
-from impslam.platform.console.guard import BODY, Guard
+from impslam.platform.console.guard import MAX_BODY, Guard
 from impslam.platform.console.model import Model
 from impslam.platform.console.protocol import protocol
-from impslam.platform.console.request_checks import HEADERS
+from impslam.platform.console.request_checks import MAX_HEADERS
 from impslam.platform.console.tls import CertificateFiles, own_certificate
 
 GRACE = 1  # s for open requests to end when the server stops; sockets are closed at once
-IDLE = 15  # s a connection stays open without a request
+KEEP_ALIVE = 15  # s that a connection stays open without a request
 
 Report = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
 class ServerSettings:
-    """Where the page is served, and with which certificate.
+    """The address and certificate of the server.
 
     Attributes
     ----------
-    host : address to listen on; beyond loopback a drive password must be set, and TLS is always on
-    port : TCP port; 0 takes any that is free
-    certificate, key : PEM files; without them a certificate is made, and kept beside the accounts
+    host : address to listen on; beyond loopback, a drive password is required and TLS is always on
+    port : TCP port; 0 takes any free port
+    certificate, key : PEM files; without them, a certificate is made and stored beside the accounts
     accounts : file of the passwords; None is `~/.config/impslam/accounts.json`
-    names : further names that the robot is reached by, as in `robot.example.org`
+    names : further host names of the robot, as in `robot.example.org`
     """
 
     host: str = "127.0.0.1"
@@ -62,9 +62,9 @@ class Server(uvicorn.Server):
 
     Attributes
     ----------
-    authenticator : who may
-    address : where the page is, as in `https://robot.local:8080`
-    beat : called ten times a second while it lives
+    authenticator : passwords and sessions
+    address : address of the page, as in `https://robot.local:8080`
+    beat : called ten times a second while the server runs
     """
 
     def __init__(
@@ -79,25 +79,25 @@ class Server(uvicorn.Server):
         self.beat: Callable[[], None] = lambda: None
 
     def stop(self) -> None:
-        """Ask it to end."""
+        """Request the end."""
         self.should_exit = True
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begin to serve, and say so."""
+        """Begin to serve, and report it."""
         await super().startup(sockets)
         gc.collect()
-        gc.freeze()  # looking for garbage in all that is loaded by now would hold up the page by 0.1 s
+        gc.freeze()  # later collections over all objects so far would delay the page by 0.1 s
         self._ready()
 
     async def on_tick(self, counter: int) -> bool:
-        """Look for new passwords and write counts once a second; called ten times a second."""
+        """Check for new passwords and log counts once a second; called ten times a second."""
         self.beat()
         if counter % 10 == 0:
             self.authenticator.sweep()
         return await super().on_tick(counter)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """End every session, and with them every socket."""
+        """End every session, and with it its sockets."""
         self.authenticator.close()
         self.authenticator.refusals.flush(everything=True)
         gc.unfreeze()
@@ -105,10 +105,10 @@ class Server(uvicorn.Server):
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """End on SIGINT and SIGTERM, and leave it to the caller to put everything away.
+        """End on SIGINT and SIGTERM, and let the caller clean up.
 
-        uvicorn raises the signal again once it has ended, and the robot would die of it before it
-        stood still and closed its log.
+        uvicorn raises the signal again after its end, which would kill the process before the robot
+        has stopped and its log is closed.
         """
         if threading.current_thread() is not threading.main_thread():
             yield
@@ -121,7 +121,7 @@ class Server(uvicorn.Server):
                 signal.signal(one, handler)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self.should_exit:  # the second one does not wait; what it cuts off is no fault to tell
+        if self.should_exit:  # the second signal does not wait; aborted requests are not errors
             self.force_exit = True
             logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL + 1)
         self.should_exit = True
@@ -135,24 +135,24 @@ def serve(
     beat: Callable[[], None] = lambda: None,
     listener: socket.socket | None = None,
 ) -> None:
-    """Serve the page until SIGINT or SIGTERM; open sockets are cut within 2 s.
+    """Serve the page until SIGINT or SIGTERM; open sockets are closed within 2 s.
 
     Parameters
     ----------
     model : what the page shows
-    settings : where, and with which certificate
-    ready : called once with each line that a user should see when the page can be opened: its
-        address, the one-time link where no password is set, the certificate's fingerprint
-    beat : called ten times a second while the server lives, for a watchdog
-    listener : what `listening` returned, for who has to know that it may before anything starts
+    settings : address and certificate
+    ready : called with each line for the user when the page can be opened: its address, the one-time
+        link if no password is set, the certificate's fingerprint
+    beat : called ten times a second while the server runs, for a watchdog
+    listener : socket of `listening`, if it was opened before
 
     Raises
     ------
     ImpError
-        Where it may not or cannot listen: one line that says what to do.
+        If it may not or cannot listen, in one line with what to do.
     """
     with listener or listening(settings) as taken:
-        from impslam.platform.console.page import build  # noqa: PLC0415  # it imports what this one does
+        from impslam.platform.console.page import build  # noqa: PLC0415  # only to serve
 
         server = prepared(model, settings, taken, ready, build)
         server.beat = beat
@@ -167,7 +167,7 @@ def prepared(
     build: Callable[[Model], None],
     clock: Callable[[], float] = time.monotonic,
 ) -> Server:
-    """Return the server of the page that `build` makes, for a socket that listens; see `serve`."""
+    """Return the server of the page that `build` makes, for a listening socket; see `serve`."""
     local_only, accounts = allowed(settings)
     pem = _pem(settings, accounts, local_only=local_only)
     address = _address(settings, listener, secure=pem is not None, local_only=local_only)
@@ -178,7 +178,7 @@ def prepared(
         clock=clock,
     )
 
-    def announce() -> None:
+    def report_address() -> None:
         ready(f"the page is at {address}")
         if pem is not None:
             ready(f"SHA-256 of its certificate: {pem.fingerprint()}")
@@ -187,16 +187,16 @@ def prepared(
 
     names = {*hosts.LOOPBACK, *settings.names, *(() if local_only else hosts.names())}
     guard = Guard(_app(model, authenticator, build), authenticator, names, clock)
-    return Server(_config(guard, authenticator, pem), authenticator, address, announce)
+    return Server(_config(guard, authenticator, pem), authenticator, address, report_address)
 
 
 def listening(settings: ServerSettings) -> socket.socket:
-    """Return a socket that listens.
+    """Return a listening socket.
 
     Raises
     ------
     ImpError
-        Where that is not possible: one line that says what to do.
+        If that is not possible, in one line with what to do.
     """
     host, port = settings.host, settings.port
     if not 0 <= port <= 65535:  # getaddrinfo would take it modulo 65536
@@ -218,24 +218,24 @@ def allowed(settings: ServerSettings) -> tuple[bool, Accounts]:
     Raises
     ------
     ImpError
-        Where others are to be served and no password to drive is set.
+        If other computers would be served and no password to drive is set.
     """
     local_only, accounts = hosts.loopback(settings.host), Accounts(settings.accounts)
     if not local_only and "drive" not in accounts.rights():
         raise ImpError(
             f"host {settings.host}: beyond this computer nobody is served until a password to "
-            "drive is set; `imp robot password` sets one, --host 127.0.0.1 serves here alone"
+            "drive is set; `imp robot password` sets one, --host 127.0.0.1 serves only this computer"
         )
     return local_only, accounts
 
 
 def _app(model: Model, authenticator: Authenticator, build: Callable[[Model], None]) -> FastAPI:
-    """Return the page with login and downloads; the guard is not yet before it."""
+    """Return the app with page, login and downloads, without the guard."""
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
     app.router.routes += login.routes(authenticator, model.title)
     app.router.routes += downloads.routes(authenticator, model.station)
     build(model)
-    core.app.middleware_stack = None  # a server before this one, in a test, has used it up
+    core.app.middleware_stack = None  # reset after an earlier server of a test
     core.app.user_middleware.clear()
     core.app.add_exception_handler(404, _not_found)
     ui.run_with(
@@ -250,12 +250,12 @@ def _app(model: Model, authenticator: Authenticator, build: Callable[[Model], No
 
 
 async def _not_found(_: Request, __: Exception) -> Response:
-    """Answer in place of nicegui, which would build a page to say so."""
+    """Answer instead of nicegui, which would build a page."""
     return PlainTextResponse("not found\n", 404)
 
 
 def _handshake_answered(record: logging.LogRecord) -> bool:
-    """Drop uvicorn's complaint about each socket that was refused by an HTTP answer, as ASGI allows."""
+    """Filter uvicorn's error about each socket that was refused by an HTTP answer, as ASGI allows."""
     return "without completing handshake" not in record.getMessage()
 
 
@@ -268,17 +268,17 @@ def _config(
         guard,
         http=protocol(authenticator.refusals),
         ws="websockets-sansio",
-        ws_max_size=BODY,
+        ws_max_size=MAX_BODY,
         ws_per_message_deflate=False,  # what is sent is small or a picture; saves 300 kB a socket
-        h11_max_incomplete_event_size=HEADERS,
-        timeout_keep_alive=IDLE,
+        h11_max_incomplete_event_size=MAX_HEADERS,
+        timeout_keep_alive=KEEP_ALIVE,
         timeout_graceful_shutdown=GRACE,
         ssl_context_factory=(lambda config, default: context) if context is not None else None,
         proxy_headers=False,
         server_header=False,
         access_log=False,
         log_config=None,
-        log_level="error",  # refusals reach the log by another way, at a bounded rate
+        log_level="error",  # refusals are logged by `Refusals`, at a bounded rate
         lifespan="on",
     )
 
@@ -286,7 +286,7 @@ def _config(
 def _pem(
     settings: ServerSettings, accounts: Accounts, *, local_only: bool
 ) -> CertificateFiles | None:
-    """Return the certificate that is given or made, None where loopback needs none."""
+    """Return the given or self-made certificate, None on loopback without a given one."""
     if (settings.certificate is None) != (settings.key is None):
         raise ImpError("a certificate needs its key, and a key its certificate: give both")
     if settings.certificate is not None and settings.key is not None:
@@ -300,7 +300,7 @@ def _pem(
 def _address(
     settings: ServerSettings, listener: socket.socket, *, secure: bool, local_only: bool
 ) -> str:
-    """Return the address to type in: the first given name, else one of this computer."""
+    """Return the address for the user: with the first given name, else one of this computer."""
     anywhere = settings.host in {"0.0.0.0", "::"}  # noqa: S104  # compared, not listened on
     if settings.names and not local_only:
         host = settings.names[0]

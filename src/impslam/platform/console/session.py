@@ -1,6 +1,6 @@
-"""Who is on the page: one session for each login, held by the server alone.
+"""Sessions: one for each login, stored only on the server.
 
-A session ends when nobody has used it for `IDLE`, when it is `LIFE` old, on logout, and when a password
+A session ends after `IDLE_TIMEOUT` without use, after `LIFETIME`, on logout, and when a password
 changes.
 """
 
@@ -12,20 +12,22 @@ from typing import Literal
 
 Right = Literal["watch", "drive"]
 
-IDLE = 30 * 60.0  # s without a request or a message: longer than a pause, shorter than a lunch
-LIFE = 12 * 3600.0  # s since the login: one working day
+IDLE_TIMEOUT = (
+    30 * 60.0
+)  # s without a request or a message: longer than a pause, shorter than a lunch
+LIFETIME = 12 * 3600.0  # s since the login: one working day
 
 
 class Session:
-    """One login; the page asks it who commands, and whether they still may.
+    """One login.
 
     Attributes
     ----------
-    id : names the session, to the helm for example; not secret, and opens nothing
-    name : how this one is called on the page: "driver 1", "watcher 2"
-    may_drive : whether it may change anything; who may not, may watch
-    address : where it was begun
-    used : s of the clock, when it was last in use
+    id : identifies the session, e.g. for the helm; not secret, and not accepted as a token
+    name : name on the page: "driver 1", "watcher 2"
+    may_drive : whether it may change anything, or only watch
+    address : address of the login
+    used : time of the last use, s of the clock
     """
 
     def __init__(
@@ -47,20 +49,20 @@ class Session:
         return f"Session({self.id}, {self.name})"
 
     def alive(self) -> bool:
-        """Return whether it still holds; ask before each command."""
+        """Return whether the session is valid; check before each command."""
         moment = self._clock()
-        fresh = moment - self.used < IDLE and moment - self._begun < LIFE
+        fresh = moment - self.used < IDLE_TIMEOUT and moment - self._begun < LIFETIME
         return fresh and not self._ended
 
     def refused(self, reason: str) -> None:
-        """Tell the log that a command from its pages was refused."""
+        """Report that a command from its pages was refused."""
         self._report(f"a command of {self.name}", reason)
 
     def use(self) -> None:
-        """Note that it is in use now; does not wake a session that has ended."""
+        """Record a use now; an ended session stays ended."""
         if self.alive():
             self.used = self._clock()
 
     def end(self) -> None:
-        """End it, for good."""
+        """End the session permanently."""
         self._ended = True

@@ -1,6 +1,6 @@
-"""The sessions of a server, found by the token that a browser holds.
+"""The sessions of a server, found by the token of a browser.
 
-The token is 256 random bits; the server keeps only its SHA-256, so that what it holds opens nothing.
+The token is 256 random bits; the server keeps only its SHA-256, which is useless for a login.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from functools import partial
 
 from impslam.platform.console.session import Right, Session
 
-MOST = 64  # sessions of a right; a robot has a handful of people, and each costs memory
-EACH = 16  # of them from one address, so that who logs in again and again ends their own alone
-TOKEN = 32  # bytes of a token
+MAX_SESSIONS = 64  # sessions of a right; a robot has a handful of users, and each costs memory
+MAX_PER_ADDRESS = 16  # of these; repeated logins from one address end only its own sessions
+TOKEN_SIZE = 32  # bytes
 
 
 class Sessions:
-    """All sessions, found by the token that their browsers hold.
+    """All sessions, found by the token of their browser.
 
     Parameters
     ----------
-    clock : s, never stepping back
-    report : called with (address, what, detail) for what is refused to a session
+    clock : monotonic time, s
+    report : called with (address, what, detail) when a session is refused something
     """
 
     def __init__(
@@ -42,10 +42,10 @@ class Sessions:
     def begin(self, right: Right, address: str = "") -> tuple[str, Session]:
         """Begin a session; return the token for the browser, and the session.
 
-        Where `MOST` of the right are held, or `EACH` from the address, the one of them ends that was
-        not used for longest: who may watch never ends the session of who may drive.
+        At the limits `MAX_SESSIONS` of the right or `MAX_PER_ADDRESS`, the least recently used session
+        of the same right ends: a watcher never ends a driver's session.
         """
-        token = secrets.token_urlsafe(TOKEN)
+        token = secrets.token_urlsafe(TOKEN_SIZE)
         number = next(self._numbers)
         name = f"{'driver' if right == 'drive' else 'watcher'} {number}"
         session = Session(
@@ -62,7 +62,7 @@ class Sessions:
         return token, session
 
     def find(self, token: str) -> Session | None:
-        """Return the session of a token, None where it never was or has ended."""
+        """Return the session of a token, None if it never existed or has ended."""
         with self._lock:
             session = self._by_digest.get(digest(token))
         return session if session is not None and session.alive() else None
@@ -75,16 +75,19 @@ class Sessions:
             self._by_digest.clear()
 
     def _make_room(self, new: Session) -> None:
-        """Drop what has ended, and end what was not used for longest where there are too many."""
+        """Drop ended sessions, and end the least recently used ones if there are too many."""
         kept = {key: one for key, one in self._by_digest.items() if one.alive()}
         alike = [key for key, one in kept.items() if one.may_drive == new.may_drive]
         alike.sort(key=lambda key: kept[key].used)
         same = [key for key in alike if kept[key].address == new.address]
-        for key in {*same[: max(0, len(same) - EACH + 1)], *alike[: max(0, len(alike) - MOST + 1)]}:
+        for key in {
+            *same[: max(0, len(same) - MAX_PER_ADDRESS + 1)],
+            *alike[: max(0, len(alike) - MAX_SESSIONS + 1)],
+        }:
             kept.pop(key).end()
         self._by_digest = kept
 
 
 def digest(token: str) -> bytes:
-    """Return what is kept of a token; a lookup by it tells nothing of how near a guess was."""
+    """Return the stored hash of a token; a lookup by it leaks nothing about a guess by its timing."""
     return hashlib.sha256(token.encode("utf-8", "replace")).digest()

@@ -1,4 +1,4 @@
-// Where the space bar writes. On all else, a box that was ticked just now too, it stops the robot.
+// Inputs in which the space bar writes; elsewhere, even on a checkbox, it stops the robot.
 const WRITING = "input:is([type=text], :not([type])), textarea, [contenteditable=true]";
 
 export default {
@@ -16,11 +16,11 @@ export default {
       if (event.code !== "Escape" && event.code !== "Space") return;
       if (event.target.closest?.(WRITING)) return;
       if (event.code === "Escape" && document.querySelector(".q-dialog__backdrop")) return;
-      event.preventDefault(); // the space bar must not press a button that has the focus
+      event.preventDefault(); // the space bar must not press a focused button
       event.stopPropagation();
       if (!event.repeat) this.stop();
     };
-    // Before everything else on the page; and the release of the space bar, which would click.
+    // Before all other handlers; also for the release of the space bar, which would click.
     this.onRelease = (event) => {
       if (event.code === "Space" && !event.target.closest?.(WRITING)) event.preventDefault();
     };

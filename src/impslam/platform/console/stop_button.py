@@ -1,4 +1,4 @@
-"""The emergency stop: on the page at all times, for everyone, and on the keyboard."""
+"""The emergency stop: always visible, for everyone, also on the keyboard."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from nicegui.element import Element
 
 
 class StopButton(Element, component="stop_button.js"):
-    """Calls `stop` when it is pressed, or the space bar or Escape is."""
+    """Calls `stop` when it, the space bar or Escape is pressed."""
 
     def __init__(self, stop: Callable[[], None]) -> None:
         super().__init__()
@@ -16,6 +16,6 @@ class StopButton(Element, component="stop_button.js"):
         self.on("stop", lambda _: stop())
 
     def show(self, *, stopped: bool) -> None:
-        """Show whether the emergency stop holds."""
+        """Show whether the emergency stop is active."""
         if stopped != self._props["stopped"]:
             self._props["stopped"] = stopped

@@ -1,4 +1,4 @@
-"""What lies on the robot's disk, as a list with a recycle bin: logs, maps."""
+"""A list of logs or maps on the robot's disk, with a recycle bin."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from impslam.platform.console.viewer import Viewer
 from impslam.platform.console.widgets import button, card, size, tagged, text
 from impslam.platform.station.shelf import Binned
 
-MOST = 100  # rows in the list; more would make the page slow, and nobody reads them
+MAX_ROWS = 100  # of a list; more would make the page slow
 
 
 class Stored(Protocol):
-    """One thing on the disk."""
+    """An entry on the disk."""
 
     @property
     def name(self) -> str:
-        """Its name there."""
+        """Its name on the disk."""
 
 
 class Store(Protocol):
-    """Where it is deleted and comes back."""
+    """Deletes and restores entries."""
 
     def delete(self, name: str) -> None:
-        """Move it to the recycle bin."""
+        """Move an entry to the recycle bin."""
 
     def restore(self, name: str) -> object:
-        """Take it out of the recycle bin."""
+        """Move an entry back from the recycle bin."""
 
     def purge(self) -> None:
         """Empty the recycle bin."""
@@ -43,28 +43,28 @@ S = TypeVar("S", bound=Stored)
 
 
 class StoredPanel(Generic[S]):
-    """A list of what is stored, newest first, and its recycle bin.
+    """A list of stored entries, newest first, and their recycle bin.
 
     Parameters
     ----------
-    word : what is stored, as in "log"; test ids are made of it
-    icon : of the card
-    none : what is said while there is none
-    look : returns what is stored and what is in the recycle bin; it is called in a thread
+    word : word for an entry, as in "log"; part of test ids
+    icon : icon of the card
+    empty_text : text of an empty list
+    read : returns the entries and the contents of the recycle bin; called in a thread
     """
 
-    def __init__(  # each differs between logs and maps
+    def __init__(
         self,
         word: str,
         icon: str,
-        none: str,
-        look: Cached[tuple[list[S], list[Binned]]],
+        empty_text: str,
+        read: Cached[tuple[list[S], list[Binned]]],
         store: Store,
         viewer: Viewer,
     ) -> None:
-        self._word, self._none, self._look, self._store = word, none, look, store
+        self._word, self._empty_text, self._read, self._store = word, empty_text, read, store
         self._viewer = viewer
-        self._looking = False
+        self._reading = False
         self._shown: list[S] | None = None
         self._binned: list[Binned] | None = None
         with card(f"{word.capitalize()}s", icon, f"{word}s"):
@@ -75,47 +75,47 @@ class StoredPanel(Generic[S]):
                 self._bin_list = tagged(ui.element("div").classes("list"), f"{word}-bin")
 
     async def update(self) -> None:
-        """Show what is stored by now; the disk is looked at in a thread."""
-        if self._looking:  # a disk that hangs must not be asked again and again
+        """Show the present entries; the disk is read in a thread."""
+        if self._reading:  # do not pile up threads if the disk hangs
             return
-        self._looking = True
+        self._reading = True
         try:
-            found = await run.io_bound(self._look)
+            found = await run.io_bound(self._read)
         finally:
-            self._looking = False
+            self._reading = False
         if found is not None and not self._viewer.client.is_deleted:
             self._show(*found)
 
     def facts(self, one: S) -> Sequence[str]:
-        """Return what is told of a thing below its name; what is empty is left out."""
+        """Return the facts shown below the name of an entry; empty ones are left out."""
         raise NotImplementedError
 
-    def acts(self, one: S) -> None:
-        """Make the buttons of a thing; `download` and `delete` are some."""
+    def add_buttons(self, one: S) -> None:
+        """Add the buttons of an entry, e.g. by `add_download_button` and `add_delete_button`."""
         raise NotImplementedError
 
-    def download(self, name: str, file: str) -> None:
-        """Make a button that fetches a thing as a file of the store."""
+    def add_download_button(self, name: str, file: str) -> None:
+        """Add a button that downloads a file of an entry."""
         link: Element = html.a(href=f"/{self._word}s/{quote(file)}", download=file)
         link.classes("button quiet").props["aria-label"] = f"Download {name}"
         link.props["title"] = "Download"
         with tagged(link, "download"):
             html.i("download").classes("q-icon material-icons notranslate")
 
-    def deleter(self, name: str) -> None:
-        """Make a button that deletes a thing, for who may."""
+    def add_delete_button(self, name: str) -> None:
+        """Add a button that deletes an entry, if the viewer may."""
 
         async def delete() -> None:
             if await self._viewer.confirm(f"Move {name} to the recycle bin?", "Delete"):
                 await self._viewer.run(lambda: self._store.delete(name))
-                await self.anew()
+                await self.refresh()
 
         if self._viewer.session.may_drive:
             button(f"Delete {name}", "delete", delete, "quiet", "delete")
 
-    async def anew(self) -> None:
-        """Look at the disk again."""
-        self._look.expire()
+    async def refresh(self) -> None:
+        """Read the disk again."""
+        self._read.expire()
         await self.update()
 
     def _show(self, stored: list[S], binned: list[Binned]) -> None:
@@ -129,32 +129,32 @@ class StoredPanel(Generic[S]):
     def _fill(self) -> None:
         self._list.clear()
         with self._list:
-            for one in (self._shown or [])[:MOST]:
+            for one in (self._shown or [])[:MAX_ROWS]:
                 with _item(one.name, self.facts(one), f"stored-{self._word}"):
-                    self.acts(one)
+                    self.add_buttons(one)
             if not self._shown:
-                ui.label(self._none).classes("soft")
-            elif len(self._shown) > MOST:
-                ui.label(f"and {len(self._shown) - MOST} older ones").classes("soft")
+                ui.label(self._empty_text).classes("soft")
+            elif len(self._shown) > MAX_ROWS:
+                ui.label(f"and {len(self._shown) - MAX_ROWS} older ones").classes("soft")
 
     def _fill_bin(self) -> None:
         binned, may = self._binned or [], self._viewer.session.may_drive
         self._summary.text = f"Recycle bin ({len(binned)})" if binned else "Recycle bin is empty"
         self._bin_list.clear()
         with self._bin_list:
-            for one in binned[:MOST]:
+            for one in binned[:MAX_ROWS]:
                 facts = [f"deleted {moment(one.deleted)}", size(one.size)]
                 with _item(one.original, facts, "binned"):
                     if may:
-                        act = self._restorer(one.name)
+                        act = self._restore_action(one.name)
                         button("Restore", "restore", act, "quiet", "restore_from_trash")
             if binned and may:
                 button("Empty the recycle bin", "purge", self._purge, "danger", "delete_forever")
 
-    def _restorer(self, name: str) -> Any:
+    def _restore_action(self, name: str) -> Any:
         async def restore() -> None:
             await self._viewer.run(lambda: self._store.restore(name))
-            await self.anew()
+            await self.refresh()
 
         return restore
 
@@ -163,7 +163,7 @@ class StoredPanel(Generic[S]):
             f"Delete all {self._word}s in the recycle bin for good?", "Delete for good"
         ):
             await self._viewer.run(self._store.purge)
-            await self.anew()
+            await self.refresh()
 
 
 def moment(seconds: float) -> str:
@@ -172,7 +172,7 @@ def moment(seconds: float) -> str:
 
 
 def _item(name: str, facts: Sequence[str], kind: str) -> Element:
-    """Return a row for what has a name; buttons go into it."""
+    """Return a row with a name and facts, to add buttons to."""
     row = tagged(ui.element("div").classes("item"), kind)
     row.props["data-name"] = name
     with row, ui.element("div").classes("what"):

@@ -1,7 +1,7 @@
-"""The certificate: a given one, or one that the robot makes for itself.
+"""The certificate: a given one, or a self-signed one.
 
-A certificate that nobody else has signed protects from those who listen, and from those who pose
-as the robot once its fingerprint has been compared; the fingerprint is printed for that.
+A self-signed certificate protects from eavesdropping and, once its fingerprint has been compared, from
+impostors; the fingerprint is printed for that.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from impslam.errors import ImpError
 from impslam.platform.console.accounts import write_private
 
-LIFE = datetime.timedelta(days=825)  # the most that browsers of Apple accept
-RENEW = datetime.timedelta(days=30)  # before its end
-EARLY = datetime.timedelta(days=1)  # valid from the day before: a robot's clock may be wrong
-MOST_NAMES = 64  # of a certificate; networks that the robot was once in are dropped beyond
+LIFETIME = datetime.timedelta(days=825)  # the maximum of browsers of Apple
+RENEWAL_TIME = datetime.timedelta(days=30)  # before its end
+BACKDATING = datetime.timedelta(days=1)  # valid from the day before: a robot's clock may be wrong
+MAX_NAMES = 64  # of a certificate; more names of earlier networks are dropped
 
 
 class CertificateError(ImpError):
-    """A certificate or key that cannot be used or made: what, where, what to do."""
+    """A certificate or key that cannot be used or made; the message says what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,18 +43,18 @@ class CertificateFiles:
         return _read(self.certificate).fingerprint(hashes.SHA256()).hex(":").upper()
 
     def context(self) -> ssl.SSLContext:
-        """Return what serves with them: TLS 1.2 or later, the ciphers of Python's default.
+        """Return the context of a server: TLS 1.2 or later, Python's default ciphers.
 
         Raises
         ------
         CertificateError
-            If they cannot be read, or do not belong together.
+            If the files cannot be read, or do not belong together.
         """
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         context.options |= ssl.OP_NO_RENEGOTIATION | ssl.OP_NO_COMPRESSION
         try:
-            # An encrypted key would ask at the terminal, and a service has none.
+            # Without a password, OpenSSL would prompt for that of an encrypted key.
             context.load_cert_chain(self.certificate, self.key, password="")
         except (OSError, ValueError) as error:  # SSLError is an OSError
             raise CertificateError(
@@ -67,38 +67,40 @@ class CertificateFiles:
 def own_certificate(
     folder: Path, names: Sequence[str], addresses: Sequence[str]
 ) -> CertificateFiles:
-    """Return a certificate for names and addresses, made anew where the kept one does not do.
+    """Return a certificate for names and addresses; make a new one if necessary.
 
     It is renewed when it ends soon and when it lacks a name or an address. The new one keeps the
-    old one's names, so that a robot that goes back and forth between two networks has one
-    certificate, and its users compare one fingerprint.
+    names of the old one, so that a robot that alternates between two networks keeps one certificate
+    and fingerprint.
 
     Raises
     ------
     CertificateError
-        If it cannot be kept in `folder`.
+        If it cannot be stored in `folder`.
     """
     pem = CertificateFiles(folder / "certificate.pem", folder / "key.pem")
     wanted = _alternatives(names, addresses)
-    kept = _kept(pem)
+    existing = _existing(pem)
     moment = _now()
-    if kept is not None:
-        covered = _covered(kept)
-        lasts = kept.not_valid_before_utc <= moment < kept.not_valid_after_utc - RENEW
+    if existing is not None:
+        covered = _covered(existing)
+        lasts = (
+            existing.not_valid_before_utc <= moment < existing.not_valid_after_utc - RENEWAL_TIME
+        )
         if lasts and set(wanted) <= set(covered):
             return pem
-        wanted = list(dict.fromkeys([*wanted, *covered]))[:MOST_NAMES]
+        wanted = list(dict.fromkeys([*wanted, *covered]))[:MAX_NAMES]
     try:
-        _make(pem, wanted, moment)
+        _write_new(pem, wanted, moment)
     except OSError as error:
         raise CertificateError(f"{folder}: {_reason(error)}; make it yours to write") from None
     return pem
 
 
-def _make(
+def _write_new(
     pem: CertificateFiles, alternatives: Sequence[x509.GeneralName], moment: datetime.datetime
 ) -> None:
-    """Write a P-256 key and a certificate that it signs itself (RFC 5280; names by RFC 6125)."""
+    """Write a P-256 key and a self-signed certificate (RFC 5280; names by RFC 6125)."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "impslam robot")])
     usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
@@ -108,8 +110,8 @@ def _make(
         .issuer_name(name)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        .not_valid_before(moment - EARLY)
-        .not_valid_after(moment - EARLY + LIFE)
+        .not_valid_before(moment - BACKDATING)
+        .not_valid_after(moment - BACKDATING + LIFETIME)
         .add_extension(x509.SubjectAlternativeName(alternatives), critical=False)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(usage, critical=False)
@@ -124,8 +126,8 @@ def _make(
     write_private(pem.certificate, certificate.public_bytes(serialization.Encoding.PEM))
 
 
-def _kept(pem: CertificateFiles) -> x509.Certificate | None:
-    """Return the certificate that is there, None where it or its key does not serve."""
+def _existing(pem: CertificateFiles) -> x509.Certificate | None:
+    """Return the existing certificate, None if it or its key is missing or invalid."""
     try:
         pem.context()
         return _read(pem.certificate)

@@ -1,4 +1,4 @@
-"""Who looks at a page, and what they may do there."""
+"""The viewer of a page, and the rights to act there."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _numbers = itertools.count(1)
 class Viewer:
     """One open page of one session.
 
-    Rights are asked for at each command and never remembered: a session may end at any time, and
-    what the browser sends need not come from a button that it was shown.
+    Rights are checked at each command: a session may end at any time, and a browser may send commands
+    whose button is not shown.
 
     Attributes
     ----------
     session : the login
     client : the open page
-    driver : names this page to the helm, so that two pages of a login do not drive at once
+    driver : id of this page for the helm, so that two pages of a session do not drive at once
     """
 
     def __init__(self, session: Session, client: Client) -> None:
@@ -44,7 +44,7 @@ class Viewer:
         return ""
 
     def do(self, work: Callable[[], object], *, driving: bool = True) -> bool:
-        """Do at once what takes no time; tell the user if it is refused or fails."""
+        """Call a quick function; notify the user if it is refused or fails."""
         if reason := self.refused(driving=driving):
             return self._notify(reason)
         try:
@@ -54,7 +54,7 @@ class Viewer:
         return True
 
     async def run(self, work: Callable[[], T]) -> T | None:
-        """Do in a thread what may take time; tell the user if it is refused or fails."""
+        """Call a slow function in a thread; notify the user if it is refused or fails."""
         if reason := self.refused():
             self._notify(reason)
             return None
@@ -65,7 +65,7 @@ class Viewer:
         return None
 
     async def confirm(self, question: str, act: str) -> bool:
-        """Ask before what cannot be undone."""
+        """Ask a question in a dialog; return whether the user confirms."""
         with self.client, ui.dialog(value=True) as dialog, html.div().classes("dialog") as box:
             box.props("role=alertdialog")
             ui.label(question)
@@ -79,6 +79,6 @@ class Viewer:
 
     def _notify(self, text: str) -> bool:
         self.session.refused(text)
-        with self.client:  # the button that was pressed may be gone by now
+        with self.client:  # not with the pressed button, which may be gone by now
             ui.notify(text, type="negative", position="bottom", timeout=6000, multi_line=True)
         return False

@@ -1,4 +1,4 @@
-"""The few pieces that the panels are made of; each that a test needs carries a `data-testid`."""
+"""The widgets of the panels; those that tests use have a `data-testid`."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ Look = Literal["plain", "primary", "danger", "quiet"]
 
 
 def tagged(element: Element, testid: str) -> Element:
-    """Return the element, to be found by this test id."""
+    """Set the test id of an element, and return it."""
     element.props["data-testid"] = testid
     return element
 
 
 def card(title: str, icon: str, name: str) -> Element:
-    """Return a titled panel to put things in; `name` tells its test id and its class."""
+    """Return a titled panel to fill; `name` sets its test id and class."""
     panel: Element = html.section().classes(f"card card-{name}")
     panel.props["aria-label"] = title
     with tagged(panel, f"panel-{name}"), html.h2():
@@ -29,7 +29,7 @@ def card(title: str, icon: str, name: str) -> Element:
 
 
 def line(classes: str = "") -> Element:
-    """Return a row to put things in."""
+    """Return a row to fill."""
     return ui.element("div").classes(f"line {classes}")
 
 
@@ -41,7 +41,7 @@ def symbol(name: str) -> Element:
 
 
 def text(testid: str, value: str = "", classes: str = "") -> ui.label:
-    """Return text that changes; setting the text that it has sends nothing."""
+    """Return a label; setting the text that it already has sends nothing."""
     label = ui.label(value).classes(classes)
     tagged(label, testid)
     return label
@@ -56,7 +56,7 @@ def button(
     with tagged(made, testid):
         if icon:
             symbol(icon)
-        if look == "quiet":  # the icon says it to who sees it
+        if look == "quiet":  # only the icon is visible
             made.props["aria-label"] = made.props["title"] = label
         else:
             html.span(label)
@@ -64,12 +64,12 @@ def button(
 
 
 def show(element: Element, visible: bool) -> None:
-    """Show or hide an element; a hidden one takes no events. What is as it was sends nothing."""
+    """Show or hide an element; a hidden one handles no events, and no change sends nothing."""
     element.visible = visible
 
 
 def size(number: float) -> str:
-    """Return a number of bytes as people read it."""
+    """Return a number of bytes with its unit."""
     for unit in ("B", "kB", "MB"):
         if number < 1000:
             return f"{number:.0f} {unit}" if unit == "B" else f"{number:.1f} {unit}"
@@ -78,7 +78,7 @@ def size(number: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return a time in s as h:mm:ss, or m:ss below an hour; "" where it is unknown."""
+    """Return a time in s as h:mm:ss, or m:ss below an hour; "" if it is unknown."""
     if not math.isfinite(seconds):
         return ""
     minutes, rest = divmod(int(seconds), 60)
@@ -87,5 +87,5 @@ def duration(seconds: float) -> str:
 
 
 def milliseconds(seconds: float) -> str:
-    """Return a time in s as ms, "–" where it is unknown."""
+    """Return a time in s as ms, "–" if it is unknown."""
     return f"{1000 * seconds:.0f} ms" if math.isfinite(seconds) else "–"

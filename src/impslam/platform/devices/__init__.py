@@ -1,1 +1,1 @@
-"""Devices: what the robot's hardware says, as stamped messages on the host's time base."""
+"""Devices: drivers of the robot's hardware, which deliver messages stamped on the host's time base."""

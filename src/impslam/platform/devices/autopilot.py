@@ -1,6 +1,6 @@
 """The autopilot: encoders, inertial unit and motors on a micro-controller (thesis 3.3, 3.4).
 
-What goes over the line stands byte by byte in docs/autopilot-protocol.md.
+docs/autopilot-protocol.md specifies the protocol byte by byte.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from impslam.platform.devices.framing import Decoder, Frame
 from impslam.platform.devices.port import opened, read_some
 from impslam.types import DeviceTime
 
-REOPEN = 2.0  # s without a frame until the port is opened anew: as after an adapter that hung
-AWAY = 300.0  # s; the sequence goes round after 655 s, and then nobody knows what was lost
+REOPEN_TIMEOUT = 2.0  # s without a frame until the port is reopened, as after a hang of the adapter
+MAX_ABSENCE = 300.0  # s for which losses are counted; the sequence wraps after 655 s
 
 Level: TypeAlias = Literal["info", "warning"]
 
@@ -44,8 +44,8 @@ _FLAGS: dict[Flag, tuple[Level, str, str]] = {
 
 
 @dataclass(slots=True)
-class _Known:
-    """What is known about the micro-controller; it outlives a connection."""
+class _State:
+    """The state of the micro-controller; it outlives a connection."""
 
     readings: Readings
     clock: DeviceClock = field(default_factory=DeviceClock)
@@ -54,9 +54,9 @@ class _Known:
     boots: int | None = None
     hello: Hello | None = None
     last_clock: int = 0
-    flags: int = Flag.DEAD_MAN  # what it starts with is no news
-    opened: float = 0.0
-    heard: float = -math.inf
+    flags: int = Flag.DEAD_MAN  # the initial state needs no event
+    opened_at: float = 0.0
+    received_at: float = -math.inf
     silent: bool = False
 
 
@@ -91,17 +91,17 @@ class Autopilot(DriveDevice):
     )
 
     _link: CommandLink = PrivateAttr()
-    _known: _Known = PrivateAttr()
+    _state: _State = PrivateAttr()
 
     def model_post_init(self, context: object, /) -> None:
-        """Begin with nothing known."""
+        """Create the command link and the initial state."""
         self._link = CommandLink(self._count)
-        self._known = _Known(Readings(self.counts_per_turn))
+        self._state = _State(Readings(self.counts_per_turn))
 
     # ------------------------------------------------------------------ commands
 
     def drive(self, speed: float, turn_rate: float) -> None:
-        """Ask for a speed forward (m/s) and a turn rate (rad/s); see `DriveDevice.drive`."""
+        """Command a forward speed (m/s) and a turn rate (rad/s); see `DriveDevice.drive`."""
         self._link.drive(*self.wheel_speeds(speed, turn_rate))
 
     def emergency_stop(self) -> None:
@@ -109,25 +109,25 @@ class Autopilot(DriveDevice):
         self._link.stop(True)
 
     def release(self) -> None:
-        """End an emergency stop; the robot stands until it is driven."""
+        """End an emergency stop; the robot does not move until the next drive command."""
         self._link.stop(False)
 
     @property
     def stopped(self) -> bool:
-        """Whether it holds a stop; one whose release is under way does not count any more."""
-        return bool(self._known.flags & Flag.STOPPED) and not self._link.releasing
+        """Whether an emergency stop is active and no release has been sent."""
+        return bool(self._state.flags & Flag.STOPPED) and not self._link.releasing
 
     def latency(self) -> tuple[float, float]:
-        """Return median and 99th percentile, in s, from a command to its answer; NaN before one."""
+        """Return median and 99th percentile of the time from command to answer, s; NaN before one."""
         return self._link.latency()
 
     def wheel_speeds(self, speed: float, turn_rate: float) -> tuple[float, float]:
-        """Return the surface speeds of the driven wheels, left and right, in m/s.
+        """Return the surface speeds of the driven wheels, left and right, m/s.
 
-        If one exceeds the top speed, both are slowed down: the robot keeps to the curve.
+        If one exceeds the top speed, both are scaled down, so that the robot keeps to the curve.
         """
         if not (math.isfinite(speed) and math.isfinite(turn_rate)):
-            raise ValueError(f"a command of {speed} m/s and {turn_rate} rad/s is no motion")
+            raise ValueError(f"a command of {speed} m/s and {turn_rate} rad/s is not finite")
         half = 0.5 * self.skid * self.track * turn_rate
         left, right = speed - half, speed + half
         slower = max(1.0, max(abs(left), abs(right)) / self.top_speed)
@@ -138,115 +138,118 @@ class Autopilot(DriveDevice):
     def _serve(self) -> None:
         with opened(self.port, self.baud) as port:
             try:
-                decoder = self._begin()
+                decoder = self._prepare()
                 self._link.attach(port)
                 while not self._stopping.is_set():
                     data = read_some(port)
                     moment = now()
                     for frame in decoder.feed(data):
-                        self._take(frame, moment)
-                    self._watch_silence(moment)
-                    self._link.tend(moment)
+                        self._process_frame(frame, moment)
+                    self._check_silence(moment)
+                    self._link.update(moment)
             finally:
                 self._link.detach()
 
-    def _begin(self) -> Decoder:
-        known, moment = self._known, now()
-        if known.decoder is None:
-            known.decoder = Decoder(FROM_AUTOPILOT, self._count)
-        known.decoder.restart(keep_sequence=moment - known.heard < AWAY)
-        known.hello, known.opened, known.silent = None, moment, False
-        return known.decoder
+    def _prepare(self) -> Decoder:
+        state, moment = self._state, now()
+        if state.decoder is None:
+            state.decoder = Decoder(FROM_AUTOPILOT, self._count)
+        state.decoder.restart(keep_sequence=moment - state.received_at < MAX_ABSENCE)
+        state.hello, state.opened_at, state.silent = None, moment, False
+        return state.decoder
 
-    def _watch_silence(self, moment: float) -> None:
-        known = self._known
-        silence, most = moment - max(known.heard, known.opened), max(REOPEN, self.patience)
-        if silence > self.patience and not known.silent:
-            known.silent = True
+    def _check_silence(self, moment: float) -> None:
+        state = self._state
+        silence, timeout = (
+            moment - max(state.received_at, state.opened_at),
+            max(REOPEN_TIMEOUT, self.patience),
+        )
+        if silence > self.patience and not state.silent:
+            state.silent = True
             self._count("silences", 1)
-        if silence > most:  # the text stays the same, so that it is told once
+        if silence > timeout:  # with the same text each time, so that it is notified once
             raise DeviceError(
-                f"{self.port}: nothing understood for {most:.1f} s; check the autopilot's supply, "
+                f"{self.port}: nothing understood for {timeout:.1f} s; check the autopilot's supply, "
                 "its wiring and the baud rate"
             )
-        if known.hello is None and moment - known.opened > REOPEN:
+        if state.hello is None and moment - state.opened_at > REOPEN_TIMEOUT:
             raise DeviceError(f"{self.port}: frames, but no HELLO; check the autopilot's firmware")
 
-    # ------------------------------------------------------------------ what it says
+    # ------------------------------------------------------------------ frames
 
-    def _take(self, frame: Frame, arrived: float) -> None:
-        known = self._known
-        known.heard, known.silent = arrived, False
-        if frame.boot != known.boot:
-            self._begin_anew(known.boot is not None)
-            known.boot = frame.boot
+    def _process_frame(self, frame: Frame, arrived: float) -> None:
+        state = self._state
+        state.received_at, state.silent = arrived, False
+        if frame.boot != state.boot:
+            self._restart(state.boot is not None)
+            state.boot = frame.boot
         try:
             if frame.type == Kind.SENSORS:
                 self._on_sensors(Sensors.parse(frame.payload), arrived)
             elif frame.type == Kind.ACK:
-                self._link.answered(Ack.parse(frame.payload), arrived)
+                self._link.on_ack(Ack.parse(frame.payload), arrived)
             else:
                 self._on_hello(Hello.parse(frame.payload))
         except MessageError as error:
             self._count("refused", 1)
             if self._vitals.counts["refused"] == 1:
-                self._tell("warning", str(error))
+                self._notify("warning", str(error))
 
-    def _begin_anew(self, rebooted: bool) -> None:
-        """Continue across a reboot: clock and accumulators begin at 0, its time is to be set."""
+    def _restart(self, rebooted: bool) -> None:
+        """Continue across a reboot: clock and accumulators begin at 0, and its time must be set."""
         if rebooted:
             self._count("reboots", 1)
-        self._known.clock.restart()
-        self._known.last_clock = 0
-        self._known.readings.restart()
-        self._link.greet()
+        self._state.clock.restart()
+        self._state.last_clock = 0
+        self._state.readings.restart()
+        self._link.request_hello()
 
     def _on_hello(self, hello: Hello) -> None:
-        known = self._known
+        state = self._state
         who = (
             f"firmware {hello.major}.{hello.minor}, boot {hello.boots} "
             f"({hello.reset.name.lower().replace('_', '-')})"
         )
-        if known.boots not in {None, hello.boots}:
-            self._tell("warning", f"rebooted: {who}")
-        if known.hello is None:
+        if state.boots not in {None, hello.boots}:
+            self._notify("warning", f"rebooted: {who}")
+        if state.hello is None:
             self._ready(f"{who} at {self.port}")
-        known.boots, known.hello = hello.boots, hello
+        state.boots, state.hello = hello.boots, hello
 
     def _on_sensors(self, sensors: Sensors, arrived: float) -> None:
-        known = self._known
-        if sensors.clock < known.last_clock:  # only a reboot does that, whatever its boot number
-            self._begin_anew(True)
-        known.last_clock = sensors.clock
-        self._note_flags(sensors.flags)
+        state = self._state
+        if sensors.clock < state.last_clock:  # a reboot, even under the same boot number
+            self._restart(True)
+        state.last_clock = sensors.clock
+        self._notify_flags(sensors.flags)
         device = 1e-6 * sensors.clock
         stamp = self._stamp(device, arrived)
-        if known.hello is None:
+        if state.hello is None:
             self._count("before HELLO", 1)
-            known.readings.follow(sensors)
+            state.readings.follow(sensors)
             return
-        for message in known.readings.messages(sensors, known.hello, stamp):
+        for message in state.readings.messages(sensors, state.hello, stamp):
             self._deliver(message, arrived, device)
         self._deliver(DeviceTime(stamp, self.title, device), arrived, device)
 
     def _stamp(self, device: float, arrived: float) -> float:
-        """Return the host's time of a reading, and note what the clocks did."""
-        clock = self._known.clock
+        """Return the host time of a reading, and count jumps and stalls of the clocks."""
+        clock = self._state.clock
         restarts, stalls = clock.restarts, clock.stalls
         clock.observe(device, arrived - self.least_delay)
         if clock.restarts > restarts:
             self._count("clock jumps", 1)
-            self._tell("warning", "a clock jumped, the micro-controller's or this computer's")
+            self._notify("warning", "a clock jumped, the micro-controller's or this computer's")
         if clock.stalls > stalls:
             self._count("stalls", 1)
         return clock.to_host(device)
 
-    def _note_flags(self, flags: Flag) -> None:
-        known = self._known
+    def _notify_flags(self, flags: Flag) -> None:
+        state = self._state
         for flag, (level, set_, cleared) in _FLAGS.items():
-            if flags & flag and not known.flags & flag:
-                self._tell(level, set_)
-            elif cleared and known.flags & flag and not flags & flag:
-                self._tell("info", cleared)
-        known.flags = flags
+            if flags & flag and not state.flags & flag:
+                self._notify(level, set_)
+            elif cleared and state.flags & flag and not flags & flag:
+                self._notify("info", cleared)
+        state.flags = flags
         self._link.check_stopped(bool(flags & Flag.STOPPED))

@@ -1,7 +1,7 @@
-"""What the autopilot's frames hold, byte by byte (docs/autopilot-protocol.md); little endian.
+"""The payloads of the autopilot's frames (docs/autopilot-protocol.md); little endian.
 
-Numbers are as they go over the line, in the units there: the driver turns them into SI units. What
-does not fit its type or its range is refused with a `MessageError`.
+Numbers have the units of the protocol; the driver converts them to SI units. Payloads of a wrong size,
+and values out of range, raise a `MessageError`.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from impslam.errors import MessageError
 
 ADC_STEPS = 4096  # 12 bits
 ADC_VOLTS = 5.0  # V of the full scale, one turn of an MA3
-_FOREVER = 10**15  # us, 31 years: no clock has been on for so long
+_FOREVER = 10**15  # us, 31 years: longer than any clock has run
 _TOP_SPEED = 10_000  # mm/s
-_TEMPERATURES = range(-4000, 12501)  # 0.01 degC, what such sensors measure
+_TEMPERATURES = range(-4000, 12501)  # 0.01 degC, the range of such sensors
 _HUMIDITIES = range(10_001)  # 0.01 %
 
 
@@ -39,7 +39,7 @@ COMMANDS = frozenset({Kind.DRIVE, Kind.STOP, Kind.RELEASE, Kind.SET_TIME})
 
 
 class Flag(IntFlag):
-    """States of the autopilot that are told in every `Sensors`."""
+    """States of the autopilot, in every `Sensors`."""
 
     STOPPED = 1
     DEAD_MAN = 2
@@ -49,7 +49,7 @@ class Flag(IntFlag):
 
 
 class Reset(IntEnum):
-    """Why the autopilot began anew."""
+    """Why the autopilot restarted."""
 
     POWER = 0
     BROWN_OUT = 1
@@ -60,7 +60,7 @@ class Reset(IntEnum):
 
 
 class Result(IntEnum):
-    """What became of a command."""
+    """The result of a command."""
 
     DONE = 0
     STOPPED = 1
@@ -81,7 +81,7 @@ def _require(fits: bool, what: str, value: object) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Payload:
-    """What a frame carries, its fields in the order of the layout."""
+    """The payload of a frame, with fields in the order of the layout."""
 
     LAYOUT: ClassVar[struct.Struct]
 
@@ -92,11 +92,11 @@ class _Payload:
 
 @dataclass(frozen=True, slots=True)
 class Hello(_Payload):
-    """Who the autopilot is: at its start, every second, and after each `SetTime`.
+    """Description of the autopilot, sent at its start, every second, and after each `SetTime`.
 
     Scales are SI units per step: `gyro` rad/s, `accelerometer` and `accelerometer_2` m/s^2,
-    `magnetometer` T. `clock` is in us since the start; `host_offset` is the host's clock less its
-    own in us, as the last `SetTime` said, 0 before it.
+    `magnetometer` T. `clock` is in us since the start; `host_offset` is the host's clock minus its
+    own, us, as of the last `SetTime`, 0 before it.
     """
 
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IBBBffffQq")
@@ -126,7 +126,7 @@ class Hello(_Payload):
 
 @dataclass(frozen=True, slots=True)
 class Sensors(_Payload):
-    """What the sensors read at `clock` (us since the start); 100 times a second.
+    """Readings of the sensors at `clock` (us since the start), sent 100 times a second.
 
     `counts` are the accumulators of the left and the right encoder, from 0 at the start, 4096 a
     turn, growing as the wheel rolls forward, wrapping at 32 bits; `voltages` their absolute
@@ -197,7 +197,7 @@ class Sensors(_Payload):
 
 @dataclass(frozen=True, slots=True)
 class Ack(_Payload):
-    """The answer to a command: its type and sequence number, what became of it, and when (us)."""
+    """The answer to a command: its type and sequence number, the result, and the time, us."""
 
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHQ")
 
@@ -217,7 +217,7 @@ class Ack(_Payload):
 
 @dataclass(frozen=True, slots=True)
 class Drive(_Payload):
-    """Surface speeds of the driven wheels a side, in mm/s, forward positive."""
+    """Surface speeds of the driven wheels of each side, mm/s, forward positive."""
 
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<hh")
 
@@ -234,7 +234,7 @@ class Drive(_Payload):
 
 @dataclass(frozen=True, slots=True)
 class SetTime(_Payload):
-    """The host's clock in us since 1970, as the frame is sent."""
+    """The host's clock at the sending of the frame, us since 1970."""
 
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<Q")
 
@@ -249,5 +249,5 @@ class SetTime(_Payload):
 
 
 def parse_empty(what: str, payload: bytes) -> None:
-    """Refuse a payload where there must be none (STOP, RELEASE)."""
+    """Refuse a payload of STOP or RELEASE, which have none."""
     _unpack(struct.Struct(""), what, payload)

@@ -1,4 +1,4 @@
-"""From the autopilot's numbers to messages in SI units."""
+"""Convert the autopilot's readings to messages in SI units."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from impslam.types import (
     WheelAngles,
 )
 
-CLIMATE_EVERY = 1.0  # s; a room changes slowly
+CLIMATE_INTERVAL = 1.0  # s; a room changes slowly
 
 
 class Readings:
-    """Turns what the sensors said into messages; the wheels' angles go on, whatever happens.
+    """Converts readings to messages; wheel angles stay continuous across reboots and wraps.
 
     Parameters
     ----------
@@ -37,17 +37,17 @@ class Readings:
         self._climate_at = -math.inf
 
     def restart(self) -> None:
-        """Know that the accumulators begin anew."""
+        """Handle a restart of the accumulators."""
         self._left.restart()
         self._right.restart()
 
     def follow(self, sensors: Sensors) -> tuple[float, float]:
-        """Return the wheels' angles in rad, left first."""
+        """Return the angles of the left and right wheel, rad."""
         (left, right), (left_reading, right_reading) = sensors.counts, sensors.voltages
         return self._left(left, left_reading), self._right(right, right_reading)
 
     def messages(self, sensors: Sensors, hello: Hello, stamp: float) -> Iterator[Message]:
-        """Yield what was read at `stamp`; temperature and humidity once a second at most."""
+        """Yield the messages of a reading at `stamp`; temperature and humidity once a second at most."""
         left, right = (ADC_VOLTS / ADC_STEPS * reading for reading in sensors.voltages)
         yield WheelAngles(stamp, *self.follow(sensors))
         yield EncoderVoltages(stamp, left, right)
@@ -55,7 +55,7 @@ class Readings:
         yield Imu(stamp, rates, _scaled(sensors.accelerometer, hello.accelerometer))
         yield Acceleration(stamp, _scaled(sensors.accelerometer_2, hello.accelerometer_2))
         yield MagneticField(stamp, _scaled(sensors.magnetometer, hello.magnetometer))
-        if stamp - self._climate_at >= CLIMATE_EVERY:
+        if stamp - self._climate_at >= CLIMATE_INTERVAL:
             self._climate_at = stamp
             yield Climate(stamp, 1e-2 * sensors.temperature, 1e-4 * sensors.humidity)
 

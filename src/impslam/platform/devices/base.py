@@ -1,8 +1,8 @@
-"""The role of a device: a thread that keeps one piece of hardware talking, whatever happens to it.
+"""The base class of devices: a thread that serves one piece of hardware and reopens it after errors.
 
-A device opens its port, serves it until it fails, tells why, waits, and opens it again. What it
-reads goes, stamped on the host's time base, to one receiver. Nothing that happens on the wire ends
-the thread; nothing is lost without being counted.
+A device opens its port, serves it until it fails, reports the error, waits, and opens it again. Its
+readings, stamped on the host's time base, go to one receiver. No error of the hardware ends the
+thread, and every loss is counted.
 """
 
 from __future__ import annotations
@@ -27,28 +27,28 @@ log = logging.getLogger(__name__)
 State: TypeAlias = Literal["stopped", "opening", "ok", "silent", "lost"]
 
 _WALL, _MONOTONIC = time.time(), time.monotonic()
-RATE_SPAN = 2.0  # s over which rates are told: two digits at 100 Hz, and a stop is seen at once
+RATE_WINDOW = 2.0  # s over which rates are measured: two digits at 100 Hz, and a stop shows at once
 
 
 def now() -> float:
-    """Return the host's time base: s since 1970 as of the program's start, never stepped.
+    """Return the time on the host's time base, s since 1970; never stepped.
 
-    All stamps of a log are on it. A clock that the network sets would run backwards in the middle
-    of a recording; this one takes the wall clock once and counts on from there.
+    All stamps of a log use it. The wall clock may be set back by the network during a recording, so it
+    is only read at the start of the program, and continued by the monotonic clock.
     """
     return _WALL + (time.monotonic() - _MONOTONIC)
 
 
 class DeviceError(ImpError):
-    """A device that cannot be opened or has stopped to answer: what, where, what to do."""
+    """A device that cannot be opened or does not answer; the message says what to do."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
     """A message, stamped on the host's time base, and when its last byte `arrived` there.
 
-    `device_stamp` is the device's own clock for it, in s since the device started (unwrapped),
-    None where the device has no clock.
+    `device_stamp` is its stamp by the device's clock, s since the device started (unwrapped), None if
+    the device has no clock.
     """
 
     message: Message
@@ -58,7 +58,7 @@ class Reading:
 
 
 def event(source: str, level: str, text: str) -> Reading:
-    """Log what happened ("info", "warning" or "error"), and return it for the recording."""
+    """Log an event ("info", "warning" or "error"), and return it as a reading for the recording."""
     log.log(logging.getLevelNamesMapping()[level.upper()], "%s: %s", source, text)
     moment = now()
     return Reading(Event(moment, level, source, text), moment, source)
@@ -69,15 +69,15 @@ Receiver: TypeAlias = Callable[[Reading], None]
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """How a device is doing.
+    """The status of a device.
 
     Attributes
     ----------
-    state : "ok"; "silent" (open, but nothing came for `patience`); "lost" (cannot be opened, being
-        tried again); "opening"; "stopped"
-    detail : what it is (model, firmware) while ok, what is wrong and what to do otherwise
-    rates : messages per second by type, over the last `RATE_SPAN`
-    counts : everything counted since the start: frames, lost, corrupt, repeated, late, reopened, ...
+    state : "ok"; "silent" (open, but without a message for `patience`); "lost" (cannot be opened, is
+        retried); "opening"; "stopped"
+    detail : model and firmware while ok, otherwise the error and what to do
+    rates : messages per second by type, over the last `RATE_WINDOW`
+    counts : counters since the start: frames, lost, corrupt, repeated, late, reopened, ...
     last : host time of the last message, NaN before the first
     """
 
@@ -90,7 +90,7 @@ class Health:
 
 @dataclass(slots=True)
 class _Vitals:
-    """What `health` is made from; guarded by the lock."""
+    """The data behind `health`, guarded by the lock."""
 
     lock: threading.Lock = field(default_factory=threading.Lock)
     state: State = "stopped"
@@ -107,7 +107,10 @@ class Device(Component):
 
     label: str = parameter("", "1", "name in messages, logs and on the page; empty: the kind's")
     patience: float = parameter(
-        1.0, "s", "nothing heard for this long counts as silent: ten frames of the slowest", gt=0
+        1.0,
+        "s",
+        "a device without messages for this long is silent: ten frames of the slowest",
+        gt=0,
     )
     retry: float = parameter(0.5, "s", "wait before a lost device is opened again", gt=0)
 
@@ -118,15 +121,15 @@ class Device(Component):
 
     @abstractmethod
     def _serve(self) -> None:
-        """Open the hardware and deliver what it says until `_stopping` is set.
+        """Open the hardware and deliver its messages until `_stopping` is set.
 
-        Call `_ready` once it is open and `_deliver` for each message; close what was opened in
-        every case. Waits must end within 0.2 s of `_stopping`.
+        Call `_ready` once it is open and `_deliver` for each message, and always close it. Waits must
+        end within 0.2 s of `_stopping`.
 
         Raises
         ------
         DeviceError
-            If it cannot be opened, or fails; it is then opened again after `retry`.
+            If it cannot be opened, or fails; it is opened again after `retry`.
         """
 
     @property
@@ -135,7 +138,7 @@ class Device(Component):
         return self.label or self.name
 
     def start(self, receiver: Receiver) -> None:
-        """Serve the device in a thread of its own; readings go to `receiver`, in that thread."""
+        """Serve the device in its own thread, which calls `receiver` with readings."""
         if self._thread is not None:
             raise RuntimeError(f"{self.title} has been started already")
         self._receiver = receiver
@@ -149,103 +152,103 @@ class Device(Component):
         if self._thread is not None:
             self._thread.join(wait)
             self._thread = None
-        self._enter("stopped", "")
+        self._set_state("stopped", "")
 
     def health(self) -> Health:
-        """Return how the device is doing."""
+        """Return the status of the device."""
         vitals, moment = self._vitals, now()
         with vitals.lock:
-            state, heard = vitals.state, vitals.last
-            if state == "ok" and not moment - heard < self.patience:
+            state, last = vitals.state, vitals.last
+            if state == "ok" and not moment - last < self.patience:
                 state = "silent"
             rates = {
-                kind: sum(stamp > moment - RATE_SPAN for stamp in stamps) / RATE_SPAN
+                kind: sum(stamp > moment - RATE_WINDOW for stamp in stamps) / RATE_WINDOW
                 for kind, stamps in vitals.recent.items()
             }
-            return Health(state, vitals.detail, rates, dict(vitals.counts), heard)
+            return Health(state, vitals.detail, rates, dict(vitals.counts), last)
 
     def _keep_serving(self) -> None:
         while not self._stopping.is_set():
-            self._enter("opening", "")
+            self._set_state("opening", "")
             try:
                 self._serve()
             except DeviceError as error:
-                self._lose(str(error))
-            except Exception as error:  # a fault of ours must not take the robot down
+                self._report_loss(str(error))
+            except Exception as error:  # a bug here must not stop the robot
                 log.exception("%s", self.title)
-                self._lose(f"{type(error).__name__}: {error}; please report it")
+                self._report_loss(f"{type(error).__name__}: {error}; please report it")
             self._stopping.wait(self.retry)
 
-    def _lose(self, reason: str) -> None:
+    def _report_loss(self, reason: str) -> None:
         with self._vitals.lock:
-            news = (self._vitals.state, self._vitals.detail) != ("lost", reason)
+            changed = (self._vitals.state, self._vitals.detail) != ("lost", reason)
         self._count("lost connection")
-        self._enter("lost", reason)
-        if news:
-            self._tell("error", reason)
+        self._set_state("lost", reason)
+        if changed:
+            self._notify("error", reason)
 
-    def _enter(self, state: State, detail: str) -> None:
+    def _set_state(self, state: State, detail: str) -> None:
         with self._vitals.lock:
             if state == "opening" and self._vitals.state == "lost":
-                return  # what is wrong stays to be read until it is right again
+                return  # keep the error readable while it is retried
             self._vitals.state, self._vitals.detail = state, detail
 
     def _ready(self, detail: str) -> None:
-        """Tell that the device is open and what it is."""
+        """Report that the device is open, with its description."""
         with self._vitals.lock:
             self._vitals.last = now()
-        self._enter("ok", detail)
-        self._tell("info", detail)
+        self._set_state("ok", detail)
+        self._notify("info", detail)
 
-    def _tell(self, level: Literal["info", "warning", "error"], text: str) -> None:
-        """Log an event and deliver it, so that it stands in the recording."""
-        self._hand_over(event(self.title, level, text))
+    def _notify(self, level: Literal["info", "warning", "error"], text: str) -> None:
+        """Log an event and deliver it for the recording."""
+        self._send(event(self.title, level, text))
 
     def _count(self, what: str, number: int = 1) -> None:
-        """Count something that happened."""
+        """Increase a counter."""
         with self._vitals.lock:
             self._vitals.counts[what] += number
 
     def _deliver(self, message: Message, arrived: float, device_stamp: float | None = None) -> None:
-        """Pass a message on."""
+        """Count a message and send it to the receiver."""
         vitals, kind = self._vitals, type(message).__name__
         with vitals.lock:
             vitals.counts[kind] += 1
             recent = vitals.recent.setdefault(kind, deque(maxlen=512))
             recent.append(arrived)
             vitals.last = arrived
-        self._hand_over(Reading(message, arrived, self.title, device_stamp))
+        self._send(Reading(message, arrived, self.title, device_stamp))
 
-    def _hand_over(self, reading: Reading) -> None:
-        """Give a reading to the receiver; a fault of the receiver's must not cut the device off."""
+    def _send(self, reading: Reading) -> None:
+        """Call the receiver; an error of the receiver must not disturb the device."""
         if self._receiver is None:
             return
         try:
             self._receiver(reading)
         except Exception:
             self._count("not received: error")
-            if self._vitals.counts["not received: error"] == 1:  # one in words, the rest in number
-                log.exception("%s: what receives its readings fails", self.title)
+            if self._vitals.counts["not received: error"] == 1:  # log only the first one
+                log.exception("%s: the receiver of its readings fails", self.title)
 
 
 class DriveDevice(Device):
-    """A device that moves the robot. Commands may be given from any thread and return at once."""
+    """A device that moves the robot. Commands may be called from any thread and return at once."""
 
     @property
     def stopped(self) -> bool:
-        """Whether it says that it holds an emergency stop, whoever asked for it."""
+        """Whether it reports an active emergency stop, from any source."""
         return False
 
     @abstractmethod
     def drive(self, speed: float, turn_rate: float) -> None:
-        """Ask for a speed forward (m/s) and a turn rate (rad/s); the device's own dead man ends it.
+        """Command a forward speed (m/s) and a turn rate (rad/s); the device stops after a timeout.
 
-        Does nothing but count while the device is lost.
+        While the device is lost, the command is only counted.
         """
 
     @abstractmethod
     def emergency_stop(self) -> None:
-        """Stop and stay stopped, whatever else is commanded, until `release`; sent until answered."""
+        """Stop, and ignore drive commands until `release`; sent repeatedly until answered."""
 
     @abstractmethod
     def release(self) -> None:

@@ -11,7 +11,7 @@ from impslam.platform.devices.nmea import Epoch, Epochs, Sentences
 from impslam.platform.devices.port import extra, opened, read_some
 from impslam.types import NO_FIX, SatelliteFix
 
-SILENT = 5.0  # s without a sentence: receivers send one a second at least
+SILENCE_TIMEOUT = 5.0  # s without a sentence; receivers send at least one a second
 
 
 @register("nmea")
@@ -27,42 +27,44 @@ class NmeaReceiver(Device):
     latency: float = parameter(
         0.1, "s", "from the moment of a fix until its first sentence begins, at least", ge=0
     )
-    patience: float = parameter(3.0, "s", "nothing heard for this long counts as silent", gt=0)
+    patience: float = parameter(
+        3.0, "s", "a receiver without messages for this long is silent", gt=0
+    )
 
     def _serve(self) -> None:
         library = extra("pynmeagps")
         with opened(self.port, self.baud) as port:
             sentences, epochs, clock = Sentences(library, self._count), Epochs(), DeviceClock()
-            opened_at = heard = now()
+            opened_at = last_sentence = now()
             fixed: bool | None = None
             ready = False
             while not self._stopping.is_set():
                 data = read_some(port)
-                arrived = now()  # of the first bytes: they are read as they come
+                arrived = now()  # of the first byte: bytes are read as they come
                 for sentence, began in sentences.feed(data, arrived):
-                    heard = arrived
+                    last_sentence = arrived
                     if not ready:
                         self._ready(f"NMEA receiver ({sentence.talker}) at {self.port}")
                         ready = True
                     for epoch in epochs.add(sentence, began):
-                        fixed = self._tell_fix(fixed, epoch.status > NO_FIX)
-                        self._pass_on(epoch, clock)
-                if now() - max(heard, opened_at) > SILENT:
+                        fixed = self._notify_fix(fixed, epoch.status > NO_FIX)
+                        self._deliver_epoch(epoch, clock)
+                if now() - max(last_sentence, opened_at) > SILENCE_TIMEOUT:
                     raise DeviceError(
-                        f"{self.port}: no GGA, RMC or GST understood for {SILENT:.0f} s; check the "
-                        f"receiver's supply, its wiring and baud ({self.baud})"
+                        f"{self.port}: no GGA, RMC or GST understood for {SILENCE_TIMEOUT:.0f} s; "
+                        f"check the receiver's supply, its wiring and baud ({self.baud})"
                     )
 
-    def _tell_fix(self, before: bool | None, fixed: bool) -> bool:
-        """Tell when the fix is found or lost."""
+    def _notify_fix(self, before: bool | None, fixed: bool) -> bool:
+        """Notify when the fix is found or lost."""
         if fixed != before:
             if fixed:
-                self._tell("info", "has a fix")
+                self._notify("info", "has a fix")
             elif before:
-                self._tell("warning", "has lost its fix")
+                self._notify("warning", "has lost its fix")
         return fixed
 
-    def _pass_on(self, epoch: Epoch, clock: DeviceClock) -> None:
+    def _deliver_epoch(self, epoch: Epoch, clock: DeviceClock) -> None:
         moment, stamp = epoch.seconds, epoch.arrived - self.latency
         if math.isfinite(moment):
             clock.observe(moment, stamp)

@@ -1,9 +1,9 @@
-"""What a satellite receiver says in NMEA 0183, put together to fixes.
+"""Combine the NMEA 0183 sentences of a satellite receiver to fixes.
 
-A receiver sends several sentences for each moment, in an order of its own: GGA (place, quality, HDOP), RMC
-(whether it is valid) and GST (the errors' ellipse) are read here, whichever constellation's talker says
-them. Sentences with one time make one epoch; it is complete once all kinds have come that the epoch
-before had, or when the next one begins. Sentences are decoded by pynmeagps (BSD-3-Clause).
+A receiver sends several sentences for each time, in any order. GGA (position, quality, HDOP), RMC
+(validity) and GST (error ellipse) are used, from any constellation. Sentences with the same time make
+one epoch; it is complete once it has all kinds of the epoch before, or when the next one begins.
+Sentences are decoded by pynmeagps (BSD-3-Clause).
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ import numpy as np
 
 from impslam.types import FIX, GROUND, NO_FIX, SATELLITES, Array
 
-LONGEST = 1024  # bytes without a line's end: not NMEA, whose sentences have 82
+MAX_LINE_LENGTH = 1024  # bytes; sentences of NMEA have at most 82
 KINDS = ("GGA", "RMC", "GST")
 DAY = 86400.0  # s
 
 # m: error of one range, 1 sigma, by GGA's quality. 1: 3.6 m of signals (GPS SPS Performance Standard, 5th
 # ed., 2020: 7.0 m at 95 %) and 3.5 m of reflections and receiver. 2: the same reflections in the mean
 # of several ranges, signals corrected. 4 and 5: carrier phase with ambiguities fixed, and not. Others
-# (0 none, 6 dead reckoning, 7 typed in, 8 simulated) are no fixes.
+# (0 none, 6 dead reckoning, 7 manual, 8 simulated) are not fixes.
 RANGE_ERROR = {"1": 5.0, "2": 1.5, "3": 5.0, "4": 0.02, "5": 0.4}
 _STATUS = {"1": FIX, "2": SATELLITES, "3": FIX, "4": GROUND, "5": GROUND}
-_UP = 1.5  # 1, vertical error over horizontal: satellites are above only (VDOP / HDOP, usual sky)
+_VERTICAL_RATIO = 1.5  # 1, VDOP / HDOP of a usual sky: satellites are only above the receiver
 
 
 class Epoch(NamedTuple):
-    """A fix as the receiver tells it; see `types.SatelliteFix`.
+    """A fix of the receiver; see `types.SatelliteFix`.
 
     Attributes
     ----------
@@ -51,35 +51,35 @@ class Epoch(NamedTuple):
 
 
 @dataclass(slots=True)
-class _Gathered:
+class _PartialEpoch:
     arrived: float
     sentences: dict[str, Any] = field(default_factory=dict)
-    given: bool = False
+    delivered: bool = False
 
 
 class Sentences:
-    """Lines with right checksums out of bytes that come in pieces.
+    """Splits pieces of a byte stream into sentences with correct checksums.
 
     Parameters
     ----------
     library : pynmeagps
-    count : told what was wrong, and how often
+    count : called with a counter of errors and an increment
     """
 
     def __init__(self, library: ModuleType, count: Callable[[str, int], None]) -> None:
         self._library, self._count = library, count
         self._rest, self._began = b"", math.nan
-        self._whole = False  # what comes before the first line's end may have begun earlier
+        self._whole = False  # the first line may be cut
 
     def feed(self, data: bytes, arrived: float) -> Iterator[tuple[Any, float]]:
-        """Yield the sentences that these bytes complete, and when (s) each began to arrive.
+        """Yield the sentences that these bytes complete, and the arrival of their first byte, s.
 
-        `arrived` is when the first of these bytes came.
+        `arrived` is the arrival of the first of these bytes.
         """
         if not self._rest:
             self._began = arrived
         *lines, self._rest = (self._rest + data).split(b"\n")
-        if len(self._rest) > LONGEST:
+        if len(self._rest) > MAX_LINE_LENGTH:
             self._rest = b""
             self._count("not NMEA", 1)
         for line in lines:
@@ -97,7 +97,7 @@ class Sentences:
             return
         try:
             sentence = self._library.NMEAReader.parse(line)
-        except Exception as error:  # also ValueError and others, of fields that are no numbers
+        except Exception as error:  # also ValueError and others, of invalid fields
             wrong = "checksum" if "checksum" in str(error) else "refused"
             self._count("corrupt" if wrong == "checksum" else wrong, 1)
         else:
@@ -108,38 +108,38 @@ class Sentences:
 
 
 class Epochs:
-    """Fixes out of sentences."""
+    """Combines sentences to epochs."""
 
     def __init__(self) -> None:
         self._expected: frozenset[str] = frozenset()
-        self._gathered: _Gathered | None = None
+        self._partial: _PartialEpoch | None = None
         self._moment: time | None = None
         self._days, self._last = 0, -math.inf
 
     def add(self, sentence: Any, arrived: float) -> Iterator[Epoch]:
-        """Take a sentence that began to arrive at a time (s); yield the epoch that it completes."""
+        """Add a sentence and the arrival of its first byte, s; yield the epochs that it completes."""
         moment = sentence.time
-        if not isinstance(moment, time):  # a receiver that has not found the time yet
+        if not isinstance(moment, time):  # the receiver does not know the time yet
             moment = None
-        if self._gathered is None or moment is None or moment != self._moment:
+        if self._partial is None or moment is None or moment != self._moment:
             yield from self._finish()
-            self._moment, self._gathered = moment, _Gathered(arrived)
-        gathered = self._gathered
-        gathered.sentences.setdefault(sentence.msgID, sentence)
-        if moment is None or (self._expected and self._expected <= gathered.sentences.keys()):
-            yield from self._give(gathered)
+            self._moment, self._partial = moment, _PartialEpoch(arrived)
+        partial = self._partial
+        partial.sentences.setdefault(sentence.msgID, sentence)
+        if moment is None or (self._expected and self._expected <= partial.sentences.keys()):
+            yield from self._emit(partial)
 
     def _finish(self) -> Iterator[Epoch]:
-        """Close the epoch: what it had is what the next one is expected to have."""
-        if self._gathered is not None:
-            self._expected = frozenset(self._gathered.sentences)
-            yield from self._give(self._gathered)
+        """Close the epoch; the next one is expected to have the same kinds of sentences."""
+        if self._partial is not None:
+            self._expected = frozenset(self._partial.sentences)
+            yield from self._emit(self._partial)
 
-    def _give(self, gathered: _Gathered) -> Iterator[Epoch]:
-        if gathered.given:
-            return  # a sentence that came after the epoch had been given out
-        gathered.given = True
-        found = _epoch(gathered, self._seconds(self._moment))
+    def _emit(self, partial: _PartialEpoch) -> Iterator[Epoch]:
+        if partial.delivered:
+            return  # a sentence after the end of its epoch
+        partial.delivered = True
+        found = _epoch(partial, self._seconds(self._moment))
         if found is not None:
             yield found
 
@@ -154,9 +154,9 @@ class Epochs:
         return of_day + DAY * self._days
 
 
-def _epoch(gathered: _Gathered, seconds: float) -> Epoch | None:
-    """Return what the sentences of one moment tell; None if none of them tells a place or its lack."""
-    sentences = gathered.sentences
+def _epoch(partial: _PartialEpoch, seconds: float) -> Epoch | None:
+    """Return the fix in the sentences of one time; None without GGA and RMC."""
+    sentences = partial.sentences
     gga, rmc, gst = (sentences.get(kind) for kind in KINDS)
     place = gga or rmc
     if place is None:
@@ -169,16 +169,16 @@ def _epoch(gathered: _Gathered, seconds: float) -> Epoch | None:
     if status == NO_FIX:
         latitude = longitude = math.nan
     height = _number(gga.alt) + _number(gga.sep) if gga else math.nan
-    covariance = _of_ellipse(gst) if gst else None
+    covariance = _gst_covariance(gst) if gst else None
     if covariance is None:
-        covariance = _of_hdop(_number(gga.HDOP) if gga else math.nan, quality)
+        covariance = _hdop_covariance(_number(gga.HDOP) if gga else math.nan, quality)
     if status == NO_FIX:
         covariance = np.full((3, 3), math.nan)
-    return Epoch(seconds, gathered.arrived, latitude, longitude, height, covariance, status)
+    return Epoch(seconds, partial.arrived, latitude, longitude, height, covariance, status)
 
 
-def _of_ellipse(gst: Any) -> Array | None:
-    """Return the covariance of GST: of its ellipse, or of its errors along north and east."""
+def _gst_covariance(gst: Any) -> Array | None:
+    """Return the covariance of GST, from its ellipse, or else from its errors north and east."""
     major, minor, angle = (_number(v) for v in (gst.stdMajor, gst.stdMinor, gst.orient))
     north, east, up = (_number(v) for v in (gst.stdLat, gst.stdLong, gst.stdAlt))
     covariance = np.diag([east**2, north**2, up**2])
@@ -192,17 +192,17 @@ def _of_ellipse(gst: Any) -> Array | None:
     return covariance if sound else None
 
 
-def _of_hdop(hdop: float, quality: str) -> Array:
-    """Return the covariance by HDOP: sqrt(east^2 + north^2) of a range's error (Kaplan, 7.3.2)."""
+def _hdop_covariance(hdop: float, quality: str) -> Array:
+    """Return the covariance by HDOP: sqrt(east^2 + north^2) per range error (Kaplan, 7.3.2)."""
     error = RANGE_ERROR.get(quality, math.nan)
-    if not 0.0 < hdop < 99.0:  # receivers say 99.99 where they know none
+    if not 0.0 < hdop < 99.0:  # receivers send 99.99 if it is unknown
         return np.full((3, 3), math.nan)
     side = hdop * error / math.sqrt(2.0)
-    return np.diag([side, side, _UP * math.sqrt(2.0) * side]) ** 2
+    return np.diag([side, side, _VERTICAL_RATIO * math.sqrt(2.0) * side]) ** 2
 
 
 def _number(value: object) -> float:
-    """Return a field as a number, NaN where it is empty."""
+    """Return a field as a number, NaN if it is empty."""
     try:
         return float(value)  # type: ignore[arg-type]  # an empty string, or None
     except (TypeError, ValueError):

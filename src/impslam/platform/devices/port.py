@@ -1,7 +1,7 @@
-"""Byte ports: a serial line, a pseudo-terminal or a TCP connection, behind one way to open them.
+"""Byte ports: serial lines, pseudo-terminals and TCP connections with one interface.
 
-pyserial comes with the `robot` extra and is imported when the first port is opened, so that who
-only maps logs does not need it.
+pyserial comes with the `robot` extra and is imported when the first port is opened, as mapping logs
+does not need it.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from impslam.platform.devices.base import DeviceError
 if TYPE_CHECKING:
     import serial
 
-TIMEOUT = 0.05  # s that a read or a write may take: a quarter of what a device has to end in
-CHUNK = 4096  # bytes, one page: what a tty buffers
+IO_TIMEOUT = 0.05  # s of a read or a write: a quarter of the time in which a device must stop
+CHUNK = 4096  # bytes, one page: the buffer of a tty
 
 _ADVICE = {
     errno.ENOENT: "no such port; plug it in, and see `ls /dev/serial/by-id`",
@@ -41,7 +41,7 @@ _ADVICE = {
     errno.ENETUNREACH: "cannot be reached; check its address, its supply and the network",
     errno.ETIMEDOUT: "does not answer; check its address, its supply and the network",
 }
-_LOOKUP_ADVICE = {  # numbers of their own, some of which are other errors' where Linux is not
+_LOOKUP_ADVICE = {  # separate, as on other systems than Linux these numbers may equal those above
     socket.EAI_NONAME: "no such host; check its name, or give its address",
     socket.EAI_AGAIN: "its name cannot be looked up; check the network, or give its address",
 }
@@ -66,29 +66,29 @@ def extra(module: str) -> ModuleType:
 def open_port(url: str, baud: int) -> serial.SerialBase:
     """Open a port: "/dev/ttyUSB0", a pseudo-terminal's path, or "socket://host:port" (TCP).
 
-    It is locked against other programs where the system can; reads and writes end after `TIMEOUT`.
-    `baud` has no meaning over TCP.
+    It is locked against other programs if the system supports it. Reads and writes end after
+    `IO_TIMEOUT`. `baud` is ignored over TCP.
 
     Raises
     ------
     DeviceError
-        If it cannot be opened: what, where, what to do.
+        If it cannot be opened; the message says what to do.
     """
     pyserial = extra("serial")
     try:
         port: serial.SerialBase = pyserial.serial_for_url(
-            url, baudrate=baud, timeout=TIMEOUT, write_timeout=TIMEOUT, exclusive=True
+            url, baudrate=baud, timeout=IO_TIMEOUT, write_timeout=IO_TIMEOUT, exclusive=True
         )
         if url.startswith("socket://"):
-            _send_at_once(port)
+            _disable_nagle(port)
     except (OSError, ValueError, OverflowError) as error:
-        raise _explained(url, "cannot be opened", error) from error
+        raise _device_error(url, "cannot be opened", error) from error
     return port
 
 
 @contextlib.contextmanager
 def opened(url: str, baud: int) -> Iterator[serial.SerialBase]:
-    """Open a port as `open_port` does, and close it whatever happens."""
+    """Open a port as `open_port` does, and close it in every case."""
     port = open_port(url, baud)
     connection = getattr(port, "_socket", None)
     try:
@@ -96,18 +96,18 @@ def opened(url: str, baud: int) -> Iterator[serial.SerialBase]:
     finally:
         port.close()
         if connection is not None:
-            connection.close()  # pyserial 3.5 forgets one whose other end has hung up
+            connection.close()  # pyserial 3.5 does not close one after the other end hung up
 
 
-def read_some(port: serial.SerialBase, wait: float = TIMEOUT) -> bytes:
-    """Return what has come, waiting at most `wait` s for the first byte; empty if none came.
+def read_some(port: serial.SerialBase, wait: float = IO_TIMEOUT) -> bytes:
+    """Return the available bytes, after waiting at most `wait` s for the first one.
 
-    pyserial's `read` waits for a number of bytes; this one gives them as soon as they are there.
+    pyserial's `read` waits for a number of bytes; this one returns them as soon as they arrive.
 
     Raises
     ------
     DeviceError
-        If the port is dead.
+        If the port is lost.
     """
     try:
         ready, _, _ = select.select([port.fileno()], [], [], wait)
@@ -117,23 +117,23 @@ def read_some(port: serial.SerialBase, wait: float = TIMEOUT) -> bytes:
     except BlockingIOError:  # pragma: no cover  # readiness may be spurious: select(2), BUGS
         return b""
     except (OSError, ValueError, TypeError) as error:  # pyserial's of a port closed meanwhile
-        raise _explained(port.port, "has been lost", error) from error
+        raise _device_error(port.port, "has been lost", error) from error
     if not data:
         raise DeviceError(f"{port.port}: has been lost: the other end hung up; check the plug")
     return data
 
 
 def write_all(port: serial.SerialBase, data: bytes) -> None:
-    """Write all of it, within `TIMEOUT`.
+    """Write all bytes within `IO_TIMEOUT`.
 
-    pyserial's `write` spins while a full port takes nothing; this one sleeps.
+    pyserial's `write` busy-waits on a full port; this one sleeps.
 
     Raises
     ------
     DeviceError
-        If the port is dead or does not take it in time; part of it may have been written.
+        If the port is lost or does not accept all bytes in time; some may have been written.
     """
-    end, left = time.monotonic() + TIMEOUT, memoryview(data)
+    end, left = time.monotonic() + IO_TIMEOUT, memoryview(data)
     try:
         while left:
             _, ready, _ = select.select([], [port.fileno()], [], max(0.0, end - time.monotonic()))
@@ -141,26 +141,26 @@ def write_all(port: serial.SerialBase, data: bytes) -> None:
                 raise DeviceError(f"{port.port}: takes nothing any more; check the device")
             left = left[os.write(port.fileno(), left) :]
     except (OSError, ValueError, TypeError) as error:  # pyserial's of a port closed meanwhile
-        raise _explained(port.port, "cannot be written to", error) from error
+        raise _device_error(port.port, "cannot be written to", error) from error
 
 
-def _send_at_once(port: serial.SerialBase) -> None:
-    """Send small writes at once: TCP holds them back until what went before is acknowledged."""
+def _disable_nagle(port: serial.SerialBase) -> None:
+    """Send small writes at once, not after earlier ones are acknowledged (Nagle's algorithm)."""
     with socket.socket(fileno=os.dup(port.fileno())) as connection:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
-def _explained(url: str | None, what: str, error: Exception) -> DeviceError:
+def _device_error(url: str | None, what: str, error: Exception) -> DeviceError:
     return DeviceError(f"{url}: {what}: {_advice(error) or _reason(error)}")
 
 
 def _advice(error: Exception) -> str:
-    """Return what to do about the system's error, which pyserial may have put into words."""
+    """Return what to do about an error of the system, which pyserial may have wrapped."""
     for one in (error, error.__context__):
         first = one.args[0] if one is not None and one.args else None
-        if isinstance(first, int):  # of an OSError, and of termios's error, which is none
-            known = _LOOKUP_ADVICE if isinstance(one, socket.gaierror) else _ADVICE
-            return known.get(first, "")
+        if isinstance(first, int):  # of an OSError, or of termios.error, which is not an OSError
+            advice = _LOOKUP_ADVICE if isinstance(one, socket.gaierror) else _ADVICE
+            return advice.get(first, "")
     return ""
 
 

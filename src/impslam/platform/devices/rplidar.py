@@ -1,4 +1,4 @@
-"""RPLidar of the A series (A1, A2, A3): a lidar without a clock, behind the role of devices."""
+"""Driver of the RPLidar A series (A1, A2, A3), lidars without a clock."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from impslam.platform.devices.rplidar_scans import NodeClock, Turn, Turns, laser
 if TYPE_CHECKING:
     import serial
 
-ANSWER = 1.0  # s to wait for an answer; it takes some ms, more while a scan is ending
-SETTLE = 0.05  # s after STOP in which a stream still comes (the maker asks for 1 ms)
-BOOT = 2.0  # s until it answers again after a reset
-SPIN_UP = 4.0  # s until the motor is fast enough for the first measurement
-UART = 10  # bits on the line for a byte: start, 8, stop
+ANSWER_TIMEOUT = 1.0  # s; an answer takes some ms, more while a scan is ending
+SETTLING_TIME = 0.05  # s after STOP in which a stream still arrives (the manual specifies 1 ms)
+BOOT_TIME = 2.0  # s until it answers again after a reset
+SPIN_UP_TIME = 4.0  # s until the motor is fast enough for the first measurement
+UART_BITS = 10  # bits on the line per byte: start, 8, stop
 
 
 class Model(NamedTuple):
-    """What the data sheets say of a series: limits in m, and whether the host sets its motor."""
+    """Data of a series: limits in m, and whether the host controls its motor."""
 
     name: str
     range_min: float
@@ -43,7 +43,7 @@ class Model(NamedTuple):
     motor: bool
 
 
-# Data sheets A1M8 rev. 3.0, A2M8 rev. 2.5 and A3M1 rev. 1.0; on white things.
+# Data sheets A1M8 rev. 3.0, A2M8 rev. 2.5 and A3M1 rev. 1.0; for white objects.
 MODELS = {
     1: Model("A1", 0.15, 12.0, False),
     2: Model("A2", 0.2, 12.0, True),
@@ -52,7 +52,7 @@ MODELS = {
 
 
 class _Link:
-    """An open port with a parser behind it."""
+    """An open port with its parser."""
 
     def __init__(self, port: serial.SerialBase, stopping: threading.Event) -> None:
         self.port, self.parser, self._stopping = port, Parser(), stopping
@@ -60,30 +60,30 @@ class _Link:
     def send(self, command: Command, payload: bytes = b"") -> None:
         write_all(self.port, request(command, payload))
 
-    def listen(self) -> list[Answer | Nodes]:
-        """Return what has come, after some ms if nothing has."""
+    def receive(self) -> list[Answer | Nodes]:
+        """Return received answers and nodes, after a short wait if there are none."""
         return self.parser.feed(read_some(self.port))
 
-    def ask(self, command: Command) -> bytes | None:
-        """Return the answer to a command; None if there is none."""
+    def query(self, command: Command) -> bytes | None:
+        """Send a command and return its answer, None if there is none."""
         self.parser.reset()
         self.send(command)
-        end = time.monotonic() + ANSWER
+        end = time.monotonic() + ANSWER_TIMEOUT
         while time.monotonic() < end and not self._stopping.is_set():
-            for part in self.listen():
+            for part in self.receive():
                 if isinstance(part, Answer) and part.command == command:
                     return part.data
         return None
 
-    def hush(self) -> None:
-        """End a scan and throw away what is still on the line."""
+    def stop_scan(self) -> None:
+        """End a scan and discard what is still on the line."""
         self.send(Command.STOP)
-        end = time.monotonic() + SETTLE
+        end = time.monotonic() + SETTLING_TIME
         while time.monotonic() < end:
-            read_some(self.port, SETTLE)
+            read_some(self.port, SETTLING_TIME)
 
-    def turn(self, model: Model | None, pwm: int) -> None:
-        """Set the motor: by PWM where the model has it, and by the adapter's DTR (low: it turns)."""
+    def set_motor(self, model: Model | None, pwm: int) -> None:
+        """Set the motor by PWM, if the model has it, and by the adapter's DTR (low: it turns)."""
         with contextlib.suppress(OSError):  # a pseudo-terminal has no such line
             self.port.dtr = pwm == 0
         if model is None or model.motor:
@@ -111,7 +111,7 @@ class RPLidar(Device):
         with opened(self.port, self.baud) as port:
             link, model = _Link(port, self._stopping), None
             try:
-                model = self._introduce(link)
+                model = self._identify(link)
                 self._measure(link, model)
             except DeviceError:
                 if not self._stopping.is_set():
@@ -119,12 +119,12 @@ class RPLidar(Device):
             finally:
                 with contextlib.suppress(DeviceError):  # it may be gone
                     link.send(Command.STOP)
-                    link.turn(model, 0)
+                    link.set_motor(model, 0)
 
-    def _introduce(self, link: _Link) -> Model:
-        """Learn who it is and how it is; reset it if it says that it is ill."""
-        link.hush()
-        data = link.ask(Command.INFO)
+    def _identify(self, link: _Link) -> Model:
+        """Query model and health; reset the lidar if it reports an error."""
+        link.stop_scan()
+        data = link.query(Command.INFO)
         if data is None:
             raise DeviceError(
                 f"{self.port}: no RPLidar answers; check its supply and baud ({self.baud})"
@@ -132,59 +132,59 @@ class RPLidar(Device):
         info = Info.parse(data)
         unknown = Model(f"of unknown model 0x{info.model:02X}", math.nan, math.nan, True)
         model = MODELS.get(info.model >> 4, unknown)
-        self._check(link)
+        self._check_health(link)
         major, minor = info.firmware
         self._ready(f"RPLidar {model.name}, firmware {major}.{minor:02}, serial {info.serial}")
         return model
 
-    def _check(self, link: _Link) -> None:
-        """Ask how it is."""
-        condition = self._condition(link)
+    def _check_health(self, link: _Link) -> None:
+        """Query the health, and reset the lidar once if it reports an error."""
+        condition = self._query_condition(link)
         if condition.status == 2:
             self._count("reset")
             link.send(Command.RESET)
-            self._stopping.wait(BOOT)
-            condition = self._condition(link)
+            self._stopping.wait(BOOT_TIME)
+            condition = self._query_condition(link)
         if condition.status == 2:
             raise DeviceError(
                 f"{self.port}: the RPLidar reports the error 0x{condition.code:04X}; "
                 "free its head, and unplug it for a moment"
             )
         if condition.status == 1:
-            self._tell("warning", f"reports the warning 0x{condition.code:04X}; it may fail soon")
+            self._notify("warning", f"reports the warning 0x{condition.code:04X}; it may fail soon")
 
-    def _condition(self, link: _Link) -> Condition:
-        data = link.ask(Command.HEALTH)
+    def _query_condition(self, link: _Link) -> Condition:
+        data = link.query(Command.HEALTH)
         if data is None:
             raise DeviceError(f"{self.port}: the RPLidar answers no more; unplug it for a moment")
         return Condition.parse(data)
 
     def _measure(self, link: _Link, model: Model) -> None:
         """Start the scan and deliver every turn until the end."""
-        link.turn(model, self.pwm)
+        link.set_motor(model, self.pwm)
         link.parser.reset()
         express = self.mode == "express"
         link.send(*((Command.EXPRESS, bytes(5)) if express else (Command.SCAN,)))
-        on_line = UART * (CAPSULE if express else NODE) / self.baud
+        on_line = UART_BITS * (CAPSULE if express else NODE) / self.baud
         clock, turns = NodeClock(), Turns()
-        until, told = now() + SPIN_UP, 0
+        until, counted = now() + SPIN_UP_TIME, 0
         while not self._stopping.is_set():
-            parts = link.listen()
+            parts = link.receive()
             arrived = now()
             clock.observe(link.parser.received, arrived - on_line - self.latency)
             for nodes in parts:
                 if isinstance(nodes, Nodes):
                     until = arrived + self.patience
                     for turn in turns.add(nodes):
-                        self._pass_on(turn, clock, model, arrived)
-            told = self._take_counts(link.parser, turns, told)
+                        self._deliver_turn(turn, clock, model, arrived)
+            counted = self._update_counts(link.parser, turns, counted)
             if arrived > until:
                 raise DeviceError(
                     f"{self.port}: the RPLidar measures nothing; see that its head turns"
                     + (', and set mode = "standard" if its firmware is old' if express else "")
                 )
 
-    def _pass_on(self, turn: Turn, clock: NodeClock, model: Model, arrived: float) -> None:
+    def _deliver_turn(self, turn: Turn, clock: NodeClock, model: Model, arrived: float) -> None:
         fitted = clock.fit()
         if fitted is None:
             self._count("before the clock")
@@ -193,11 +193,11 @@ class RPLidar(Device):
         limits = model.range_min, self.range_max or model.range_max
         self._deliver(laser_scan(turn, begin + period * turn.first, period, limits), arrived)
 
-    def _take_counts(self, parser: Parser, turns: Turns, told: int) -> int:
+    def _update_counts(self, parser: Parser, turns: Turns, counted: int) -> int:
         """Count what was lost since the last time."""
         for what, number in parser.counts.items():
             self._count(what, number)
         parser.counts.clear()
-        if turns.broken > told:
-            self._count("broken turns", turns.broken - told)
+        if turns.broken > counted:
+            self._count("broken turns", turns.broken - counted)
         return turns.broken

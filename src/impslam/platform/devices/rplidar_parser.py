@@ -1,8 +1,8 @@
-"""From an RPLidar's bytes to answers and measurements, also where bytes were lost or spoilt.
+"""Parse an RPLidar's bytes to answers and measurements, even if bytes were lost or corrupted.
 
-A node is taken only where its angle follows from the one before and `HELD` sound ones follow it,
-and after a loss only where `CHAIN` of them follow from each other (a chance of 6e-7 in random
-bytes). A capsule is taken only with the next one, which tells where it ends.
+A node is accepted only if its angle is consistent with the one before and `HELD_BACK` valid ones follow
+it, and after a loss only if `MIN_CHAIN` consecutive ones are consistent (a probability of 6e-7 in random
+bytes). A capsule is accepted only with the next one, which gives the angle of its end.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from impslam.platform.devices.rplidar_protocol import (
     Command,
     Nodes,
     angles_of,
+    are_consecutive,
     capsule_begin,
-    capsule_is_sound,
     capsule_values,
-    follow,
+    is_valid_capsule,
+    is_valid_node,
     node_values,
-    sound,
 )
 
-CHAIN = 4  # nodes that must follow from each other before a stream is believed
-HELD = 2  # nodes that are held back until as many sound ones came after them
-SPREAD = 0.25  # relative change of a turn's speed from capsule to capsule; more is a capsule lost
-WIDEST = math.radians(120.0)  # of a capsule: 15 Hz at 2 kHz is 86 deg
+MIN_CHAIN = 4  # consecutive consistent nodes before a stream is accepted
+HELD_BACK = 2  # nodes that are held back until as many valid ones follow
+MAX_SPAN_CHANGE = 0.25  # relative, from capsule to capsule; more means a lost capsule
+MAX_SPAN = math.radians(120.0)  # of a capsule: 15 Hz at 2 kHz is 86 deg
 
 
 class Parser:
-    """Makes answers and nodes of bytes, however they are cut, spoilt or mixed; never raises.
+    """Parses pieces of a byte stream to answers and nodes; never raises.
 
-    `counts` has "corrupt" (nodes that were no nodes, or in capsules that were none) and "gaps"
-    (where sound ones did not follow from those before).
+    `counts` has "corrupt" (invalid nodes, or nodes of invalid capsules) and "gaps" (valid ones that
+    were inconsistent with those before).
     """
 
     def __init__(self) -> None:
@@ -50,21 +50,21 @@ class Parser:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all bytes and expect an answer."""
+        """Discard all bytes and expect an answer."""
         self._buffer = bytearray()
         self._stream: Command | None = None
-        self._position = 0  # bytes of the stream that are out of the buffer
-        self._last: float | None = None  # angle of the node before, None: must be found anew
-        self._capsule: Bytes | None = None  # waits for the next one, which tells where it ends
+        self._position = 0  # bytes of the stream that have left the buffer
+        self._last: float | None = None  # angle of the node before, None: must be aligned
+        self._capsule: Bytes | None = None  # waits for the next one, which gives its end
         self._span = 0.0  # rad, width of the capsule before
 
     @property
     def received(self) -> int:
-        """Number of the measurement after the last one whose bytes are all here."""
+        """Number of the measurement after the last complete one."""
         return self._number(self._position + len(self._buffer))
 
     def feed(self, data: bytes) -> list[Answer | Nodes]:
-        """Take bytes and return what they complete."""
+        """Add bytes and return the answers and nodes that they complete."""
         self._buffer += data
         found: list[Answer | Nodes] = []
         if self._stream is None:
@@ -98,7 +98,7 @@ class Parser:
             del self._buffer[:end]
         else:
             if self._stream is None:
-                del self._buffer[:-1]  # half of a sync may wait there
+                del self._buffer[:-1]  # the last byte may be half of a sync
         return found
 
     # ------------------------------------------------------------------ nodes
@@ -110,35 +110,35 @@ class Parser:
             rows = rows[: len(rows) // NODE * NODE].reshape(-1, NODE)
             angles = angles_of(rows)
             before = angles if self._last is None else np.append(self._last, angles)
-            good = sound(rows)
-            good[len(rows) - len(before) + 1 :] &= follow(before)
+            good = is_valid_node(rows)
+            good[len(rows) - len(before) + 1 :] &= are_consecutive(before)
             number = len(rows) if good.all() else int(good.argmin())
-            sure = max(number - HELD, 0)
-            if sure:
-                found.append(node_values(self._number(self._position), rows[:sure]))
-                self._last = float(angles[sure - 1])
-                self._drop(NODE * sure)
+            accepted = max(number - HELD_BACK, 0)
+            if accepted:
+                found.append(node_values(self._number(self._position), rows[:accepted]))
+                self._last = float(angles[accepted - 1])
+                self._drop(NODE * accepted)
             if number == len(rows):
                 break
             self._last = None
-            self._count_lost(NODE * (number - sure))  # half of the last may be another's
-            self._drop(NODE * (number - sure))
+            self._count_lost(NODE * (number - accepted))  # the last one may be part of another
+            self._drop(NODE * (number - accepted))
         return found
 
     def _align(self) -> bool:
-        """Go to where `CHAIN` nodes follow from each other; False if there is no such place yet."""
+        """Skip to `MIN_CHAIN` consecutive nodes; return False if there are none yet."""
         data = np.frombuffer(bytes(self._buffer), np.uint8)
-        places = len(data) - NODE * CHAIN + 1
+        places = len(data) - NODE * MIN_CHAIN + 1
         if places <= 0:
             return False
         windows = np.lib.stride_tricks.sliding_window_view(data, NODE)
-        good, angles = sound(windows), angles_of(windows)
+        good, angles = is_valid_node(windows), angles_of(windows)
         chained = np.ones(places, np.bool_)
-        for k in range(CHAIN):
+        for k in range(MIN_CHAIN):
             chained &= good[NODE * k :][:places]
-        for k in range(CHAIN - 1):
+        for k in range(MIN_CHAIN - 1):
             a, b = angles[NODE * k :][:places], angles[NODE * (k + 1) :][:places]
-            chained &= follow(np.stack([a, b]))[0]
+            chained &= are_consecutive(np.stack([a, b]))[0]
         place = int(chained.argmax()) if chained.any() else places
         if place:
             self._count_lost(place)
@@ -148,7 +148,7 @@ class Parser:
         return bool(place < places)
 
     def _count_lost(self, number: int) -> None:
-        """Count what is skipped; a part of a node or a capsule is one, once."""
+        """Count skipped bytes as measurements; a part of a node or capsule counts once."""
         size = CAPSULE if self._stream == Command.EXPRESS else NODE
         begin = self._position + size - 1
         self.counts["corrupt"] += self._number(begin + number) - self._number(begin)
@@ -163,10 +163,10 @@ class Parser:
         found: list[Nodes] = []
         while len(self._buffer) >= CAPSULE:
             row = np.frombuffer(bytes(self._buffer[:CAPSULE]), np.uint8)
-            if not capsule_is_sound(row):
+            if not is_valid_capsule(row):
                 self._seek_capsule()
                 continue
-            nodes = self._between(row)
+            nodes = self._finish_capsule(row)
             if nodes is not None:
                 found.append(nodes)
             self._capsule = row
@@ -174,9 +174,9 @@ class Parser:
         return found
 
     def _seek_capsule(self) -> None:
-        """Go to the next place where a capsule may begin."""
+        """Skip to the next place where a capsule may begin."""
         if self._capsule is not None:
-            self.counts["corrupt"] += SAMPLES  # where it ends will never be known
+            self.counts["corrupt"] += SAMPLES  # its end stays unknown
         self._capsule, self._span = None, 0.0
         data = np.frombuffer(bytes(self._buffer), np.uint8)
         marks = np.flatnonzero((data[1:-1] >> 4 == 0xA) & (data[2:] >> 4 == 0x5)) + 1
@@ -184,15 +184,15 @@ class Parser:
         self._count_lost(skipped)
         self._drop(skipped)
 
-    def _between(self, row: Bytes) -> Nodes | None:
-        """Return the measurements of the capsule that waits, now that the next one is known."""
+    def _finish_capsule(self, row: Bytes) -> Nodes | None:
+        """Return the measurements of the waiting capsule, which ends where the next one begins."""
         fresh, angle = capsule_begin(row)
         if self._capsule is None or fresh:
             return None
         _, begin = capsule_begin(self._capsule)
         span, before = (angle - begin) % (2 * math.pi), self._span
         self._span = span
-        if span > WIDEST or (before and abs(span - before) > SPREAD * before):
+        if span > MAX_SPAN or (before and abs(span - before) > MAX_SPAN_CHANGE * before):
             self.counts["gaps"] += 1
             return None
         return capsule_values(self._number(self._position - CAPSULE), self._capsule, begin, span)

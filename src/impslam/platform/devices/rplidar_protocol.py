@@ -1,17 +1,17 @@
-"""What an RPLidar of the A series says: requests, answers, and streams of measured nodes.
+"""The protocol of the RPLidar A series: requests, answers, and streams of measured nodes.
 
-Interface Protocol and Application Notes (Slamtec). A request is A5, a command, and where it has a
-payload also its length, itself, and the XOR of all before it. Every answer begins with a descriptor
-of 7 bytes; those of a scan never end.
+Interface Protocol and Application Notes (Slamtec). A request is A5 and a command; a payload is preceded
+by its length and followed by the XOR of all before it. Every answer begins with a descriptor of 7 bytes;
+that of a scan never ends.
 
-- SCAN: nodes of 5 bytes. One bit and its complement tell the start of a turn, one bit is always 1,
-  angles lie below 360 deg; nothing else protects them. A random node passes with a probability of
-  1/2 * 1/2 * 23040/32768 = 0.18, and of 0.015 where its angle must follow from the one before. A
-  bit that flips in a distance or in the lower bits of an angle cannot be seen.
-- EXPRESS: capsules of 32 measurements with an XOR of 8 bits and two sync nibbles: every single
-  flipped bit is seen, two of them in seven of eight cases, random bytes but once in 65536.
+- SCAN: nodes of 5 bytes. One bit and its complement mark the start of a turn, one bit is always 1,
+  angles are below 360 deg; nothing else protects them. A random node passes with a probability of
+  1/2 * 1/2 * 23040/32768 = 0.18, and of 0.015 if its angle must be consistent with the one before. A
+  flipped bit of a distance, or in the lower bits of an angle, cannot be detected.
+- EXPRESS: capsules of 32 measurements with an XOR of 8 bits and two sync nibbles: every single flipped
+  bit is detected, two of them in seven of eight cases, random bytes all but once in 65536.
 
-Angles here are the device's own: clockwise, 0 at its front, in rad.
+Angles here are those of the device: clockwise, 0 at its front, rad.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ Bytes: TypeAlias = npt.NDArray[np.uint8]
 NODE = 5  # bytes
 CAPSULE = 84  # bytes
 SAMPLES = 32  # in a capsule
-FOLLOWS = math.radians(15.0)  # from node to node: 15 Hz at 2 kHz is 2.7 deg, near targets shift 8
+MAX_STEP = math.radians(15.0)  # between nodes: 15 Hz at 2 kHz is 2.7 deg; near targets shift by 8
 
 SYNC = b"\xa5\x5a"
 LENGTH = 7  # of a descriptor
 
 
 class Command(IntEnum):
-    """What can be asked of it."""
+    """Commands of a request."""
 
     STOP = 0x25
     RESET = 0x40
@@ -55,14 +55,14 @@ class Command(IntEnum):
 
 
 class Shape(NamedTuple):
-    """What follows a descriptor: of this many bytes, once or for ever."""
+    """The data after a descriptor: its size in bytes, sent once or as an endless stream."""
 
     command: Command
     size: int
     stream: bool
 
 
-# Length in 30 bits and mode (1: for ever) in 2, little-endian, then the type.
+# Length in 30 bits and mode (1: stream) in 2, little-endian, then the type.
 SHAPES = {
     SYNC + struct.pack("<IB", shape.size | shape.stream << 30, kind): shape
     for kind, shape in {
@@ -76,7 +76,7 @@ DESCRIPTORS = {shape.command: head for head, shape in SHAPES.items()}
 
 
 def request(command: Command, payload: bytes = b"") -> bytes:
-    """Return the bytes that ask for something."""
+    """Return the bytes of a request."""
     if not payload:
         return bytes((0xA5, command))
     head = bytes((0xA5, command, len(payload))) + payload
@@ -85,7 +85,7 @@ def request(command: Command, payload: bytes = b"") -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What came once for a command, without its descriptor."""
+    """A single answer to a command, without its descriptor."""
 
     command: Command
     data: bytes
@@ -93,7 +93,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """Who it is: `model` has the series in its upper and the version in its lower four bits."""
+    """Device information: `model` has the series in its upper four bits, the version in the lower."""
 
     model: int
     firmware: tuple[int, int]
@@ -109,7 +109,7 @@ class Info:
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """How it says it is: `status` 0 good, 1 warning, 2 error, and the maker's own code."""
+    """Device health: `status` 0 good, 1 warning, 2 error, and the manufacturer's code."""
 
     status: int
     code: int
@@ -122,14 +122,14 @@ class Condition:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nodes:
-    """Measurements that follow each other without a gap.
+    """Consecutive measurements without a gap.
 
     Attributes
     ----------
-    first : number of the first one, counted by the bytes since the stream began
-    starts : (n,) bool, a turn begins with this one
+    first : number of the first one, counted by the bytes since the start of the stream
+    starts : (n,) bool, whether a turn begins
     angles : (n,) rad in [0, 2 pi), clockwise
-    ranges : (n,) m, 0 where nothing was measured
+    ranges : (n,) m, 0 if nothing was measured
     qualities : (n,) 0 to 63, None in capsules
     """
 
@@ -140,8 +140,8 @@ class Nodes:
     qualities: Array | None
 
 
-def sound(rows: Bytes) -> Mask:
-    """Tell which rows (n, 5) may be nodes: S is not not-S, check bit 1, angle below a turn."""
+def is_valid_node(rows: Bytes) -> Mask:
+    """Return which rows (n, 5) may be nodes: S differs from not-S, check bit 1, angle below a turn."""
     return np.asarray(
         ((rows[:, 0] ^ rows[:, 0] >> 1) & 1 == 1)
         & (rows[:, 1] & 1 == 1)
@@ -155,13 +155,13 @@ def angles_of(rows: Bytes) -> Array:
     return np.asarray(np.radians(raw / 64.0))
 
 
-def follow(angles: Array) -> Mask:
-    """Tell which angles along the first axis follow from the ones before them."""
-    return np.asarray(np.abs(wrap(np.diff(angles, axis=0))) <= FOLLOWS)
+def are_consecutive(angles: Array) -> Mask:
+    """Return which angles along the first axis are consistent with the ones before them."""
+    return np.asarray(np.abs(wrap(np.diff(angles, axis=0))) <= MAX_STEP)
 
 
 def node_values(first: int, rows: Bytes) -> Nodes:
-    """Return the measurements of sound nodes (n, 5)."""
+    """Return the measurements of valid nodes (n, 5)."""
     ranges = rows[:, 3].astype(np.int64) | rows[:, 4].astype(np.int64) << 8
     return Nodes(
         first,
@@ -172,16 +172,16 @@ def node_values(first: int, rows: Bytes) -> Nodes:
     )
 
 
-def capsule_is_sound(row: Bytes) -> bool:
-    """Tell whether 84 bytes are a capsule: sync nibbles A and 5, and their XOR."""
-    told = (row[0] & 0xF) | (row[1] & 0xF) << 4
+def is_valid_capsule(row: Bytes) -> bool:
+    """Return whether 84 bytes are a capsule: sync nibbles A and 5, and a correct XOR."""
+    checksum = (row[0] & 0xF) | (row[1] & 0xF) << 4
     return bool(
-        row[0] >> 4 == 0xA and row[1] >> 4 == 0x5 and np.bitwise_xor.reduce(row[2:]) == told
+        row[0] >> 4 == 0xA and row[1] >> 4 == 0x5 and np.bitwise_xor.reduce(row[2:]) == checksum
     )
 
 
 def capsule_begin(row: Bytes) -> tuple[bool, float]:
-    """Return whether a capsule is the first of its stream, and the angle at which it begins."""
+    """Return whether a capsule is the first of its stream, and its start angle."""
     raw = int(row[2]) | int(row[3]) << 8
     return raw >= 0x8000, math.radians((raw & 0x7FFF) / 64.0) % (2 * math.pi)
 
@@ -189,9 +189,10 @@ def capsule_begin(row: Bytes) -> tuple[bool, float]:
 def capsule_values(first: int, row: Bytes, begin: float, span: float) -> Nodes:
     """Return the measurements of a capsule that spans an angle.
 
-    Sixteen cabins of 5 bytes: two distances in mm in the upper 14 bits of a word each, whose lower
-    two are the upper ones of an angle in 1/8 deg by which the measurement lies before its place on
-    the even spacing (the triangle of laser and camera); its other four bits are in the fifth byte.
+    A capsule has sixteen cabins of 5 bytes: two words, each with a distance in mm in its upper 14 bits,
+    and four more bits for each in the fifth byte. With the lower two bits of the word as the upper ones,
+    they are the angle in 1/8 deg by which the measurement is before its evenly spaced position (an
+    effect of triangulation).
     """
     cabins = row[4:].reshape(-1, 5).astype(np.int64)
     words = cabins[:, 0:4:2] | cabins[:, 1:4:2] << 8  # (16, 2)

@@ -1,8 +1,8 @@
 """SCIP 2.0, the protocol of Hokuyo's range finders, as pure functions on bytes.
 
-A request is a command of two letters, its parameters, and a line feed. The response repeats it,
-gives a status of two characters, and data in lines of at most 64 characters, each line closed by a
-checksum; an empty line ends it (Hokuyo, SCIP 2.0, C-42-03320B, sections 6 to 8).
+A request is a command of two letters, its parameters, and a line feed. The response consists of an
+echo of the request, a status of two characters, and data in lines of at most 64 characters, each with
+a checksum; an empty line ends it (Hokuyo, SCIP 2.0, C-42-03320B, sections 6 to 8).
 """
 
 from __future__ import annotations
@@ -12,7 +12,12 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from impslam.platform.devices.scip_encoding import DamagedError, decode, sealed, unsealed
+from impslam.platform.devices.scip_encoding import (
+    DamagedError,
+    decode,
+    with_checksum,
+    without_checksum,
+)
 from impslam.types import Array, Ints
 
 Mode: TypeAlias = Literal["MD", "MS", "GD", "GS"]
@@ -21,16 +26,16 @@ BLOCK = 64  # characters of data a line
 STAMP_BITS = 24  # of the sensor's clock, in ms: it wraps every 4 h 39 min 37 s
 WIDTH: dict[str, int] = {"MD": 3, "GD": 3, "MS": 2, "GS": 2}  # characters a distance
 STREAMS = ("MD", "MS")  # sent sweep by sweep until QT; the others answer once
-TEXT_LIMIT = 16  # characters of the user's own text in a request
-ERROR_CODES = 20  # distances below this are no distances (URG-04LX, table 3)
-LONGEST = 32768  # bytes; a response of 9999 steps of 3 characters with checksums is 31 kB
+TEXT_LIMIT = 16  # characters of the user's text in a request
+ERROR_CODES = 20  # values below this are error codes (URG-04LX, table 3)
+MAX_RESPONSE = 32768  # bytes; a response of 9999 steps of 3 characters with checksums is 31 kB
 
 
 # --------------------------------------------------------------------------- requests
 
 
 def request(command: str, parameters: str = "", text: str = "") -> bytes:
-    """Return a request; `text` comes back in the echo, after a semicolon.
+    """Return a request; the echo repeats `text`, after a semicolon.
 
     Raises
     ------
@@ -46,7 +51,7 @@ def request(command: str, parameters: str = "", text: str = "") -> bytes:
 def measure(mode: Mode, first: int, last: int, cluster: int = 1, skip: int = 0) -> bytes:
     """Return a request for the steps `first` to `last`: once (GD, GS) or until QT (MD, MS).
 
-    `cluster` neighbouring steps are merged into one value; between two sweeps `skip` are left out.
+    `cluster` neighbouring steps are merged into one value; `skip` sweeps are left out between two.
     """
     stream = f"{skip:01d}00" if mode in STREAMS else ""
     return request(mode, f"{first:04d}{last:04d}{cluster:02d}{stream}")
@@ -56,11 +61,11 @@ def measure(mode: Mode, first: int, last: int, cluster: int = 1, skip: int = 0) 
 
 
 class Splitter:
-    """Cuts a stream of bytes, which comes in pieces of any size, into responses.
+    """Splits a stream of bytes, in pieces of any size, into responses.
 
     Attributes
     ----------
-    dropped : bytes given up because they grew beyond what a response can have
+    dropped : bytes dropped because they were longer than any response
     """
 
     def __init__(self) -> None:
@@ -68,9 +73,9 @@ class Splitter:
         self.dropped = 0
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Return the responses that are complete with these bytes, without the LF LF that ends each."""
+        """Return the responses that these bytes complete, without the LF LF at their ends."""
         *whole, self._rest = (self._rest + data).split(b"\n\n")
-        if len(self._rest) > LONGEST:
+        if len(self._rest) > MAX_RESPONSE:
             self.dropped += len(self._rest)
             self._rest = b""
         return [stripped for raw in whole if (stripped := raw.lstrip(b"\n"))]
@@ -78,9 +83,9 @@ class Splitter:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """What a sensor answered: the request's echo, a status of two characters, and lines of data.
+    """A response: the request's echo, a status of two characters, and lines of data.
 
-    The switch to SCIP 2.0 is answered in the way of SCIP 1.1, by a status of one character.
+    The switch to SCIP 2.0 is answered as in SCIP 1.1, by a status of one character.
     """
 
     echo: str
@@ -89,7 +94,7 @@ class Response:
 
 
 def parse(raw: bytes) -> Response:
-    """Return a response, cut out by `Splitter`; the lines of its body are still sealed.
+    """Parse a response of `Splitter`; the lines of its body keep their checksums.
 
     Raises
     ------
@@ -104,38 +109,38 @@ def parse(raw: bytes) -> Response:
         return Response(echo, status.decode("ascii"), body)
     if len(status) != 3:
         raise DamagedError("its status is cut")
-    return Response(echo, unsealed(status).decode("ascii"), body)
+    return Response(echo, without_checksum(status).decode("ascii"), body)
 
 
 def stamp_of(line: bytes) -> int:
-    """Return the sensor's clock in ms, 24 bits, from a sealed line of four characters.
+    """Return the sensor's clock in ms, 24 bits, from a line of four characters and a checksum.
 
     Raises
     ------
     DamagedError
         If it is damaged.
     """
-    said = unsealed(line)
-    if len(said) != 4:
+    digits = without_checksum(line)
+    if len(digits) != 4:
         raise DamagedError("a time stamp does not have four characters")
-    return int(decode(said, 4)[0])
+    return int(decode(digits, 4)[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:
-    """One scan as it was sent: the sensor's clock at step 0 in ms, and values (n,) in mm or codes."""
+    """A raw scan: the sensor's clock at step 0 in ms, and values (n,) in mm or error codes."""
 
     stamp: int
     values: Ints
 
 
 def sweep(response: Response, width: int, number: int) -> Sweep:
-    """Return the scan of `number` values that a response carries, whole or not at all.
+    """Return the scan of `number` values in a response.
 
     Raises
     ------
     DamagedError
-        If any line of it is damaged, missing, or one too many.
+        If any line is damaged, missing, or superfluous.
     """
     if not response.body:
         raise DamagedError("it carries no scan")
@@ -145,15 +150,15 @@ def sweep(response: Response, width: int, number: int) -> Sweep:
     expected = [BLOCK + 1] * full + ([rest + 1] if rest else [])
     if [len(block) for block in blocks] != expected:
         raise DamagedError("its lines do not have the lengths that the scan asked for has")
-    return Sweep(stamp, decode(b"".join(map(unsealed, blocks)), width))
+    return Sweep(stamp, decode(b"".join(map(without_checksum, blocks)), width))
 
 
 def in_lines(data: bytes) -> bytes:
-    """Return characters cut into sealed lines; what `sweep` undoes."""
-    return b"".join(sealed(data[i : i + BLOCK]) for i in range(0, len(data), BLOCK))
+    """Return characters as lines with checksums; the inverse of `sweep`."""
+    return b"".join(with_checksum(data[i : i + BLOCK]) for i in range(0, len(data), BLOCK))
 
 
 def to_metres(values: Ints, shortest: int, longest: int) -> Array:
-    """Return ranges (n,) in m; 0 where the value (mm) is an error code or outside the limits."""
+    """Return ranges (n,) in m; 0 if the value (mm) is an error code or outside the limits."""
     valid = (values >= max(shortest, ERROR_CODES)) & (values <= longest)
     return np.where(valid, values, 0) * 1e-3

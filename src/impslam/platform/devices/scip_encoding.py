@@ -1,7 +1,7 @@
-"""How SCIP 2.0 writes numbers and lines: digits of 6 bits as characters, and a checksum for each line.
+"""The encoding of SCIP 2.0: numbers as characters of 6 bits, and lines with a checksum.
 
-Values are cut into digits of 6 bits, most significant first, each sent as the character 0x30 + digit
-(Hokuyo, SCIP 2.0, C-42-03320B, section 6). A line is closed by the low 6 bits of the sum of its bytes.
+Values are split into digits of 6 bits, most significant first, each sent as the character 0x30 + digit
+(Hokuyo, SCIP 2.0, C-42-03320B, section 6). A line ends with the low 6 bits of the sum of its bytes.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ from impslam.types import Ints
 
 
 class DamagedError(ImpError):
-    """A response that did not arrive as it was sent; it is counted and dropped."""
+    """A damaged response; it is counted and dropped."""
 
 
 def checksum(data: bytes) -> int:
-    """Return the character that closes a line: the low 6 bits of the sum of its bytes, + 0x30."""
+    """Return the checksum of a line: 0x30 + the low 6 bits of the sum of its bytes."""
     return (sum(data) & 0x3F) + 0x30
 
 
-def sealed(line: bytes) -> bytes:
-    """Return a line as it is sent: with its checksum and line feed."""
+def with_checksum(line: bytes) -> bytes:
+    """Return a line with its checksum and line feed, as it is sent."""
     return b"%b%c\n" % (line, checksum(line))
 
 
-def unsealed(line: bytes) -> bytes:
-    """Return what a line says, without its checksum.
+def without_checksum(line: bytes) -> bytes:
+    """Return a line without its checksum.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def decode(data: bytes, width: int) -> Ints:
     Raises
     ------
     DamagedError
-        If a character is none of the 64 there are, or some are left over.
+        If a character is invalid, or some are left over.
     """
     if len(data) % width:
         raise DamagedError(f"{len(data)} characters are no whole number of values")

@@ -1,4 +1,4 @@
-"""What a SCIP sensor says of itself: version (VV) and parameters (PP)."""
+"""Version (VV) and parameters (PP) of a SCIP sensor."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from impslam.platform.devices.base import DeviceError
 from impslam.platform.devices.scip_encoding import DamagedError, checksum
 
-_LONGEST_TEXT = 120  # characters of a field that are kept; the longest known has 45
+_MAX_TEXT = 120  # characters of a field that are kept; the longest known has 45
 
-# What a parameter may be, whatever the sensor says: requests have four digits for a step, a
-# distance three characters of 6 bits; a turn of 10 ms to 1 s in parts of 10 to 0.01 degrees.
+# Valid values of parameters: requests have four digits for a step, a distance has three characters
+# of 6 bits; a turn takes 10 ms to 1 s, in steps of 10 to 0.01 degrees.
 _BOUNDS = {
     "DMIN": (0, 2**18 - 1),
     "DMAX": (1, 2**18 - 1),
@@ -33,25 +33,23 @@ def fields(body: tuple[bytes, ...]) -> dict[str, str]:
     """
     found = {}
     for line in body:
-        said, semicolon, seal = line.rpartition(b";")
-        key, colon, value = said.partition(b":")
-        if not semicolon or not colon or len(seal) != 1 or checksum(said) != seal[0]:
+        content, semicolon, seal = line.rpartition(b";")
+        key, colon, value = content.partition(b":")
+        if not semicolon or not colon or len(seal) != 1 or checksum(content) != seal[0]:
             raise DamagedError("a line of what the sensor says of itself is damaged")
-        found[key.decode("ascii", "replace")] = value.decode("ascii", "replace").strip()[
-            :_LONGEST_TEXT
-        ]
+        found[key.decode("ascii", "replace")] = value.decode("ascii", "replace").strip()[:_MAX_TEXT]
     return found
 
 
 def to_line(key: str, value: str) -> bytes:
     """Return a field as a sensor sends it."""
-    said = f"{key}:{value}".encode("ascii")
-    return b"%b;%c\n" % (said, checksum(said))
+    content = f"{key}:{value}".encode("ascii")
+    return b"%b;%c\n" % (content, checksum(content))
 
 
 @dataclass(frozen=True, slots=True)
 class Version:
-    """VV: which one it is and what runs on it."""
+    """VV: product, firmware and serial number."""
 
     product: str
     firmware: str
@@ -59,23 +57,23 @@ class Version:
 
     @classmethod
     def of(cls, body: tuple[bytes, ...]) -> Version:
-        """Read the answer to VV; what it does not say is empty."""
-        said = fields(body)
-        return cls(*(said.get(key, "") for key in ("PROD", "FIRM", "SERI")))
+        """Read the answer to VV; missing fields are empty."""
+        content = fields(body)
+        return cls(*(content.get(key, "") for key in ("PROD", "FIRM", "SERI")))
 
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """PP: what it measures.
+    """PP: parameters of the measurement.
 
     Attributes
     ----------
-    model : its name
-    shortest, longest : mm, distances below and above are none
-    steps : of a whole turn, counted counter-clockwise seen from above
-    first, last : step, between which it measures
-    front : step that looks along the sensor's x axis
-    speed : rpm
+    model : name of the model
+    shortest, longest : valid distances, mm
+    steps : steps of a whole turn, counted counter-clockwise seen from above
+    first, last : steps between which it measures
+    front : step along the sensor's x axis
+    speed : of the motor, rpm
     """
 
     model: str
@@ -96,10 +94,10 @@ class Parameters:
         DamagedError
             If a line is damaged.
         DeviceError
-            If a parameter is missing, no number, or cannot be.
+            If a parameter is missing, not a number, or impossible.
         """
-        said = fields(body)
-        values = cls(said.get("MODL", ""), *(_number(said, key) for key in _BOUNDS))
+        content = fields(body)
+        values = cls(content.get("MODL", ""), *(_number(content, key) for key in _BOUNDS))
         if values.shortest >= values.longest:
             raise DeviceError(
                 f"the sensor says DMIN {values.shortest} and DMAX {values.longest}, which leaves "
@@ -114,22 +112,22 @@ class Parameters:
 
     @property
     def turn(self) -> float:
-        """Time of a turn, in s."""
+        """Time of a turn, s."""
         return 60.0 / self.speed
 
     @property
     def step_time(self) -> float:
-        """Time from a step to the next, in s."""
+        """Time from a step to the next, s."""
         return self.turn / self.steps
 
     @property
     def step_angle(self) -> float:
-        """Angle from a step to the next, in rad."""
+        """Angle from a step to the next, rad."""
         return 2.0 * math.pi / self.steps
 
 
-def _number(said: dict[str, str], key: str) -> int:
-    text, (low, high) = said.get(key, ""), _BOUNDS[key]
+def _number(content: dict[str, str], key: str) -> int:
+    text, (low, high) = content.get(key, ""), _BOUNDS[key]
     if not (text.isdigit() and len(text) < 10 and low <= int(text) <= high):
         raise DeviceError(
             f"the sensor says {key} = {text!r}, expected a number from {low} to {high}; "

@@ -1,4 +1,4 @@
-"""A conversation in SCIP 2.0 over a port: one asks, one answers, and between them scans stream."""
+"""A SCIP 2.0 connection over a port: requests, their answers, and streamed scans in between."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 
 class UnansweredError(DeviceError):
-    """A request that no answer came to."""
+    """A request without an answer."""
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """A response, and when on the host its request was sent and its last byte arrived."""
+class ReceivedResponse:
+    """A response, and the host times of its request and its last byte."""
 
     response: Response
     arrived: float
@@ -31,13 +31,13 @@ class Heard:
 
 
 class ScipLink:
-    """Sends requests and hears responses.
+    """Sends requests and receives responses.
 
     Parameters
     ----------
-    port : open
+    port : an open port
     stopping : ends all waiting once it is set
-    count : told what happens: "damaged responses", "stale responses", "overlong bytes"
+    count : increases counters: "damaged responses", "stale responses", "overlong bytes"
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class ScipLink:
     ) -> None:
         self.count = count
         self._port, self._stopping = port, stopping
-        self._splitter, self._waiting = Splitter(), deque[Heard]()
+        self._splitter, self._received = Splitter(), deque[ReceivedResponse]()
 
     @property
     def where(self) -> str:
@@ -57,7 +57,7 @@ class ScipLink:
 
     @property
     def bit_rate(self) -> int:
-        """Bit rate of the port, in bit/s; without a meaning over USB and TCP."""
+        """Bit rate of the port, bit/s; has no effect over USB and TCP."""
         return int(self._port.baudrate)
 
     @bit_rate.setter
@@ -75,18 +75,18 @@ class ScipLink:
         """Send a request."""
         write_all(self._port, request)
 
-    def hear(self, wait: float) -> Heard | None:
-        """Return the next response that arrived whole; None after `wait` s, or when stopping."""
+    def receive(self, wait: float) -> ReceivedResponse | None:
+        """Return the next undamaged response; None after `wait` s, or when stopping."""
         end = now() + wait
-        while not self._waiting and not self._stopping.is_set():
+        while not self._received and not self._stopping.is_set():
             left = end - now()
             if left <= 0.0:
                 return None
             self._read(min(left, 0.05))
-        return self._waiting.popleft() if self._waiting else None
+        return self._received.popleft() if self._received else None
 
-    def ask(self, request: bytes, wait: float = 0.3, tries: int = 3) -> Heard:
-        """Send a request and return what answers it; whatever else comes meanwhile is stale.
+    def query(self, request: bytes, wait: float = 0.3, tries: int = 3) -> ReceivedResponse:
+        """Send a request and return its answer; other responses meanwhile are stale.
 
         Raises
         ------
@@ -97,9 +97,9 @@ class ScipLink:
         for _ in range(tries):
             sent = now()
             self.send(request)
-            while heard := self.hear(sent + wait - now()):
-                if heard.response.echo == echo:
-                    return Heard(heard.response, heard.arrived, sent)
+            while received := self.receive(sent + wait - now()):
+                if received.response.echo == echo:
+                    return ReceivedResponse(received.response, received.arrived, sent)
                 self.count("stale responses", 1)
             if self._stopping.is_set():
                 break
@@ -108,20 +108,20 @@ class ScipLink:
             "that it has power, and that no other program uses it"
         )
 
-    def hush(self, request: bytes, wait: float = 0.1) -> None:
-        """Send a last request, also when stopping, and give it a moment to be answered."""
+    def send_last(self, request: bytes, wait: float = 0.1) -> None:
+        """Send a last request, even when stopping, and wait shortly for its answer."""
         self.send(request)
         end = now() + wait
-        self._waiting.clear()
+        self._received.clear()
         echo = request.decode("ascii").rstrip("\n")
         while now() < end:
             self._read(0.02)
-            if any(heard.response.echo == echo for heard in self._waiting):
+            if any(received.response.echo == echo for received in self._received):
                 return
 
-    def forget(self) -> None:
-        """Drop what was heard and not taken."""
-        self._waiting.clear()
+    def discard(self) -> None:
+        """Discard pending responses and bytes."""
+        self._received.clear()
         self._splitter = Splitter()
 
     def _read(self, wait: float) -> None:
@@ -130,7 +130,7 @@ class ScipLink:
         dropped = self._splitter.dropped
         for raw in self._splitter.feed(data):
             try:
-                self._waiting.append(Heard(parse(raw), arrived))
+                self._received.append(ReceivedResponse(parse(raw), arrived))
             except DamagedError:
                 self.count("damaged responses", 1)
         if self._splitter.dropped > dropped:

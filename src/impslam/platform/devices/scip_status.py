@@ -76,22 +76,22 @@ _WORDS: dict[str, dict[str, str]] = {
 
 
 def is_verifying(status: str) -> bool:
-    """Tell whether measuring has paused because the sensor doubts itself (21 to 49)."""
+    """Return whether the sensor has paused to verify an error (21 to 49)."""
     return status.isdigit() and 21 <= int(status) <= 49
 
 
 def is_malfunction(command: str, status: str) -> bool:
-    """Tell whether the hardware has failed (50 to 97, or 01 of BM); RS may mend it."""
+    """Return whether the hardware has failed (50 to 97, or 01 of BM); RS may clear it."""
     if command == "BM":
         return status == "01"
     return status.isdigit() and 50 <= int(status) <= 97
 
 
 def words(command: str, status: str) -> str:
-    """Return what a status means that a command (its first two letters) was answered with."""
-    known = _WORDS.get(command[:2], {}) | _GENERAL
-    if status in known:
-        return known[status]
+    """Return the meaning of a status in the answer to a command (its first two letters)."""
+    meanings = _WORDS.get(command[:2], {}) | _GENERAL
+    if status in meanings:
+        return meanings[status]
     if is_verifying(status):
         return f"it has stopped to verify an error (status {status})"
     if is_malfunction(command[:2], status):

@@ -1,4 +1,4 @@
-"""What a scan of a SCIP sensor holds: which beams, where they look, and when."""
+"""The beams of a scan of a SCIP sensor: angles, times and limits."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from impslam.platform.devices.scip import Mode, Sweep
 from impslam.platform.devices.scip_info import Parameters
 from impslam.types import Array, LaserScan
 
-SATURATED = 4095  # mm: two characters say no more, and this for all that is beyond
+SATURATED = 4095  # mm: the largest value of two characters, sent for all larger distances
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,12 +20,12 @@ class Beams:
 
     Attributes
     ----------
-    mode : the command that asks for them
+    mode : the command that requests them
     request : that command in full
-    angles : (n,) rad, counter-clockwise seen from above, 0 straight on
+    angles : (n,) rad, counter-clockwise seen from above, 0 forward
     offsets : (n,) s after the first beam
     delay : s from step 0, which the sensor stamps, to the first beam
-    limits : mm, smaller and larger values are no distances
+    limits : valid distances, mm
     """
 
     mode: Mode
@@ -37,25 +37,27 @@ class Beams:
 
     @classmethod
     def of(
-        cls, known: Parameters, mode: Mode, span: tuple[int, int], cluster: int, skip: int
+        cls, parameters: Parameters, mode: Mode, span: tuple[int, int], cluster: int, skip: int
     ) -> Beams:
-        """Lay out the steps from the first to the last of `span`; a beam is amid its cluster."""
+        """Return the beams of the steps of `span`, each in the middle of its cluster."""
         first, last = span
         starts = np.arange(first, last + 1, cluster, dtype=np.float64)
         middles = 0.5 * (starts + np.minimum(starts + cluster - 1, last))
-        longest = min(known.longest, SATURATED - 1) if scip.WIDTH[mode] == 2 else known.longest
+        limit = (
+            min(parameters.longest, SATURATED - 1) if scip.WIDTH[mode] == 2 else parameters.longest
+        )
         return cls(
             mode=mode,
             request=scip.measure(mode, first, last, cluster, skip),
-            angles=(middles - known.front) * known.step_angle,
-            offsets=(middles - middles[0]) * known.step_time,
-            delay=float(middles[0]) * known.step_time,
-            limits=(known.shortest, longest),
+            angles=(middles - parameters.front) * parameters.step_angle,
+            offsets=(middles - middles[0]) * parameters.step_time,
+            delay=float(middles[0]) * parameters.step_time,
+            limits=(parameters.shortest, limit),
         )
 
     @property
     def echo(self) -> str:
-        """What its responses begin with."""
+        """The first line of its responses."""
         return self.request.decode("ascii").rstrip("\n")
 
     @property
@@ -65,23 +67,23 @@ class Beams:
         return len(self.request) + 4 + 6 + data + 2 * -(-data // scip.BLOCK) + 1
 
     def read(self, response: scip.Response) -> Sweep:
-        """Return the scan that a response carries, whole or not at all.
+        """Return the scan in a response.
 
         Raises
         ------
         DamagedError
-            If anything of it is damaged.
+            If any part of it is damaged.
         """
         return scip.sweep(response, scip.WIDTH[self.mode], len(self.angles))
 
     def to_scan(self, sweep: Sweep, step_0: float) -> LaserScan:
-        """Return a scan whose step 0 was at a time; beams that measured nothing have range 0."""
-        shortest, longest = self.limits
+        """Return a scan with step 0 at a time; beams without a measurement have range 0."""
+        shortest, limit = self.limits
         return LaserScan(
             step_0 + self.delay,
             self.angles,
-            scip.to_metres(sweep.values, shortest, longest),
+            scip.to_metres(sweep.values, shortest, limit),
             self.offsets,
             1e-3 * shortest,
-            1e-3 * longest,
+            1e-3 * limit,
         )

@@ -1,4 +1,4 @@
-"""A wheel's angle from its encoder's accumulator, across wraps and across reboots of who counts."""
+"""The angle of a wheel from its encoder's accumulator, across wraps and reboots of the counter."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import math
 
 
 class WheelCounter:
-    """Turns a 32-bit accumulator into an angle that goes on.
+    """Converts a 32-bit accumulator to a continuous angle.
 
-    Where the accumulator began anew, the absolute encoder says how far the wheel has turned
-    meanwhile, but for whole turns: the way to its reading is taken the shorter way round.
+    After a restart of the accumulator, the absolute encoder gives the rotation since the last reading,
+    except for whole turns: the smaller of the two possible rotations is taken.
 
     Parameters
     ----------
-    per_turn : counts of the accumulator in one turn
-    steps : of the absolute encoder in one turn
+    per_turn : counts of the accumulator per turn
+    steps : steps of the absolute encoder per turn
     """
 
     def __init__(self, per_turn: int, steps: int) -> None:
@@ -24,7 +24,7 @@ class WheelCounter:
         self._total = 0.0  # counts; exact up to 2^53
 
     def restart(self) -> None:
-        """Know that the accumulator begins anew."""
+        """Handle a restart of the accumulator."""
         self._count = None
 
     def __call__(self, count: int, reading: int) -> float:
@@ -36,14 +36,14 @@ class WheelCounter:
         reading : the absolute encoder, in [0, steps)
         """
         if self._count is not None:
-            self._total += shorter_way(count - self._count, 1 << 32)
+            self._total += wrapped_difference(count - self._count, 1 << 32)
         elif self._reading is not None:
-            gap = shorter_way(reading - self._reading, self._steps)
+            gap = wrapped_difference(reading - self._reading, self._steps)
             self._total += gap * self._per_turn / self._steps
         self._count, self._reading = count, reading
         return 2.0 * math.pi * self._total / self._per_turn
 
 
-def shorter_way(difference: int, span: int) -> int:
+def wrapped_difference(difference: int, span: int) -> int:
     """Return the difference of two readings that wrap at `span`, in [-span/2, span/2)."""
     return (difference + span // 2) % span - span // 2

@@ -1,1 +1,1 @@
-"""The station: devices to log, map and page; drive commands back."""
+"""The station: connects devices, recorder, live map and page, and drives the robot."""

@@ -1,8 +1,8 @@
-"""The helm: who drives, and what stops the robot when nobody does.
+"""The helm: one driver at a time, a timeout of commands, and the emergency stop.
 
-One driver at a time; others watch. A command holds for `DEAD_MAN` and then the robot is told to
-stand; the micro-controller stops by itself `0.2 s` later if even that does not reach it. An
-emergency stop comes from anyone, wins over everything and stays until the driver releases it.
+A command is valid for `COMMAND_TIMEOUT`; after that, the helm commands zero speed. The
+micro-controller stops by itself 0.2 s later if even that does not reach it. Anyone can trigger the
+emergency stop; it overrides all commands until the driver releases it.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from impslam.platform.devices.base import DriveDevice, now
 
 log = logging.getLogger(__name__)
 
-DEAD_MAN = 0.3  # s; a page sends ten commands a second, so that two may be lost on the way
-ALIVE = 5.0  # s without passing anything on: the helm hangs; twice a port's longest write
-PERIOD = 0.05  # s between commands to the device: six reach it before its own dead man of 0.5 s
+COMMAND_TIMEOUT = 0.3  # s; a page sends ten commands a second, so two may be lost
+HANG_TIMEOUT = 5.0  # s without a command sent: the helm hangs; twice a port's longest write
+PERIOD = 0.05  # s between commands to the device: six within COMMAND_TIMEOUT
 
 
 class HelmError(ImpError):
-    """A command that is refused: what, and what to do."""
+    """A refused command; the message says what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class HelmState:
-    """What everyone may see.
+    """The public state of the helm.
 
     Attributes
     ----------
-    driver : id of who drives, None if nobody does
-    name : how that one is called on the page, "" if nobody drives
-    stopped : why the emergency stop holds, "" if it does not
-    speed, turn_rate : m/s and rad/s, what the device is being told
+    driver : id of the driver, None if nobody drives
+    name : the driver's name on the page, "" if nobody drives
+    stopped : why the emergency stop is active, "" if it is not
+    speed, turn_rate : m/s and rad/s, the present command to the device
     """
 
     driver: str | None
@@ -46,39 +46,40 @@ class HelmState:
 
 
 class Helm:
-    """Passes commands from one driver to the device that moves the robot, as long as they come.
+    """Forwards the commands of one driver to the drive device, as long as they keep coming.
 
     Parameters
     ----------
-    device : what moves the robot, None where nothing does
-    limits : m/s and rad/s that no command may exceed; what is beyond is cut to them
-    tell : called with (level, text) for what everyone should know
-    sent : called with (m/s, rad/s) when the device is told to move, or anew to stand
+    device : the drive device, None if the robot has none
+    limits : m/s and rad/s; commands are clipped to them
+    notify : called with (level, text) for events that everyone should see
+    on_command : called with (m/s, rad/s) for each command to move and for the first zero command
     """
 
     def __init__(
         self,
         device: DriveDevice | None,
         limits: tuple[float, float],
-        tell: Callable[[str, str], None] = lambda level, text: None,
-        sent: Callable[[float, float], None] = lambda speed, turn_rate: None,
+        notify: Callable[[str, str], None] = lambda level, text: None,
+        on_command: Callable[[float, float], None] = lambda speed, turn_rate: None,
     ) -> None:
-        self._device, self._limits, self._tell, self._sent = device, limits, tell, sent
+        self._device, self._limits = device, limits
+        self._notify, self._on_command = notify, on_command
         self._lock = threading.Lock()
         self._driver: tuple[str, str] | None = None
         self._stopped = ""
-        self._command, self._given = (0.0, 0.0), float("-inf")
-        self._told = (0.0, 0.0)
-        self._passed = now()
+        self._command, self._commanded_at = (0.0, 0.0), float("-inf")
+        self._sent_command = (0.0, 0.0)
+        self._sent_at = now()
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._keep, name="helm", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="helm", daemon=True)
 
     def start(self) -> None:
-        """Begin to pass commands on."""
+        """Start to send commands to the device."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Stand still and end."""
+        """Stop the robot and end the thread."""
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join(1.0)
@@ -96,123 +97,127 @@ class Helm:
                 raise HelmError("this robot has nothing to drive with; add a drive device to it")
             if self._driver is not None and self._driver[0] != driver:
                 raise HelmError(f"{self._driver[1]} is driving; ask them to let go of the helm")
-            news = self._driver is None
+            changed = self._driver is None
             self._driver = (driver, name)
-        if news:
-            self._tell("info", f"{name} takes the helm")
+        if changed:
+            self._notify("info", f"{name} takes the helm")
 
     def leave(self, driver: str) -> None:
-        """Let go of the helm; the robot stands. Does nothing for who does not drive."""
+        """Give up the helm; the robot stops. Does nothing for anyone but the driver."""
         with self._lock:
             if self._driver is None or self._driver[0] != driver:
                 return
             name = self._driver[1]
             self._driver, self._command = None, (0.0, 0.0)
-        self._tell("info", f"{name} lets go of the helm")
+        self._notify("info", f"{name} lets go of the helm")
 
     def drive(self, driver: str, speed: float, turn_rate: float, age: float = 0.0) -> None:
-        """Command a speed forward (m/s) and a turn rate (rad/s); repeat it within `DEAD_MAN`.
+        """Command a forward speed and a turn rate; repeat it within `COMMAND_TIMEOUT`.
+
+        During an emergency stop, commands are accepted and have no effect.
 
         Parameters
         ----------
-        driver : who commands
+        driver : id of who commands
         speed, turn_rate : m/s and rad/s
-        age : s since the command was given. It holds until `DEAD_MAN` after that; one that is older
-            has waited somewhere on its way, and is dropped.
+        age : s since the command was given; one of `COMMAND_TIMEOUT` or older is dropped
 
         Raises
         ------
         HelmError
-            If it comes from another than the driver, or is no number; the robot then goes on as
-            before. During an emergency stop commands are accepted and have no effect.
+            If it is not from the driver, or not finite; the previous command then stays valid.
         """
         if not (abs(speed) < float("inf") and abs(turn_rate) < float("inf")):
-            raise HelmError(f"a command of {speed} m/s and {turn_rate} rad/s is no motion")
+            raise HelmError(f"a command of {speed} m/s and {turn_rate} rad/s is not finite")
         with self._lock:
             if self._driver is None or self._driver[0] != driver:
                 raise HelmError("take the helm before you drive")
-            if age >= DEAD_MAN:
+            if age >= COMMAND_TIMEOUT:
                 return
-            self._command = _within(speed, self._limits[0]), _within(turn_rate, self._limits[1])
-            self._given = now() - age
-        self._pass_on()
+            self._command = _clipped(speed, self._limits[0]), _clipped(turn_rate, self._limits[1])
+            self._commanded_at = now() - age
+        self._send()
 
     def emergency_stop(self, by: str) -> None:
-        """Stop, from anyone, at once; it holds until `release`."""
+        """Stop the robot at once, for anyone, until `release`."""
         with self._lock:
-            news = not self._stopped
+            changed = not self._stopped
             self._stopped = f"emergency stop by {by}"
             self._command = (0.0, 0.0)
-            # Within the lock, so that device and helm agree when a release comes at the same time.
+            # Within the lock, so that device and helm agree if a release comes at the same time.
             if self._device is not None:
                 self._device.emergency_stop()
-        if news:
-            self._tell("warning", f"emergency stop by {by}")
+        if changed:
+            self._notify("warning", f"emergency stop by {by}")
 
     def release(self, driver: str) -> None:
-        """End the emergency stop; only the driver may, and the robot stands until commanded anew.
+        """End the emergency stop; the robot does not move until the next command.
 
         Raises
         ------
         HelmError
-            If it comes from another than the driver.
+            If it is not from the driver.
         """
         with self._lock:
             if self._driver is None or self._driver[0] != driver:
                 raise HelmError("take the helm before you release the emergency stop")
-            news = bool(self._held())
+            changed = bool(self._stop_reason())
             self._stopped, self._command = "", (0.0, 0.0)
             name = self._driver[1]
             if self._device is not None:
                 self._device.release()
-        if news:
-            self._tell("info", f"emergency stop released by {name}")
+        if changed:
+            self._notify("info", f"emergency stop released by {name}")
 
     def state(self) -> HelmState:
-        """Return who drives and what the device is being told."""
+        """Return who drives and the present command."""
         with self._lock:
             driver, name = self._driver or (None, "")
-            return HelmState(driver, name, self._held(), *self._wanted())
+            return HelmState(driver, name, self._stop_reason(), *self._current_command())
 
-    def _held(self) -> str:
-        """Return why the robot is stopped: here, or by what it was told before this program ran."""
+    def _stop_reason(self) -> str:
+        """Return why the robot is stopped; the device may hold a stop from before this program ran."""
         if self._stopped or self._device is None or not self._device.stopped:
             return self._stopped
         return f"emergency stop held by {self._device.title}"
 
-    def _wanted(self) -> tuple[float, float]:
-        fresh = now() - self._given < DEAD_MAN
+    def _current_command(self) -> tuple[float, float]:
+        fresh = now() - self._commanded_at < COMMAND_TIMEOUT
         return self._command if fresh and not self._stopped else (0.0, 0.0)
 
     @property
     def alive(self) -> bool:
-        """Whether commands are still passed on."""
-        return self._thread.is_alive() and now() - self._passed < ALIVE
+        """Whether commands are still sent."""
+        return self._thread.is_alive() and now() - self._sent_at < HANG_TIMEOUT
 
-    def _keep(self) -> None:
+    def _run(self) -> None:
         while not self._closing.wait(PERIOD):
             try:
-                self._pass_on()
-            except Exception:  # a fault of ours; the watchdog sees it where it lasts
+                self._send()
+            except Exception:  # a bug; if it persists, the watchdog notices
                 log.exception("helm")
             else:
-                self._passed = now()
+                self._sent_at = now()
         if self._device is not None:
             self._device.drive(0.0, 0.0)
 
-    def _pass_on(self) -> None:
-        """Tell the device what is wanted; a stand is repeated as well, since a frame may be lost."""
+    def _send(self) -> None:
+        """Send the present command; zeros are repeated as well, since a frame may be lost."""
         with self._lock:
-            device, (speed, turn_rate), stopped = self._device, self._wanted(), self._stopped
+            device, (speed, turn_rate), stopped = (
+                self._device,
+                self._current_command(),
+                self._stopped,
+            )
             if device is None or stopped:
                 return
-            # Within the lock, so that no thread sends an older command after a newer one.
+            # Within the lock, so that no thread sends an old command after a newer one.
             device.drive(speed, turn_rate)
-            news = (speed, turn_rate) != self._told or (speed, turn_rate) != (0.0, 0.0)
-            self._told = (speed, turn_rate)
-        if news:
-            self._sent(speed, turn_rate)
+            changed = (speed, turn_rate) != self._sent_command or (speed, turn_rate) != (0.0, 0.0)
+            self._sent_command = (speed, turn_rate)
+        if changed:
+            self._on_command(speed, turn_rate)
 
 
-def _within(value: float, limit: float) -> float:
+def _clipped(value: float, limit: float) -> float:
     return max(-limit, min(limit, value))

@@ -1,4 +1,4 @@
-"""The queue between what senses and what maps: whole scans are dropped from it, motion never."""
+"""The queue between the devices and the mapper; it drops whole scans, never motion."""
 
 from __future__ import annotations
 
@@ -9,31 +9,31 @@ from dataclasses import dataclass
 
 from impslam.types import Message
 
-SCANS = 3
-"""Scans that may wait: 0.3 s at 10 Hz. More would only make the map older, fewer would drop scans
-for a hiccup of the computer."""
-LIMIT = 60_000
+MAX_SCANS = 3
+"""Scans that may wait: 0.3 s at 10 Hz. More would delay the map, fewer would drop scans at a short
+stall of the computer."""
+MAX_MESSAGES = 60_000
 """Messages that may wait: ten minutes of odometry at 100 Hz, in 10 MB."""
 
 
 @dataclass(slots=True, eq=False)
 class Entry:
-    """A message that waits; None once it is dropped."""
+    """A waiting message; None once it is dropped."""
 
     message: Message | None
     arrived: float
 
 
 class Inbox:
-    """A queue of messages in the order in which they came.
+    """A queue of messages in order of arrival.
 
-    When more than `scans` scans wait the oldest of them is dropped and counted: the newest tells
-    most about where the robot is now, and what they have in common is lost with none. Messages of
-    motion stay, since each says what the others do not. `dropped_at` is monotonic time.
+    When more than `scans` scans wait, the oldest is dropped and counted: consecutive scans overlap,
+    and the newest matters most for the present pose. Motion is never dropped, since no other message
+    replaces it. `dropped_at` is monotonic time.
     """
 
-    def __init__(self, scans: int = SCANS) -> None:
-        self._most = scans
+    def __init__(self, scans: int = MAX_SCANS) -> None:
+        self._max_scans = scans
         self._entries: deque[Entry] = deque()
         self._scans: deque[Entry] = deque()
         self._changed = threading.Condition()
@@ -41,22 +41,22 @@ class Inbox:
         self.dropped, self.dropped_at = 0, float("-inf")
 
     def put(self, message: Message, arrived: float, is_scan: bool) -> bool:
-        """Take a message from any thread; tell whether there was room."""
+        """Add a message, from any thread; return whether there was room."""
         with self._changed:
-            if len(self._entries) >= LIMIT:
+            if len(self._entries) >= MAX_MESSAGES:
                 return False
             entry = Entry(message, arrived)
             self._entries.append(entry)
             if is_scan:
                 self._scans.append(entry)
-                if len(self._scans) > self._most:
+                if len(self._scans) > self._max_scans:
                     self._scans.popleft().message = None
                     self.dropped, self.dropped_at = self.dropped + 1, time.monotonic()
             self._changed.notify()
             return True
 
     def take(self, timeout: float | None = None) -> tuple[Message, float] | None:
-        """Return the next message and when it arrived; None after `timeout` s, or if woken."""
+        """Return the next message and its arrival time; None after `timeout` s, or if woken."""
         with self._changed:
             self._changed.wait_for(lambda: self._entries or self._woken, timeout)
             self._woken = False
@@ -69,17 +69,17 @@ class Inbox:
             return None
 
     def wake(self) -> None:
-        """Make who waits in `take` look up."""
+        """Make a waiting `take` return."""
         with self._changed:
             self._woken = True
             self._changed.notify()
 
     @property
     def empty(self) -> bool:
-        """Tell whether nothing waits."""
+        """Whether nothing waits."""
         return not self._entries
 
     @property
     def waiting(self) -> int:
-        """How many scans wait."""
+        """Number of waiting scans."""
         return len(self._scans)

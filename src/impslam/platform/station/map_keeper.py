@@ -1,4 +1,4 @@
-"""Keeps the map that the robot makes on the disk: each minute, at its end, and when asked for."""
+"""Saves the live map: every minute, at the end, and on request."""
 
 from __future__ import annotations
 
@@ -12,148 +12,147 @@ from pathlib import Path
 
 from impslam.errors import ImpError, in_a_line
 from impslam.paths import make_folder, written
-from impslam.platform.station.going_on import GoingOn
+from impslam.platform.station.continued_map import ContinuedMap
 from impslam.platform.station.map_store import FILE
 from impslam.platform.station.mapper import LiveMapper
 
 log = logging.getLogger(__name__)
 
-PERIOD = 60.0  # s of map that a power failure may cost
-SHARE = 20
-"""A map is not saved again before so many times the seconds that saving took: a large one takes at
-most a twentieth of the computer."""
+SAVE_INTERVAL = 60.0  # s of map that a power failure may cost
+MIN_PAUSE_RATIO = 20
+"""Smallest ratio of the pause before the next save to the time that the last one took: saving uses at
+most a twentieth of the time."""
 
 
 class MapKeeper:
-    """Saves what a mapper maps, each map into a folder of its own.
+    """Saves the maps of a mapper, each into its own folder.
 
-    The file of the map is replaced at once by one that is on the disk, so that a power failure leaves
-    the old or the new one.
+    A file on the disk is replaced atomically, so that a power failure leaves the old or the new one.
 
     Parameters
     ----------
-    mapper : what makes the map
-    folder : where maps are kept; it is made if need be
-    announce : called with a level and a line where a map cannot be saved
+    mapper : makes the map
+    folder : where maps are kept; created if necessary
+    notify : called with a level and a line if a map cannot be saved
     """
 
     def __init__(
-        self, mapper: LiveMapper, folder: Path, announce: Callable[[str, str], None]
+        self, mapper: LiveMapper, folder: Path, notify: Callable[[str, str], None]
     ) -> None:
-        self._mapper, self._folder, self._announce = mapper, folder, announce
-        self._saving = threading.Lock()  # the clock and two people may want to at the same time
+        self._mapper, self._folder, self._notify = mapper, folder, notify
+        self._saving = threading.Lock()  # the thread and several users may save at the same time
         self._target: Path | None = None
-        self._kept, self._failure = 0, ""
+        self._saved_steps, self._failure = 0, ""
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="map keeper", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="map keeper", daemon=True)
 
     @property
     def name(self) -> str:
-        """The folder of the map that is being made, "" before it is first saved."""
+        """The folder name of the present map, "" before it is first saved."""
         return "" if self._target is None else self._target.name
 
     def start(self) -> None:
-        """Begin to save each minute; remove what an earlier program did not come to write whole."""
+        """Start to save every minute; remove partial files that an earlier program left."""
         for part in self._folder.glob(f"*/.{FILE}.*.part"):
             with suppress(OSError):
                 part.unlink()
         self._thread.start()
 
     def stop(self) -> None:
-        """End, and save what is not saved yet."""
+        """End the thread, and save what is not saved yet."""
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join()
-        self._try()
+        self._try_to_save()
 
-    def begin(self, going_on: GoingOn | None = None) -> None:
-        """Save the present map, and begin a new one or go on with another one.
+    def begin(self, continued: ContinuedMap | None = None) -> None:
+        """Save the present map, and begin a new one or continue another one.
 
-        A map that is gone on with is saved as a new one: the map that it was stays as it is.
+        A continued map is saved as a new one; the original stays as it is.
 
         Raises
         ------
         ImpError
-            If the present map cannot be saved, or the other one cannot be gone on with; the present
-            map then goes on.
+            If the present map cannot be saved, or the other one cannot be continued; mapping of the
+            present map then goes on.
         """
         with self._saving:
-            self._keep()
-            self._mapper.start(going_on)
-            self._target, self._kept = None, 0
+            self._save_if_new()
+            self._mapper.start(continued)
+            self._target, self._saved_steps = None, 0
 
     def hint(self, x: float, y: float) -> None:
-        """Seek anew where the robot is in the map that is gone on with, about a place, m.
+        """Restart the search for the robot in the continued map, near a position, m.
 
-        What was mapped without being found in it is given up.
+        What was mapped before the robot was located is discarded.
 
         Raises
         ------
         ImpError
-            If no map is gone on with, or the robot is found in it already.
+            If no map is continued, or the robot is already located in it.
         """
         with self._saving:
-            going_on, status = self._mapper.going_on, self._mapper.status()
+            continued, status = self._mapper.continued, self._mapper.status()
             if status.placed:
-                raise ImpError("the robot need not be sought; it is known where it is in the map")
-            if going_on is None:
-                raise ImpError("a hint is for a map that is gone on with; drive on, to be found")
-            self._mapper.start(going_on.hinted(x, y))
-            self._kept = 0
+                raise ImpError("a hint is not needed; the robot is already located in the map")
+            if continued is None:
+                raise ImpError("a hint needs a continued map; drive on until the robot is located")
+            self._mapper.start(continued.with_hint(x, y))
+            self._saved_steps = 0
 
     def save(self) -> Path:
-        """Write the map as it is now, with all files of a run, into its folder; mapping goes on.
+        """Write the present map and all other files of a run into its folder; mapping goes on.
 
         Raises
         ------
         ImpError
-            If nothing is mapped yet, or a file cannot be written.
+            If nothing is mapped yet, the map is frozen, or a file cannot be written.
         """
         with self._saving:
             if self._mapper.status().frozen:
-                raise ImpError("the robot is localised in a map that stays as it is; none is new")
+                raise ImpError("the robot is localised in a frozen map; there is nothing to save")
             steps = self._mapper.status().steps
-            folder = self._within(self._mapper.save)
-            self._kept = steps
+            folder = self._save_into(self._mapper.save)
+            self._saved_steps = steps
             return folder
 
-    def _keep(self) -> None:
-        """Save the map if there is more of it than on the disk."""
+    def _save_if_new(self) -> None:
+        """Save the map if it has grown since the last save."""
         status = self._mapper.status()
-        if status.steps > self._kept and not status.frozen:
-            self._within(self._mapper.save_map)
-            self._kept = status.steps
+        if status.steps > self._saved_steps and not status.frozen:
+            self._save_into(self._mapper.save_map)
+            self._saved_steps = status.steps
 
-    def _within(self, save: Callable[[Path], Path]) -> Path:
-        """Save into the folder of this map, which is made if need be; an empty one does not stay."""
+    def _save_into(self, save: Callable[[Path], Path]) -> Path:
+        """Save into the folder of this map; create it if necessary, and remove it if it stays empty."""
         if self._target is None:
             with written(self._folder, "check it"):
                 self._target = make_folder(self._folder, time.strftime("map-%Y%m%d-%H%M%S"))
         try:
             save(self._target)
         except ImpError:
-            if not (self._target / FILE).exists():  # half a map is none, and takes room
+            if not (self._target / FILE).exists():  # a partial map is useless and takes space
                 shutil.rmtree(self._target, ignore_errors=True)
                 self._target = None
             raise
         return self._target
 
-    def _try(self) -> None:
-        """Save if need be; a failure is told once, until it is another one."""
+    def _try_to_save(self) -> None:
+        """Save if necessary; report a failure once, until it changes."""
         failure = ""
         try:
             with self._saving:
-                self._keep()
-        except Exception as error:  # of the estimator, perhaps; the next minute is another try
+                self._save_if_new()
+        except Exception as error:  # maybe a bug of the estimator; retried a minute later
             log.debug("the map is not saved", exc_info=True)
             failure = in_a_line(error)
         if failure and failure != self._failure:
-            self._announce("error", f"the map is not saved: {failure}")
+            self._notify("error", f"the map is not saved: {failure}")
         self._failure = failure
 
-    def _work(self) -> None:
-        pause = PERIOD
+    def _run(self) -> None:
+        pause = SAVE_INTERVAL
         while not self._closing.wait(pause):
             begin = time.monotonic()
-            self._try()
-            pause = max(PERIOD, SHARE * (time.monotonic() - begin))
+            self._try_to_save()
+            pause = max(SAVE_INTERVAL, MIN_PAUSE_RATIO * (time.monotonic() - begin))

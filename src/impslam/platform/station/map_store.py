@@ -1,4 +1,4 @@
-"""The maps on the robot's disk: a folder each, and a recycle bin before any is gone."""
+"""The maps on the robot's disk: a folder each, and a recycle bin for deleted ones."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ class StoredMap:
 
     Attributes
     ----------
-    name : of its folder
-    size : bytes of the map's file
+    name : name of its folder
+    size : bytes of the map file
     modified : s since 1970, when it was last written
-    scans : scans that it was made of
+    scans : number of scans in it
     mapping : whether it is being made
-    report : whether it was saved with a report and pictures, not as map alone
+    report : whether it was saved with a report and pictures
     damage : one line: why the file cannot be read, "" if it can
     """
 
@@ -50,11 +50,11 @@ class MapStore(Shelf):
     def __init__(self, folder: Path, making: Callable[[], str] = lambda: "") -> None:
         super().__init__(folder, MAPS)
         self._making = making
-        self._known: dict[str, tuple[tuple[int, int], int, str]] = {}
+        self._cache: dict[str, tuple[tuple[int, int], int, str]] = {}
 
     def maps(self) -> list[StoredMap]:
         """Return the maps, newest first."""
-        found = [self._look(name) for name, _ in self.entries()]
+        found = [self._describe(name) for name, _ in self.entries()]
         return sorted(filter(None, found), key=lambda one: (-one.modified, one.name))
 
     def delete(self, name: str) -> None:
@@ -69,8 +69,8 @@ class MapStore(Shelf):
             raise StoreError(f"{name}: is being made; begin a new map before deleting it")
         self.discard(name)
 
-    def _look(self, name: str) -> StoredMap | None:
-        """Return what there is to tell of a map; a look inside is taken once for each version."""
+    def _describe(self, name: str) -> StoredMap | None:
+        """Return the description of a map; the file is read once per version."""
         folder = self.folder / name
         try:
             status = (folder / FILE).lstat()
@@ -78,20 +78,20 @@ class MapStore(Shelf):
         except OSError:  # not a map, or it has vanished
             return None
         version = status.st_size, status.st_mtime_ns
-        known = self._known.get(name)
-        if known is None or known[0] != version:
-            known = self._known[name] = version, *_scans(folder / FILE)
-        _, scans, damage = known
+        cached = self._cache.get(name)
+        if cached is None or cached[0] != version:
+            cached = self._cache[name] = version, *_scans(folder / FILE)
+        _, scans, damage = cached
         making = name == self._making()
         return StoredMap(name, status.st_size, status.st_mtime, scans, making, report, damage)
 
 
 def _scans(path: Path) -> tuple[int, str]:
-    """Return of how many scans a map is made, or why its file cannot be read."""
+    """Return the number of scans in a map, and why its file cannot be read, or ""."""
     try:
         logs = archive.about(path).get("logs", [])
         return sum(int(log["scans"]) for log in logs), ""
     except ImpError as error:
         return 0, str(error)
-    except (KeyError, TypeError, ValueError):  # of an earlier version
+    except (KeyError, TypeError, ValueError):  # written by an earlier version
         return 0, ""

@@ -1,4 +1,4 @@
-"""Maps what live sources send, and drops whole scans rather than fall behind."""
+"""Maps live messages, and drops whole scans rather than fall behind."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from impslam.observers.live_view import LiveView
 from impslam.observers.recorder import Truth
 from impslam.observers.run_folder import write_run
 from impslam.platform.devices.base import now
-from impslam.platform.station.going_on import GoingOn
-from impslam.platform.station.inbox import LIMIT, Inbox
+from impslam.platform.station.continued_map import ContinuedMap
+from impslam.platform.station.inbox import MAX_MESSAGES, Inbox
 from impslam.platform.station.map_store import FILE
 from impslam.platform.station.mapper_status import OFF, MapperStatus, State
 from impslam.platform.station.warm_up import warm_up
@@ -27,25 +27,26 @@ from impslam.types import Array, Message, TruePose
 
 log = logging.getLogger(__name__)
 
-PATIENCE = 0.25
-"""s that a scan waits for odometry to reach its end; it comes every 10 ms, and is lost by then."""
-NEWS = 10.0  # s between two lines in the log on scans that were dropped
-ANSWER = 10.0  # s until the estimator must have come to the end of a scan for the map to be saved
-SILENT = 0.5
+ODOMETRY_TIMEOUT = 0.25
+"""s that a scan waits for odometry up to its end; odometry comes every 10 ms, so it is lost by then."""
+LOG_INTERVAL = 10.0  # s between log lines about dropped scans
+SCAN_TIMEOUT = 10.0  # s that saving waits for the estimator to finish a scan
+MAX_SCAN_GAP = 0.5
 """s without a scan after which the pose shown is dead-reckoned: five scans of a lidar at 10 Hz."""
-CARRY = 0.1  # s between two such poses
-BLIND = 10  # scans without odometry until it is told: a second of a lidar at 10 Hz
+DEAD_RECKONING_INTERVAL = 0.1  # s between dead-reckoned poses
+MIN_SCANS_WITHOUT_ODOMETRY = 10
+"""Scans without odometry before a notice: a second of a lidar at 10 Hz."""
 LIVE = Path("live")
-"""What stands in a run folder for the log's name."""
+"""Replaces the log's name in a run folder."""
 
 
 class LiveMapper:
-    """Runs the estimator in a thread of its own on messages that others put.
+    """Runs the estimator in its own thread on the messages that are put.
 
     Parameters
     ----------
-    config : what is estimated, and how
-    view : what shows the map
+    config : config of the run
+    view : shows the map
     prepare : compiles the estimator of a config; called in the mapper's thread before the first scan
     """
 
@@ -57,69 +58,69 @@ class LiveMapper:
         self._mapping: _Mapping | None = None
 
     def warm_up(self) -> None:
-        """Compile in the background; called at a program's start, the first map need not wait."""
+        """Compile in the background, so that the first map does not have to wait."""
         threading.Thread(target=self._compile, name="warm-up", daemon=True).start()
 
     def _compile(self) -> None:
         try:
             self._prepare(self._config)
-        except Exception as error:  # it is told when mapping starts, and fails again
+        except Exception as error:  # reported when mapping starts and fails again
             log.warning("the estimator cannot be compiled: %s", error)
 
-    def start(self, going_on: GoingOn | None = None) -> None:
-        """Begin a new map, the robot standing at its origin, or go on with one; give up the present one.
+    def start(self, continued: ContinuedMap | None = None) -> None:
+        """End the present map; begin a new one with the robot at its origin, or continue one.
 
         Raises
         ------
         ImpError
-            If the map cannot be gone on with; the present one goes on.
+            If the map cannot be continued; mapping of the present one then goes on.
         """
         with self._lock:
             before = self._mapping
             thread = None if before is None else before.thread
-            begun = _Mapping(self._config, self._view, self._prepare, thread, going_on)
+            begun = _Mapping(self._config, self._view, self._prepare, thread, continued)
             if before is not None:
                 before.end()
             self._mapping = begun
             begun.thread.start()
 
     @property
-    def going_on(self) -> GoingOn | None:
-        """The map that is gone on with or localised in, None where the map is a new one."""
-        return None if self._mapping is None else self._mapping.going_on
+    def continued(self) -> ContinuedMap | None:
+        """The map that is continued or localised in, None if the map is a new one."""
+        return None if self._mapping is None else self._mapping.continued
 
     def put(self, message: Message, arrived: float | None = None) -> None:
-        """Take a message from any thread; never blocks.
+        """Add a message, from any thread; never blocks.
 
-        `arrived` is the host time at which it came, now if it is not given.
+        `arrived` is its arrival in host time, by default now.
         """
         mapping = self._mapping
         if mapping is not None and mapping.open:
             mapping.put(message, now() if arrived is None else arrived)
 
     def stop(self) -> None:
-        """End mapping; the map stays to be seen and saved."""
+        """End mapping; the map can still be shown and saved."""
         with self._lock:
             if self._mapping is not None:
                 self._mapping.end()
                 self._mapping.thread.join(2.0)
 
     def save(self, folder: Path) -> Path:
-        """Write a run folder of what is mapped by now, and return it; mapping goes on.
+        """Write a run folder of the present map, and return it; mapping goes on.
 
-        The map is settled as at the end of a log; the one that is shown and driven by stays as it is.
-        It takes a second or two, in the caller's thread; scans wait only while the estimate is copied.
+        A copy of the map is settled as at the end of a log. This takes a second or two in the caller's
+        thread; scans wait only while the estimate is copied.
 
         Raises
         ------
         ImpError
-            If nothing is mapped yet, or the folder cannot be written to.
+            If nothing is mapped yet, or the folder cannot be written.
         """
         settled, truth = self._draft()
         return write_run(folder, *settled(), truth)
 
     def save_map(self, folder: Path) -> Path:
-        """Write the map alone, as `save` does; return its path.
+        """Write only the map file, as `save` does; return its path.
 
         Raises
         ------
@@ -137,12 +138,12 @@ class LiveMapper:
         return mapping.draft()
 
     def status(self) -> MapperStatus:
-        """Return how mapping is doing; never blocks."""
+        """Return the status of mapping; never blocks."""
         return OFF if self._mapping is None else self._mapping.status()
 
 
 class _Mapping:
-    """One map, from its start to its end, and the thread that makes it."""
+    """One map, from its start to its end, and its thread."""
 
     def __init__(
         self,
@@ -150,26 +151,27 @@ class _Mapping:
         view: LiveView,
         prepare: Callable[[Config], None],
         before: threading.Thread | None,
-        going_on: GoingOn | None,
+        continued: ContinuedMap | None,
     ) -> None:
-        self._config = config if going_on is None else going_on.config
-        self._view, self._prepare, self._before = view, prepare, before
-        self._truth, self.going_on = Truth(), going_on
-        known = None if going_on is None else going_on.known
+        self._config = config if continued is None else continued.config
+        self._view, self._prepare, self._previous = view, prepare, before
+        self._truth, self.continued = Truth(), continued
+        known = None if continued is None else continued.known
         self.run = Run(self._config, [self._truth, view], known)
         robot = self.run.robot
-        self._scans = tuple(sensor.consumes for sensor in robot.sensors.values())
-        self._wanted = (*robot.streams.consumes, TruePose)
+        self._scan_types = tuple(sensor.consumes for sensor in robot.sensors.values())
+        self._message_types = (*robot.streams.consumes, TruePose)
         self._inbox = Inbox()
-        # Who copies the map takes the door first, so that the estimator lets them in.
-        self._door, self._between = threading.Lock(), threading.Lock()
+        # `_busy` guards the run. A copier of the map holds `_next_turn` while it waits for `_busy`, so
+        # that the estimator does not take it again at once.
+        self._next_turn, self._busy = threading.Lock(), threading.Lock()
         self._compiled, self._ended, self._failure = False, False, ""
-        self._progress = self._news = float("-inf")  # monotonic
-        self._told = self._order = 0
-        self._noticed = False
-        self._stepped = self._carried = time.monotonic()
+        self._progress = self._logged_at = float("-inf")  # monotonic
+        self._logged_drops = self._order = 0
+        self._notice_logged = False
+        self._scanned_at = self._dead_reckoned_at = time.monotonic()
         self._newest = self._latency = float("nan")
-        self.thread = threading.Thread(target=self._work, name="mapper", daemon=True)
+        self.thread = threading.Thread(target=self._run_thread, name="mapper", daemon=True)
 
     @property
     def state(self) -> State:
@@ -181,34 +183,39 @@ class _Mapping:
 
     @property
     def open(self) -> bool:
-        """Tell whether messages are taken."""
+        """Whether messages are accepted."""
         return not (self._failure or self._ended)
 
     def put(self, message: Message, arrived: float) -> None:
-        """Take what the estimator understands; the rest costs this test.
+        """Add a message of a type that the estimator uses; ignore others.
 
-        The map begins when the estimator is ready: what the wheels feel before that would only make
-        the pose at its origin, which is certain by definition, uncertain.
+        The map begins when the estimator is ready: earlier odometry would only make the pose at the
+        origin uncertain, which is certain by definition.
         """
-        if self._compiled and isinstance(message, self._wanted):
-            room = self._inbox.put(message, arrived, isinstance(message, self._scans))
+        if self._compiled and isinstance(message, self._message_types):
+            room = self._inbox.put(message, arrived, isinstance(message, self._scan_types))
             if not room:
-                self._fail(f"the estimator has left {LIMIT} messages waiting; start a new map")
+                self._fail(
+                    f"the estimator has left {MAX_MESSAGES} messages waiting; start a new map"
+                )
 
     def end(self) -> None:
-        """Take no more messages; the thread ends after the scan it is at."""
+        """Accept no more messages; the thread ends after its present scan."""
         self._ended = True
         self._inbox.wake()
 
     def draft(self) -> tuple[Callable[[], tuple[Map, Outcome]], Array]:
-        """Return, between two scans, what gives the map and its run as of now; and the true path."""
-        with self._door:
-            if not self._between.acquire(timeout=ANSWER):
+        """Return a function that gives the present map and its run, and the true path.
+
+        The copy is made between two scans.
+        """
+        with self._next_turn:
+            if not self._busy.acquire(timeout=SCAN_TIMEOUT):
                 raise ImpError("the estimator has been at one scan for 10 s; stop mapping first")
             try:
                 return self.run.draft(LIVE), self._truth.path
             finally:
-                self._between.release()
+                self._busy.release()
 
     def status(self) -> MapperStatus:
         run, inbox = self.run, self._inbox
@@ -219,48 +226,52 @@ class _Mapping:
             inbox.waiting,
             now() - self._newest,
             self._latency,
-            self._failure or self._of_late() or self._without_motion() or run.odometry_notice,
+            self._failure
+            or self._recently_dropped()
+            or self._missing_odometry()
+            or run.odometry_notice,
             run.robot.problems.counts.get("scan", 0),
-            *(("", False) if self.going_on is None else self.going_on.told),
+            name="" if self.continued is None else self.continued.name,
+            frozen=self.continued is not None and self.continued.known.frozen,
             placed=self._view.snapshot().placed,
         )
 
-    def _of_late(self) -> str:
-        recent = time.monotonic() - self._inbox.dropped_at < NEWS
-        return self._dropped() if recent else ""
+    def _recently_dropped(self) -> str:
+        recent = time.monotonic() - self._inbox.dropped_at < LOG_INTERVAL
+        return self._drop_report() if recent else ""
 
-    def _without_motion(self) -> str:
-        """Return what a map lacks where scans come and odometry does not: drives look like stands."""
+    def _missing_odometry(self) -> str:
+        """Return a notice if scans come without odometry, so that the robot seems stationary."""
         wanted = self.run.robot.odometry.consumes.__name__
-        if self.run.scans < BLIND or self.run.robot.counts.get(wanted):
+        if self.run.scans < MIN_SCANS_WITHOUT_ODOMETRY or self.run.robot.counts.get(wanted):
             return ""
         return f"no {wanted} has come, the map is made without odometry; check the autopilot"
 
-    def _dropped(self) -> str:
+    def _drop_report(self) -> str:
         return (
             f"{self._inbox.dropped} scans dropped by now: this computer is too slow for the lidar"
         )
 
     # ------------------------------------------------------------------ in the thread
 
-    def _work(self) -> None:
+    def _run_thread(self) -> None:
         try:
-            if self._before is not None:
-                self._before.join()  # it shows its map in the same view
-            new = self.going_on is None
+            if self._previous is not None:
+                self._previous.join()  # it uses the same view
+            new = self.continued is None
             self._view.begin(self.run, self._config.grid.resolution, placed=new)
             if not new:
-                self._view.refresh()  # to be seen, and pointed at, before the robot is found in it
+                self._view.refresh()  # so that a hint can be given before the robot is located
             self._prepare(self._config)
             self._compiled = True
             while self.open:
-                self._next()
-                self._carry()
-                self._tell_dropped()
-                self._tell_notice()
+                self._process_next()
+                self._dead_reckon()
+                self._log_drops()
+                self._log_notice()
         except ImpError as error:
             self._fail(str(error))
-        except Exception as error:  # the robot goes on without a map
+        except Exception as error:  # the robot keeps running without a map
             log.debug("mapping failed", exc_info=True)
             self._fail(f"{type(error).__name__}: {error}; start a new map, and please report it")
 
@@ -270,50 +281,54 @@ class _Mapping:
             log.error("mapping failed: %s", failure)
             self._failure = failure
 
-    def _next(self) -> None:
-        """Take in one message, or use the scans whose odometry does not come."""
+    def _process_next(self) -> None:
+        """Process one message, or the pending scans if their odometry does not come."""
         run = self.run
-        taken = self._inbox.take(PATIENCE)
-        with self._door:
+        taken = self._inbox.take(ODOMETRY_TIMEOUT)
+        with self._next_turn:
             pass
-        with self._between:
+        with self._busy:
             before = run.scans
             if not run.robot.pending:
                 self._progress = time.monotonic()
             if taken is not None:
                 self._feed(*taken)
-            if time.monotonic() - self._progress > PATIENCE and self._inbox.empty:
+            if time.monotonic() - self._progress > ODOMETRY_TIMEOUT and self._inbox.empty:
                 run.flush()
             if run.scans > before:
                 self._newest = self._view.snapshot().arrived
                 self._latency = now() - self._newest
-                self._progress = self._stepped = time.monotonic()
+                self._progress = self._scanned_at = time.monotonic()
 
-    def _carry(self) -> None:
-        """Show where the robot is though no scan comes: it may be driven on."""
+    def _dead_reckon(self) -> None:
+        """Show the dead-reckoned pose while no scan comes: the robot may still be driven."""
         moment = time.monotonic()
-        silent = moment - self._stepped
-        if silent < SILENT or moment - self._carried < CARRY or self._inbox.waiting:
+        silent = moment - self._scanned_at
+        if (
+            silent < MAX_SCAN_GAP
+            or moment - self._dead_reckoned_at < DEAD_RECKONING_INTERVAL
+            or self._inbox.waiting
+        ):
             return
         if (path := self.run.dead_reckoned()) is not None:
             self._view.carry(path, silent)
-            self._carried = moment
+            self._dead_reckoned_at = moment
 
     def _feed(self, message: Message, arrived: float) -> None:
-        if isinstance(message, self._scans):
+        if isinstance(message, self._scan_types):
             self._view.expect(message.stamp, arrived)
         self.run.feed(single_row(type(message).__name__, message, self._order))
         self._order += 1
 
-    def _tell_dropped(self) -> None:
-        """Log what was dropped, in a line now and then."""
+    def _log_drops(self) -> None:
+        """Log the number of dropped scans, at most once per `LOG_INTERVAL`."""
         dropped, moment = self._inbox.dropped, time.monotonic()
-        if dropped > self._told and moment - self._news >= NEWS:
-            log.warning("%s", self._dropped())
-            self._told, self._news = dropped, moment
+        if dropped > self._logged_drops and moment - self._logged_at >= LOG_INTERVAL:
+            log.warning("%s", self._drop_report())
+            self._logged_drops, self._logged_at = dropped, moment
 
-    def _tell_notice(self) -> None:
-        """Log once that odometry's lengths are not those of the config."""
-        if self.run.odometry_notice and not self._noticed:
+    def _log_notice(self) -> None:
+        """Log once that lengths measured by odometry differ from the config."""
+        if self.run.odometry_notice and not self._notice_logged:
             log.warning("%s", self.run.odometry_notice)
-            self._noticed = True
+            self._notice_logged = True

@@ -1,4 +1,4 @@
-"""How live mapping is doing, for the page."""
+"""The status of live mapping, for the page."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ State: TypeAlias = Literal["off", "compiling", "running", "failed"]
 
 @dataclass(frozen=True, slots=True)
 class MapperStatus:
-    """How mapping is doing.
+    """The status of live mapping.
 
     Attributes
     ----------
@@ -19,12 +19,12 @@ class MapperStatus:
     steps : scans mapped
     dropped_scans : scans that came too fast to be mapped
     waiting : scans that wait to be mapped
-    behind : s since the newest mapped scan arrived, NaN before the first; one sweep when all is well
-    latency : s from the newest mapped scan's arrival to its being mapped, NaN before the first
-    detail : one line: why it failed, what was dropped, by how much odometry is off; "" where all is well
-    refused : scans that could not be used: without beams
-    name, frozen : the map that is gone on with, or only localised in; "" for a new one
-    placed : whether it is known where in the map the robot is
+    behind : s since the newest mapped scan arrived, NaN before the first; normally one sweep
+    latency : s from the newest mapped scan's arrival to the end of its mapping, NaN before the first
+    detail : one line: why it failed, what was dropped, by how much odometry is off; "" if all is well
+    refused : unusable scans: without beams
+    name, frozen : the continued map, and whether it is only localised in; "" for a new one
+    placed : whether the robot is located in the map
     """
 
     state: State

@@ -1,4 +1,4 @@
-"""Plays a log through the estimator as if it happened now: pause, step, speed."""
+"""Replays a log through the estimator in real time, with pause, step and speed."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ State: TypeAlias = Literal[
     "ready", "compiling", "playing", "paused", "writing", "ended", "stopped", "failed"
 ]
 
-STOP = 5.0  # s to end the scan at work
-WRITE = 120.0  # s to write the run folder of a log that was played to its end
+STOP_TIMEOUT = 5.0  # s to finish the present scan
+WRITE_TIMEOUT = 120.0  # s to write the run folder of a log that was played to its end
 
 
 @dataclass(frozen=True, slots=True)
 class PlayerStatus:
-    """Where a replay is.
+    """The status of a replay.
 
     Attributes
     ----------
     state : "ready" (not started), "compiling" (first run on a machine), "playing", "paused",
         "writing" (the log is over, the run folder is being written), "ended", "stopped" (early, by
         request), "failed"
-    position, total : how far in the log, in its own unit (messages or bytes); total None if unknown
-    stamp : s, the log's, of the newest scan played, NaN before the first
-    seconds : s of log played, gaps that were skipped left out
-    speed : s of log in a second, inf: as fast as possible
+    position, total : in the log, in its own unit (messages or bytes); total None if unknown
+    stamp : log time of the newest scan played, s, NaN before the first
+    seconds : s of log played, without skipped gaps
+    speed : s of log per second, inf: as fast as possible
     steps : scans mapped
     skipped : s of log skipped in gaps
-    detail : one line: why it failed, or the last gap or jump that was skipped; "" where all is well
+    detail : one line: why it failed, or the last gap or jump skipped; "" if all is well
     """
 
     state: State
@@ -59,19 +59,19 @@ class PlayerStatus:
 
 
 class Player:
-    """Runs a log through the estimator in a thread of its own, at the pace of its stamps.
+    """Runs a log through the estimator in its own thread, at the pace of its stamps.
 
-    A run at any pace gives the same files as one without: the pace says when a scan is read, and
-    nothing else. Scans set the pace; what lies between them is read with the scan after it.
+    The pace only decides when a scan is read, so a run at any pace gives the same files. Scans set the
+    pace; messages between them are read with the scan after them.
 
     Parameters
     ----------
-    config : what is estimated, and how
+    config : config of the run
     source : the log
-    observers : what else looks at the run, e.g. what writes the run folder
-    view : what shows the map
+    observers : further observers of the run, e.g. of the run folder
+    view : shows the map
     prepare : compiles the estimator of a config
-    health : what is wrong with the log throughout
+    health : what is wrong with the whole log
     """
 
     def __init__(
@@ -86,17 +86,17 @@ class Player:
         self._config, self._source, self._view, self._prepare = config, source, view, prepare
         self._run = Run(config, [view, *observers], health=health)
         sensors = self._run.robot.sensors.values()
-        self._scans = tuple(sensor.consumes for sensor in sensors)
+        self._scan_types = tuple(sensor.consumes for sensor in sensors)
         self._pace = Pace()
         self._phase: State = "ready"
         self._position: tuple[int, int | None] = 0, None
-        self._goal = math.inf  # position to which it plays as fast as possible, inf: nowhere
+        self._seek_target = math.inf  # position up to which it plays unpaced, inf: no seek
         self._map: Map | None = None
         self._error: Exception | None = None
-        self._thread = threading.Thread(target=self._work, name="player", daemon=True)
+        self._thread = threading.Thread(target=self._run_thread, name="player", daemon=True)
 
     def start(self) -> None:
-        """Begin to play; what `pause` and `set_speed` said before holds."""
+        """Begin to play; earlier calls of `pause` and `set_speed` apply."""
         self._phase = "compiling"
         self._thread.start()
 
@@ -105,56 +105,56 @@ class Player:
         self._pace.pause()
 
     def resume(self) -> None:
-        """Go on."""
+        """Resume."""
         self._pace.resume()
 
     def step(self) -> None:
-        """Play one scan and halt."""
+        """Play one scan, then pause."""
         self._pace.step()
 
     def set_speed(self, speed: float) -> None:
-        """Play `speed` s of log in a second, 0.1 to 100, or inf: as fast as possible.
+        """Play `speed` s of log per second, 0.1 to 100, or inf: as fast as possible.
 
         Raises
         ------
         ImpError
-            If it is another number.
+            If it is out of range.
         """
         self._pace.set_speed(speed)
 
     def seek(self, share: float) -> None:
-        """Play as fast as possible to a share of the log, 0 to 1, then on, or halt, as before.
+        """Play as fast as possible up to a share of the log, 0 to 1; then play or pause as before.
 
         Raises
         ------
         ImpError
-            If it lies behind, or the log does not tell how long it is.
+            If it is behind the present position, or the length of the log is unknown.
         """
         position, total = self._position
         if not total:
             raise ImpError("how long this log is, is not known yet; play it as fast as possible")
         if share * total < position:
             raise ImpError("a replay cannot go back, for a map does not forget; start it again")
-        self._goal = share * total
-        self._pace.rush(True)
+        self._seek_target = share * total
+        self._pace.set_unpaced(True)
 
     def stop(self) -> None:
-        """End early; observers are told what is known by then, so a run folder holds it."""
+        """End early; observers finish with the map up to now, so that a run folder is written."""
         self._pace.stop()
         if self._thread.is_alive():
-            self._thread.join(STOP)
+            self._thread.join(STOP_TIMEOUT)
         if self._phase == "writing":  # half a folder would stay
-            self._thread.join(WRITE)
+            self._thread.join(WRITE_TIMEOUT)
 
     def wait(self, timeout: float | None = None) -> Map | None:
-        """Wait for the end; return the map, None if it is not yet over.
+        """Wait for the end; return the map, None if the replay is not over.
 
         Raises
         ------
         LeftError
             If it was stopped before the end of the log.
         ImpError
-            What made it fail.
+            The error that made it fail.
         """
         self._thread.join(timeout)
         if self._error is not None:
@@ -162,7 +162,7 @@ class Player:
         return self._map
 
     def status(self) -> PlayerStatus:
-        """Return where the replay is; never blocks."""
+        """Return the status of the replay; never blocks."""
         stamp, seconds, skipped, note = self._pace.place
         state: State = self._phase
         if state == "playing" and self._pace.paused:
@@ -180,7 +180,7 @@ class Player:
             detail,
         )
 
-    def _work(self) -> None:
+    def _run_thread(self) -> None:
         try:
             self._view.begin(self._run, self._config.grid.resolution)
             self._prepare(self._config)
@@ -189,34 +189,34 @@ class Player:
             self._phase = "ended"
         except LeftError as error:
             self._error, self._phase = error, "stopped"
-        except Exception as error:  # who waits for the end gets it
+        except Exception as error:  # raised by `wait`
             self._error, self._phase = error, "failed"
 
     def _play(self) -> None:
         with self._source as source, self._run.keeping(source):
             for batch in source.batches(rows=1):
-                if not self._admits(batch):
+                if not self._wait_until_due(batch):
                     self._phase = "writing"
                     raise LeftError("the replay was stopped before the end of the log")
                 before = self._run.scans
                 self._run.feed(batch)
                 if self._run.scans > before:
-                    self._pace.stepped(self._run.scans - before)
+                    self._pace.played(self._run.scans - before)
             self._run.flush()
             self._position = source.position, source.total
         self._phase = "writing"
         self._map = self._run.finish(self._source)
 
-    def _admits(self, batch: Batch) -> bool:
-        """Wait until it is time for a row; tell whether to go on."""
+    def _wait_until_due(self, batch: Batch) -> bool:
+        """Wait until a row is due; return whether to continue."""
         (columns,) = batch.values()
-        if not issubclass(columns.kind, self._scans):
+        if not issubclass(columns.kind, self._scan_types):
             return True
         stamp = float(columns.stamps[0])
         self._position = self._source.position, self._source.total
-        if self._source.position >= self._goal:
-            self._goal = math.inf
-            self._pace.rush(False)
+        if self._source.position >= self._seek_target:
+            self._seek_target = math.inf
+            self._pace.set_unpaced(False)
         verdict = self._pace.wait(stamp)
         while verdict == "halted":
             self._view.refresh()
@@ -232,7 +232,7 @@ def play_live(
     view: LiveView,
     health: Standing = SOUND,
 ) -> Player:
-    """Start to replay a log and return its player; see `Player`."""
+    """Start the replay of a log and return its `Player`."""
     player = Player(config, source, observers, view, health=health)
     player.start()
     return player

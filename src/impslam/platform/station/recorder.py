@@ -1,4 +1,4 @@
-"""The recorder: everything the devices say, on one time base, into an MCAP that survives its end."""
+"""The recorder: writes all device readings, on one time base, to an MCAP that survives a crash."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from impslam.platform.devices.base import Reading
 from impslam.platform.station.recorder_thread import Recording, RecordingError, disk_error
 from impslam.sources.live_recording import TakenError
 
-LONGEST_NAME = 60  # letters; file systems allow 255 bytes with date, number and suffix
-FRESH = 1.0  # s between looks at how much of the disk is free
-PATIENCE = 30.0  # s that stopping waits for a slow disk
+MAX_NAME_LENGTH = 60  # characters; file systems allow 255 bytes with date, number and suffix
+SAMPLE_INTERVAL = 1.0  # s between queries of the free disk space
+STOP_TIMEOUT = 30.0  # s that stopping waits for a slow disk
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingStatus:
-    """How the recording is doing.
+    """The status of the recording.
 
     Attributes
     ----------
     active : whether a log is being written
     path : the log being written, or the last one; None before the first
-    seconds : how long it has been (had been) recording
+    seconds : duration of the recording
     size : bytes written so far
-    free : bytes free on the disk beside the floor: 0 means that recording is impossible
+    free : bytes free on the disk above the floor; 0 means that recording is impossible
     written : messages by type that are safe on the disk
-    dropped : messages by type that are not in this log: refused, too many for a slow disk, or left
-        behind by one that failed
-    error : why the last recording ended by itself or could not start, "" if it did neither
-    waiting : readings that are not yet written; many where the disk is slow
+    dropped : messages by type that are not in this log: invalid, too many for a slow disk, or not
+        written before the disk failed
+    error : why the last recording ended by itself or could not start, "" otherwise
+    waiting : readings not yet written; many if the disk is slow
     """
 
     active: bool = False
@@ -54,24 +54,24 @@ class RecordingStatus:
 
 
 class Sampled:
-    """A number that may take long to find out (a disk may hang), looked up in a thread of its own."""
+    """A number that may be slow to measure (a disk may hang), sampled in a thread of its own."""
 
     def __init__(self, measure: Callable[[], int]) -> None:
         self._measure, self._lock = measure, threading.Lock()
         self._value, self._due = 0, float("-inf")
 
-    def lately(self) -> int:
-        """Return it as it was a second or two ago; never waits, but for the first time."""
+    def latest(self) -> int:
+        """Return the latest sample, a second or two old; waits only at the first call."""
         first = math.isinf(self._due)
         if time.monotonic() > self._due and self._lock.acquire(blocking=False):
-            self._due = time.monotonic() + FRESH
-            thread = threading.Thread(target=self._look, name="disk", daemon=True)
+            self._due = time.monotonic() + SAMPLE_INTERVAL
+            thread = threading.Thread(target=self._sample, name="disk", daemon=True)
             thread.start()
             if first:
-                thread.join(FRESH)
+                thread.join(SAMPLE_INTERVAL)
         return self._value
 
-    def _look(self) -> None:
+    def _sample(self) -> None:
         try:
             self._value = self._measure()
         finally:
@@ -79,26 +79,26 @@ class Sampled:
 
 
 class LogRecorder:
-    """Writes readings into a log, in a thread of its own.
+    """Writes readings to a log in its own thread.
 
-    What has been put is on the disk half a second later and survives a kill or a power loss. A
-    disk that fails or fills up ends the recording, tells why, and leaves a log that can be read.
+    A reading is on the disk half a second later and survives a kill or a power loss. A disk that
+    fails or fills up ends the recording with a notice and leaves a readable log.
 
     Parameters
     ----------
-    folder : where logs are kept; made if it is missing
-    preset : name of the robot's preset, or its config as TOML; written first, and `imp run LOG` takes it
+    folder : where logs are kept; created if it is missing
+    preset : name of the robot's preset, or its config as TOML; written first, used by `imp run LOG`
     floor : bytes that stay free on the disk
-    tell : called with (level, text), from any thread, for what everyone should know
+    notify : called with (level, text), from any thread, for events that everyone should see
     """
 
     def __init__(
-        self, folder: Path, preset: str, floor: int, tell: Callable[[str, str], None]
+        self, folder: Path, preset: str, floor: int, notify: Callable[[str, str], None]
     ) -> None:
         self._folder, self._preset, self._floor = Path(folder), preset, floor
-        self._tell = tell
-        self._free = Sampled(self._room)
-        self._gate = threading.Lock()  # of starting and stopping; a reading never waits for it
+        self._notify = notify
+        self._free = Sampled(self._free_above_floor)
+        self._start_stop = threading.Lock()  # of `start` and `stop`; `put` never waits for it
         self._recording: Recording | None = None
         self._refusal = ""
 
@@ -111,7 +111,7 @@ class LogRecorder:
             If a log is being written already, the disk has no room above the floor, or the folder
             cannot be written.
         """
-        with self._gate:
+        with self._start_stop:
             if self._recording is not None and self._recording.active:
                 raise RecordingError(f"{self._recording.path}: is being recorded; stop it first")
             try:
@@ -120,38 +120,38 @@ class LogRecorder:
                 self._refusal = str(error)
                 raise
             self._refusal = ""
-        self._tell("info", f"recording {self._recording.path.name}")
+        self._notify("info", f"recording {self._recording.path.name}")
         return self._recording.path
 
     def stop(self) -> Path | None:
-        """Write what waits, close the log and return its path; None if none was being written.
+        """Write waiting readings, close the log and return its path, or None without a recording.
 
-        Waits for the disk, up to `PATIENCE`: not to be called where nothing may wait.
+        Blocks until the disk is done, for at most `STOP_TIMEOUT`.
         """
-        with self._gate:
+        with self._start_stop:
             recording = self._recording
             if recording is None or not recording.active:
                 return None
-            recording.stop(PATIENCE)
+            recording.stop(STOP_TIMEOUT)
             return recording.path
 
     def put(self, reading: Reading) -> None:
-        """Take a reading, from any thread, without waiting; nothing happens while not recording."""
+        """Add a reading, from any thread, without blocking; do nothing unless recording."""
         recording = self._recording
         if recording is not None:
             recording.put(reading)
 
     def status(self) -> RecordingStatus:
-        """Return how the recording is doing."""
+        """Return the status of the recording."""
         last = self._recording
         if last is None:
-            return RecordingStatus(free=self._free.lately(), error=self._refusal)
+            return RecordingStatus(free=self._free.latest(), error=self._refusal)
         return RecordingStatus(
             active=last.active,
             path=last.path,
             seconds=last.seconds,
             size=last.size,
-            free=self._free.lately(),
+            free=self._free.latest(),
             written=last.written(),
             dropped=last.dropped(),
             error=self._refusal or last.error,
@@ -161,25 +161,25 @@ class LogRecorder:
     def _begin(self, name: str | None) -> Recording:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            if self._room() <= 0:
+            if self._free_above_floor() <= 0:
                 raise RecordingError(
                     f"{self._folder}: less than the reserve of {self._floor / 1e6:.0f} MB is free "
                     "on the disk; delete logs and empty the recycle bin"
                 )
             for path in self._paths(name):
-                with suppress(TakenError):  # another recorder of this folder was as fast
-                    return Recording(path, self._preset, self._room, self._tell)
+                with suppress(TakenError):  # another recorder has just taken this name
+                    return Recording(path, self._preset, self._free_above_floor, self._notify)
             raise AssertionError("names never end")
         except OSError as error:
             raise disk_error(self._folder, error) from None
 
     def _paths(self, name: str | None) -> Iterator[Path]:
         stem = time.strftime("%Y%m%d-%H%M%S")
-        stem += f"-{said}" if (said := file_name(name or "")) else ""
+        stem += f"-{label}" if (label := file_name(name or "")) else ""
         return numbered(self._folder, stem, ".mcap")
 
-    def _room(self) -> int:
-        """Return the bytes that may still be written; 0 if the folder cannot be asked."""
+    def _free_above_floor(self) -> int:
+        """Return the bytes that may still be written; 0 if the folder cannot be queried."""
         folder = self._folder.absolute()
         try:
             while not folder.exists():
@@ -190,7 +190,7 @@ class LogRecorder:
 
 
 def file_name(text: str) -> str:
-    """Return a text as part of a file name: ASCII letters, digits, ., _ and - alone."""
+    """Return a text as part of a file name: only ASCII letters, digits, ., _ and -."""
     plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
     name = re.sub(r"[^A-Za-z0-9._-]+", "-", plain.strip().removesuffix(".mcap"))
-    return re.sub(r"\.{2,}", ".", name)[:LONGEST_NAME].strip(".-_")
+    return re.sub(r"\.{2,}", ".", name)[:MAX_NAME_LENGTH].strip(".-_")

@@ -1,4 +1,4 @@
-"""The robot file: what a robot is made of, as TOML.
+"""The robot file: the devices and limits of a robot, as TOML.
 
 name = "imp-1"
 preset = "imp"
@@ -28,7 +28,7 @@ class RobotFile(Parameters):
     """A robot's devices and its limits."""
 
     name: str = parameter("imp", "1", "the robot's name, on the page and in certificates")
-    preset: str = parameter("imp", "1", "preset or config that maps live; its logs name it, too")
+    preset: str = parameter("imp", "1", "preset or config of live mapping; stored in logs, too")
     folder: Path = parameter(Path("logs"), "1", "where logs and maps are kept")
     max_speed: float = parameter(
         0.5, "m/s", "no command exceeds it: half of walking pace, stopped within 0.3 m", gt=0
@@ -42,7 +42,7 @@ class RobotFile(Parameters):
     devices: dict[str, Table] = parameter({}, "1", "a table for each: its kind and parameters")
 
     def make_devices(self) -> dict[str, Device]:
-        """Return the devices by name, none of them started."""
+        """Return the devices by name, not started."""
         return {
             name: build("device", {"label": name, **table}, f"devices.{name}")
             for name, table in self.devices.items()
@@ -55,7 +55,7 @@ def load_robot(path: Path) -> RobotFile:
     Raises
     ------
     ConfigError
-        One line that names the key and what to do.
+        In one line, with the key and what to do.
     """
     try:
         table = toml.parse(path.read_text("utf-8"), str(path))

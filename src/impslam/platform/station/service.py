@@ -10,7 +10,7 @@ from string import Template
 
 from impslam.errors import ConfigError
 
-WATCHDOG = 10  # s without a sign of life until systemd starts it anew; the robot stands after 0.5 s
+WATCHDOG = 10  # s without a keep-alive until systemd restarts it; the robot stops after 0.5 s
 
 # What useradd(8) takes by default, and nothing that could end the line.
 _USER = re.compile(r"[a-z_][a-z0-9_-]{0,30}\$?")
@@ -21,15 +21,15 @@ def unit(program: Path, user: str, folder: Path, arguments: Sequence[str] = ()) 
 
     Parameters
     ----------
-    program : absolute path of what is run, e.g. `/home/imp/venv/bin/imp`
-    user : whose it is; serial ports and cameras are allowed to it by the unit
-    folder : absolute path where logs and maps are kept; it is also the working directory
-    arguments : anything; what means something to systemd is escaped
+    program : absolute path of the program, e.g. `/home/imp/venv/bin/imp`
+    user : runs the program; the unit gives it access to serial ports and cameras
+    folder : absolute path of logs and maps, and the working directory
+    arguments : any text; characters that are special to systemd are escaped
 
     Raises
     ------
     ConfigError
-        If a path is not absolute, there is no such user, or something holds a control character.
+        If a path is not absolute, there is no such user, or a word has a control character.
     """
     for path in (program, folder):
         if not path.is_absolute():
@@ -39,7 +39,7 @@ def unit(program: Path, user: str, folder: Path, arguments: Sequence[str] = ()) 
             raise ConfigError(f"{word!r}: a unit file takes no such characters; rename it")
     template = Template((files("impslam.platform.station") / "imp.service").read_text("utf-8"))
     return template.substitute(
-        # systemd puts no variables into the program's own path, only into its arguments.
+        # systemd expands variables only in arguments, not in the path of the program.
         command=" ".join(
             [_quoted(str(program)), *(_quoted(a).replace("$", "$$") for a in arguments)]
         ),
@@ -61,10 +61,10 @@ def _home(user: str) -> Path:
 
 
 def _plain(text: str) -> str:
-    """Return text in which systemd.unit(5) finds no specifier."""
+    """Return text without specifiers of systemd.unit(5)."""
     return text.replace("%", "%%")
 
 
 def _quoted(text: str) -> str:
-    """Return one word, whatever is in it (systemd.syntax(7))."""
+    """Return a text as one quoted word (systemd.syntax(7))."""
     return '"' + _plain(text.replace("\\", "\\\\").replace('"', '\\"')) + '"'

@@ -1,4 +1,4 @@
-"""Files or folders of one kind on the robot's disk, by name, and a recycle bin before any is gone."""
+"""Files or folders of one kind on the robot's disk, by name, with a recycle bin."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _STAMP = "%Y%m%dT%H%M%SZ"
 
 
 class StoreError(ImpError):
-    """Something that is not there, or may not be touched: what, where, what to do."""
+    """An entry that is missing or must not be changed; the message says what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class Binned:
-    """What is in a recycle bin: `name` there, the name it had, bytes, and s since 1970 when deleted."""
+    """An entry of a recycle bin: `name` there, original name, bytes, s since 1970 when deleted."""
 
     name: str
     original: str
@@ -36,7 +36,7 @@ class Binned:
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What a shelf holds: how it is called, how its names end, and whether an entry's mode fits."""
+    """A kind of entries: their word, the suffix of their names, and a test of the file mode."""
 
     word: str
     suffix: str
@@ -50,7 +50,7 @@ MAPS = Kind("map", "", stat.S_ISDIR)
 class Shelf:
     """The entries of one kind in a folder; every method may be called from any thread.
 
-    Only what lies in the folder itself exists here: no links, no other folders.
+    Only entries directly in the folder count: no links, no other folders.
 
     Parameters
     ----------
@@ -60,14 +60,14 @@ class Shelf:
     def __init__(self, folder: Path, kind: Kind) -> None:
         self.folder, self._kind = folder, kind
         self._bin = folder / BIN
-        self._lock = threading.Lock()  # of moving things about
+        self._lock = threading.Lock()  # of moves
 
     def entries(self) -> Iterator[tuple[str, os.stat_result]]:
         """Yield names and status."""
-        return self._within(self.folder)
+        return self._entries_in(self.folder)
 
     def path(self, name: str) -> Path:
-        """Return the path of an entry; nothing else is ever returned.
+        """Return the path of an entry.
 
         Raises
         ------
@@ -95,21 +95,21 @@ class Shelf:
             self._move(path, target)
 
     def bin(self) -> list[Binned]:
-        """Return what is in the recycle bin, last deleted first."""
+        """Return the contents of the recycle bin, last deleted first."""
         found = []
-        for entry, status in self._within(self._bin):
-            with suppress(StoreError, ValueError, OSError):  # not put there by this shelf, or gone
+        for entry, status in self._entries_in(self._bin):
+            with suppress(StoreError, ValueError, OSError):  # not put there by this class, or gone
                 size = status.st_size if stat.S_ISREG(status.st_mode) else _size(self._bin / entry)
                 found.append(Binned(entry, self._original(entry), size, _deleted(entry)))
         return sorted(found, key=lambda binned: (-binned.deleted, binned.name))
 
     def restore(self, name: str) -> Path:
-        """Take an entry (by its name in `bin()`) out of the recycle bin and return its path.
+        """Move an entry (by its name in `bin()`) back from the recycle bin and return its path.
 
         Raises
         ------
         StoreError
-            If it is not there, one of its name has been made meanwhile, or the disk refuses.
+            If it is not there, its original name is taken, or the disk refuses.
         """
         with self._lock:
             target = self.folder / self._original(name)
@@ -117,7 +117,7 @@ class Shelf:
             return target
 
     def purge(self, name: str | None = None) -> None:
-        """Remove one entry of the recycle bin, or all, for good.
+        """Delete one entry of the recycle bin, or all, permanently.
 
         Raises
         ------
@@ -135,14 +135,14 @@ class Shelf:
 
     def _make_bin(self) -> None:
         if self._bin.is_symlink():
-            raise StoreError(f"{self._bin}: is a link; remove it, a recycle bin is made instead")
+            raise StoreError(f"{self._bin}: is a link; remove it, and a recycle bin is created")
         try:
             self._bin.mkdir(exist_ok=True)
         except OSError as error:
             raise self._refusal(BIN, error) from None
 
     def _is_name(self, name: str) -> bool:
-        """Tell whether a name can be that of an entry: one name, visible, and printable."""
+        """Return whether a name is valid for an entry: a single name, not hidden, printable."""
         return (
             name.endswith(self._kind.suffix)
             and name not in {"", ".", ".."}
@@ -151,8 +151,8 @@ class Shelf:
             and not set(name) & {"/", "\\", os.sep}
         )
 
-    def _within(self, folder: Path) -> Iterator[tuple[str, os.stat_result]]:
-        """Yield names and status in a folder that is none elsewhere; links are left out."""
+    def _entries_in(self, folder: Path) -> Iterator[tuple[str, os.stat_result]]:
+        """Yield names and status in a folder, without links; nothing if the bin is a link."""
         if folder.name == BIN and folder.is_symlink():
             return
         with suppress(OSError), os.scandir(folder) as entries:
@@ -163,26 +163,26 @@ class Shelf:
                         yield entry.name, status
 
     def _path(self, folder: Path, name: str) -> Path:
-        """Return the path of an entry that is in this very folder."""
+        """Return the path of an entry directly in a folder."""
         if not self._is_name(name) or (folder.name == BIN and folder.is_symlink()):
             raise self._unknown(name)
         path = folder / name
         try:
             if self._kind.fits(path.lstat().st_mode):
                 return path
-        except OSError:  # it is not there, or its name is too long
+        except OSError:  # missing, or its name is too long
             pass
         raise self._unknown(name)
 
     def _original(self, binned: str) -> str:
-        """Return the name that an entry of the recycle bin had."""
+        """Return the original name of an entry of the recycle bin."""
         match = _BINNED.fullmatch(binned)
         if match is None or not self._is_name(match[1]):
             raise self._unknown(binned)
         return match[1]
 
     def _move(self, source: Path, target: Path) -> None:
-        """Rename; never onto what is there, which renaming alone would overwrite."""
+        """Rename, but never onto an existing entry, which `rename` alone would overwrite."""
         try:
             if source.is_dir():
                 target.mkdir()
@@ -206,7 +206,7 @@ class Shelf:
         return StoreError(f"{name[:100]!r}: there is no such {word}; choose one of the list")
 
     def _refusal(self, name: str, error: OSError) -> StoreError:
-        if isinstance(error, FileNotFoundError):  # it has vanished meanwhile
+        if isinstance(error, FileNotFoundError):  # vanished meanwhile
             return self._unknown(name)
         return StoreError(
             f"{name}: the disk refuses ({error.strerror}); check it and its permissions"
@@ -214,7 +214,7 @@ class Shelf:
 
 
 def _deleted(binned: str) -> float:
-    """Return when something was put in the recycle bin; `ValueError` if its name has no such date."""
+    """Return when an entry was deleted, s since 1970; `ValueError` if its name has no date."""
     return datetime.strptime(binned[:16], _STAMP).replace(tzinfo=UTC).timestamp()
 
 

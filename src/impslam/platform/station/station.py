@@ -1,4 +1,4 @@
-"""The robot computer: devices in, log and map out, commands back."""
+"""The robot computer: reads devices, records, maps, and sends drive commands."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from impslam.config import Config, load, presets
 from impslam.errors import ImpError
 from impslam.observers.live_view import LiveView
 from impslam.platform.devices.base import Device, DriveDevice, Health, Reading, event, now
-from impslam.platform.station.going_on import going_on
+from impslam.platform.station.continued_map import load_continued_map
 from impslam.platform.station.helm import Helm
 from impslam.platform.station.map_keeper import MapKeeper
 from impslam.platform.station.map_store import MapStore
@@ -23,12 +23,12 @@ from impslam.platform.station.recorder import LogRecorder, RecordingStatus
 from impslam.platform.station.store import LogStore
 from impslam.types import Climate, Event, Image, Velocity
 
-EVENTS = 200  # kept for the page; the log has all
+MAX_EVENTS = 200  # kept for the page; the log has all of them
 
 
 @dataclass(frozen=True, slots=True)
 class StationHealth:
-    """How everything is doing, for the page."""
+    """The status of all parts, for the page."""
 
     devices: Mapping[str, Health]
     recording: RecordingStatus
@@ -37,14 +37,14 @@ class StationHealth:
 
 
 class Station:
-    """Holds the devices, the recorder, the live map and the helm, and joins them.
+    """Connects the devices, the recorder, the live map and the helm.
 
     Parameters
     ----------
     devices : by name
-    preset : name of the preset or file of TOML that the live map runs with; logs name it too
+    preset : name of the preset or TOML file of the live map; recorded in logs as well
     folder : where logs (and maps, in `maps/`) are kept
-    limits : m/s and rad/s, what the helm may ask for
+    limits : maximum commands, m/s and rad/s
     floor : bytes that stay free on the disk
     """
 
@@ -59,13 +59,13 @@ class Station:
         self.devices, self.folder, self.limits = devices, folder, limits
         self.store = LogStore(folder)
         self._preset, config = preset, load(preset)
-        self.recorder = LogRecorder(folder, _portable(preset, config), floor, self._announce)
+        self.recorder = LogRecorder(folder, _portable(preset, config), floor, self._notify)
         self.view = LiveView()
         self.mapper = LiveMapper(config, self.view)
         drives = [device for device in devices.values() if isinstance(device, DriveDevice)]
-        self.helm = Helm(drives[0] if drives else None, limits, self._announce, self._commanded)
+        self.helm = Helm(drives[0] if drives else None, limits, self._notify, self._record_command)
         maps = folder / "maps"
-        self.keeper = MapKeeper(self.mapper, maps, self._announce)
+        self.keeper = MapKeeper(self.mapper, maps, self._notify)
         self.maps = MapStore(maps, lambda: self.keeper.name)
         self.events: list[Event] = []
         self.picture: Image | None = None
@@ -80,7 +80,7 @@ class Station:
             device.start(self.receive)
 
     def begin(self, *, record: bool, map_: bool) -> None:
-        """Record and map from the start; what cannot is told, and the robot goes on without."""
+        """Start recording and mapping if wanted; report errors, and continue without."""
         starts: dict[Callable[[], object], bool] = {
             self.recorder.start: record,
             self.start_mapping: map_,
@@ -90,14 +90,14 @@ class Station:
                 if wanted:
                     start()
             except ImpError as error:
-                self._announce("error", str(error))
+                self._notify("error", str(error))
 
     def stop(self) -> None:
-        """Stand still, close the log, save the map, and end every thread.
+        """Stop the robot, close the log, save the map, and end every thread.
 
-        A part that fails holds up no other.
+        An error in one part does not keep the others from stopping.
         """
-        with ExitStack() as parts:  # the last one in is the first one out
+        with ExitStack() as parts:  # last in, first out
             parts.callback(self.keeper.stop)
             parts.callback(self.mapper.stop)
             parts.callback(self.recorder.stop)
@@ -106,35 +106,35 @@ class Station:
             parts.callback(self.helm.stop)
 
     def start_mapping(self) -> None:
-        """Begin a new map, the robot standing at its origin; the present one is saved."""
+        """Save the present map and begin a new one, with the robot at its origin."""
         self.keeper.begin()
 
-    def go_on(self, name: str, *, frozen: bool = False) -> None:
-        """Go on with a map of the store, or (`frozen`) localise in it; the present one is saved.
+    def continue_map(self, name: str, *, frozen: bool = False) -> None:
+        """Save the present map and continue one of the store, or (`frozen`) localise in it.
 
-        Where in the map the robot is is found while it drives.
+        The robot is located in the map while it drives.
         """
-        self.keeper.begin(going_on(self.maps.path(name), self._preset, frozen=frozen))
+        self.keeper.begin(load_continued_map(self.maps.path(name), self._preset, frozen=frozen))
 
     def hint(self, x: float, y: float) -> None:
-        """Seek the robot about a place (m) in the map that is gone on with."""
+        """Search for the robot near a position (m) in the continued map."""
         self.keeper.hint(x, y)
 
     def save_map(self) -> Path:
-        """Write the map as it is now, with all files of a run, into its folder; mapping goes on."""
+        """Write the present map and all other files of a run into its folder; mapping goes on."""
         return self.keeper.save()
 
     def health(self) -> StationHealth:
-        """Return how everything is doing."""
+        """Return the status of all parts."""
         devices = {name: device.health() for name, device in self.devices.items()}
         return StationHealth(devices, self.recorder.status(), self.mapper.status(), self.climate)
 
     def receive(self, reading: Reading) -> None:
-        """Take one reading, from any thread; never blocks, because devices call it."""
+        """Process one reading, from any thread; never blocks, because devices call it."""
         message = reading.message
         self.recorder.put(reading)
         if isinstance(message, Event):
-            self._note(message)
+            self._keep_event(message)
         elif isinstance(message, Image):
             self.picture = message
         elif isinstance(message, Climate):
@@ -142,20 +142,20 @@ class Station:
         else:
             self.mapper.put(message, reading.arrived)
 
-    def _commanded(self, speed: float, turn_rate: float) -> None:
-        """Record what the robot was told; it is no odometry, and the map must not take it for one."""
+    def _record_command(self, speed: float, turn_rate: float) -> None:
+        """Record a drive command, but keep it from the mapper: it is not odometry."""
         moment = now()
         self.recorder.put(Reading(Velocity(moment, speed, turn_rate), moment, "helm"))
 
-    def _announce(self, level: str, text: str) -> None:
-        """Note what happened to the robot as a whole, in the log and on the page."""
+    def _notify(self, level: str, text: str) -> None:
+        """Log an event of the robot as a whole, and show it on the page."""
         self.receive(event("robot", level, text))
 
-    def _note(self, told: Event) -> None:
-        self.events.append(told)
-        del self.events[:-EVENTS]
+    def _keep_event(self, message: Event) -> None:
+        self.events.append(message)
+        del self.events[:-MAX_EVENTS]
 
 
 def _portable(preset: str, config: Config) -> str:
-    """Return what a log says of how it is mapped: a file here would not be found elsewhere."""
+    """Return the name of a preset, or the TOML of a config file, which others would not find."""
     return preset if preset in presets() else tomli_w.dumps(config.resolved())

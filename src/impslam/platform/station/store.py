@@ -1,4 +1,4 @@
-"""The logs on the robot's disk: what there is, and a recycle bin before anything is gone."""
+"""The logs on the robot's disk, and a recycle bin for deleted ones."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class StoredLog:
     size : bytes
     modified : s since 1970, when it was last written
     recording : whether it is being written
-    cut : whether it lacks its end (power lost); `imp run` reads it up to there
-    duration : s from the first message to the last, NaN where only reading it all would tell
+    cut : whether its end is missing (power loss); `imp run` reads it up to there
+    duration : s from the first message to the last, NaN if only reading all of it would give it
     """
 
     name: str
@@ -40,7 +40,7 @@ class StoredLog:
 class LogStore(Shelf):
     """The logs in a folder; every method may be called from any thread.
 
-    Only `.mcap` files that lie in the folder itself exist here: no links, no other folders.
+    Only `.mcap` files directly in the folder count: no links, no other folders.
 
     Parameters
     ----------
@@ -49,11 +49,11 @@ class LogStore(Shelf):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(Path(folder), LOGS)
-        self._known: dict[str, tuple[tuple[int, int], bool, float]] = {}
+        self._cache: dict[str, tuple[tuple[int, int], bool, float]] = {}
 
     def logs(self) -> list[StoredLog]:
         """Return the logs, newest first."""
-        found = [self._look(name, status) for name, status in self.entries()]
+        found = [self._describe(name, status) for name, status in self.entries()]
         return sorted(found, key=lambda log: (-log.modified, log.name))
 
     def delete(self, name: str) -> None:
@@ -68,32 +68,32 @@ class LogStore(Shelf):
             raise StoreError(f"{name}: is being recorded; stop the recording before deleting it")
         self.discard(name)
 
-    def _look(self, name: str, status: os.stat_result) -> StoredLog:
-        """Return what there is to tell of a log; a look inside is taken once for each version."""
+    def _describe(self, name: str, status: os.stat_result) -> StoredLog:
+        """Return the description of a log; the file is read once per version."""
         path, version = self.folder / name, (status.st_size, status.st_mtime_ns)
         recording = is_being_written(path)
         cut, duration = False, math.nan
         if not recording:
-            known = self._known.get(name)
-            if known is None or known[0] != version:
-                known = self._known[name] = version, *_end_of(path)
-            _, cut, duration = known
+            cached = self._cache.get(name)
+            if cached is None or cached[0] != version:
+                cached = self._cache[name] = version, *_end_of(path)
+            _, cut, duration = cached
         return StoredLog(name, status.st_size, status.st_mtime, recording, cut, duration)
 
 
 def _end_of(path: Path) -> tuple[bool, float]:
-    """Return whether a log lacks its end, and the s from its first message to its last, or NaN."""
+    """Return whether the end of a log is missing, and its duration in s, or NaN."""
     try:
         with path.open("rb") as file:
             file.seek(-len(_MAGIC), os.SEEK_END)
             if file.read() != _MAGIC:
                 return True, math.nan
-    except OSError:  # empty, or it has vanished
+    except OSError:  # empty, or vanished
         return True, math.nan
     reader = McapReader(path)
     try:
         reader.open()
-    except Exception:  # rosbags raises anything on a damaged summary
+    except Exception:  # rosbags raises errors of many types on a damaged summary
         return False, math.nan
     duration = reader.metadata.duration / 1e9
     reader.close()

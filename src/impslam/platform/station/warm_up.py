@@ -1,9 +1,9 @@
-"""Compiles what the estimator needs before the first scan, without holding up the rest.
+"""Compile the kernels of the estimator before the first scan, in a process of their own.
 
-Numba compiles a kernel when it is first called: on a fresh machine a minute or two, mostly with
-Python's global lock held, in which devices and the helm would stall for tenths of a second again and
-again. So a process of its own, at low priority, maps a simulated drive with the same config; what it
-compiles stays on the disk, from where this process then loads it in less than a second.
+Numba compiles a kernel at its first call: on a fresh machine, this takes a minute or two in total,
+mostly with Python's global lock held, and would stall devices and the helm repeatedly for tenths of a
+second. So a low-priority process maps a simulated drive with the same config; this process then loads
+the compiled kernels from the disk in less than a second.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from impslam.types import Message, OdometryPose, Steering, TruePose, Velocity
 log = logging.getLogger(__name__)
 
 WORLD = "arena"
-SCANS = 100  # by then landmarks have come, been matched and gone
-PATIENCE = 600.0  # s for the process; the slowest computer that is worth a try needs a third
+SCANS = 100  # enough for landmarks to be created, matched and removed
+COMPILE_TIMEOUT = 600.0  # s for the process; three times what a slow computer needs
 NICENESS = 10
 
 _done: set[str] = set()
@@ -37,33 +37,33 @@ _lock = threading.Lock()
 
 
 def warm_up(config: Config) -> None:
-    """Return once the estimator of a config is compiled; at once if this process has done so."""
+    """Compile the estimator of a config, unless this process has already done so."""
     table = config_toml(config.resolved())
     with _lock:
         if table in _done:
             return
-        _compile_apart(table)
-        rehearse(config, SCANS)  # the kernels of loops load from the disk in less than 0.1 s
+        _compile_in_subprocess(table)
+        rehearse(config, SCANS)  # kernels of loop closure load from the disk in less than 0.1 s
         _done.add(table)
 
 
 def rehearse(config: Config, scans: float = math.inf) -> None:
-    """Map a simulated drive, or its beginning.
+    """Map the first scans of a simulated drive, or all, and settle the map.
 
-    Its end closes loops, where the estimator does, and the map is settled: all kernels are called.
+    The end of the drive closes loops, if the estimator does, so that all kernels are called.
     """
     run = Run(config)
     kind = run.robot.odometry.consumes
     for order, message in enumerate(simulate(load_world(WORLD))):
-        told = _as_odometry(message, kind)
-        run.feed(single_row(type(told).__name__, told, order))
+        sent = _as_odometry(message, kind)
+        run.feed(single_row(type(sent).__name__, sent, order))
         if run.scans >= scans:
             break
     run.settled().grid()
 
 
 def _as_odometry(message: Message, kind: type) -> Message:
-    """Return a true pose as the odometry of a kind would tell it; other messages as they are."""
+    """Return a true pose as a message of an odometry type; other messages unchanged."""
     if isinstance(message, TruePose):
         if kind is OdometryPose:
             return OdometryPose(message.stamp, message.pose)
@@ -74,15 +74,15 @@ def _as_odometry(message: Message, kind: type) -> Message:
     return message
 
 
-def _compile_apart(table: str) -> None:
+def _compile_in_subprocess(table: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "config.toml"
         path.write_text(table, encoding="utf-8")
         command = [sys.executable, "-m", "impslam.platform.station.warm_up", str(path)]
         try:
-            subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE)  # noqa: S603  ours
+            subprocess.run(command, check=True, capture_output=True, timeout=COMPILE_TIMEOUT)  # noqa: S603  ours
         except (OSError, subprocess.SubprocessError) as error:
-            log.warning("compiling apart failed (%s); it is done in place", error)
+            log.warning("compiling in a subprocess failed (%s); compiling in place", error)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Putting a virtual IMP together from what is wanted of it."""
+"""Assemble a virtual IMP from its setup."""
 
 from __future__ import annotations
 
@@ -25,44 +25,44 @@ from impslam.simulation.body_lidar import Sweeps
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.world import World
 
-DRIFT = 30e-6  # 1, standard deviation of a quartz's rate: parts are sold with 20 to 50 ppm
+CLOCK_DRIFT = 30e-6  # 1, standard deviation: crystals are specified with 20 to 50 ppm
 GPS_BAUD = 9600  # bit/s, of most receivers
-BAUD = 460800  # bit/s, as docs/autopilot-protocol.md sets the autopilot's UART
+AUTOPILOT_BAUD = 460800  # bit/s, see docs/autopilot-protocol.md
 
 
 class Setup(Parameters):
-    """What is wanted of a virtual IMP."""
+    """The setup of a virtual IMP."""
 
     world: World
     robot: SimulatedRobot = SimulatedRobot()
     seed: int = parameter(0, "1", "of every random draw", ge=0)
     folder: Path = parameter(..., "", "where the pseudo-terminals' links are made")
     lidar: Literal["urg", "rplidar"] = parameter("urg", "", "which lidar it has")
-    lidar_line: Literal["tcp", "pty"] = parameter("tcp", "", "what the lidar is connected by")
+    lidar_line: Literal["tcp", "pty"] = parameter("tcp", "", "connection of the lidar")
     autopilot_line: Literal["tcp", "pty"] = parameter(
-        "tcp" if sys.platform == "win32" else "pty", "", "what the autopilot is connected by"
+        "tcp" if sys.platform == "win32" else "pty", "", "connection of the autopilot"
     )
     speed_control: bool = parameter(
         False,
         "",
-        "whether the autopilot controls the wheels' speed, or motor drivers do by themselves",
+        "whether the autopilot controls the wheels' speed; else commands go to the motor drivers",
     )
     camera: bool = parameter(True, "", "whether it has a camera")
     gps: bool = parameter(False, "", "whether it has a GNSS receiver, as under open sky")
 
 
 def assemble(setup: Setup) -> VirtualImp:
-    """Make a virtual IMP; its ports are open when this returns.
+    """Return a virtual IMP with open ports.
 
     Raises
     ------
     ConfigError
-        If the world cannot be driven in.
+        If the robot cannot drive in the world.
     """
     streams = np.random.SeedSequence(setup.seed).spawn(8)
     seeds = [int(stream.generate_state(1)[0]) for stream in streams]
     body = Body(setup.world, setup.robot, setup.seed)
-    drifts = DRIFT * np.random.default_rng(seeds[0]).standard_normal(2)
+    drifts = CLOCK_DRIFT * np.random.default_rng(seeds[0]).standard_normal(2)
     emulators: dict[str, Emulator] = {
         "autopilot": AutopilotEmulator(
             body, drift=float(drifts[0]), seed=seeds[1], control=_controller(setup, body)
@@ -70,7 +70,9 @@ def assemble(setup: Setup) -> VirtualImp:
         "lidar": _lidar(setup, body, float(drifts[1]), seeds[2], seeds[3]),
     }
     lines: dict[str, Line] = {
-        "autopilot": _line(setup.autopilot_line, setup.folder / "autopilot", seeds[4], BAUD),
+        "autopilot": _line(
+            setup.autopilot_line, setup.folder / "autopilot", seeds[4], AUTOPILOT_BAUD
+        ),
         "lidar": _line(setup.lidar_line, setup.folder / "lidar", seeds[5]),
     }
     if setup.gps:
@@ -83,7 +85,7 @@ def assemble(setup: Setup) -> VirtualImp:
 
 
 def _controller(setup: Setup, body: Body) -> SpeedController | None:
-    """Return a controller that knows the body's motors."""
+    """Return a controller for the body's motors, None without speed control."""
     if not setup.speed_control:
         return None
     train = body.drivetrain
@@ -100,7 +102,7 @@ def _controller(setup: Setup, body: Body) -> SpeedController | None:
 
 
 def _lidar(setup: Setup, body: Body, drift: float, seed: int, noise: int) -> Emulator:
-    """Return the lidar's emulator; its sweeps are computed once, so that no first one is late."""
+    """Return the lidar's emulator; one sweep is computed here, so that the first one is not late."""
     body.advance(0.2)
     if setup.lidar == "rplidar":
         sweeps = Sweeps(body, noise, A1)

@@ -1,4 +1,4 @@
-"""The autopilot's firmware, emulated: what docs/autopilot-protocol.md asks of a micro-controller."""
+"""An emulator of the autopilot's firmware, as docs/autopilot-protocol.md specifies it."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from impslam.platform.virtual.wheel_speed import SpeedController
 from impslam.types import Array
 
 PERIOD = 0.01  # s between SENSORS
-HELLO_EVERY = 1.0  # s
+HELLO_INTERVAL = 1.0  # s
 DEAD_MAN = 0.5  # s without a drive after which the motors are off
-BOOTING = 0.05  # s from reset to the first HELLO
+BOOT_TIME = 0.05  # s from reset to the first HELLO
 FIRMWARE = (1, 0)
 
 GYRO = math.radians(500.0) / 32768.0  # rad/s a step: +-500 deg/s
@@ -45,19 +45,19 @@ _FORCE_NOISE = 0.04  # m/s^2, of the second, coarser accelerometer
 
 
 class AutopilotEmulator:
-    """The micro-controller without its wires: bytes in, bytes out, at given times.
+    """The micro-controller without hardware: bytes in, bytes out, at given times.
 
     Parameters
     ----------
-    vehicle : what its wires go to; an attribute `stalled` (two bools, left first) is told as motor
-        stalls where there is one
-    drift : 1, device seconds per true second, less 1: e.g. 30e-6
+    vehicle : the hardware; an optional attribute `stalled` (two bools, left first) sets the flags of
+        motor stalls
+    drift : 1, device seconds per true second, minus 1: e.g. 30e-6
     seed : of all noise
-    control : of the wheels' speed; None: motor drivers do as they are told by themselves
+    control : speed control of the wheels; None: commands go to the motor drivers directly
 
     Attributes
     ----------
-    asked : surface speeds (m/s) that the host wants now, left first
+    commanded : surface speeds (m/s) that the host commands, left first
     """
 
     def __init__(
@@ -70,23 +70,23 @@ class AutopilotEmulator:
     ) -> None:
         self.vehicle, self.drift, self._control = vehicle, drift, control
         self.low_supply = False
-        self.counts: Counter[str] = Counter()  # what was wrong with what the host sent
+        self.counts: Counter[str] = Counter()  # errors in the bytes of the host
         self._boots = 0
         self._rng, left, right = np.random.default_rng(seed).spawn(3)
         self._encoders = AbsoluteEncoder(left), AbsoluteEncoder(right)
         self.reboot(0.0, Reset.POWER)
 
-    # ------------------------------------------------------------------ what happens to it
+    # ------------------------------------------------------------------ bytes and time
 
     def reboot(self, time: float, reason: Reset = Reset.BROWN_OUT) -> None:
-        """Forget everything but the number of boots; motors off."""
-        self._move(0.0, 0.0)
+        """Reset everything except the number of boots; motors off."""
+        self._command_speeds(0.0, 0.0)
         self._boots += 1
         self._reason = reason
         self._encoder = Encoder(self._boots)
         self._decoder = Decoder(COMMANDS, lambda what, n: self.counts.update({what: n}))
         self._accumulators = Accumulator(), Accumulator()
-        self._ready_at = time + BOOTING
+        self._ready_at = time + BOOT_TIME
         self._sensors_at = self._hello_at = self._control_at = self._ready_at
         self._out = bytearray()
         self._state = Flag.DEAD_MAN  # one of STOPPED, DEAD_MAN, and none: driving
@@ -94,25 +94,25 @@ class AutopilotEmulator:
         self._applied = self._applied_clock = self._host_offset = 0
 
     def receive(self, data: bytes, time: float) -> None:
-        """Take what the host sent; before the boot has ended nobody listens."""
+        """Process bytes from the host; they are ignored during the boot."""
         if time < self._ready_at:
             return
         for frame in self._decoder.feed(data):
-            self._do(frame, time)
+            self._execute(frame, time)
 
     def due(self, time: float) -> bytes:
-        """Return what is sent until `time`; to be called every ms, as its timer interrupt is."""
+        """Return the bytes sent until `time`; must be called every ms, like its timer interrupt."""
         if time < self._ready_at:
             return b""
         self._sample_encoders(time)
-        self._watch_dead_man(time)
+        self._check_drive_timeout(time)
         self._control_wheels(time)
         if time >= self._hello_at:
-            self._hello_at = max(self._hello_at + HELLO_EVERY, time)
-            self._say_hello(time)
+            self._hello_at = max(self._hello_at + HELLO_INTERVAL, time)
+            self._send_hello(time)
         if time >= self._sensors_at:
-            self._say_sensors(time)
-            # What was missed is not sent late: it could only repeat what is read now.
+            self._send_sensors(time)
+            # Missed readings are not sent late: they would only repeat the present one.
             missed = math.floor((time - self._sensors_at) / PERIOD)
             self._sensors_at += PERIOD * (missed + 1)
         out = bytes(self._out)
@@ -122,8 +122,8 @@ class AutopilotEmulator:
     # ------------------------------------------------------------------ sensors
 
     def _clock(self, time: float) -> int:
-        """Return its own clock in us since it was reset."""
-        return int((time - self._ready_at + BOOTING) * (1.0 + self.drift) * 1e6)
+        """Return its clock, us since the reset."""
+        return int((time - self._ready_at + BOOT_TIME) * (1.0 + self.drift) * 1e6)
 
     def _sample_encoders(self, time: float) -> None:
         for angle, encoder, accumulator in zip(
@@ -131,7 +131,7 @@ class AutopilotEmulator:
         ):
             accumulator.add(encoder.read(angle, time), time)
 
-    def _say_hello(self, time: float) -> None:
+    def _send_hello(self, time: float) -> None:
         hello = Hello(
             self._boots,
             *FIRMWARE,
@@ -143,9 +143,9 @@ class AutopilotEmulator:
             self._clock(time),
             self._host_offset,
         )
-        self._say(Kind.HELLO, hello.pack())
+        self._send_frame(Kind.HELLO, hello.pack())
 
-    def _say_sensors(self, time: float) -> None:
+    def _send_sensors(self, time: float) -> None:
         rates, forces = self.vehicle.inertial()
         left, right = self._accumulators
         temperature, humidity = _climate(time)
@@ -165,10 +165,10 @@ class AutopilotEmulator:
             applied=self._applied,
             applied_clock=self._applied_clock,
         )
-        self._say(Kind.SENSORS, sensors.pack())
+        self._send_frame(Kind.SENSORS, sensors.pack())
 
     def _field(self) -> Array:
-        """Return the Earth's field in the body's frame, in T."""
+        """Return the Earth's magnetic field in the body's frame, T."""
         heading = self.vehicle.heading()
         north, down = _FIELD
         field = np.array([north * math.cos(heading), -north * math.sin(heading), -down])
@@ -182,7 +182,7 @@ class AutopilotEmulator:
 
     # ------------------------------------------------------------------ commands
 
-    def _do(self, frame: Frame, time: float) -> None:
+    def _execute(self, frame: Frame, time: float) -> None:
         actions: dict[int, Callable[[bytes, float], Result]] = {
             Kind.DRIVE: self._on_drive,
             Kind.STOP: self._on_stop,
@@ -196,22 +196,22 @@ class AutopilotEmulator:
         clock = self._clock(time)
         if result is Result.DONE:
             self._applied, self._applied_clock = frame.sequence, clock
-        self._say(Kind.ACK, Ack(frame.type, result, frame.sequence, clock).pack())
+        self._send_frame(Kind.ACK, Ack(frame.type, result, frame.sequence, clock).pack())
         if frame.type == Kind.SET_TIME:
-            self._say_hello(time)
+            self._send_hello(time)
 
     def _on_drive(self, payload: bytes, time: float) -> Result:
         command = Drive.parse(payload)
         if self._state & Flag.STOPPED:
             return Result.STOPPED
         self._state, self._drive_until = Flag(0), time + DEAD_MAN
-        self._move(1e-3 * command.left, 1e-3 * command.right)
+        self._command_speeds(1e-3 * command.left, 1e-3 * command.right)
         return Result.DONE
 
     def _on_stop(self, payload: bytes, time: float) -> Result:
-        # A stop with a payload is no stop that was ever sent, but standing is never wrong.
+        # A stop with a payload is malformed, but stopping is always safe.
         self._state = Flag.STOPPED
-        self._move(0.0, 0.0)
+        self._command_speeds(0.0, 0.0)
         parse_empty("STOP", payload)
         return Result.DONE
 
@@ -225,37 +225,37 @@ class AutopilotEmulator:
         self._host_offset = SetTime.parse(payload).host - self._clock(time)
         return Result.DONE
 
-    def _watch_dead_man(self, time: float) -> None:
+    def _check_drive_timeout(self, time: float) -> None:
         if not self._state and time >= self._drive_until:
             self._state = Flag.DEAD_MAN
-            self._move(0.0, 0.0)
+            self._command_speeds(0.0, 0.0)
 
-    def _move(self, left: float, right: float) -> None:
-        """Want speeds of the driven wheels; off means off at once, and forgets what was held."""
-        self.asked = left, right
+    def _command_speeds(self, left: float, right: float) -> None:
+        """Command speeds of the driven wheels; zero stops at once and resets the controller."""
+        self.commanded = left, right
         if self._control is None or left == right == 0.0:
             self.vehicle.drive(left, right)
         if self._control is not None:
             if left == right == 0.0:
                 self._control.reset()
-            self._control.asked = np.array(self.asked)
+            self._control.commanded = np.array(self.commanded)
 
     def _control_wheels(self, time: float) -> None:
-        """Tell the motor drivers what keeps the wheels at their speeds, once a period."""
+        """Run the speed controller once a period."""
         if self._control is None or time < self._control_at:
             return
         self._control_at = max(self._control_at + self._control.settings.period, time)
         left, right = self._accumulators
-        told = self._control.step((left.count, right.count))
-        if any(self.asked):
-            self.vehicle.drive(*told.tolist())
+        speeds = self._control.step((left.count, right.count))
+        if any(self.commanded):
+            self.vehicle.drive(*speeds.tolist())
 
-    def _say(self, kind: Kind, payload: bytes) -> None:
+    def _send_frame(self, kind: Kind, payload: bytes) -> None:
         self._out += self._encoder.encode(kind, payload)[1]
 
 
 def _steps(values: Array, scale: float) -> tuple[int, int, int]:
-    """Return a converter's steps, which end at 16 bits."""
+    """Return values in steps of a converter, clipped to 16 bits."""
     x, y, z = np.clip(np.rint(values / scale), -32768, 32767).astype(int).tolist()
     return x, y, z
 
@@ -266,6 +266,6 @@ def _signed(count: int) -> int:
 
 
 def _climate(time: float) -> tuple[int, int]:
-    """Return temperature (0.01 degC) and humidity (0.01 %): a room in the course of an hour."""
+    """Return temperature (0.01 degC) and humidity (0.01 %) of a room, with a period of an hour."""
     wave = math.sin(2.0 * math.pi * time / 3600.0)
     return round(2300 + 150 * wave), round(4500 - 400 * wave)

@@ -1,7 +1,6 @@
-"""The virtual camera: what a camera on the robot would see of the world, served as MJPEG.
+"""The virtual camera: pictures of the world from the robot, served as MJPEG.
 
-Network cameras speak the same protocol (JPEG parts of one endless HTTP answer), so that the host
-reads this one like theirs.
+Network cameras use the same protocol (JPEG parts of one endless HTTP answer).
 """
 
 from __future__ import annotations
@@ -21,15 +20,15 @@ BOUNDARY = "impslam-frame"
 
 
 class CameraEmulator:
-    """A camera on the robot, and the small HTTP server that shows what it sees.
+    """A camera on the robot, and a small HTTP server for its pictures.
 
     Parameters
     ----------
     scene : the world
-    pose : returns where the robot is now, `T_map_base` (3,); called from the server's threads
-    clock : returns the world's time in s, which doors and people follow
-    rate : Hz, pictures sent
-    lens : the camera itself
+    pose : returns the present pose of the robot, `T_map_base` (3,); called from the server's threads
+    clock : returns the time of the world, s, for moving doors and people
+    rate : rate of pictures, Hz
+    lens : the camera model
     quality : of the JPEG, 1 to 100
     """
 
@@ -49,16 +48,16 @@ class CameraEmulator:
         self._dead_until = self._frozen_until = 0.0
 
     def picture(self) -> Pixels:
-        """Return what the camera sees now, (height, width, 3) in OpenCV's order blue, green, red."""
+        """Return the present picture, (height, width, 3) in OpenCV's order blue, green, red."""
         return self._camera.picture(self._pose(), self._clock())
 
     def jpeg(self) -> bytes:
-        """Return what the camera sees now as a JPEG file."""
+        """Return the present picture as a JPEG file."""
         return self._camera.jpeg(self._pose(), self._clock())
 
     def serve(self, port: int = 0) -> str:
-        """Begin to serve on loopback and return the URL; port 0 takes a free one."""
-        self.picture()  # loads the kernels, which holds all threads up, before time matters
+        """Start to serve on loopback and return the URL; port 0 takes a free one."""
+        self.picture()  # loads the kernels now, since that blocks all threads
         server = ThreadingHTTPServer(("127.0.0.1", port), _handler(self))
         server.daemon_threads = True
         self._server = server
@@ -66,11 +65,11 @@ class CameraEmulator:
         return f"http://127.0.0.1:{server.server_address[1]}/stream"
 
     def unplug(self, seconds: float) -> None:
-        """Cut all connections and refuse new ones for this long."""
+        """Close all connections and refuse new ones for this long."""
         self._dead_until = time.monotonic() + seconds
 
     def freeze(self, seconds: float) -> None:
-        """Send nothing for this long without cutting the connection: a camera that hangs."""
+        """Send nothing for this long, without closing connections: a camera that hangs."""
         self._frozen_until = time.monotonic() + seconds
 
     def close(self) -> None:
@@ -83,11 +82,11 @@ class CameraEmulator:
 
     @property
     def plugged(self) -> bool:
-        """Whether it is there at all."""
+        """Whether the camera is connected."""
         return not self._closing.is_set() and time.monotonic() >= self._dead_until
 
     def pause(self) -> bool:
-        """Wait for the next picture's turn; False once the connection is to end."""
+        """Wait until the next picture is due; return False if the connection must end."""
         self._closing.wait(1.0 / self._rate)
         while self.plugged and time.monotonic() < self._frozen_until:
             self._closing.wait(0.02)
@@ -95,7 +94,7 @@ class CameraEmulator:
 
 
 def _handler(camera: CameraEmulator) -> type[BaseHTTPRequestHandler]:
-    """Return the class that answers requests for this camera."""
+    """Return the request handler of this camera."""
 
     class Handler(BaseHTTPRequestHandler):
         timeout = 5.0
@@ -106,7 +105,7 @@ def _handler(camera: CameraEmulator) -> type[BaseHTTPRequestHandler]:
             elif not camera.plugged:
                 self.send_error(503)
             else:
-                with contextlib.suppress(OSError):  # who watched has gone
+                with contextlib.suppress(OSError):  # the client has gone
                     self._stream()
 
         def _stream(self) -> None:

@@ -1,11 +1,11 @@
-"""What a virtual IMP is asked from outside, as one JSON object a line, and what it answers.
+"""Requests to a virtual IMP and their answers, one JSON object per line.
 
     {"ask": "ports"}                    {"autopilot": "/tmp/.../autopilot", "lidar": "socket://..."}
     {"ask": "truth", "since": 12.5}     pose, twist, motors, commands (`VirtualImp.truth`)
-    {"ask": "status"}                   how well it keeps up, what its lines counted
-    {"fault": "unplug", "device": "lidar", "seconds": 2}      {} (`faults` tells which there are)
+    {"ask": "status"}                   lateness, CPU time, and counters of the lines
+    {"fault": "unplug", "device": "lidar", "seconds": 2}      {} (see `faults`)
 
-What cannot be done is answered by {"error": one line}.
+The answer to an invalid request is {"error": one line}.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Answer = dict[str, Any]
 
 
 def answer(imp: VirtualImp, line: str) -> str:
-    """Do what a line asks for; the answer is one line too, whatever the line was."""
+    """Process the request in a line, and return the answer as one line."""
     try:
         request = json.loads(line)
         if not isinstance(request, dict):
@@ -43,12 +43,12 @@ def _answer(imp: VirtualImp, request: Mapping[str, Any]) -> Answer:
     since = request.get("since", 0.0)
     if not isinstance(since, int | float):
         raise ConfigError(f"since = {since!r} is no time in s")
-    asks: dict[str, Callable[[], Answer]] = {
+    queries: dict[str, Callable[[], Answer]] = {
         "ports": lambda: dict(imp.ports()),
         "truth": lambda: imp.truth(since),
         "status": imp.status,
     }
-    asked = str(request.get("ask"))
-    if asked not in asks:
-        raise ConfigError(f"cannot be asked for {asked!r}; {near_miss(asked, asks)}")
-    return asks[asked]()
+    query = str(request.get("ask"))
+    if query not in queries:
+        raise ConfigError(f"cannot be asked for {query!r}; {near_miss(query, queries)}")
+    return queries[query]()

@@ -1,4 +1,4 @@
-"""Faults on command: what can be asked for."""
+"""The faults of a virtual robot."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from impslam.platform.virtual.disturbance import Kind
 
 
 class _Fault(Parameters):
-    """A fault as it is asked for: a typo in it is an error."""
+    """The base class of faults, which forbids unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Noise(_Fault):
-    """Bytes spoilt on a line, in both directions."""
+    """Corrupted bytes on a line, in both directions."""
 
     fault: Literal["noise"] = "noise"
     device: Literal["autopilot", "lidar", "gps"]
-    rate: float = parameter(..., "1/byte", "share of the bytes that are spoilt", gt=0.0, le=1.0)
+    rate: float = parameter(..., "1/byte", "share of corrupted bytes", gt=0.0, le=1.0)
     seconds: float = parameter(..., "s", "how long", gt=0.0)
     kind: Kind = parameter(
-        "any", "", "one bit flipped, a byte dropped, one put in, or any of these"
+        "any", "", "one bit flipped, a byte dropped, a byte inserted, or any of these"
     )
 
 
@@ -39,7 +39,7 @@ class Delay(_Fault):
 
 
 class Unplug(_Fault):
-    """A port that is gone and comes back under the same name."""
+    """A port that disappears and comes back under the same name."""
 
     fault: Literal["unplug"] = "unplug"
     device: Literal["autopilot", "lidar", "gps", "camera"]
@@ -47,22 +47,22 @@ class Unplug(_Fault):
 
 
 class Reboot(_Fault):
-    """A device whose supply fails for a moment."""
+    """A short power failure of a device."""
 
     fault: Literal["reboot"] = "reboot"
     device: Literal["autopilot", "lidar", "gps"]
 
 
 class Malfunction(_Fault):
-    """A lidar that measures no longer and says so, until it is reset."""
+    """A lidar that stops measuring and reports it, until it is reset."""
 
     fault: Literal["malfunction"] = "malfunction"
     device: Literal["lidar"] = "lidar"
-    status: int = parameter(50, "", "what it says: SCIP's 50 to 97", ge=50, le=97)
+    status: int = parameter(50, "", "status of SCIP, 50 to 97", ge=50, le=97)
 
 
 class Stall(_Fault):
-    """Motors that are blocked."""
+    """Blocked motors."""
 
     fault: Literal["stall"] = "stall"
     side: Literal["left", "right", "both"]
@@ -76,12 +76,12 @@ _FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
 
 
 def parse_fault(table: Mapping[str, Any]) -> Fault:
-    """Make a fault from what was asked for, such as {"fault": "reboot", "device": "lidar"}.
+    """Return the fault of a request such as {"fault": "reboot", "device": "lidar"}.
 
     Raises
     ------
     ConfigError
-        If there is no such fault; one line.
+        If there is no such fault, in one line.
     """
     try:
         return _FAULT.validate_python(dict(table))

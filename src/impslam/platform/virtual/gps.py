@@ -1,7 +1,7 @@
-"""The virtual GNSS receiver: NMEA 0183 out, nothing in, in a world that lies somewhere on the earth.
+"""The virtual GNSS receiver: sends NMEA 0183, in a world with a position on the earth.
 
-Its errors are those of a receiver under open sky: white noise, and an error that all fixes of some
-minutes share (satellites' orbits and clocks, air), a first-order Gauss-Markov process.
+Its errors are those of a receiver under open sky: white noise, and a slowly varying error (satellites'
+orbits and clocks, atmosphere), a first-order Gauss-Markov process.
 """
 
 from __future__ import annotations
@@ -15,19 +15,23 @@ from impslam.geometry.geodesy import LocalPlane
 from impslam.types import Array
 
 RATE = 1.0  # Hz
-WHITE, SHARED, MEMORY = 0.5, 1.5, 300.0  # m, m, s: per axis; together HDOP 1.0 of 2.2 m a range
+WHITE, SHARED, CORRELATION_TIME = (
+    0.5,
+    1.5,
+    300.0,
+)  # m, m, s: per axis; together HDOP 1.0 of 2.2 m a range
 DELAY = 0.1  # s from a fix to its sentences
-ORIGIN = LocalPlane(52.0, 13.0, 40.0)  # where map's origin is; its x points east
-FIRST = 12 * 3600.0  # s of the day at which it starts
+ORIGIN = LocalPlane(52.0, 13.0, 40.0)  # of map; its x points east
+START_TIME = 12 * 3600.0  # s of the day
 
 
 class GpsEmulator:
-    """A GNSS receiver as its port sees it.
+    """A GNSS receiver as seen from its port.
 
     Parameters
     ----------
     pose : returns the true pose (3,)
-    plane : where map's origin lies on the earth
+    plane : position of map's origin on the earth
     seed : of its errors
     """
 
@@ -42,15 +46,15 @@ class GpsEmulator:
         self.sky = True  # without it there is no fix
 
     def receive(self, data: bytes, time: float) -> None:
-        """Take what the host sent; it needs nothing."""
+        """Ignore bytes from the host."""
 
     def reboot(self, time: float) -> None:
-        """Forget what was to be sent; the next fix takes a second."""
+        """Drop pending sentences; the next fix takes a second."""
         self._waiting.clear()
         self._next = math.floor(time) + 2.0 / RATE
 
     def due(self, time: float) -> bytes:
-        """Return what is sent until `time`."""
+        """Return the bytes sent until `time`."""
         while time >= self._next:
             self._waiting.append((self._next + DELAY, self._sentences(self._next)))
             self._next += 1.0 / RATE
@@ -60,12 +64,12 @@ class GpsEmulator:
 
     def _sentences(self, time: float) -> bytes:
         """Return RMC, GGA and GST of a fix."""
-        kept = math.exp(-1.0 / (RATE * MEMORY))
-        fresh = SHARED * math.sqrt(1.0 - kept**2)
-        self._shared = kept * self._shared + fresh * self._rng.standard_normal(2)
+        correlation = math.exp(-1.0 / (RATE * CORRELATION_TIME))
+        innovation = SHARED * math.sqrt(1.0 - correlation**2)
+        self._shared = correlation * self._shared + innovation * self._rng.standard_normal(2)
         error = self._shared + WHITE * self._rng.standard_normal(2)
         place = self._plane.geodetic(np.array([*(self._pose()[:2] + error), 0.0]))
-        moment = (FIRST + time) % 86400.0
+        moment = (START_TIME + time) % 86400.0
         clock = f"{int(moment // 3600):02}{int(moment // 60) % 60:02}{moment % 60:05.2f}"
         lat, lon = _degrees(place[0], "NS", 2), _degrees(place[1], "EW", 3)
         sigma = math.hypot(WHITE, SHARED)
@@ -85,7 +89,7 @@ class GpsEmulator:
 
 
 def _degrees(value: float, letters: str, digits: int) -> str:
-    """Return degrees as NMEA has them: ddmm.mmmmm and a letter."""
+    """Return degrees in the format of NMEA: ddmm.mmmmm and a letter."""
     whole, minutes = divmod(round(abs(value) * 60.0, 5), 60.0)
     return f"{int(whole):0{digits}}{minutes:08.5f},{letters[value < 0]}"
 

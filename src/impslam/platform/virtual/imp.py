@@ -1,7 +1,7 @@
-"""The virtual IMP: a body in a world, its devices, and their ports, moved in real time.
+"""The virtual IMP: a body in a world, its devices, and their ports, simulated in real time.
 
-One thread moves everything, about every millisecond. When the machine comes late, time is caught up
-in slices, so that each reading is of the moment at which the device would have taken it.
+One thread advances everything, about every millisecond. When the computer is late, it catches up in
+slices, so that each reading is of the time at which the device would have taken it.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from impslam.types import Array
 
 log = logging.getLogger(__name__)
 
-PERIOD = 1e-3  # s between two looks at the lines
-SLICE = 5e-3  # s caught up at once: half the period of the fastest device, 100 Hz
-LATE = 20e-3  # s; two readings of the fastest device are due: told as late
-KEPT = 10_000  # passes whose lateness is kept: 10 s
-COMMANDS = 1000  # changes of the commanded speeds that are kept
+PERIOD = 1e-3  # s between passes
+SLICE = 5e-3  # s advanced at once: half the period of the fastest device, 100 Hz
+MAX_LATENESS = 20e-3  # s, then a pass counts as late: two readings of the fastest device
+MAX_PASSES = 10_000  # lateness kept: 10 s
+MAX_COMMANDS = 1000  # changes of the commanded speeds kept
 
 
 class VirtualImp:
-    """Body, devices and lines, and what is known about them from outside.
+    """Body, devices and lines of a virtual robot.
 
     Parameters
     ----------
     body : the robot
     emulators : its devices by name
-    lines : the port of each of them
+    lines : their ports by name
     """
 
     def __init__(
@@ -53,78 +53,78 @@ class VirtualImp:
         self._camera: CameraEmulator | None = None
         self._ports = {name: line.url for name, line in self._lines.items()}
         self._blocked: dict[str, float] = {}
-        self._commands: deque[tuple[float, float, float]] = deque(maxlen=COMMANDS)
-        self._told = body.told
+        self._commands: deque[tuple[float, float, float]] = deque(maxlen=MAX_COMMANDS)
+        self._last_command = body.told
         self._origin, self._now = time.monotonic(), body.time
-        self._lateness = np.zeros(KEPT)
+        self._lateness = np.zeros(MAX_PASSES)
         self._passes = self._late = 0
 
     def add_camera(self, camera: CameraEmulator) -> None:
-        """Serve a camera as well; it is no byte line and has a server of its own."""
+        """Serve a camera, which has its own server instead of a line."""
         self._camera = camera
         self._ports["camera"] = camera.serve()
 
     def ports(self) -> dict[str, str]:
-        """Return what the host opens, by device."""
+        """Return the ports that the host opens, by device."""
         return dict(self._ports)
 
     # ------------------------------------------------------------------ moving
 
     def run(self, stop: Callable[[], bool], serve: Callable[[], None] = lambda: None) -> None:
-        """Move in real time until `stop`; `serve` is called in every pass, and must not wait."""
+        """Run in real time until `stop`; `serve` is called in every pass, and must not block."""
         due = time.monotonic()
         self._origin = due - self.body.time
         while not stop():
             late = time.monotonic() - due
-            self._note(late)
+            self._record_lateness(late)
             self.step(time.monotonic() - self._origin)
             serve()
-            # Passes that were missed are left out: time is caught up in slices.
+            # Missed passes are skipped; `step` catches up in slices.
             due += PERIOD if late < PERIOD else late + PERIOD
             time.sleep(max(due - time.monotonic(), 0.0))
 
     def step(self, end: float) -> None:
-        """Move on to a time in s since the beginning, and serve all lines."""
+        """Advance to a time, s since the start, and serve all lines."""
         self._now = end
-        self._free()
+        self._end_stalls()
         while end - self.body.time > SLICE:
-            self._slice(self.body.time + SLICE)
-        self._slice(end)
+            self._advance(self.body.time + SLICE)
+        self._advance(end)
         for name, line in self._lines.items():
             data = line.receive(end)
             if data:
                 self._emulators[name].receive(data, end)
-        self._watch()
+        self._record_commands()
 
-    def _slice(self, end: float) -> None:
+    def _advance(self, end: float) -> None:
         self.body.advance(end)
         for name, emulator in self._emulators.items():
             self._lines[name].send(emulator.due(end), end)
 
-    def _free(self) -> None:
-        """End the stalls whose time is over."""
+    def _end_stalls(self) -> None:
+        """End expired stalls."""
         for side in [side for side, until in self._blocked.items() if self._now >= until]:
             del self._blocked[side]
             self.body.stall(side, False)
 
-    def _watch(self) -> None:
-        """Note when the motors are told something new; they obey from now on."""
-        told = self._asked()
-        if told[0] != self._told[0] or told[1] != self._told[1]:
-            self._told = told
-            self._commands.append((time.monotonic(), float(told[0]), float(told[1])))
+    def _record_commands(self) -> None:
+        """Record a change of the commanded speeds, which takes effect now."""
+        speeds = self._commanded_speeds()
+        if speeds[0] != self._last_command[0] or speeds[1] != self._last_command[1]:
+            self._last_command = speeds
+            self._commands.append((time.monotonic(), float(speeds[0]), float(speeds[1])))
 
-    def _asked(self) -> Array:
-        """Return the speeds (2,) m/s that the host has asked the motors for."""
+    def _commanded_speeds(self) -> Array:
+        """Return the speeds (2,) that the host commands, m/s."""
         autopilot = self._emulators.get("autopilot")
         if isinstance(autopilot, AutopilotEmulator):
-            return np.array(autopilot.asked)
+            return np.array(autopilot.commanded)
         return self.body.told
 
-    def _note(self, lateness: float) -> None:
-        self._lateness[self._passes % KEPT] = lateness
+    def _record_lateness(self, lateness: float) -> None:
+        self._lateness[self._passes % MAX_PASSES] = lateness
         self._passes += 1
-        if lateness > LATE:
+        if lateness > MAX_LATENESS:
             self._late += 1
             log.log(
                 logging.WARNING if self._late in (100, 1000) else logging.DEBUG,
@@ -137,12 +137,12 @@ class VirtualImp:
     # ------------------------------------------------------------------ from outside
 
     def fault(self, fault: Fault) -> None:
-        """Let something go wrong, from now on.
+        """Trigger a fault.
 
         Raises
         ------
         ConfigError
-            If the device that it is for is not there.
+            If the robot does not have its device.
         """
         if isinstance(fault, Stall):
             self._stall(fault)
@@ -190,10 +190,10 @@ class VirtualImp:
         return self.body.pose
 
     def truth(self, since: float = 0.0) -> dict[str, Any]:
-        """Return where the robot is, what its motors do, and what they were told.
+        """Return the pose of the robot, the speeds of its motors, and the commanded speeds.
 
-        Times are on the machine's monotonic clock (s), which all its processes share; `commands`
-        are [time, left, right], m/s, after `since`: when the motors began to obey it.
+        Times are on the computer's monotonic clock (s), which all its processes share; `commands` are
+        [time, left, right], m/s, after `since`, with the time at which each took effect.
         """
         body = self.body
         return {
@@ -202,14 +202,14 @@ class VirtualImp:
             "pose": body.pose.tolist(),
             "twist": body.twist.tolist(),
             "motors": body.motors.tolist(),
-            "told": self._asked().tolist(),
+            "told": self._commanded_speeds().tolist(),
             "stalled": sorted(self._blocked),
             "commands": [entry for entry in self._commands if entry[0] > since],
         }
 
     def status(self) -> dict[str, Any]:
-        """Return how well it keeps up (lateness and processor time in s), and its lines' counts."""
-        kept = self._lateness[: max(1, min(self._passes, KEPT))]
+        """Return lateness and CPU time, s, and the counters of the lines."""
+        kept = self._lateness[: max(1, min(self._passes, MAX_PASSES))]
         p50, p99 = np.percentile(kept, (50, 99)).tolist()
         return {
             "passes": self._passes,
@@ -220,7 +220,7 @@ class VirtualImp:
         }
 
     def close(self) -> None:
-        """Take all ports away."""
+        """Close all ports."""
         for line in self._lines.values():
             line.close()
         if self._camera is not None:

@@ -1,6 +1,6 @@
-"""Lines between an emulator and the host, with a plug and with faults.
+"""Lines between an emulator and the host, with faults.
 
-Nothing here waits: what the host does not take is lost and counted, as on a UART that nobody reads.
+Nothing here blocks: bytes that the host does not read are lost and counted, as on a UART.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ CHUNK = 65536  # bytes read at once
 
 
 class Line(ABC):
-    """A line with a plug and with faults. All times are in s since the virtual robot began.
+    """A line that can be unplugged and disturbed. Times are in s since the start of the virtual robot.
 
     Parameters
     ----------
     seed : of the noise on it
-    baud : bit/s at which it passes bytes, ten bits each; 0: at once, as USB and TCP do nearly
+    baud : bit/s, ten bits per byte; 0: no delay, as nearly with USB and TCP
 
     Attributes
     ----------
-    counts : bytes "sent" and "received" by the device's end; lost as "unplugged", "unheard" (no
-        host has the port open) and "overrun" (the host does not read); spoilt as `disturbance.KINDS`
+    counts : bytes "sent" and "received" by the device; lost as "unplugged", "unheard" (no host has
+        the port open) and "overrun" (the host does not read); corrupted as `disturbance.KINDS`
     """
 
     def __init__(self, seed: int = 0, baud: int = 0) -> None:
@@ -41,7 +41,7 @@ class Line(ABC):
     @property
     @abstractmethod
     def url(self) -> str:
-        """What the host opens."""
+        """The port that the host opens."""
 
     @abstractmethod
     def _plug(self) -> None:
@@ -49,74 +49,74 @@ class Line(ABC):
 
     @abstractmethod
     def _pull(self) -> None:
-        """Take the port away, whoever uses it."""
+        """Remove the port, even if it is in use."""
 
     @abstractmethod
     def _read(self) -> bytes:
-        """Return what the host has sent, empty if nothing."""
+        """Return bytes from the host, empty if there are none."""
 
     @abstractmethod
     def _write(self, data: bytes) -> int | None:
-        """Send to the host; return how much it takes, None if there is no host."""
+        """Send to the host; return how many bytes it took, None if there is no host."""
 
     def receive(self, time: float) -> bytes:
-        """Return what came from the host since the last call; called about every ms."""
+        """Return the bytes from the host since the last call; called about every ms."""
         if not self._plugged:
             if time < self._unplugged_until:
                 return b""
             self._plug()
             self._plugged = True
-        data = self._inward.passed(self._wires[0].passed(self._read(), time), time)
+        data = self._inward.transfer(self._wires[0].transfer(self._read(), time), time)
         self.counts["received"] += len(data)
         return data
 
     def send(self, data: bytes, time: float) -> None:
-        """Send to the host what the device says; call it without data too: delayed bytes end."""
+        """Send bytes of the device to the host; call it without data too, for delayed bytes."""
         if not self._plugged:
             self.counts["unplugged"] += len(data)
             return
-        data = self._outward.passed(self._wires[1].passed(data, time), time)
+        data = self._outward.transfer(self._wires[1].transfer(data, time), time)
         if data:
             taken = self._write(data)
             self.counts["sent"] += taken or 0
             self.counts["unheard" if taken is None else "overrun"] += len(data) - (taken or 0)
 
     def noise(self, rate: float, kind: Kind, until: float) -> None:
-        """Spoil a share of the bytes, in both directions, until a time."""
+        """Corrupt a share of the bytes, in both directions, until a time."""
         self._inward.noise(rate, kind, until)
         self._outward.noise(rate, kind, until)
 
     def hold(self, until: float) -> None:
-        """Hold all bytes back, in both directions, until a time."""
+        """Hold back all bytes, in both directions, until a time."""
         self._inward.hold(until)
         self._outward.hold(until)
 
     def unplug(self, until: float) -> None:
-        """Take the port away until a time; what is under way is lost."""
+        """Remove the port until a time; bytes under way are lost."""
         self._unplugged_until = until
         for part in (*self._wires, self._inward, self._outward):
-            part.forget()
+            part.clear()
         if self._plugged:
             self._plugged = False
             self._pull()
 
     def close(self) -> None:
-        """Take the port away for good."""
+        """Remove the port permanently."""
         if self._plugged:
             self._plugged = False
             self._pull()
 
 
 class _Wire:
-    """Bytes on their way over a UART: a write arrives when its last byte has."""
+    """The delay of a UART: a write arrives with its last byte."""
 
     def __init__(self, baud: int) -> None:
         self._byte = 10.0 / baud if baud else 0.0  # s, start and stop bit included
         self._under_way: deque[tuple[float, bytes]] = deque()
         self._free = 0.0
 
-    def passed(self, data: bytes, time: float) -> bytes:
-        """Return what comes out at a time when `data` goes in."""
+    def transfer(self, data: bytes, time: float) -> bytes:
+        """Send `data` into the wire at a time, and return what comes out."""
         if not self._byte:
             return data
         if data:
@@ -127,7 +127,7 @@ class _Wire:
             out += self._under_way.popleft()[1]
         return out
 
-    def forget(self) -> None:
-        """Lose what is under way."""
+    def clear(self) -> None:
+        """Drop the bytes under way."""
         self._under_way.clear()
         self._free = 0.0

@@ -1,8 +1,8 @@
-"""The virtual IMP in a process of its own, so that what it costs and how it lags is not the host's.
+"""The virtual IMP in a process of its own, so that its load does not affect the host's process.
 
-`python -m impslam.platform.virtual.process` reads a `Setup` from the first line of its standard input, then
-requests (`control`), and answers on its standard output. It ends when its input does, so that it
-cannot outlive who started it, even if that one was killed.
+`python -m impslam.platform.virtual.process` reads a `Setup` from the first line of its standard input,
+then requests (`control`), and answers on its standard output. It ends when its input does, so that it
+cannot outlive the process that started it, even if that is killed.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from impslam.platform.virtual.rplidar import A1
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.world import World, load_world
 
-START = 600.0
-"""s to come up: 2 s, or minutes on a small board that compiles first. A process that ends is noticed at
-once."""
-END = 5.0  # s to end by itself
-ANSWER = 10.0  # s to answer, on a machine that is busy
-Ask = dict[str, Any]
+START_TIMEOUT = 600.0
+"""s to start: 2 s, or minutes on a small board that compiles first. If the process ends, this is noticed
+at once."""
+END_TIMEOUT = 5.0  # s to end by itself
+ANSWER_TIMEOUT = 10.0  # s to answer, on a busy computer
+Answer = dict[str, Any]
 
 
 class VirtualRobot:
@@ -90,7 +90,7 @@ class VirtualRobot:
         Raises
         ------
         ImpError
-            If it does not come up; why stands in its log, on standard error.
+            If it does not start; its log on standard error says why.
         """
         self._folder = tempfile.TemporaryDirectory(prefix="impslam-virtual-")
         setup = self._setup.model_copy(update={"folder": Path(self._folder.name)})
@@ -105,13 +105,13 @@ class VirtualRobot:
         listening = (self._process, self._answers)
         threading.Thread(target=_listen, args=listening, daemon=True).start()
         try:
-            self.ports = self._ask(json.loads(_dumped(setup)), START)
+            self.ports = self._request(json.loads(_to_json(setup)), START_TIMEOUT)
         except BaseException:
             self.close()
             raise
 
     def devices(self) -> dict[str, dict[str, Any]]:
-        """Return the devices of a robot file that speak to this robot."""
+        """Return the devices of a robot file for this robot."""
         tables: dict[str, dict[str, Any]] = {
             "autopilot": {"kind": "autopilot", "port": self.ports.get("autopilot")},
             "lidar": {"kind": self._setup.lidar, "port": self.ports.get("lidar")},
@@ -119,20 +119,20 @@ class VirtualRobot:
             "camera": {"kind": "camera", "source": self.ports.get("camera")},
         }
         if self._setup.lidar == "rplidar":
-            tables["lidar"]["latency"] = 1.0 / A1.rate  # the emulator knows of whole turns only
+            tables["lidar"]["latency"] = 1.0 / A1.rate  # the emulator sends whole turns
         return {name: tables[name] for name in self.ports}
 
     def fault(self, fault: str, **what: Any) -> None:
-        """Let something go wrong: `fault("unplug", device="lidar", seconds=2)`; see `faults`."""
-        self._ask({"fault": fault, **what})
+        """Trigger a fault: `fault("unplug", device="lidar", seconds=2)`; see `faults`."""
+        self._request({"fault": fault, **what})
 
-    def truth(self, since: float = 0.0) -> Ask:
-        """Return where the robot is and what its motors do, as `VirtualImp.truth` tells it."""
-        return self._ask({"ask": "truth", "since": since})
+    def truth(self, since: float = 0.0) -> Answer:
+        """Return the true pose and the speeds of the motors; see `VirtualImp.truth`."""
+        return self._request({"ask": "truth", "since": since})
 
-    def status(self) -> Ask:
-        """Return how well it keeps up, and what its lines have counted."""
-        return self._ask({"ask": "status"})
+    def status(self) -> Answer:
+        """Return lateness, CPU time and counters; see `VirtualImp.status`."""
+        return self._request({"ask": "status"})
 
     def close(self) -> None:
         """End the process; its ports are gone when this returns."""
@@ -141,37 +141,37 @@ class VirtualRobot:
             _end(process)
             self._folder.cleanup()
 
-    def _ask(self, request: Mapping[str, Any], patience: float = ANSWER) -> Ask:
+    def _request(self, request: Mapping[str, Any], timeout: float = ANSWER_TIMEOUT) -> Answer:
         with self._lock:
             if self._process is None or self._process.stdin is None:
                 raise ImpError("the virtual IMP is not running; start it first")
-            with contextlib.suppress(BrokenPipeError):  # it is told below
+            with contextlib.suppress(BrokenPipeError):  # reported below
                 self._process.stdin.write(json.dumps(request) + "\n")
                 self._process.stdin.flush()
-            line = self._answer(patience)
+            line = self._receive_answer(timeout)
         if not line:
-            self._answers.put("")  # for whoever asks next
+            self._answers.put("")  # for the next request
             raise ImpError("the virtual IMP has ended; its last words are on standard error")
-        reply: Ask = json.loads(line)
+        reply: Answer = json.loads(line)
         if "error" in reply:
             raise ImpError(reply["error"])
         return reply
 
-    def _answer(self, patience: float) -> str:
-        """Return the answer to the last request; those to requests given up on come before."""
-        end = time.monotonic() + patience
+    def _receive_answer(self, timeout: float) -> str:
+        """Return the answer to the last request, after those to requests that timed out."""
+        end = time.monotonic() + timeout
         self._unanswered += 1
         try:
             while self._unanswered:
                 line = self._answers.get(timeout=max(end - time.monotonic(), 0.0))
                 self._unanswered -= 1
         except queue.Empty:
-            raise ImpError(f"the virtual IMP does not answer within {patience:g} s") from None
+            raise ImpError(f"the virtual IMP does not answer within {timeout:g} s") from None
         return line
 
 
 def _listen(process: subprocess.Popen[str], answers: queue.SimpleQueue[str]) -> None:
-    """Take answers as they come; an empty one says that there will be no more."""
+    """Queue answers as they come; an empty one means that there will be no more."""
     assert process.stdout is not None
     with process.stdout as source:
         for line in source:
@@ -179,8 +179,8 @@ def _listen(process: subprocess.Popen[str], answers: queue.SimpleQueue[str]) -> 
     answers.put("")
 
 
-def _dumped(setup: Setup) -> str:
-    """Return a setup as JSON, with the infinities that a world may hold."""
+def _to_json(setup: Setup) -> str:
+    """Return a setup as JSON, with the infinities that a world may contain."""
     return json.dumps(setup.model_dump(mode="python"), default=str)
 
 
@@ -189,7 +189,7 @@ def _end(process: subprocess.Popen[str]) -> None:
     with contextlib.suppress(OSError):
         process.stdin.close()
     try:
-        process.wait(END)
+        process.wait(END_TIMEOUT)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
@@ -209,9 +209,9 @@ class _Server:
 
     @property
     def ended(self) -> bool:
-        """Whether it is told to stop, or whoever started it has died.
+        """Whether it must stop, or its parent process has died.
 
-        The end of the input tells that too, unless another process has inherited its other end.
+        The end of the input indicates the latter too, unless another process has inherited its pipe.
         """
         return self._stopped or os.getppid() != self._parent
 
@@ -227,42 +227,42 @@ class _Server:
         self.stop()
 
     def serve(self, imp: VirtualImp) -> None:
-        """Answer what has been asked; does not wait."""
+        """Answer pending requests; does not block."""
         while not self._requests.empty():
-            self.say(answer(imp, self._requests.get()))
+            self.send(answer(imp, self._requests.get()))
 
-    def say(self, line: str) -> None:
+    def send(self, line: str) -> None:
         try:
             self._sink.write(line + "\n")
             self._sink.flush()
-        except OSError:  # nobody is left to hear it
+        except OSError:  # the reader has gone
             self.stop()
 
 
 def main() -> int:
     """Run a virtual IMP until standard input ends."""
     logging.basicConfig(format="imp: %(message)s")
-    sink = os.fdopen(os.dup(1), "w")  # what anything prints by itself must not mix with answers
+    sink = os.fdopen(os.dup(1), "w")  # other output must not mix with answers
     os.dup2(2, 1)
     server = _Server(sys.stdin, sink)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who started us, who then ends us
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the parent, which then ends this
     signal.signal(signal.SIGTERM, server.stop)
     try:
         setup = Setup.model_validate(json.loads(sys.stdin.readline()))
         imp = assemble(setup)
     except (ImpError, ValueError) as error:
-        server.say(json.dumps({"error": " ".join(str(error).split())}))
+        server.send(json.dumps({"error": " ".join(str(error).split())}))
         return 2
     server.start()
-    server.say(json.dumps(imp.ports()))
-    sys.setswitchinterval(PERIOD / 2)  # the camera's threads must not hold up the loop for long
+    server.send(json.dumps(imp.ports()))
+    sys.setswitchinterval(PERIOD / 2)  # the camera's threads must not delay the loop for long
     gc.collect()
-    gc.freeze()  # what has been loaded stays; looking through it again would cost 50 ms
+    gc.freeze()  # loaded modules stay; later collections over them would take 50 ms
     try:
         imp.run(lambda: server.ended, lambda: server.serve(imp))
     finally:
         imp.close()
-        with contextlib.suppress(OSError):  # what else is in it is not ours
+        with contextlib.suppress(OSError):  # other files in it may remain
             setup.folder.rmdir()
     return 0
 

@@ -1,4 +1,4 @@
-"""A line to the host that is a pseudo-terminal."""
+"""A line that is a pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if sys.platform != "win32":  # where `TcpLine` serves
 
 
 class PtyLine(Line):
-    """A pseudo-terminal behind a symbolic link, whose name stays when it is plugged in again."""
+    """A pseudo-terminal behind a symbolic link, which keeps its name when it is plugged in again."""
 
     def __init__(self, path: Path, seed: int = 0, baud: int = 0) -> None:
         super().__init__(seed, baud)
         self._path = path
-        self._heard = False
+        self._host_open = False
         self._plug()
 
     @property
@@ -32,7 +32,7 @@ class PtyLine(Line):
         self._master, slave = os.openpty()
         tty.setraw(slave)
         self._slave = os.ttyname(slave)
-        os.close(slave)  # while no end but the host's is open, the kernel tells whether one is
+        os.close(slave)  # so that reads report whether a host has it open
         os.set_blocking(self._master, False)
         fresh = self._path.with_name(self._path.name + ".new")
         fresh.unlink(missing_ok=True)
@@ -42,7 +42,7 @@ class PtyLine(Line):
     def _pull(self) -> None:
         self._path.unlink(missing_ok=True)
         os.close(self._master)
-        self._heard = False
+        self._host_open = False
 
     def _read(self) -> bytes:
         try:
@@ -50,15 +50,15 @@ class PtyLine(Line):
         except BlockingIOError:
             data = b""
         except OSError:  # EIO: no host has it open
-            if self._heard:
+            if self._host_open:
                 self._flush()
-            self._heard = False
+            self._host_open = False
             return b""
-        self._heard = True
+        self._host_open = True
         return data
 
     def _write(self, data: bytes) -> int | None:
-        if not self._heard:
+        if not self._host_open:
             return None
         try:
             return os.write(self._master, data)
@@ -68,7 +68,7 @@ class PtyLine(Line):
             return None
 
     def _flush(self) -> None:
-        """Forget what the last host has not read, which the next would take for news."""
+        """Discard the bytes that the last host has not read, or the next one would read them."""
         with contextlib.suppress(OSError):
             slave = os.open(self._slave, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
             termios.tcflush(slave, termios.TCIOFLUSH)

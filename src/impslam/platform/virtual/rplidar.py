@@ -13,9 +13,9 @@ from impslam.platform.virtual.base import Surroundings
 from impslam.simulation.robot import Lidar
 from impslam.types import Array
 
-BANNER = b"RP LIDAR System.\r\nFirmware Ver 1.29, HW Ver 7\r\n"  # what it says when it boots
+BANNER = b"RP LIDAR System.\r\nFirmware Ver 1.29, HW Ver 7\r\n"  # sent at a boot
 QUALITY = 15  # of an echo, as A1 reports it
-UART = 10  # bits on the line for a byte
+UART_BITS = 10  # bits on the line for a byte
 
 # A1M8 at 10 Hz: 4 kHz in capsules, every second of them as single nodes; clockwise from the front.
 A1 = Lidar(
@@ -30,17 +30,17 @@ A1 = Lidar(
 
 
 class RPLidarEmulator:
-    """An RPLidar as its port sees it.
+    """An RPLidar as seen from its port.
 
-    Measurements are sent `latency` after they were made, one turn, since what surrounds it is known
-    of whole turns only; a real one sends them at once.
+    Measurements are sent with a `latency` of one turn, since `surroundings` gives whole turns; a real
+    one sends them at once.
 
     Parameters
     ----------
-    surroundings : what the beams of a turn read, evenly spaced, clockwise from the front
-    lidar : number of beams and rate; those of `surroundings`
-    model : as INFO tells it: 0x18 A1, 0x28 A2, 0x31 A3
-    baud : how fast the line is; what is sent needs its time on it
+    surroundings : ranges of the beams of a turn, evenly spaced, clockwise from the front
+    lidar : number of beams and rate, as of `surroundings`
+    model : code of the model in INFO: 0x18 A1, 0x28 A2, 0x31 A3
+    baud : bit rate of the line, which delays measurements
     """
 
     def __init__(
@@ -52,28 +52,28 @@ class RPLidarEmulator:
     ) -> None:
         self._surroundings, self._lidar, self._model, self._baud = surroundings, lidar, model, baud
         self.latency = 1.0 / lidar.rate
-        self.ill = 0  # the maker's code of an error, until a reset
-        self._forget()
+        self.error_code = 0  # the manufacturer's code of an error, until a reset
+        self._reset()
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
         self._input, self._output = bytearray(), bytearray()
         self._scan: Command | None = None
-        self._began = 0.0
+        self._started_at = 0.0
         self._sent = 0
         self._turns: dict[int, Array] = {}
         self.motor: int | None = None  # PWM as set, None: never
 
     def reboot(self, time: float) -> None:
-        """Forget everything, as when the supply fails for a moment."""
-        self._forget()
+        """Reset everything, as after a short power failure."""
+        self._reset()
         self._output += BANNER
 
     def receive(self, data: bytes, time: float) -> None:
-        """Take what the host sent; any bytes, cut anywhere."""
+        """Process bytes from the host, in pieces of any size."""
         self._input += data
         while (begin := self._input.find(b"\xa5")) >= 0:
             del self._input[:begin]
-            end = self._end()
+            end = self._request_end()
             if end is None:
                 return
             packet = bytes(self._input[:end])
@@ -81,11 +81,11 @@ class RPLidarEmulator:
                 del self._input[:1]  # its sum is wrong
                 continue
             del self._input[:end]
-            self._obey(packet[1], packet[3:-1], time)
+            self._execute(packet[1], packet[3:-1], time)
         self._input.clear()
 
-    def _end(self) -> int | None:
-        """Return where the request at the beginning ends; None if that has not come."""
+    def _request_end(self) -> int | None:
+        """Return the end of the request at the start of the input; None if it is incomplete."""
         if len(self._input) < 2:
             return None
         if self._input[1] < 0x80:
@@ -94,11 +94,11 @@ class RPLidarEmulator:
             return None
         return 4 + self._input[2]
 
-    def _obey(self, command: int, payload: bytes, time: float) -> None:
+    def _execute(self, command: int, payload: bytes, time: float) -> None:
         if command == Command.STOP:
             self._scan = None
         elif command == Command.RESET:
-            self.ill = 0
+            self.error_code = 0
             self.reboot(time)
         elif command in {Command.SCAN, Command.FORCE, Command.EXPRESS}:
             self._begin(Command.EXPRESS if command == Command.EXPRESS else Command.SCAN, time)
@@ -106,7 +106,7 @@ class RPLidarEmulator:
             firmware, hardware = bytes((29, 1)), bytes((7,))
             self._answer(Command.INFO, bytes((self._model,)) + firmware + hardware + bytes(16))
         elif command == Command.HEALTH and self._scan is None:
-            status = bytes((2 if self.ill else 0,)) + self.ill.to_bytes(2, "little")
+            status = bytes((2 if self.error_code else 0,)) + self.error_code.to_bytes(2, "little")
             self._answer(Command.HEALTH, status)
         elif command == Command.PWM and len(payload) == 2:
             self.motor = int.from_bytes(payload, "little")
@@ -115,25 +115,25 @@ class RPLidarEmulator:
         self._output += DESCRIPTORS[command] + data
 
     def _begin(self, scan: Command, time: float) -> None:
-        if self.ill or self.motor == 0:
+        if self.error_code or self.motor == 0:
             return
         self._answer(scan, b"")
-        self._scan, self._began, self._sent = scan, time, 0
+        self._scan, self._started_at, self._sent = scan, time, 0
         self._turns.clear()
 
     def due(self, time: float) -> bytes:
-        """Return what it sends between the last call and `time`."""
+        """Return the bytes sent between the last call and `time`."""
         if self._scan is not None:
-            self._measure(time - self._began)
+            self._measure(time - self._started_at)
         data = bytes(self._output)
         self._output.clear()
         return data
 
     def _measure(self, time: float) -> None:
-        """Put all on the line that is whole by now, s after the scan began."""
+        """Output all complete measurements at a time, s after the start of the scan."""
         express = self._scan == Command.EXPRESS
         beams = SAMPLES if express else 2
-        on_line = UART * (CAPSULE if express else NODE) / self._baud
+        on_line = UART_BITS * (CAPSULE if express else NODE) / self._baud
         each = beams / (self._lidar.beams * self._lidar.rate)
         whole = math.floor((time - self.latency - on_line) / each + 1e-9)
         for number in range(self._sent, whole):
@@ -141,11 +141,13 @@ class RPLidarEmulator:
         self._sent = max(self._sent, whole)
 
     def _range(self, beam: int) -> float:
-        """Return what a beam read, counted from the scan's begin; 0: nothing."""
+        """Return the range of a beam, counted from the start of the scan; 0: no echo."""
         turn, place = divmod(beam, self._lidar.beams)
         if turn not in self._turns:
             self._turns = {k: v for k, v in self._turns.items() if k >= turn - 1}
-            self._turns[turn] = self._surroundings.ranges(self._began + turn / self._lidar.rate)
+            self._turns[turn] = self._surroundings.ranges(
+                self._started_at + turn / self._lidar.rate
+            )
         value = float(self._turns[turn][place])
         return value if math.isfinite(value) else 0.0
 

@@ -1,4 +1,4 @@
-"""A line to the host that is a TCP server on loopback."""
+"""A line that is a TCP server on loopback."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class TcpLine(Line):
 
     @property
     def url(self) -> str:
-        """As pyserial takes it."""
+        """The URL for pyserial."""
         return f"socket://127.0.0.1:{self._port}"
 
     def _reserve(self, port: int) -> None:
-        """Take the port without listening: connections are refused, and no one else gets it."""
+        """Bind the port without listening: connections are refused, and the port stays reserved."""
         self._server = socket.socket()
         self._server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -43,7 +43,7 @@ class TcpLine(Line):
         self._reserve(self._port)
 
     def close(self) -> None:
-        """Take the port away for good."""
+        """Remove the port permanently."""
         super().close()
         self._server.close()
 

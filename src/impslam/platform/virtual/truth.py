@@ -1,4 +1,4 @@
-"""The truth of a virtual robot, recorded and shown as if a tracking system measured it."""
+"""The true poses of a virtual robot, recorded and shown as if measured by a tracking system."""
 
 from __future__ import annotations
 
@@ -17,42 +17,42 @@ from impslam.types import TruePose
 log = logging.getLogger(__name__)
 
 PERIOD = 0.1
-"""s between two poses: at 0.5 m/s the way between is 5 cm, and nearly straight."""
+"""s between poses: at 0.5 m/s the path between them is 5 cm long, and nearly straight."""
 
 
 class TruthFollower:
-    """Asks in a thread of its own where the robot is, and passes that on.
+    """Polls the true pose in its own thread and forwards it.
 
     Parameters
     ----------
-    truth : returns "pose" (3,) in the world and "monotonic", the time of it in s; see `VirtualImp.truth`
-    put : takes the poses
+    truth : returns "pose" (3,) in the world and "monotonic", its time, s; see `VirtualImp.truth`
+    put : called with each pose
     """
 
     def __init__(
         self, truth: Callable[[], Mapping[str, Any]], put: Callable[[Reading], None]
     ) -> None:
         self._truth, self._put = truth, put
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._follow, name="truth", daemon=True)
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._poll, name="truth", daemon=True)
 
     def start(self) -> None:
-        """Begin to follow."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Follow no more."""
-        self._over.set()
+        """End the thread."""
+        self._stopping.set()
         self._thread.join()
 
-    def _follow(self) -> None:
-        while not self._over.wait(PERIOD):
+    def _poll(self) -> None:
+        while not self._stopping.wait(PERIOD):
             try:
-                told = self._truth()
+                truth = self._truth()
             except ImpError as error:  # the virtual robot has ended
                 log.warning("its truth is recorded no more: %s", in_a_line(error))
                 return
             arrived = now()
-            stamp = arrived - (time.monotonic() - told["monotonic"])
-            pose = TruePose(stamp, np.array(told["pose"], np.float64))
+            stamp = arrived - (time.monotonic() - truth["monotonic"])
+            pose = TruePose(stamp, np.array(truth["pose"], np.float64))
             self._put(Reading(pose, arrived, "truth"))

@@ -1,8 +1,8 @@
-"""A Hokuyo URG-04LX without the sensor: the same bytes, at the same times.
+"""An emulator of the Hokuyo URG-04LX: the same bytes at the same times.
 
-What the protocol's text leaves open is decided here: a status of 0B for what it refuses in time
-adjust mode and for a second scan command; a verification of an error takes a second; a reboot half
-a second; a scan is sent 2 ms after its last step, exponentially later by 0.3 ms in the mean.
+Assumptions where the protocol is not specific: refusals in time adjust mode and of a second scan
+command have status 0B; the verification of an error takes a second; a reboot half a second; a scan is
+sent 2 ms after its last step, plus an exponential delay of 0.3 ms in the mean.
 """
 
 from __future__ import annotations
@@ -12,31 +12,38 @@ import math
 import numpy as np
 
 from impslam.platform.devices import scip, scip_status
-from impslam.platform.devices.scip_encoding import encode, sealed
+from impslam.platform.devices.scip_encoding import encode, with_checksum
 from impslam.platform.virtual import urg_answers
 from impslam.platform.virtual.base import Surroundings
-from impslam.platform.virtual.urg_memory import BIT_RATES, COMMANDS, Line, Memory, Order, faulty
+from impslam.platform.virtual.urg_memory import (
+    BIT_RATES,
+    COMMANDS,
+    Line,
+    Memory,
+    Order,
+    parameter_error,
+)
 from impslam.platform.virtual.urg_sensor import UrgSensor, clustered
 
-BOOT = 0.5  # s
-PROCESSING, JITTER = 2e-3, 0.3e-3  # s from the last step to the first byte: least, and mean beyond
-VERIFYING = 1.0  # s that statuses 21 to 49 last
-QUEUE = 512  # bytes of requests that it holds
-SIMULATED = 50  # status of the malfunction that DB asks for
+BOOT_TIME = 0.5  # s
+PROCESSING, JITTER = 2e-3, 0.3e-3  # s from the last step to the first byte: minimum, mean excess
+VERIFY_TIME = 1.0  # s that statuses 21 to 49 last
+MAX_INPUT = 512  # bytes of buffered requests
+SIMULATED_STATUS = 50  # status of the malfunction simulated by DB
 
 
 class UrgEmulator:
-    """A URG-04LX as its port sees it.
+    """A URG-04LX as seen from its port.
 
     Parameters
     ----------
-    surroundings : what the beams from step 44 to 725 read
-    drift : 1, how much faster its clock (and its motor) runs than the virtual robot's time
+    surroundings : ranges of the beams from step 44 to 725
+    drift : 1, relative excess rate of its clock (and motor) over the virtual robot's time
     seed : of the jitter
-    clock_start_ms : where its clock starts; near 2**24 it wraps soon
-    scip1 : it wakes in SCIP 1.1, as some are delivered, and must be switched
-    turn : s by its own clock that a turn takes; real ones need 98 to 100 ms
-    serial : the line is RS-232 with this bit rate to begin with; 0: USB, as fast as need be
+    clock_start_ms : initial value of its clock; near 2**24 it wraps soon
+    scip1 : whether it starts in SCIP 1.1, as some are delivered, and must be switched
+    turn : time of a turn by its clock, s; real ones need 98 to 100 ms
+    serial : initial bit rate of an RS-232 line; 0: USB, without delay
     """
 
     def __init__(
@@ -54,7 +61,7 @@ class UrgEmulator:
         self._rng = np.random.default_rng(seed)
         self._scip1, self._serial = scip1, serial
         self._memory, self._line = Memory(not scip1, serial or BIT_RATES[0]), Line()
-        self._heard = b""
+        self._input = b""
         self._lasting = False
         self._time = 0.0
         self._sweep = 0  # the next to end
@@ -66,52 +73,52 @@ class UrgEmulator:
 
     @property
     def bit_rate(self) -> int:
-        """Bit rate that it has been set to."""
+        """Its bit rate."""
         return self._memory.bit_rate
 
     def receive(self, data: bytes, time: float) -> None:
-        """Take what the host sent; any bytes, cut anywhere."""
+        """Process bytes from the host, in pieces of any size."""
         self._run(time)
         if time < self._memory.ready:
             return
-        *lines, rest = (self._heard + data).replace(b"\r", b"\n").split(b"\n")
-        self._heard = rest[-QUEUE:]
+        *lines, rest = (self._input + data).replace(b"\r", b"\n").split(b"\n")
+        self._input = rest[-MAX_INPUT:]
         for line in filter(None, lines):
-            self._obey(line)
+            self._handle_line(line)
 
     def due(self, time: float) -> bytes:
-        """Return what it sends between the last call and `time`."""
+        """Return the bytes sent between the last call and `time`."""
         self._run(time)
         return self._line.due(time)
 
     def reboot(self, time: float) -> None:
-        """Forget everything, as when the supply fails for a moment; its clock begins anew."""
+        """Reset everything, with the clock, as after a short power failure."""
         self._run(time)
         self._reset()
-        self._memory.scip2, self._memory.ready = not self._scip1, time + BOOT
-        self._line, self._heard = Line(), b""
+        self._memory.scip2, self._memory.ready = not self._scip1, time + BOOT_TIME
+        self._line, self._input = Line(), b""
 
     def fail(self, status: int, *, lasting: bool = False) -> None:
-        """Have a malfunction: 50 to 97, mended by RS unless `lasting`; 21 to 49 mends itself."""
+        """Simulate a malfunction: 50 to 97 are cleared by RS unless `lasting`, 21 to 49 by themselves."""
         memory = self._memory
         memory.failure, self._lasting = f"{status:02d}", lasting
         verifying = scip_status.is_verifying(memory.failure)
-        memory.verified = self._time + VERIFYING if verifying else math.inf
+        memory.verified = self._time + VERIFY_TIME if verifying else math.inf
         if memory.order is not None:
             self._answer(memory.order.echo(), memory.failure)
             if not verifying:
                 self._laser_off()
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """End a malfunction."""
         self._memory.failure, self._lasting = "", False
 
-    # ----------------------------------------------------------------- time passes
+    # ----------------------------------------------------------------- time
 
     def _run(self, time: float) -> None:
-        """Live until `time`: end the sweeps that have ended, and send what was asked of them."""
+        """Advance to `time`: finish the sweeps that have ended, and send requested ones."""
         self._time = max(self._time, time)
-        if self._memory.order is None:  # nobody waits for them
+        if self._memory.order is None:  # no sweep is requested
             self._sweep = self._sensor.next_to_end(self._time)
         while self._sensor.end(self._sweep) <= self._time:
             self._verify(self._sensor.end(self._sweep))
@@ -120,7 +127,7 @@ class UrgEmulator:
         self._verify(self._time)
 
     def _verify(self, time: float) -> None:
-        """Go on after an error has been looked at."""
+        """Resume after the verification of an error."""
         memory = self._memory
         if time >= memory.verified:
             memory.failure, memory.verified = "", math.inf
@@ -128,7 +135,7 @@ class UrgEmulator:
                 self._answer(memory.order.echo(), scip_status.RESUMED)
 
     def _finish(self, sweep: int) -> None:
-        """Send a sweep that has ended, if it was asked for."""
+        """Send a sweep that has ended, if it was requested."""
         order = self._memory.order
         if order is None or self._memory.failure or not self._sensor.measured(sweep):
             return
@@ -147,8 +154,8 @@ class UrgEmulator:
             self._laser_off()
 
     def _send_sweep(self, order: Order, sweep: int, ready: float) -> None:
-        said = order.parameters
-        first, last, cluster = int(said[0:4]), int(said[4:8]), int(said[8:10])
+        fields = order.parameters
+        first, last, cluster = int(fields[0:4]), int(fields[4:8]), int(fields[8:10])
         width = scip.WIDTH[order.command]
         values = clustered(self._sensor.values(sweep)[first : last + 1], cluster)
         data = encode(np.minimum(values, (1 << 6 * width) - 1), width)
@@ -157,7 +164,7 @@ class UrgEmulator:
         self._answer(order.echo(), status, body, ready)
 
     def _stamp(self, time: float) -> bytes:
-        return sealed(encode(np.array([self._sensor.clock(time)]), 4))
+        return with_checksum(encode(np.array([self._sensor.clock(time)]), 4))
 
     def _laser_off(self) -> None:
         self._sensor.laser_on, self._memory.order = math.inf, None
@@ -173,23 +180,23 @@ class UrgEmulator:
     def _answer(
         self, echo: str, status: str, body: bytes = b"", ready: float | None = None
     ) -> None:
-        data = b"%b\n%b%b\n" % (echo.encode("latin-1"), sealed(status.encode("ascii")), body)
+        data = b"%b\n%b%b\n" % (echo.encode("latin-1"), with_checksum(status.encode("ascii")), body)
         self._send(data, ready)
 
     def _send(self, data: bytes, ready: float | None = None) -> None:
         rate = self._memory.bit_rate if self._serial else 0
         self._line.send(data, self._time if ready is None else ready, rate)
 
-    def _obey(self, line: bytes) -> None:
+    def _handle_line(self, line: bytes) -> None:
         memory = self._memory
         if not memory.scip2:
             memory.scip2 = line == b"SCIP2.0"
             self._send(line + (b"\n0\n\n" if memory.scip2 else b"\nE\n\n"))
             return
         echo = line.decode("latin-1")
-        said, _, text = echo.partition(";")
-        command, parameters = said[:2], said[2:]
-        if status := self._refused(command, parameters, text):
+        fields, _, text = echo.partition(";")
+        command, parameters = fields[:2], fields[2:]
+        if status := self._general_error(command, parameters, text):
             self._answer(echo, status)
         elif command in scip.WIDTH:
             self._measure(echo, command, parameters, f";{text}" if text else "")
@@ -197,7 +204,7 @@ class UrgEmulator:
             status, body = getattr(self, f"_do_{command.lower()}")(parameters)
             self._answer(echo, status, body)
 
-    def _refused(self, command: str, parameters: str, text: str) -> str:
+    def _general_error(self, command: str, parameters: str, text: str) -> str:
         """Return the general error of a request; "" if it has none."""
         wanted = COMMANDS.get(command)
         if wanted is None or len(parameters) > wanted or not parameters.isascii():
@@ -213,7 +220,7 @@ class UrgEmulator:
     def _measure(self, echo: str, command: str, parameters: str, text: str) -> None:
         """Begin a scan command, or refuse it."""
         streams = command in scip.STREAMS
-        status = faulty(parameters) or self._memory.failure
+        status = parameter_error(parameters) or self._memory.failure
         if not status and not (streams or self.laser):
             status = "10"
         if not status and self._memory.order is not None:
@@ -291,12 +298,12 @@ class UrgEmulator:
 
     def _do_db(self, code: str) -> tuple[str, bytes]:
         failing = bool(self._memory.failure)
-        if code == "02":  # of the simulations, the malfunction at once is all there is here
+        if code == "02":  # only the simulation of an immediate malfunction is supported
             if not failing:
-                self.fail(SIMULATED)
+                self.fail(SIMULATED_STATUS)
             return ("02" if failing else scip_status.OK), b""
         if code == "10":
-            self.mend()
+            self.repair()
             return (scip_status.OK if failing else "03"), b""
         return "01", b""
 
@@ -308,5 +315,5 @@ class UrgEmulator:
 
     def _do_ii(self, _: str) -> tuple[str, bytes]:
         memory = self._memory
-        said = urg_answers.state(self._sensor, self._time, memory.bit_rate, memory.failure)
-        return scip_status.OK, said
+        fields = urg_answers.state(self._sensor, self._time, memory.bit_rate, memory.failure)
+        return scip_status.OK, fields

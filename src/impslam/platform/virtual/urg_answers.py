@@ -1,4 +1,4 @@
-"""What a URG-04LX says of itself: version (VV), parameters (PP) and state (II)."""
+"""Answers of a URG-04LX: version (VV), parameters (PP) and state (II)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from impslam.platform.virtual.urg_sensor import UrgSensor
 
 
 def version() -> bytes:
-    """Return what VV answers."""
+    """Return the answer to VV."""
     return _to_lines(
         VEND="Hokuyo Automatic Co.,Ltd.",
         PROD="SOKUIKI Sensor URG-04LX",
@@ -20,7 +20,7 @@ def version() -> bytes:
 
 
 def parameters(p: Parameters) -> bytes:
-    """Return what PP answers."""
+    """Return the answer to PP."""
     return _to_lines(
         MODL=p.model,
         DMIN=str(p.shortest),
@@ -34,7 +34,7 @@ def parameters(p: Parameters) -> bytes:
 
 
 def state(sensor: UrgSensor, time: float, bit_rate: int, failure: str) -> bytes:
-    """Return what II answers."""
+    """Return the answer to II."""
     laser = sensor.laser_on < math.inf
     return _to_lines(
         MODL=sensor.parameters.model,
@@ -47,5 +47,5 @@ def state(sensor: UrgSensor, time: float, bit_rate: int, failure: str) -> bytes:
     )
 
 
-def _to_lines(**said: str) -> bytes:
-    return b"".join(to_line(key, value) for key, value in said.items())
+def _to_lines(**fields: str) -> bytes:
+    return b"".join(to_line(key, value) for key, value in fields.items())

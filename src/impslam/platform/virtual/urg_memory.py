@@ -1,4 +1,4 @@
-"""What the emulated URG-04LX remembers: its settings, the scans it owes, and what waits to be sent."""
+"""The state of the emulated URG-04LX: settings, the scan command under way, and the output queue."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from impslam.platform.virtual.urg_sensor import LAST_STEP
 
 BIT_RATES: Final = (19200, 38400, 57600, 115200, 250000, 500000, 750000)
 
-# The commands that it knows, and how many characters of parameters they take.
+# The supported commands, and the number of characters of their parameters.
 COMMANDS: Final = (
     dict.fromkeys(("BM", "QT", "RS", "VV", "PP", "II"), 0)
     | {"MD": 13, "MS": 13, "GD": 10, "GS": 10}
@@ -20,8 +20,8 @@ COMMANDS: Final = (
 )
 
 
-def faulty(parameters: str) -> str:
-    """Return the status that refuses the parameters of a scan command; "" if they are right."""
+def parameter_error(parameters: str) -> str:
+    """Return the error status of the parameters of a scan command; "" if they are valid."""
     parts = {
         "01": parameters[0:4],
         "02": parameters[4:8],
@@ -39,22 +39,22 @@ def faulty(parameters: str) -> str:
 
 @dataclass(slots=True)
 class Order:
-    """A scan command under way: MD and MS until they end, GD and GS until a sweep has."""
+    """A scan command under way: MD and MS until their end, GD and GS until the end of a sweep."""
 
     command: str
     parameters: str
     text: str
     remaining: int = 0
     endless: bool = False
-    wait: int = 0  # sweeps to let pass
+    wait: int = 0  # sweeps to skip
 
     @property
     def streams(self) -> bool:
-        """Whether it goes on after a scan."""
+        """Whether it continues after a scan."""
         return self.command in scip.STREAMS
 
     def echo(self) -> str:
-        """Return what its responses begin with: streams tell the scans that remain."""
+        """Return the echo of its responses; for streams, it contains the remaining scans."""
         parameters = self.parameters
         if self.streams:
             parameters = f"{parameters[:-2]}{self.remaining:02d}"
@@ -63,32 +63,32 @@ class Order:
 
 @dataclass(slots=True)
 class Memory:
-    """What a reset forgets. Times in s of the virtual robot."""
+    """The state that a reset clears. Times are in s of the virtual robot."""
 
     scip2: bool
     bit_rate: int
-    ready: float = 0.0  # before that it does not listen
+    ready: float = 0.0  # input before this time is ignored
     adjusting: bool = False
     sensitive: bool = False
     order: Order | None = None
     failure: str = ""  # the status of a malfunction
-    verified: float = math.inf  # when it will have been looked at
+    verified: float = math.inf  # end of the verification of a failure
 
 
 @dataclass(slots=True)
 class Line:
-    """The way out: RS-232 takes its time, USB (`bit_rate` 0) none."""
+    """The output line: RS-232 delays bytes, USB (`bit_rate` 0) does not."""
 
     queue: deque[tuple[float, bytes]] = field(default_factory=deque)
-    free: float = -math.inf  # when the last byte is through
+    free: float = -math.inf  # when the last byte has arrived
 
     def send(self, data: bytes, ready: float, bit_rate: int) -> None:
-        """Queue what is ready at a time; it arrives with its last byte."""
+        """Queue data that is ready at a time; it arrives with its last byte."""
         self.free = max(ready, self.free) + (10.0 * len(data) / bit_rate if bit_rate else 0.0)
         self.queue.append((self.free, data))
 
     def due(self, time: float) -> bytes:
-        """Return what has arrived."""
+        """Return the data that has arrived."""
         out = []
         while self.queue and self.queue[0][0] <= time:
             out.append(self.queue.popleft()[1])

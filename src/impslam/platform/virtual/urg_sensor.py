@@ -1,4 +1,4 @@
-"""The URG-04LX behind its protocol: motor, clock, laser, and what its steps read."""
+"""The sensor of the emulated URG-04LX: motor, clock, laser, and measurements."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from impslam.types import Ints
 URG_04LX: Final = Parameters(
     "URG-04LX(Hokuyo Automatic Co.,Ltd.)", 20, 5600, 1024, 44, 725, 384, 600
 )
-LAST_STEP: Final = 768  # may be asked for; outside `first` to `last` it answers 19
+LAST_STEP: Final = 768  # that may be requested; steps outside `first` to `last` return 19
 NO_ECHO, TOO_NEAR, NOT_MEASURED = 0, 6, 19  # error codes
 
 
 class UrgSensor:
-    """What turns and measures. Times in s of the virtual robot.
+    """The sensor without its protocol. Times are in s of the virtual robot.
 
     Attributes
     ----------
-    laser_on : since when the laser is on; inf: it is off
-    slowed : hundredths by which the motor turns slower than the standard
+    laser_on : when the laser was switched on; inf: it is off
+    slowed : relative reduction of the motor's speed, 0.01
     """
 
     def __init__(
@@ -36,27 +36,27 @@ class UrgSensor:
         self.reset(0.0, clock_start)
 
     def reset(self, time: float, clock_start: int = 0) -> None:
-        """Begin anew: its clock (ms), its motor, and the laser off."""
+        """Reset the clock (ms) and the motor, and switch the laser off."""
         self._begun, self._clock_start = time, clock_start
         self.laser_on, self.slowed = math.inf, 0
 
     @property
     def turn(self) -> float:
-        """Time of a turn, in s; its clock's error is its motor's too."""
+        """Time of a turn, s; the motor has the same drift as the clock."""
         return self._turn / self._rate * (1.0 + 0.01 * self.slowed)
 
     def clock(self, time: float) -> int:
         """Return its clock in ms."""
         elapsed = (time - self._begun) * self._rate
-        # A microsecond covers the rounding of a moment that was made from whole turns.
+        # A microsecond covers the rounding of times computed from whole turns.
         return (self._clock_start + int(1e3 * elapsed + 1e-3)) % (1 << scip.STAMP_BITS)
 
     def begin(self, sweep: int) -> float:
-        """Return when a sweep was at step 0."""
+        """Return the time of a sweep's step 0."""
         return self._begun + sweep * self.turn
 
     def end(self, sweep: int) -> float:
-        """Return when a sweep was at the last step that measures."""
+        """Return the time of a sweep's last measuring step."""
         return self.begin(sweep) + self.turn * self.parameters.last / self.parameters.steps
 
     def next_to_end(self, time: float) -> int:
@@ -64,11 +64,11 @@ class UrgSensor:
         return max(0, math.floor((time - self.end(0)) / self.turn) + 1)
 
     def measured(self, sweep: int) -> bool:
-        """Tell whether the laser was on through a whole sweep (that has ended)."""
+        """Return whether the laser was on during a whole sweep (that has ended)."""
         return sweep >= 0 and self.begin(sweep) >= self.laser_on
 
     def values(self, sweep: int) -> Ints:
-        """Return what steps 0 to 768 read in a sweep, in mm or as error codes."""
+        """Return the values of steps 0 to 768 in a sweep, in mm or as error codes."""
         parameters = self.parameters
         begin = self.begin(sweep) + self.turn * parameters.first / parameters.steps
         read = np.rint(1e3 * self._surroundings.ranges(begin)).astype(np.int64)
@@ -80,12 +80,12 @@ class UrgSensor:
 
 
 def clustered(values: Ints, cluster: int) -> Ints:
-    """Return the least distance of each `cluster` neighbours; the last group may be smaller.
+    """Return the smallest distance of each `cluster` neighbours; the last group may be smaller.
 
-    Error codes count only where a group has nothing else.
+    Error codes are only returned if a group has nothing else.
     """
     groups = np.arange(0, len(values), max(1, cluster))
-    behind = np.int64(1 << 20)  # puts the codes behind all distances
+    behind = np.int64(1 << 20)  # ranks the codes behind all distances
     ranked = np.where(values < scip.ERROR_CODES, values + behind, values)
     least = np.minimum.reduceat(ranked, groups)
     return np.asarray(np.where(least >= behind, least - behind, least), dtype=np.int64)

@@ -1,11 +1,11 @@
-// How a map is drawn: pure functions on a canvas and plain values.
+// Drawing of maps: pure functions on a canvas and plain values.
 
 const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
 export const decode16 = (text) => new Int16Array(bytes(text));
 export const decode32 = (text) => new Float32Array(bytes(text));
 
-/** Give a grid's greys (0 taken, 255 free) the page's colours; what nobody has seen stays clear.
- * Returns the picture, and the columns and rows between which it is not clear. */
+/** Map the greys of a grid (0 occupied, 255 free) to colours; unknown cells stay transparent.
+ * Returns the picture, and the range of columns and rows that are not transparent. */
 export function recolour(picture, colours) {
   const canvas = document.createElement("canvas");
   canvas.width = picture.naturalWidth;
@@ -34,17 +34,17 @@ function rgb(colour) {
   return [digits >> 16, (digits >> 8) & 255, digits & 255];
 }
 
-/** Return a number with so many digits; what rounds to zero has no sign. */
-export const told = (value, digits) => (Number(value.toFixed(digits)) || 0).toFixed(digits);
+/** Return a number with some digits, without a sign if it rounds to zero. */
+export const fixed = (value, digits) => (Number(value.toFixed(digits)) || 0).toFixed(digits);
 
-/** Return how far a place is from the line between two others, all [x, y]. */
+/** Return the distance of a point from the line between two others, all [x, y]. */
 export function distance([x, y], [x0, y0], [x1, y1]) {
   const [dx, dy] = [x1 - x0, y1 - y0];
   const share = Math.max(0, Math.min(1, ((x - x0) * dx + (y - y0) * dy) / (dx * dx + dy * dy || 1)));
   return Math.hypot(x0 + share * dx - x, y0 + share * dy - y);
 }
 
-/** Return left, low, right, high in m of all there is to see, never narrower than a small room. */
+/** Return the bounds left, low, right, high in m of everything shown, at least those of a small room. */
 export function bounds(map, shown) {
   let [left, low, right, high] = [Infinity, Infinity, -Infinity, -Infinity];
   const add = (x, y) => {
@@ -100,7 +100,7 @@ function picture({ context, map, view, X, Y }) {
   context.drawImage(map.picture.canvas, X(x), Y(y + r * rows), r * columns * view.scale, r * rows * view.scale);
 }
 
-/** The m between lines that are about this many pixels apart: 1, 2 or 5 times a power of ten. */
+/** Return the spacing in m of lines about this many pixels apart: 1, 2 or 5 times a power of ten. */
 function stride(pixels, scale) {
   const power = 10 ** Math.floor(Math.log10(pixels / scale));
   return power * ([1, 2, 5, 10].find((k) => k * power * scale >= pixels) ?? 10);
@@ -154,7 +154,7 @@ function scan({ context, map, view, colours, X, Y }) {
     context.fillRect(X(x + step * xy[i]) - size / 2, Y(y + step * xy[i + 1]) - size / 2, size, size);
 }
 
-/** An ellipse of k sigma about a place; [half axis, other half axis, direction] in m and rad. */
+/** Draw an ellipse of k sigma around a position; [half axis, other half axis, direction] in m and rad. */
 function oval({ context, view, X, Y }, x, y, [a, b, direction], k) {
   context.beginPath();
   context.ellipse(X(x), Y(y), Math.max(k * a * view.scale, 1), Math.max(k * b * view.scale, 1), -direction, 0, 2 * Math.PI);
@@ -183,7 +183,7 @@ function marks(c) {
 }
 
 function labels({ context, map, view, colours, X, Y }) {
-  if (view.scale < 12) return; // from so far away they would cover the map
+  if (view.scale < 12) return; // zoomed out, they would cover the map
   context.font = "600 11px system-ui, sans-serif";
   context.textAlign = "center";
   context.textBaseline = "middle";
@@ -195,7 +195,7 @@ function labels({ context, map, view, colours, X, Y }) {
     const at = ends ? [X((ends[0] + ends[2]) / 2), Y((ends[1] + ends[3]) / 2) - 11] : [X(x), Y(y) - 14];
     const half = context.measureText(name).width / 2;
     if (taken.some(([left, top, wide]) => Math.abs(at[0] - left) < half + wide + 6 && Math.abs(at[1] - top) < 15)) continue;
-    taken.push([...at, half]); // the older of two that would cover each other is shown; the tip tells the other
+    taken.push([...at, half]); // of two overlapping ones, the older is shown; the tip shows the other
     context.strokeText(name, ...at);
     context.fillStyle = ends ? colours.wall : colours.point;
     context.fillText(name, ...at);
@@ -206,7 +206,7 @@ function robot(c) {
   const { context, map, view, colours, footprint, X, Y } = c;
   const [x, y, heading] = map.pose;
   if (map.true && map.true[2] !== null && c.shown.truth) body(c, map.true, colours.truth, false);
-  // What the heading may be, 2 sigma, as a fan ahead.
+  // Uncertainty of the heading, 2 sigma, as a fan.
   const reach = Math.max(footprint[0] * view.scale, 26);
   context.fillStyle = colours.robot;
   context.globalAlpha = 0.25;

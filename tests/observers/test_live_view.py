@@ -33,13 +33,6 @@ def begun(landmarks=make_landmarks):
     return view, run
 
 
-def wait_until(true, seconds=10.0):
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.002)
-
-
 # --------------------------------------------------------------------------- snapshot
 
 

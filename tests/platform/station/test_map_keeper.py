@@ -6,6 +6,7 @@ import time
 import pytest
 from tests.platform.station.test_mapper import drain, hand, live
 from tests.recorded import perfect
+from tests.waiting import wait_until
 
 from impslam.config import load
 from impslam.errors import ImpError
@@ -62,13 +63,6 @@ def keeper(toy, tmp_path, notices):
     keeper = MapKeeper(toy, tmp_path / "maps", lambda level, text: notices.append((level, text)))
     yield keeper
     keeper.stop()
-
-
-def wait_until(true, seconds=10.0):
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.002)
 
 
 def test_only_a_grown_map_is_saved_automatically(keeper, toy, tmp_path):

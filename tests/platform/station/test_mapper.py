@@ -14,6 +14,7 @@ import pytest
 from pydantic import PrivateAttr
 from tests.recorded import Played, perfect
 from tests.rings import GRAPH, ring
+from tests.waiting import wait_until
 
 from impslam.component import parameter, register
 from impslam.config import load
@@ -77,13 +78,6 @@ def live(config, view=None):
 @pytest.fixture(scope="module")
 def room():
     return [m for m in perfect(load_world("room")) if isinstance(m, LaserScan | WheelAngles)]
-
-
-def wait_until(true, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.002)
 
 
 def hand(mapper, messages):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from pydantic import PrivateAttr
 from tests.recorded import Played, perfect
+from tests.waiting import wait_until
 
 from impslam.config import load
 from impslam.errors import ImpError, LeftError, SourceError
@@ -51,13 +52,6 @@ class Moments(Observer):
 def player(messages, tmp_path, observers=(), view=None):
     source = Played.of(messages, tmp_path)
     return Player(load("imp"), source, observers, view or LiveView(), lambda _: None)
-
-
-def wait_until(true, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.002)
 
 
 def scans(messages):

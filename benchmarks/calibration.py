@@ -24,13 +24,13 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from impslam.calibration.calibrate import calibrate, drives_of  # noqa: E402  from the root
-from impslam.calibration.closed_form import first_estimate  # noqa: E402
+from impslam.calibration.calibrate import calibrate, extract_drives  # noqa: E402  from the root
+from impslam.calibration.closed_form import initial_estimate  # noqa: E402
 from impslam.calibration.least_squares import Prior, solve  # noqa: E402
-from impslam.calibration.noise import MATCHING, of_scans, spreads  # noqa: E402
+from impslam.calibration.noise import MATCHING, scan_covariances, unit_covariances  # noqa: E402
 from impslam.calibration.odometry_models import DifferentialDrive, motion  # noqa: E402
 from impslam.calibration.recording import record_batches  # noqa: E402
-from impslam.calibration.residuals import SENSOR, Drive, residuals  # noqa: E402
+from impslam.calibration.residuals import LIDAR_PARAMETERS, Drive, residuals  # noqa: E402
 from impslam.calibration.scan_pairs import LidarMotions  # noqa: E402
 from impslam.calibration.umbmark import corrected, umbmark  # noqa: E402
 from impslam.columns import batches  # noqa: E402
@@ -41,7 +41,7 @@ from impslam.simulation.simulate import simulate  # noqa: E402
 from impslam.simulation.world import load_world  # noqa: E402
 from impslam.types import Array  # noqa: E402
 
-NAMES = (*DifferentialDrive.names, *SENSOR[:-1])
+NAMES = (*DifferentialDrive.names, *LIDAR_PARAMETERS[:-1])
 FINE = {"slip_sigma": 0.0, "skid_rate": 0.0, "radius_sigma": 0.0, "track_sigma": 0.0}
 CLEAR = {"bias_sigma": 0.0}
 ROBOTS = {
@@ -89,7 +89,7 @@ def _one(robot: SimulatedRobot, seed: int) -> tuple[Array, Array, Array, float]:
                           f"odometry.track={robot.encoders.track * 1.05}"])  # fmt: skip
     messages = simulate(load_world("arena"), robot, seed)
     recorded = record_batches(config, batches((type(m).__name__, m) for m in messages))
-    drives = drives_of(config, recorded, "simulated")
+    drives = extract_drives(config, recorded, "simulated")
     found = calibrate(config, drives)
     true = np.array(
         [robot.encoders.wheel_radius, 1.0, robot.encoders.track, *robot.lidar.mount, 0, 0, 1]
@@ -110,7 +110,7 @@ def bound_of(drives: list[Drive], true: Array, noise: float) -> Array:
     """Return the Cramér-Rao bound (8,) of the lidar's motions, their own errors as the scans say."""
     H = np.zeros((8, 8))
     for drive in drives:
-        S = of_scans(drive) + noise * spreads(drive, true)[len(MATCHING)]
+        S = scan_covariances(drive) + noise * unit_covariances(drive, true)[len(MATCHING)]
         J = residuals(drive, true).by_all[..., :8]
         H += np.einsum("kim,kij,kjn->mn", J, np.linalg.inv(S), J)
     return np.sqrt(np.diag(np.linalg.inv(H)))
@@ -162,7 +162,7 @@ def of_tuples(file: Path) -> tuple[Array, Array]:
     model = DifferentialDrive(stamps, np.zeros(len(left), bool), left * seconds, right * seconds)
     drive = Drive(model, exact_motions(stamps[:-1], stamps[1:], moved))
     start = np.array([0.04, 1.0, 0.09, 0, 0, 0, 0, 0, 1.0])
-    first = first_estimate([drive], 0.0)
+    first = initial_estimate([drive], 0.0)
     assert first is not None
     first[6] = 0.0
     free = np.arange(9) < 6
@@ -235,7 +235,7 @@ def _return(log: tuple[DifferentialDrive, Array], values: Array) -> Array:
     model, truth = log
     told = motion(model, values, 0.0, model.stamps[:1], model.stamps[-1:])
     true = between(truth[0, 1:], truth[-1, 1:])
-    return true[:2] - [told.way[0].real, told.way[0].imag]
+    return true[:2] - [told.translation[0].real, told.translation[0].imag]
 
 
 def _fit(logs: list[tuple[DifferentialDrive, Array]], values: Array) -> Array:
@@ -272,7 +272,7 @@ def arena() -> None:
             ):
                 told = motion(square.model, values, 0.0, truth[:1, 0], truth[-1:, 0])
                 true = between(truth[0, 1:], truth[-1, 1:])
-                off[name].append(abs(told.way[0] - complex(true[0], true[1])))
+                off[name].append(abs(told.translation[0] - complex(true[0], true[1])))
         for name, errors in off.items():
             told = ", ".join(f"{1000 * e:.1f}" for e in errors)
             print(f"wheel noise {np.sqrt(noise):.2f} m/sqrt(m), {name:10}: return off by {told} mm")
@@ -286,7 +286,7 @@ def _arena_drive(config, robot, seed, waypoints):
         world = world.model_copy(update={"robot": plan})
     messages = simulate(world, robot, seed)
     recorded = record_batches(config, batches((type(m).__name__, m) for m in messages))
-    drives = drives_of(config, recorded, "arena")
+    drives = extract_drives(config, recorded, "arena")
     return drives if waypoints is None else [_WithTruth(drives[0].model, recorded.truth)]
 
 

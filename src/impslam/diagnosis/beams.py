@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.calibration.lidar_path import bare
+from impslam.calibration.lidar_path import unmounted
 from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import MAX_PROBABILITY, Finding
 from impslam.types import Array, Ints, Mask
@@ -55,7 +55,7 @@ def _sample(e: Evidence) -> Beams | None:
         return None
     rows = np.unique(np.linspace(0, len(piece) - 1, min(MAX_SCANS, len(piece))).astype(np.int64))
     piece = piece.take(rows)
-    scans = bare(e.lidar).sweeps(piece, np.zeros((len(rows), 3)))
+    scans = unmounted(e.lidar).sweeps(piece, np.zeros((len(rows), 3)))
     return Beams(piece["ranges"], scans.valid, piece["angles"])
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from impslam.calibration.lidar_path import lidar_path
-from impslam.calibration.recording import Recording, lidar_of
+from impslam.calibration.recording import Recording, first_lidar
 from impslam.columns import Columns
 from impslam.config import Config
 from impslam.diagnosis.agreement import MIN_STRETCHES, Agreement, Axis, drive_axis, fit_agreement
@@ -78,7 +78,7 @@ class Evidence:
 def gather_evidence(config: Config, recording: Recording) -> Evidence:
     """Compare the lidar's motions in a recording with odometry; the config must have a lidar."""
     robot = config.make_robot()
-    name, lidar = lidar_of(config)
+    name, lidar = first_lidar(config)
     sweeps = sweep_motions(lidar_path(lidar, recording.scans))
     odometer = make_odometer(
         robot.odometry, recording.odometry if robot.odometry.tells_motion else ()

@@ -47,13 +47,13 @@ def test_a_surveyors_list_will_do(tmp_path):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("", "holds no landmark"),
-        ("x,y\n", "holds no landmark"),
+        ("", "contains no landmark"),
+        ("x,y\n", "contains no landmark"),
         ("x,y\n1,2\n1\n", "landmark 2: y is missing"),
         ("x,y\n1,up\n", "landmark 1: .*'up'"),
         ("x,y\n1,nan\n", "landmark 1: nan is not finite"),
         ("kind,x,y\nwall,1,2\n", "landmark 1: x1 is missing"),
-        ("x1,y1,x2,y2\n1,2,1,2\n", "landmark 1: its end points are one"),
+        ("x1,y1,x2,y2\n1,2,1,2\n", "landmark 1: its end points coincide"),
         ("name,x,y\na,1,2\na,2,3\n", "two landmarks are called 'a'"),
         ("1 2 3\n4 5 6\n", "landmark 1: x is missing"),
     ],

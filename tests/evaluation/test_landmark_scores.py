@@ -9,8 +9,8 @@ import pytest
 from impslam.evaluation.landmarks import (
     corners,
     landmark_errors,
-    moved,
     score_landmarks,
+    transform_landmarks,
     true_wall,
 )
 from impslam.geometry.se2 import inverse, transform
@@ -156,13 +156,13 @@ MOTION = np.array([3.0, -2.0, 2.5])
 def test_moved_landmarks_stand_in_the_other_frame():
     post = TrueLandmark("a", "cylinder", np.array([1.0, 2.0]), {"x": 1.0, "y": 2.0, "radius": 0.1})
     side = true_wall("w", np.array([[0.0, 1.0], [2.0, 3.0]]))
-    post_, side_ = moved(MOTION, [post, side])
+    post_, side_ = transform_landmarks(MOTION, [post, side])
     there = transform(MOTION, np.array([[1.0, 2.0], [0.0, 1.0], [2.0, 3.0]]))
     np.testing.assert_allclose(post_.position, there[0])
     assert post_.parameters == pytest.approx({"x": there[0, 0], "y": there[0, 1], "radius": 0.1})
     np.testing.assert_allclose(side_.end_points, there[1:])
     np.testing.assert_allclose(side_.position, line(*there[1:])[0])
-    back = moved(inverse(MOTION), [post_, side_])
+    back = transform_landmarks(inverse(MOTION), [post_, side_])
     np.testing.assert_allclose(back[0].position, post.position, atol=1e-12)
     assert back[1].parameters == pytest.approx(dict(side.parameters))
 

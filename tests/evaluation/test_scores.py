@@ -5,7 +5,7 @@ import pytest
 
 from impslam.errors import ImpError
 from impslam.evaluation.comparison_plot import COLOURS, draw_comparison
-from impslam.evaluation.landmarks import moved, true_wall
+from impslam.evaluation.landmarks import transform_landmarks, true_wall
 from impslam.evaluation.relations import relation_errors
 from impslam.evaluation.run_files import RecordedRun, read_run
 from impslam.evaluation.scores import score_kinds, score_path
@@ -128,7 +128,7 @@ def test_landmarks_are_compared_in_the_frame_that_the_path_tells():
     )
     found = [point(1, 1.1, 2), point(2, 3, -1), point(3, 1.2, 2), point(4, -5, -5), map_wall]
     path = score_path(RecordedRun(way()), in_frame(way()), "fit", 1.0)
-    cylinders, walls = score_kinds(found, moved(FRAME, [*known, wall]), path)
+    cylinders, walls = score_kinds(found, transform_landmarks(FRAME, [*known, wall]), path)
     assert (cylinders.true, cylinders.missing, cylinders.false, cylinders.doubles) == (3, 1, 1, 1)
     assert cylinders.distance.max == pytest.approx(0.1)
     assert cylinders.distance.rmse == pytest.approx(0.1 / 2**0.5)

@@ -28,8 +28,8 @@ def test_comments_and_commas_are_understood(tmp_path):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("", "holds no pose"),
-        ("# only\n", "holds no pose"),
+        ("", "contains no pose"),
+        ("# only\n", "contains no pose"),
         ("1 2 3\n", "line 1.*found 3 numbers"),
         ("1 2 3 0 0 0 0 1\n1 2 3 0 0 0 x 1\n", "line 2.*'x'"),
         ("nan 2 3 0 0 0 0 1\n", "not finite"),

@@ -24,7 +24,7 @@ from impslam.run import map_log
 from impslam.studies.report import load_text
 from impslam.sweeps.job import Job
 from impslam.sweeps.memory import peak_memory
-from impslam.sweeps.pool import Lost, alone
+from impslam.sweeps.pool import ProcessDied, run_in_process
 from impslam.sweeps.rows import Row, attempt
 from impslam.types import Array
 
@@ -41,7 +41,7 @@ class RecordedData(NamedTuple):
     settings : of all filters, before their own
     noise : of all filters, after their own: what their measurements are like, whatever the filter
     robots : numbers of the robots
-    filters : that run on this log alone, and their settings
+    filters : that run only on this log, and their settings
     """
 
     path: str
@@ -106,8 +106,8 @@ def _row(drive: Drive) -> Row:
 
 def _measured_alone(drive: Drive) -> Row:
     """Measure in a process of its own: its memory is not that of what was mapped before."""
-    row = alone(measure, drive)
-    if isinstance(row, Lost):
+    row = run_in_process(measure, drive)
+    if isinstance(row, ProcessDied):
         raise ImpError(row.why)
     return row
 

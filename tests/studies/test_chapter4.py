@@ -25,9 +25,9 @@ from impslam.studies.chapter4_plot import (
 )
 from impslam.studies.chapter4_scans import (
     ARENA,
+    MAX_DISTANCE,
+    MAX_TURN,
     PEOPLE,
-    SAME,
-    SAME_ANGLE,
     Detections,
     Snapshot,
     ThesisExtractors,
@@ -38,9 +38,9 @@ from impslam.studies.chapter4_scans import (
     long_ones,
     on_people,
     rates,
+    select_walls,
     snapshots,
     true_thing,
-    walls_among,
     world_of,
 )
 from impslam.studies.report import Section
@@ -158,7 +158,7 @@ def test_a_finding_is_judged_by_the_truth(finding: Observation, there: bool) -> 
 
 def test_a_line_across_an_open_door_is_of_the_wall_beside_it() -> None:
     wall_with_gap = np.array([[0.0, 0.0, 3.0, 0.0], [3.9, 0.0, 6.0, 0.0], [0.0, 2.0, 0.3, 2.0]])
-    snapshot = replace(snapshot_of(np.zeros(3)), surfaces=walls_among(wall_with_gap))
+    snapshot = replace(snapshot_of(np.zeros(3)), surfaces=select_walls(wall_with_gap))
     longer = np.array([[-0.45, 0.0, 3.45, 0.0], [3.45, 0.0, 6.45, 0.0]])
     assert snapshot.surfaces == pytest.approx(longer)
     across = wall((2.0, 0.1), (4.8, 0.1), np.zeros(3))
@@ -188,10 +188,10 @@ def to_nearest_wall(snapshot: Snapshot, finding: Observation) -> float:
     ends = transform(snapshot.pose, finding.end_points)
     dx, dy = np.abs(ends[1] - ends[0])
     apart = [math.inf]
-    if math.atan2(dx, dy) <= SAME_ANGLE:
+    if math.atan2(dx, dy) <= MAX_TURN:
         outside = max(BOTTOM - y, y - TOP, 0.0)
         apart += [math.hypot(x - LEFT, outside), math.hypot(x - RIGHT, outside)]
-    if math.atan2(dy, dx) <= SAME_ANGLE:
+    if math.atan2(dy, dx) <= MAX_TURN:
         outside = max(LEFT - x, x - RIGHT, 0.0)
         apart += [math.hypot(y - BOTTOM, outside), math.hypot(y - TOP, outside)]
     return min(apart)
@@ -207,8 +207,8 @@ def test_spurious_walls_are_away_from_every_wall(
     true = [to_nearest_wall(s.snapshot, o) for s in seen for o in s.true]
     assert len(spurious) > 10
     assert len(true) > 100
-    assert min(spurious) > SAME
-    assert max(true) <= SAME
+    assert min(spurious) > MAX_DISTANCE
+    assert max(true) <= MAX_DISTANCE
 
 
 def test_spurious_cylinders_are_away_from_every_axis(thesis: ThesisExtractors) -> None:
@@ -220,8 +220,8 @@ def test_spurious_cylinders_are_away_from_every_axis(thesis: ThesisExtractors) -
                 centre = compose(s.snapshot.pose, np.array([*finding.z, 0.0]))[:2]
                 apart.append(np.hypot(*(CYLINDERS - centre).T).min())
     assert len(parted["spurious"]) > 10
-    assert min(parted["spurious"]) > SAME
-    assert max(parted["true"]) <= SAME
+    assert min(parted["spurious"]) > MAX_DISTANCE
+    assert max(parted["true"]) <= MAX_DISTANCE
     # In an arena with nothing but cylinders and people, most of them are on legs.
     assert sum(map(on_people, seen)) > 0.5 * len(parted["spurious"])
 

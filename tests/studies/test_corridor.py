@@ -17,9 +17,9 @@ from impslam.studies.corridor import map_table, numbers, path_table
 from impslam.studies.corridor_metrics import (
     DEFAULT,
     HOUGH,
+    MAX_DRIFT,
     READINGS,
     VARIANTS,
-    WITHIN,
     corridor_metrics,
     distance_held,
 )
@@ -240,7 +240,7 @@ def row(seed, off, variant=DEFAULT, people=0):
         "variant": variant,
         "error": "",
         **path_metrics(run),
-        "holds": distance_held(run, WITHIN * 100.0),
+        "holds": distance_held(run, MAX_DRIFT * 100.0),
         **dict.fromkeys(("landmarks_ever", "people_ever", "touched_by_people"), people),
         "false_at_birth": people,
         "false_at_the_end": (),
@@ -331,7 +331,7 @@ def test_every_seed_is_driven_once_few_by_every_variant_and_fewer_are_read_other
 
     monkeypatch.setattr(corridor, "sweep", fake)
     monkeypatch.setattr(corridor, "_pictures", lambda seed: [])
-    seeds, every = corridor.EVERY_VARIANT + 4, corridor.EVERY_VARIANT
+    seeds, every = corridor.THESIS_SEEDS + 4, corridor.THESIS_SEEDS
     part = corridor.corridor(Job(seeds))
     assert asked == [
         (len(VARIANTS), list(range(every))),
@@ -352,7 +352,9 @@ def test_the_thesis_comes_back_where_walls_are_matched_as_seen_from_the_robot():
         next(row for row in rows if row["variant"] == variant.name) for variant in VARIANTS
     )
     assert default["odometry_end"] > 3.0
-    assert max(default["end"], from_robot["end"], likelihood["end"]) < WITHIN * default["travelled"]
+    assert (
+        max(default["end"], from_robot["end"], likelihood["end"]) < MAX_DRIFT * default["travelled"]
+    )
     assert (default["people_ever"], default["false_at_birth"], default["missing"]) == (0, 0, ())
     assert 20.0 < hough["holds"] < 60.0
     assert ransac["holds"] < 20.0

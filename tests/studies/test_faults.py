@@ -8,8 +8,8 @@ import pytest
 from impslam.geometry.se2 import between
 from impslam.studies import faults as study
 from impslam.studies.drives import numbered, simulated, with_values
-from impslam.studies.fault_kinds import FAULTS, FROZEN, TRACK, stuck, told
-from impslam.studies.fault_scores import VERDICTS, _verdict, limit_of, mapped, score
+from impslam.studies.fault_kinds import FAULTS, FROZEN, TRACK, stuck, with_wheels
+from impslam.studies.fault_scores import VERDICTS, _verdict, limit_of, map_drive, score
 from impslam.studies.faults import fault_table, faults
 from impslam.sweeps.job import Job
 from impslam.types import OdometryPose
@@ -88,8 +88,8 @@ def test_odometry_poses_have_wheels_too(drive):
     )
     columns = replace(columns, order=np.arange(3))
     whole = drive._replace(odometry=columns)
-    np.testing.assert_allclose(told(whole, lambda w: w).odometry["pose"], poses, atol=1e-12)
-    turned = told(whole, lambda w: w * np.array([0.0, 1.0])).odometry["pose"]
+    np.testing.assert_allclose(with_wheels(whole, lambda w: w).odometry["pose"], poses, atol=1e-12)
+    turned = with_wheels(whole, lambda w: w * np.array([0.0, 1.0])).odometry["pose"]
     np.testing.assert_allclose(between(turned[0], turned[1])[2], 1.0 / TRACK, atol=1e-9)
 
 
@@ -103,7 +103,7 @@ def test_verdicts():
 
 
 def test_a_run_is_scored_against_the_truth(drive):
-    clean = mapped(drive)
+    clean = map_drive(drive)
     limit = limit_of(clean, drive)
     assert 0.0 < limit <= 0.5
     assert score(drive, limit, clean.notes, exact=True)["verdict"] == "harmless"

@@ -74,7 +74,7 @@ def _draw_sigmas(axes: Any, tracked: Tracked) -> None:
     """Draw standard deviations over time, and mark times without a pose."""
     times = tracked.stamps - tracked.stamps[0]
     sigma = 1e3 * _position_sigma(tracked.found.covariances)
-    axes.plot(times, sigma, color=PATH, label="position, mm")
+    axes.plot(times, sigma, color=PATH, label="place, mm")
     heading = np.degrees(np.sqrt(tracked.found.covariances[:, 2, 2]))
     axes.plot(times, 10.0 * heading, color=TRUTH, label="heading, 0.1 deg")
     missing = np.concatenate([tracked.hidden, tracked.unfit]) - tracked.stamps[0]

@@ -1,12 +1,12 @@
 """The batch optimum: the most likely path and map given all data up to a step.
 
 A filter's efficiency is measured against it: no estimator does better with the same data and Gaussian
-noise. All poses and landmarks are estimated at once by Gauss-Newton (Dellaert & Kaess 2006), from the
-residuals of odometry and of the measurements, each over its standard deviation. Poses [x, y, theta]
-and landmarks [x, y] are perturbed by addition.
+noise. All poses and landmarks are estimated jointly by Gauss-Newton (Dellaert & Kaess 2006) from the
+normalised residuals of odometry and measurements. Poses [x, y, theta] and landmarks [x, y] are perturbed
+by addition.
 
-The poses' part A of the normal equations is block tridiagonal, so that a banded Cholesky factorisation
-and the Schur complement on the few landmarks solve 400 poses in milliseconds:
+The poses' part A of the normal equations is block tridiagonal, so a banded Cholesky factorisation and the
+Schur complement on the few landmarks solve 400 poses in milliseconds:
 
     [A  B ] [dx]   [a]
     [B^T C] [dm] = [b],    (C - B^T A^-1 B) dm = b - B^T A^-1 a.
@@ -26,13 +26,13 @@ from impslam.studies.circle_simulation import START_SIGMA, Setting, Trial
 from impslam.types import Array, Ints
 
 LATERAL_SIGMA = 1e-5
-"""m per step: stands for the 0 across the robot, which would make the weights infinite."""
+"""m per step: replaces the 0 across the robot, which would make the weights infinite."""
 _CONVERGED = 1e-7  # m and rad
 _ITERATIONS = 20
 
 
 class Optimum(NamedTuple):
-    """The newest pose (3,) of the most likely path up to a step, and its covariance (3, 3)."""
+    """The last pose (3,) of the most likely path up to a step, and its covariance (3, 3)."""
 
     step: int
     pose: Array
@@ -40,7 +40,7 @@ class Optimum(NamedTuple):
 
 
 def optima(setting: Setting, trial: Trial, steps: Sequence[int]) -> Iterator[Optimum]:
-    """Yield the batch optimum of the data up to each of some ascending steps."""
+    """Yield the batch optimum of the data up to each of the steps, in ascending order."""
     poses = trial.truth[:1].copy()
     places = np.full((setting.landmarks, 2), np.nan)
     for step in steps:
@@ -53,7 +53,7 @@ def optima(setting: Setting, trial: Trial, steps: Sequence[int]) -> Iterator[Opt
 
 
 def _minimise(problem: _Problem, poses: Array, places: Array) -> Array:
-    """Move poses and places to the optimum, in place; return the newest pose's covariance."""
+    """Move poses and landmarks to the optimum, in place; return the last pose's covariance."""
     for _ in range(_ITERATIONS):
         d_pose, d_place, covariance = problem.solve(poses, places)
         poses += d_pose

@@ -1,6 +1,6 @@
-"""The picture of the comparison of extractors.
+"""Figure of the comparison of extractors.
 
-Importing this module imports matplotlib (0.3 s); import it where a picture is drawn.
+Importing this module imports matplotlib (0.3 s); import it only to draw.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from impslam.studies.extractor_tables import OTHER, Scores
 COLOURS = ("#2563eb", "#d81b60", "#15803d", "#f2a03d", "#7c3aed", "#0891b2", "#8d6e63")
 GRID = "#e5e7ea"
 EDGES = {"wall": (10, 20, 40, 80, 160, 320, 683), "cylinder": (5, 8, 12, 20, 35, 60, 100)}
-LEAST = 8  # of a bin, to draw it
+MIN_BIN_COUNT = 8  # landmarks in a bin that is drawn
 DRAWS = 300  # bootstrap samples behind an error bar
 
 
 def draw(scores: Mapping[str, Scores], conditions: Sequence[str], known: str) -> bytes:
     """Return the picture as a PNG.
 
-    `conditions` are the names of those without faults, without people and with people; `known` is
-    the row that is no extractor.
+    `conditions` are the names of the conditions without faults, without people and with people; `known` is
+    the label of the fit with known association.
     """
     figure = new_figure(9.0, 8.6, dpi=130)
     rows = figure.subplots(3, 2, gridspec_kw={"height_ratios": (5, 2.6, 2.6)})
@@ -78,9 +78,9 @@ def _ratios(
 
 
 def _point(score: ExtractorScore, low: float, high: float) -> tuple[float, float, float, float]:
-    """Return middle, ratio and its 95 % interval of the landmarks with so many beams."""
+    """Return middle, ratio and its 95 % interval of the landmarks in a bin of beams."""
     excess = score.excess[(score.beams >= low) & (score.beams < high)]
-    if len(excess) < LEAST:
+    if len(excess) < MIN_BIN_COUNT:
         return np.nan, np.nan, np.nan, np.nan
     rng = np.random.default_rng(0)
     again = [typical_ratio(rng.choice(excess, len(excess))) for _ in range(DRAWS)]
@@ -92,7 +92,7 @@ def _point(score: ExtractorScore, low: float, high: float) -> tuple[float, float
 def _shares(
     axes: Axes, scores: Scores, conditions: Sequence[str], colours: Mapping[str, str]
 ) -> None:
-    """Draw the shares found, without people and with."""
+    """Draw the shares of found landmarks, without and with people."""
     for place, shade, score, colour in _places(axes, scores, conditions, colours):
         share, error = score.true_positives
         axes.barh(place, 100.0 * share, 0.38, color=colour, alpha=shade)
@@ -103,7 +103,7 @@ def _shares(
 def _spurious(
     axes: Axes, scores: Scores, conditions: Sequence[str], colours: Mapping[str, str]
 ) -> None:
-    """Draw how many observations are false, or of other things, in a scan."""
+    """Draw the numbers of observations per scan that are false, or of other things."""
     for place, shade, score, colour in _places(axes, scores, conditions, colours):
         false, error = score.rate("false")
         other, _ = score.rate("other")

@@ -1,4 +1,4 @@
-"""Calibration against what is known: simulated robots, a published data set, squares with motion capture.
+"""Calibration against references: simulated robots, a published data set, squares with motion capture.
 
     python benchmarks/calibration.py simulated --runs 20
     python benchmarks/calibration.py published --data ../shared/data/calibration
@@ -7,8 +7,8 @@
 
 simulated: drives of several robots with scans; NEES, and standard deviations against the Cramér-Rao bound
 of the lidar's motions with the true noise. published: Censi et al. 2013, three mounts of a laser, whole
-logs and thirds. squares: UMBmark and least squares with the truth of OptiTrack in the place of a lidar.
-arena: the return of a square of 4 m after calibration.
+logs and thirds. squares: UMBmark and least squares, with the truth of OptiTrack in place of a lidar.
+arena: the return error of a square of 4 m after calibration.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ ROBOTS = {
 
 
 def simulated(runs: int) -> None:
-    """Print how errors compare with what is told, and that with the bound."""
+    """Print errors relative to the estimated sigmas, and the sigmas relative to the bound."""
     for name, (wheels, lidar) in ROBOTS.items():
         robot = SimulatedRobot(
             encoders=WheelEncoders(**{**FINE, **wheels}),
@@ -81,7 +81,7 @@ def simulated(runs: int) -> None:
 
 
 def _one(robot: SimulatedRobot, seed: int) -> tuple[Array, Array, Array, float]:
-    """Return error, told and bound, (8,) each, and the NEES of one drive in the arena."""
+    """Return errors, sigmas and bounds, (8,) each, and the NEES of one drive in the arena."""
     config = load("imp", [f"sensors.lidar.mount={[0.9 * v for v in robot.lidar.mount]}",
                           f"sensors.lidar.range_max={robot.lidar.range_max}",
                           f"sensors.lidar.sigma={robot.lidar.sigma}",
@@ -107,7 +107,7 @@ def _one(robot: SimulatedRobot, seed: int) -> tuple[Array, Array, Array, float]:
 
 
 def bound_of(drives: list[Drive], true: Array, noise: float) -> Array:
-    """Return the Cramér-Rao bound (8,) of the lidar's motions, their own errors as the scans say."""
+    """Return the Cramér-Rao bound (8,) for the lidar's motions, with the scans' own covariances."""
     H = np.zeros((8, 8))
     for drive in drives:
         S = scan_covariances(drive) + noise * unit_covariances(drive, true)[len(MATCHING)]
@@ -120,7 +120,7 @@ def bound_of(drives: list[Drive], true: Array, noise: float) -> Array:
 
 
 def published(data: Path) -> None:
-    """Print what is found for each mount beside the published result, whole and by thirds."""
+    """Print the results for each mount with the published ones, for whole logs and thirds."""
     names = ("l diameter", "r diameter", "axle", "x", "y", "yaw")
     for mount in ("lstraight", "l90", "lmov"):
         result = data / f"{mount}_results.json"
@@ -179,7 +179,7 @@ def of_tuples(file: Path) -> tuple[Array, Array]:
 
 
 def exact_motions(begins: Array, ends: Array, moved: Array) -> LidarMotions:
-    """Return motions (k, 3) whose errors are found from the data."""
+    """Return motions (k, 3) with negligible errors; the noise is estimated from the data."""
     joint, one = np.column_stack((moved, np.zeros(len(moved)))), np.ones(len(moved))
     information = np.tile(np.diag([1e8, 1e8, 1e8, 1e8]), (len(moved), 1, 1))
     return LidarMotions(begins, ends, moved, joint, information, one, one)
@@ -231,11 +231,11 @@ def _square(file: Path, per_turn: float) -> tuple[DifferentialDrive, Array]:
 
 
 def _return(log: tuple[DifferentialDrive, Array], values: Array) -> Array:
-    """Return where a run ends truly minus by odometry, (2,) m in the frame of the start."""
+    """Return the end position of a run, true minus odometry, (2,) m in the frame of the start."""
     model, truth = log
-    told = motion(model, values, 0.0, model.stamps[:1], model.stamps[-1:])
+    odometry = motion(model, values, 0.0, model.stamps[:1], model.stamps[-1:])
     true = between(truth[0, 1:], truth[-1, 1:])
-    return true[:2] - [told.translation[0].real, told.translation[0].imag]
+    return true[:2] - [odometry.translation[0].real, odometry.translation[0].imag]
 
 
 def _fit(logs: list[tuple[DifferentialDrive, Array]], values: Array) -> Array:
@@ -270,16 +270,16 @@ def arena() -> None:
                 ("config", np.array([0.0635, 1.0, 0.4])),
                 ("calibrated", found.solution.parameters[:3]),
             ):
-                told = motion(square.model, values, 0.0, truth[:1, 0], truth[-1:, 0])
+                odometry = motion(square.model, values, 0.0, truth[:1, 0], truth[-1:, 0])
                 true = between(truth[0, 1:], truth[-1, 1:])
-                off[name].append(abs(told.translation[0] - complex(true[0], true[1])))
+                off[name].append(abs(odometry.translation[0] - complex(true[0], true[1])))
         for name, errors in off.items():
-            told = ", ".join(f"{1000 * e:.1f}" for e in errors)
-            print(f"wheel noise {np.sqrt(noise):.2f} m/sqrt(m), {name:10}: return off by {told} mm")
+            mm = ", ".join(f"{1000 * e:.1f}" for e in errors)
+            print(f"wheel noise {np.sqrt(noise):.2f} m/sqrt(m), {name:10}: return off by {mm} mm")
 
 
 def _arena_drive(config, robot, seed, waypoints):
-    """Return the drives of a robot in the arena: on its usual way, or on another one with the truth."""
+    """Return the drives of a robot in the arena: on its usual path, or on another one with the truth."""
     world = load_world("arena")
     if waypoints is not None:
         plan = world.robot.model_copy(update={"waypoints": waypoints, "lookahead": 0.15})

@@ -68,15 +68,15 @@ def simulated(runs: int) -> None:
             imu=None,
         )
         rows = [_one(robot, seed) for seed in range(runs)]
-        errors, told, bound, nees = (np.array(column) for column in zip(*rows, strict=True))
+        errors, sigmas, bound, nees = (np.array(column) for column in zip(*rows, strict=True))
         print(f"{name}: {runs} drives, NEES {nees.mean():.2f} of {errors.shape[1]}")
         bounds = np.sqrt(np.mean(bound**2, axis=0))
         ratios = np.sqrt(np.mean(errors**2, axis=0)) / bounds
         for k, parameter in enumerate(NAMES):
             print(
-                f"  {parameter:17} mean error {errors[:, k].mean():9.5f}  told {told[:, k].mean():8.5f}"
+                f"  {parameter:17} mean error {errors[:, k].mean():9.5f}  sigma {sigmas[:, k].mean():8.5f}"
                 f"  bound {bounds[k]:8.5f}  rms/bound {ratios[k]:5.2f}"
-                f"  told/bound {told[:, k].mean() / bounds[k]:5.2f}"
+                f"  sigma/bound {sigmas[:, k].mean() / bounds[k]:5.2f}"
             )
 
 
@@ -144,14 +144,14 @@ def published(data: Path) -> None:
 
 
 def reference(file: Path) -> Array:
-    told = json.loads(file.read_text())
-    return np.array([told[key] for key in ("l_diam", "r_diam", "axle", "l_x", "l_y", "l_theta")])
+    values = json.loads(file.read_text())
+    return np.array([values[key] for key in ("l_diam", "r_diam", "axle", "l_x", "l_y", "l_theta")])
 
 
 def _tuples(file: Path) -> Iterator[tuple[float, float, float, list[float]]]:
-    text, place, decoder = file.read_text(), 0, json.JSONDecoder()
-    while (place := text.find("{", place)) >= 0:
-        one, place = decoder.raw_decode(text, place)
+    text, start, decoder = file.read_text(), 0, json.JSONDecoder()
+    while (start := text.find("{", start)) >= 0:
+        one, start = decoder.raw_decode(text, start)
         yield one["T"], one["phi_l"], one["phi_r"], one["sm"]
 
 

@@ -129,9 +129,11 @@ def refusals(maps: dict[str, Map], tries: int, seed: int = 1) -> None:
     print("\n| parts without a common place | tries | found | ambiguous | apart | CPU s, median |")
     print("|---|---|---|---|---|---|")
     for alike, words in ((True, "of one building"), (False, "of two buildings")):
-        told = [counts[alike, outcome.value] for outcome in Outcome]
+        totals = [counts[alike, outcome.value] for outcome in Outcome]
         print(
-            "|", " | ".join(map(str, (words, sum(told), *told, f"{np.median(seconds):.1f}"))), "|"
+            "|",
+            " | ".join(map(str, (words, sum(totals), *totals, f"{np.median(seconds):.1f}"))),
+            "|",
         )
 
 

@@ -56,10 +56,10 @@ class Outcome(NamedTuple):
 def perturb(motions: Array, rng: np.random.Generator, factor: float) -> Array:
     """Return motions (m, 3) with errors of `factor` times the constants of this module."""
     scale, turn_scale = 1.0 + factor * rng.uniform(-MAX_SCALE, MAX_SCALE, 2)
-    way = np.hypot(motions[:, 0], motions[:, 1])
-    length = (way + METRES_PER_RADIAN * np.abs(motions[:, 2]))[:, None]
+    distance = np.hypot(motions[:, 0], motions[:, 1])
+    length = (distance + METRES_PER_RADIAN * np.abs(motions[:, 2]))[:, None]
     worse = motions * [scale, scale, turn_scale]
-    worse[:, 2] += factor * rng.uniform(-MAX_BIAS, MAX_BIAS) * way
+    worse[:, 2] += factor * rng.uniform(-MAX_BIAS, MAX_BIAS) * distance
     worse += factor * NOISE * np.sqrt(length) * rng.standard_normal(motions.shape)
     moving = np.flatnonzero(length[:, 0] > 0.0)
     for at in rng.choice(moving, SLIPS, replace=False):
@@ -73,9 +73,9 @@ def perturb(motions: Array, rng: np.random.Generator, factor: float) -> Array:
 
 def perturbed(batches: Sequence[Batch], seed: int, factor: float) -> Iterator[Batch]:
     """Yield a log with its odometry perturbed, in the order of the log over all its streams."""
-    told = [c for batch in batches for c in batch.values() if c.kind is OdometryPose]
-    rank = np.argsort(np.concatenate([c.order for c in told]), kind="stable")
-    poses = np.concatenate([c["pose"] for c in told])
+    odometry = [c for batch in batches for c in batch.values() if c.kind is OdometryPose]
+    rank = np.argsort(np.concatenate([c.order for c in odometry]), kind="stable")
+    poses = np.concatenate([c["pose"] for c in odometry])
     motions = perturb(
         between(poses[rank][:-1], poses[rank][1:]), np.random.default_rng([seed, 7]), factor
     )

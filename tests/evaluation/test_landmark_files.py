@@ -1,4 +1,4 @@
-"""True landmarks come back from their file; lists of a surveyor will do; bad ones say where."""
+"""Files of true landmarks: round trip, surveyed lists, and errors that name the landmark."""
 
 import contextlib
 
@@ -18,7 +18,7 @@ def read(tmp_path, text):
 
 
 @pytest.mark.parametrize("world", ["arena", "room"])
-def test_the_landmarks_of_a_world_come_back(tmp_path, world):
+def test_landmarks_of_a_world_are_preserved(tmp_path, world):
     known = load_world(world).landmarks()
     write_true_landmarks(tmp_path / "a.csv", known)
     back = read_true_landmarks(tmp_path / "a.csv")
@@ -32,7 +32,7 @@ def test_the_landmarks_of_a_world_come_back(tmp_path, world):
             np.testing.assert_array_equal(ours.end_points, theirs.end_points)
 
 
-def test_a_surveyors_list_will_do(tmp_path):
+def test_a_surveyed_list_is_read(tmp_path):
     points = read(tmp_path, "x,y,remark\n1,2,tree\n3,4.5,pole\n")
     assert [(t.name, t.kind, *t.position) for t in points] == [
         ("1", "point", 1.0, 2.0),
@@ -58,7 +58,7 @@ def test_a_surveyors_list_will_do(tmp_path):
         ("1 2 3\n4 5 6\n", "landmark 1: x is missing"),
     ],
 )
-def test_bad_files_say_what_and_where(tmp_path, text, why):
+def test_errors_name_the_problem_and_the_landmark(tmp_path, text, why):
     with pytest.raises(ImpError, match=why):
         read(tmp_path, text)
 

@@ -1,4 +1,4 @@
-"""Landmarks are taken for the right truth, and the rest is missing, false or a double."""
+"""Assignment of landmarks to the truth: found, missing, false and double ones."""
 
 import math
 from dataclasses import dataclass, field
@@ -71,7 +71,7 @@ def test_missing_false_and_doubles():
     assert score.false == (3,)
 
 
-def test_kinds_that_the_truth_says_nothing_of_are_not_judged():
+def test_kinds_without_truth_are_ignored():
     corner = Landmark(9, "corner", np.zeros(2), {}, np.eye(2), None, 5, 0.0, 1.0)
     score = score_landmarks([corner, cylinder(1, 0, 0)], [true_cylinder("a", 0, 0)])
     assert score.false == ()
@@ -153,7 +153,7 @@ def test_the_wall_between_two_points_is_that_of_the_formulas():
 MOTION = np.array([3.0, -2.0, 2.5])
 
 
-def test_moved_landmarks_stand_in_the_other_frame():
+def test_transform_landmarks():
     post = TrueLandmark("a", "cylinder", np.array([1.0, 2.0]), {"x": 1.0, "y": 2.0, "radius": 0.1})
     side = true_wall("w", np.array([[0.0, 1.0], [2.0, 3.0]]))
     post_, side_ = transform_landmarks(MOTION, [post, side])
@@ -167,7 +167,7 @@ def test_moved_landmarks_stand_in_the_other_frame():
     assert back[1].parameters == pytest.approx(dict(side.parameters))
 
 
-def test_errors_are_of_what_the_covariance_is_of():
+def test_errors_match_the_parameters_of_the_covariance():
     np.testing.assert_allclose(
         landmark_errors(cylinder(1, 1.1, 1.8), true_cylinder("a", 1, 2)), [0.1, -0.2]
     )

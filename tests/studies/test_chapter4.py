@@ -1,4 +1,4 @@
-"""The figures of Chapter IV show what they say: jumps where the range jumps, spurious what is not there."""
+"""Figures of Chapter IV: jumps, true and spurious detections, and the selection of scans."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def cylinder(x: float, y: float, pose: Array = POSE) -> Observation:
 
 
 def one_cylinder() -> tuple[Snapshot, int, int]:
-    """Return a scan of a cylinder in a room, and the first_or_nearest and last beam on it."""
+    """Return a scan of a cylinder in a room, and the first and the last beam on it."""
     seen = cast(room(-2.0, 3.0, -2.0, 2.0), np.array([[1.2, 0.5, 0.1524]]))
     on = seen.beams_on_circle(0)
     snapshot = replace(snapshot_of(), scan=seen.scan, pose=np.zeros(3))
@@ -256,7 +256,7 @@ def test_readings_on_legs_are_those_that_met_them() -> None:
     assert snapshot_of().is_clear
 
 
-def test_where_no_scan_obeys_the_rule_the_nearest_is_given() -> None:
+def test_without_a_scan_that_satisfies_the_rule_the_nearest_is_returned() -> None:
     def most(detections: Detections) -> int:
         return len(detections.spurious)
 
@@ -309,7 +309,7 @@ def test_a_peak_is_the_line_of_its_wall_in_the_image(
     assert -1e-6 < theta < math.pi
 
 
-def test_walls_found_stand_on_cells_above_the_threshold(
+def test_detected_walls_are_cells_above_the_threshold(
     arena: list[Snapshot], thesis: ThesisExtractors
 ) -> None:
     for snapshot in arena[::10]:
@@ -395,7 +395,7 @@ def test_hough_gives_fewer_spurious_walls_and_fewer_true_ones(part: Section, wor
         assert run["hough"][what] < run["ransac"][what]
 
 
-def test_the_same_again_whatever_the_job(part: Section) -> None:
+def test_the_result_does_not_depend_on_the_job(part: Section) -> None:
     steps: list[tuple[int, int]] = []
     again = figures(
         Job(seeds=3, processes=2, progress=lambda _, done, total: steps.append((done, total)))

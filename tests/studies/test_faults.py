@@ -1,4 +1,4 @@
-"""The fault campaign: faults do to a drive what their names say, and runs are judged by what they said."""
+"""Fault injection: effects of the faults on a drive, and verdicts of runs."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ def faulty(drive, name, seed=1):
 
 
 def way(drive):
-    """Metres that odometry tells of."""
+    """Return the distance by odometry, m."""
     wheels = np.column_stack((drive.odometry["left"], drive.odometry["right"]))
     return 0.0635 * np.abs(np.diff(wheels, axis=0)).mean(axis=1).sum()
 
@@ -49,14 +49,14 @@ def test_every_fault_gives_a_drive_and_leaves_the_clean_one_alone(drive, name):
     assert same == (name == "none")
 
 
-def test_frozen_wheels_tell_less_and_slipping_ones_more(drive):
+def test_frozen_wheels_measure_less_and_slipping_ones_more(drive):
     clean = way(drive)
     assert way(faulty(drive, "odometry frozen for 10 s")) < clean - 1.0
     assert way(faulty(drive, "slip of 0.5 m")) == pytest.approx(clean + 0.5, abs=0.01)
     assert way(faulty(drive, "wheels swapped")) == pytest.approx(clean)
 
 
-def test_a_robot_against_a_wall_stands_while_its_wheels_turn(drive):
+def test_a_robot_against_a_wall_is_stationary_while_its_wheels_turn(drive):
     found = stuck(drive, np.random.default_rng(1))
     extra = drive.rows(FROZEN)
     assert len(found.scans) == len(drive.scans) + extra

@@ -1,4 +1,4 @@
-"""The table of all filters: everything is in it, and its cells are the figures."""
+"""The table of all filters: completeness, and values of its cells."""
 
 import math
 from dataclasses import replace
@@ -49,12 +49,12 @@ def test_a_filter_is_compared_with_the_optimum_where_that_is_known(rows):
     assert 0.5 < found["FastSLAM 2"].over_optimum < 2.0
 
 
-def test_a_filter_that_fails_does_not_cost_the_others(rows):
+def test_a_failing_filter_does_not_affect_the_others(rows):
     failed = {"world": "circle", "variant": "ukf", "seed": 0, "error": "no"}
     assert list(score_filters([*rows, failed], "circle")) == list(score_filters(rows, "circle"))
 
 
-def test_intervals_hold_the_means(rows):
+def test_intervals_contain_the_means(rows):
     for found in score_filters(rows, "circle").values():
         assert found.runs == 2
         for cell in (found.nees, found.position):
@@ -69,7 +69,7 @@ def test_the_figure_has_a_panel_for_each_data_set(rows):
     assert [axes.get_title("left") for axes in draw_nees(cells).axes] == ["one", "two"]
 
 
-def test_the_section_is_told_in_tables_of_its_own(monkeypatch):
+def test_the_section_has_a_table_for_each_data_set(monkeypatch):
     monkeypatch.setattr(filter_table, "FILTERS", {"ekf": FILTERS["ekf"]})
     monkeypatch.setattr(filter_table, "SETTINGS", {"circle": SHORT})
     part = filter_table.filter_table(filter_table.Job(seeds=1))

@@ -154,13 +154,15 @@ def position_table(experiment: Experiment, shown: Mapping[str, Run]) -> ResultTa
 
 def print_table(experiment: Experiment) -> ResultTable:
     """Return rotation about the start and excess distance of the printed positions."""
-    places = {name: (at, actual(name)) for name, at in experiment.printed.items()}
+    positions = {name: (at, actual(name)) for name, at in experiment.printed.items()}
     columns: dict[str, Callable[[tuple[Sequence[float], Array]], str]] = {
         "turned about the start, deg": lambda both: f"{math.degrees(turned(*both)):+.1f}",
         "too far from it, m": lambda both: f"{too_far(*both):+.3f}",
         "of its distance, %": lambda both: f"{100 * too_far(*both) / math.hypot(*both[1]):+.1f}",
     }
-    return make_table("What the printed positions have in common", places, columns, NOTES["print"])
+    return make_table(
+        "What the printed positions have in common", positions, columns, NOTES["print"]
+    )
 
 
 def interpretation_table(experiment: Experiment, readings: Groups) -> ResultTable:

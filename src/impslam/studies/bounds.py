@@ -33,8 +33,8 @@ def wall_ranges(z: Array, origins: Array, directions: Array) -> Array:
 def wall_jacobian(z: Array, origins: Array, directions: Array) -> Array:
     """Return (n, 2), the derivative of `wall_ranges` by [rho, alpha]."""
     cosines = np.cos(directions - z[1])
-    places = _places(wall_ranges(z, origins, directions), origins, directions)
-    lever = places @ np.array([-np.sin(z[1]), np.cos(z[1])])
+    points = _end_points(wall_ranges(z, origins, directions), origins, directions)
+    lever = points @ np.array([-np.sin(z[1]), np.cos(z[1])])
     return np.asarray(np.column_stack((np.ones(len(lever)), -lever)) / cosines[:, None])
 
 
@@ -54,8 +54,8 @@ def circle_jacobian(circle: Array, origins: Array, directions: Array) -> Array:
     From |o + r u - c| = radius, with the outward normal n at the point hit by the beam:
     n . (u dr - dc) = d radius.
     """
-    places = _places(circle_ranges(circle, origins, directions), origins, directions)
-    normals = (places - circle[:2]) / circle[2]
+    points = _end_points(circle_ranges(circle, origins, directions), origins, directions)
+    normals = (points - circle[:2]) / circle[2]
     cosines = normals[:, 0] * np.cos(directions) + normals[:, 1] * np.sin(directions)
     return np.asarray(np.column_stack((normals, np.ones(len(normals)))) / cosines[:, None])
 
@@ -82,7 +82,7 @@ def bound(jacobian: Array, sigmas: Array, bias: float = 0.0) -> Array:
     return np.asarray(np.linalg.inv(information))
 
 
-def _places(ranges: Array, origins: Array, directions: Array) -> Array:
+def _end_points(ranges: Array, origins: Array, directions: Array) -> Array:
     """Return the end points (n, 2) of beams."""
     beams = np.column_stack((np.cos(directions), np.sin(directions)))
     return np.asarray(origins + ranges[:, None] * beams)

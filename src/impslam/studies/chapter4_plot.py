@@ -170,7 +170,7 @@ def _field(axes: Axes, snapshot: Snapshot) -> None:
 
 
 def _world(axes: Axes, snapshot: Snapshot) -> None:
-    """Draw the truth: what is straight, what is round, legs."""
+    """Draw the true scene: straight things, round things, and legs."""
     draw_scene(axes, snapshot.scene, snapshot.leaves, 4.0)
     for x, y, radius in snapshot.legs:
         axes.add_patch(Circle((x, y), radius, fc=LEG, ec="#c97a1c", lw=1.0, zorder=2))
@@ -199,7 +199,7 @@ def _findings(
 
 
 def _keys(detections: Detections) -> list[Any]:
-    """Return the legend's entries for what is there."""
+    """Return the legend entries of the true scene."""
     snapshot, found = detections.snapshot, (*detections.true, *detections.spurious)
     kind = found[0].kind if found else ""
     bad: dict[str, Any] = {"color": SPURIOUS, "lw": 2.2, "ls": (0, (3, 1.2))}

@@ -43,7 +43,7 @@ class Setting:
     wheelbase: float = 0.5  # m
     landmarks: int = 15
     clearance: float = 2.5  # m, from the robot's circle out to the ring of landmarks
-    sigma: float = 0.1  # m, of a landmark's place, each axis
+    sigma: float = 0.1  # m, of a landmark's position, each axis
     min_range: float = 0.5  # m
     max_range: float = 5.0  # m
 

@@ -135,15 +135,15 @@ def motion() -> Figure:
     return figure
 
 
-def _robot(axes: Any, place: Point, heading: float, width: float) -> None:
+def _robot(axes: Any, position: Point, heading: float, width: float) -> None:
     """Draw a robot: its axle, two wheels and heading."""
     c, s = math.cos(heading), math.sin(heading)
     for side in (-0.5 * width, 0.5 * width):
-        x, y = place[0] - side * s, place[1] + side * c
+        x, y = position[0] - side * s, position[1] + side * c
         axes.plot([x - 0.18 * c, x + 0.18 * c], [y - 0.18 * s, y + 0.18 * s], color=INK, lw=5)
-    across = np.array([[-s, c]]) * np.array([[-0.5 * width], [0.5 * width]]) + np.array(place)
+    across = np.array([[-s, c]]) * np.array([[-0.5 * width], [0.5 * width]]) + np.array(position)
     axes.plot(*across.T, color=INK, lw=1.2)
-    _arrow(axes, place, (place[0] + 0.5 * c, place[1] + 0.5 * s))
+    _arrow(axes, position, (position[0] + 0.5 * c, position[1] + 0.5 * s))
 
 
 def arena() -> Figure:

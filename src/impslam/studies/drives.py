@@ -146,9 +146,9 @@ def simulated(world: str, seed: int, settings: Sequence[str] = ()) -> Drive:
     (batch,) = batches(((type(m).__name__, m) for m in recorded), rows=10**9)
     odometry, scans = batch[config.make_robot().odometry.consumes.__name__], batch["LaserScan"]
     truth = batch[TruePose.__name__]
-    places = np.searchsorted(truth.stamps, scans.stamps)
+    rows = np.searchsorted(truth.stamps, scans.stamps)
     path = Path(str(files("impslam.simulation.worlds") / f"{world}.toml"))
-    return Drive(path, config, odometry, scans, truth["pose"][places])
+    return Drive(path, config, odometry, scans, truth["pose"][rows])
 
 
 def recorded(log: Path, config: str | None = None, seconds: float = SECONDS) -> Drive:

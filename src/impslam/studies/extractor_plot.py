@@ -93,10 +93,10 @@ def _shares(
     axes: Axes, scores: Scores, conditions: Sequence[str], colours: Mapping[str, str]
 ) -> None:
     """Draw the shares of found landmarks, without and with people."""
-    for place, shade, score, colour in _places(axes, scores, conditions, colours):
+    for height, shade, score, colour in _bars(axes, scores, conditions, colours):
         share, error = score.true_positives
-        axes.barh(place, 100.0 * share, 0.38, color=colour, alpha=shade)
-        axes.errorbar(100.0 * share, place, xerr=200.0 * error, fmt="none", ecolor=INK, lw=0.9)
+        axes.barh(height, 100.0 * share, 0.38, color=colour, alpha=shade)
+        axes.errorbar(100.0 * share, height, xerr=200.0 * error, fmt="none", ecolor=INK, lw=0.9)
     axes.set(xlim=(0.0, 100.0), xlabel="found, % of the visible; with people (light)")
 
 
@@ -104,16 +104,16 @@ def _spurious(
     axes: Axes, scores: Scores, conditions: Sequence[str], colours: Mapping[str, str]
 ) -> None:
     """Draw the numbers of observations per scan that are false, or of other things."""
-    for place, shade, score, colour in _places(axes, scores, conditions, colours):
+    for height, shade, score, colour in _bars(axes, scores, conditions, colours):
         false, error = score.rate("false")
         other, _ = score.rate("other")
-        axes.barh(place, false, 0.38, color=colour, alpha=shade)
-        axes.barh(place, other, 0.34, left=false, fill=False, ec=colour, alpha=shade, lw=1.2)
-        axes.errorbar(false, place, xerr=2.0 * error, fmt="none", ecolor=INK, lw=0.9)
+        axes.barh(height, false, 0.38, color=colour, alpha=shade)
+        axes.barh(height, other, 0.34, left=false, fill=False, ec=colour, alpha=shade, lw=1.2)
+        axes.errorbar(false, height, xerr=2.0 * error, fmt="none", ecolor=INK, lw=0.9)
     axes.set_xlim(0.0, None)
 
 
-def _places(
+def _bars(
     axes: Axes, scores: Scores, conditions: Sequence[str], colours: Mapping[str, str]
 ) -> Iterator[tuple[float, float, ExtractorScore, str]]:
     """Yield height, shade, score and colour of each bar."""

@@ -30,8 +30,8 @@ def draw_verdicts(rows: Sequence[Row]) -> Figure:
     axes = figure.add_subplot()
     for row in rows:
         x = drives.index(row["drive"]) * wide + seeds.index(row["seed"])
-        place = x + 0.06, faults.index(row["fault"]) + 0.06
-        axes.add_patch(Rectangle(place, 0.88, 0.88, color=COLOURS[row["verdict"]], lw=0))
+        corner = x + 0.06, faults.index(row["fault"]) + 0.06
+        axes.add_patch(Rectangle(corner, 0.88, 0.88, color=COLOURS[row["verdict"]], lw=0))
     axes.set_xlim(-0.6, wide * len(drives) - 0.6)
     axes.set_ylim(len(faults), 0.0)
     axes.set_xticks([k * wide + 0.5 * len(seeds) for k in range(len(drives))], drives)

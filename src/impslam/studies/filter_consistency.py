@@ -205,10 +205,10 @@ def _one_run(tables: Sequence[Mapping[str, Any]], setting: Setting, seed: int, r
     return out, trial.first_turn(setting)
 
 
-def _landmark_nees(belief: Filter, places: Array, which: Mapping[int, int]) -> float:
+def _landmark_nees(belief: Filter, true: Array, which: Mapping[int, int]) -> float:
     """Return the mean NEES of the landmarks."""
     found = belief.landmarks()
-    errors = np.array([landmark.position - places[which[landmark.id]] for landmark in found])
+    errors = np.array([landmark.position - true[which[landmark.id]] for landmark in found])
     return float(nees(errors, np.array([landmark.covariance for landmark in found])).mean())
 
 

@@ -114,13 +114,13 @@ def labelled_scans(
     Each scan is from a new lidar, so that the common errors of its beams are independent between scans.
     """
     streams = np.random.SeedSequence([seed, zlib.crc32(world.name.encode())]).spawn(3)
-    places, noise, walkers = (np.random.default_rng(stream) for stream in streams)
+    times, noise, walkers = (np.random.default_rng(stream) for stream in streams)
     standing = world.model_copy(update={"people": ()})
     trajectory = _trajectory(world.robot)
     sweep = condition.lidar.beam_time * condition.lidar.beams
     scene = Scene(standing)
     for number in range(count):
-        time = (number + float(places.random())) / count * (trajectory.duration - sweep)
+        time = (number + float(times.random())) / count * (trajectory.duration - sweep)
         path = trajectory if condition.driving else _stopped(trajectory, time)
         if condition.people:
             around = path.at(np.array([time]))[0]
@@ -163,22 +163,22 @@ def take(
     hits = np.where(scan.valid, sweep.hits, -1)
     origins, directions = _seen_from(sweep.pose, sweep.lasers, sweep.angles)
     beams = np.column_stack((np.cos(directions), np.sin(directions)))
-    places = origins + sweep.ranges[:, None] * beams
+    points = origins + sweep.ranges[:, None] * beams
     seen = tuple(
-        _seen(scene.things[k].kind, sweep, k, on, places[on], scan) for k, on in _hit(scene, hits)
+        _seen(scene.things[k].kind, sweep, k, on, points[on], scan) for k, on in _hit(scene, hits)
     )
     sigmas = lidar.sigma + lidar.sigma_rate * sweep.ranges
     return LabelledScan(scan, seen, origins, directions, sigmas, lidar.bias_sigma)
 
 
 def _seen(
-    thing: str, sweep: TracedSweep, which: int, beams: Ints, places: Array, scan: Scan
+    thing: str, sweep: TracedSweep, which: int, beams: Ints, points: Array, scan: Scan
 ) -> Seen:
     """Return a thing hit by beams at points (n, 2) in base_link."""
     T_base_map = inverse(sweep.pose)
     if np.isfinite(sweep.round[which, 0]):
-        return _round(thing, sweep.round[which], beams, places, T_base_map, scan)
-    return _straight(thing, sweep.straight[which], beams, places, T_base_map, scan)
+        return _round(thing, sweep.round[which], beams, points, T_base_map, scan)
+    return _straight(thing, sweep.straight[which], beams, points, T_base_map, scan)
 
 
 def _seen_from(pose: Array, lasers: Array, angles: Array) -> tuple[Array, Array]:
@@ -196,7 +196,7 @@ def _hit(scene: Scene, hits: Ints) -> list[tuple[int, Ints]]:
 
 
 def _straight(
-    thing: str, row: Array, beams: Ints, places: Array, T_base_map: Array, scan: Scan
+    thing: str, row: Array, beams: Ints, points: Array, T_base_map: Array, scan: Scan
 ) -> Seen:
     start, end = transform(T_base_map, row.reshape(2, 2))
     tangent = (end - start) / np.hypot(*(end - start))
@@ -204,23 +204,23 @@ def _straight(
     rho = float(normal @ start)
     if float(normal @ scan.laser[:2]) > rho:
         rho, normal = -rho, -normal
-    along = places @ tangent
+    along = points @ tangent
     ends = rho * normal + np.array([[along.min()], [along.max()]]) * tangent
     z = np.array([rho, wrap(math.atan2(normal[1], normal[0]))])
     return Seen(thing, "wall", z, math.nan, ends, beams)
 
 
 def _round(
-    thing: str, row: Array, beams: Ints, places: Array, T_base_map: Array, scan: Scan
+    thing: str, row: Array, beams: Ints, points: Array, T_base_map: Array, scan: Scan
 ) -> Seen:
     centre, radius = transform(T_base_map, row[None, :2])[0], float(row[2])
-    whole = _edge_to_edge(centre - scan.laser[:2], radius, places - scan.laser[:2], scan)
-    return Seen(thing, "cylinder", centre, radius, places[[0, -1]], beams, whole)
+    whole = _edge_to_edge(centre - scan.laser[:2], radius, points - scan.laser[:2], scan)
+    return Seen(thing, "cylinder", centre, radius, points[[0, -1]], beams, whole)
 
 
-def _edge_to_edge(sight: Array, radius: float, places: Array, scan: Scan) -> bool:
+def _edge_to_edge(sight: Array, radius: float, points: Array, scan: Scan) -> bool:
     """Return whether the outermost beams on a circle are as close to its edges as possible."""
-    bearings = np.arctan2(places[:, 1], places[:, 0]) - math.atan2(sight[1], sight[0])
+    bearings = np.arctan2(points[:, 1], points[:, 0]) - math.atan2(sight[1], sight[0])
     off, half = wrap(bearings), math.asin(min(1.0, radius / float(np.hypot(*sight))))
     least = (1.0 - EDGE) * half - abs(float(scan.angles[1] - scan.angles[0]))
     return bool(off.max() >= least and off.min() <= -least)

@@ -99,7 +99,7 @@ def test_fault_is_found_and_its_settings_fix_it(drive, name: str) -> None:
     wrong = list(faults.faulty(drive, change))
     problems = harm(wrong, *settings)
     assert list(problems) == [kind]
-    assert problems[kind].probability > 0.99 or problems[kind].advice
+    assert problems[kind].sure > 0.99 or problems[kind].advice
     assert harm(wrong, *settings, *problems[kind].fix) == {}
 
 
@@ -123,7 +123,7 @@ def test_dead_sector(drive) -> None:
 def test_mirrored_or_exchanged_without_a_gyro(drive) -> None:
     quiet = [{name: c for name, c in batch.items() if name != "Imu"} for batch in drive]
     problems = harm(faults.faulty(quiet, faults.exchanged()))
-    assert problems["scan mirrored"].probability == 0.5
+    assert problems["scan mirrored"].sure == 0.5
     assert "odometry.exchanged=true" in problems["scan mirrored"].advice
 
 

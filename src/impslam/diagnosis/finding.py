@@ -25,7 +25,7 @@ class Finding:
     kind : its name, the same in every log
     what : the measurement, with its standard deviation
     fix : settings for --set that fix it together, as "key=value"
-    probability : probability that the finding is true
+    sure : probability that the finding is true
     advice : what to do if no setting fixes it, or another possible cause
     harmful : whether it makes a run worse; otherwise the finding is for information
     health : why no pose of such a run can be trusted, with the amount
@@ -34,7 +34,7 @@ class Finding:
     kind: str
     what: str
     fix: tuple[str, ...] = ()
-    probability: float = MAX_PROBABILITY
+    sure: float = MAX_PROBABILITY
     advice: str = ""
     harmful: bool = True
     health: Standing = SOUND
@@ -43,8 +43,8 @@ class Finding:
         """Return the finding as one line."""
         settings = " ".join(f"--set '{one}'" if "[" in one else f"--set {one}" for one in self.fix)
         remedy = "; ".join(part for part in (settings, self.advice) if part)
-        sure = f"{self.what} ({100.0 * self.probability:.4g} % sure)"
-        return f"{sure}: {remedy}" if remedy else sure
+        claim = f"{self.what} ({100.0 * self.sure:.4g} % sure)"
+        return f"{claim}: {remedy}" if remedy else claim
 
 
 def worst_health(findings: Iterable[Finding]) -> Standing:

@@ -32,12 +32,12 @@ SEEDS = 2  # default, for a quick look
 CAMERA = OverheadCamera(rate=2.0, hidden=((30.2, 35.2),))
 HIDDEN = 10  # number of hidden pictures
 FOUND: dict[str, tuple[str, float]] = {
-    "place": ("RMS of the place, mm", 1e3),
+    "place": ("RMS of the position, mm", 1e3),
     "heading": ("RMS of the heading, deg", 180.0 / math.pi),
     "nees": ("NEES of the poses (ideal 3)", 1.0),
-    "sigma": ("standard deviation of a place as told, mm", 1e3),
+    "sigma": ("estimated standard deviation of a position, mm", 1e3),
     "cylinders": ("RMS of the cylinders, mm", 1e3),
-    "hidden": (f"pictures told as hidden (of {HIDDEN})", 1.0),
+    "hidden": (f"pictures reported as hidden (of {HIDDEN})", 1.0),
     "slam_truth": ("error of the default against the simulator, mm", 1e3),
     "slam_camera": ("error of the default against the camera, mm", 1e3),
 }

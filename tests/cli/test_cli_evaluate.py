@@ -235,7 +235,7 @@ def one_line(said, part) -> None:
         (["good.tum", "--relations", "none"], "none: cannot be read"),
         (["good.tum", "--relations", "bad.tum"], "bad.tum, line 1: expected stamp1"),
         (["good.tum", "--relations", "empty.tum"], "contains no relation"),
-        (["late.tum", "--relations", "good.relations"], "late.tum: no relation lies"),
+        (["late.tum", "--relations", "good.relations"], "late.tum: no relation is within"),
         (["run", "--landmarks", "none.csv"], "none.csv: cannot be read"),
         (["run", "--landmarks", "empty.tum"], "contains no landmark"),
         (["run", "--landmarks", "bad.tum"], "bad.tum: contains no landmark"),

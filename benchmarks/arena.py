@@ -1,4 +1,4 @@
-"""The arena of the thesis within limits: what the tests and the figures in the README ask of it.
+"""Errors in the thesis's arena against limits, for the tests and the values in the README.
 
 python benchmarks/arena.py --seeds 20 --preset imp --set filter.kind=ekf    # print a row per run
 """
@@ -15,7 +15,7 @@ from impslam.sweeps.job import Job
 from impslam.sweeps.rows import Row
 
 LIMITS = {"cylinder": 0.03, "wall": 0.02, "end": 0.03}
-"""m, what the default preset is to keep; a wall's error is across it, at its middle."""
+"""m, limits for the default preset; a wall's error is perpendicular, at its middle."""
 
 
 def arena(
@@ -23,8 +23,8 @@ def arena(
 ) -> list[Row]:
     """Simulate and map the arena; return a row for each seed, with its worst errors in m.
 
-    `cylinder` and `wall` are infinite if one of either is missing; `kept` tells whether every limit is
-    kept and nothing false is in the map, corners included.
+    `cylinder` and `wall` are infinite if one of either is missing; `kept` is whether all errors are within
+    the limits and nothing in the map is false, including corners.
     """
     variant = Variant(preset, preset, tuple(settings))
     rows = sweep([variant], seeds, measure=landmark_metrics, job=Job(processes=processes))

@@ -1,12 +1,12 @@
-"""Maps of recorded buildings: how right, how fast, and which loops were closed.
+"""Maps of recorded buildings: accuracy, time, and loop closures.
 
     python -m benchmarks.buildings --data ../shared/data            # tables, in Markdown
     python -m benchmarks.buildings --data ../shared/data intel      # only this log
 
-Errors are those of relations that people measured (Kümmerle et al. 2009); local ones span 60 s at most.
-A loop closure is false if the poses as settled at the end differ from it by more than 0.5 m or 5
-degrees. Times are of one core's CPU: of a scan by batches of one row, all that comes with it included; of
-the command by a process of its own, with all files written and what was compiled before loaded.
+Errors are those of manually verified relations (Kümmerle et al. 2009); local ones span at most 60 s. A
+loop closure is false if the settled poses differ from it by more than 0.5 m or 5 degrees. Times are CPU
+times of one core: for a scan, in batches of one row and with all processing; for the command, in a process
+of its own, with all files written and compiled code loaded from the cache.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ print(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
 
 
 class Closures(NamedTuple):
-    """What came of the search for loops: counts by name, and CPU times (n,) in ms of each attempt."""
+    """Results of the search for loops: counts by name, and CPU times (n,) in ms of each attempt."""
 
     counts: dict[str, int]
     milliseconds: Array
@@ -58,7 +58,7 @@ class Mapped(NamedTuple):
 
 
 def timed(function: Callable[..., Any], into: list[float]) -> Callable[..., Any]:
-    """Return a function that enters its CPU times into a list, in ms."""
+    """Return a function that appends its CPU times to a list, in ms."""
 
     def call(*args: Any) -> Any:
         begin = time.process_time()
@@ -125,7 +125,7 @@ def errors(data: Path, name: str, path: Array) -> list[str]:
 
 
 def command(log: Path) -> tuple[float, float]:
-    """Return CPU s and peak memory in MB of the whole command, the lesser of two runs."""
+    """Return CPU s and peak memory in MB of the whole command, the minimum of two runs."""
     found = []
     for _ in range(2):
         with tempfile.TemporaryDirectory() as folder:

@@ -1,4 +1,4 @@
-"""Calibration against what is known: simulated robots, a published data set, squares with motion capture.
+"""Calibration against references: simulated robots, a published data set, squares with motion capture.
 
     python benchmarks/calibration.py simulated --runs 20
     python benchmarks/calibration.py published --data ../shared/data/calibration
@@ -7,8 +7,8 @@
 
 simulated: drives of several robots with scans; NEES, and standard deviations against the Cramér-Rao bound
 of the lidar's motions with the true noise. published: Censi et al. 2013, three mounts of a laser, whole
-logs and thirds. squares: UMBmark and least squares with the truth of OptiTrack in the place of a lidar.
-arena: the return of a square of 4 m after calibration.
+logs and thirds. squares: UMBmark and least squares, with the truth of OptiTrack in place of a lidar.
+arena: the return error of a square of 4 m after calibration.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from impslam.calibration.calibrate import calibrate, drives_of  # noqa: E402  from the root
-from impslam.calibration.closed_form import first_estimate  # noqa: E402
+from impslam.calibration.calibrate import calibrate, extract_drives  # noqa: E402  from the root
+from impslam.calibration.closed_form import initial_estimate  # noqa: E402
 from impslam.calibration.least_squares import Prior, solve  # noqa: E402
-from impslam.calibration.noise import MATCHING, of_scans, spreads  # noqa: E402
+from impslam.calibration.noise import MATCHING, scan_covariances, unit_covariances  # noqa: E402
 from impslam.calibration.odometry_models import DifferentialDrive, motion  # noqa: E402
 from impslam.calibration.recording import record_batches  # noqa: E402
-from impslam.calibration.residuals import SENSOR, Drive, residuals  # noqa: E402
+from impslam.calibration.residuals import LIDAR_PARAMETERS, Drive, residuals  # noqa: E402
 from impslam.calibration.scan_pairs import LidarMotions  # noqa: E402
 from impslam.calibration.umbmark import corrected, umbmark  # noqa: E402
 from impslam.columns import batches  # noqa: E402
@@ -41,7 +41,7 @@ from impslam.simulation.simulate import simulate  # noqa: E402
 from impslam.simulation.world import load_world  # noqa: E402
 from impslam.types import Array  # noqa: E402
 
-NAMES = (*DifferentialDrive.names, *SENSOR[:-1])
+NAMES = (*DifferentialDrive.names, *LIDAR_PARAMETERS[:-1])
 FINE = {"slip_sigma": 0.0, "skid_rate": 0.0, "radius_sigma": 0.0, "track_sigma": 0.0}
 CLEAR = {"bias_sigma": 0.0}
 ROBOTS = {
@@ -60,7 +60,7 @@ ROBOTS = {
 
 
 def simulated(runs: int) -> None:
-    """Print how errors compare with what is told, and that with the bound."""
+    """Print errors relative to the estimated sigmas, and the sigmas relative to the bound."""
     for name, (wheels, lidar) in ROBOTS.items():
         robot = SimulatedRobot(
             encoders=WheelEncoders(**{**FINE, **wheels}),
@@ -68,20 +68,20 @@ def simulated(runs: int) -> None:
             imu=None,
         )
         rows = [_one(robot, seed) for seed in range(runs)]
-        errors, told, bound, nees = (np.array(column) for column in zip(*rows, strict=True))
+        errors, sigmas, bound, nees = (np.array(column) for column in zip(*rows, strict=True))
         print(f"{name}: {runs} drives, NEES {nees.mean():.2f} of {errors.shape[1]}")
         bounds = np.sqrt(np.mean(bound**2, axis=0))
         ratios = np.sqrt(np.mean(errors**2, axis=0)) / bounds
         for k, parameter in enumerate(NAMES):
             print(
-                f"  {parameter:17} mean error {errors[:, k].mean():9.5f}  told {told[:, k].mean():8.5f}"
+                f"  {parameter:17} mean error {errors[:, k].mean():9.5f}  sigma {sigmas[:, k].mean():8.5f}"
                 f"  bound {bounds[k]:8.5f}  rms/bound {ratios[k]:5.2f}"
-                f"  told/bound {told[:, k].mean() / bounds[k]:5.2f}"
+                f"  sigma/bound {sigmas[:, k].mean() / bounds[k]:5.2f}"
             )
 
 
 def _one(robot: SimulatedRobot, seed: int) -> tuple[Array, Array, Array, float]:
-    """Return error, told and bound, (8,) each, and the NEES of one drive in the arena."""
+    """Return errors, sigmas and bounds, (8,) each, and the NEES of one drive in the arena."""
     config = load("imp", [f"sensors.lidar.mount={[0.9 * v for v in robot.lidar.mount]}",
                           f"sensors.lidar.range_max={robot.lidar.range_max}",
                           f"sensors.lidar.sigma={robot.lidar.sigma}",
@@ -89,7 +89,7 @@ def _one(robot: SimulatedRobot, seed: int) -> tuple[Array, Array, Array, float]:
                           f"odometry.track={robot.encoders.track * 1.05}"])  # fmt: skip
     messages = simulate(load_world("arena"), robot, seed)
     recorded = record_batches(config, batches((type(m).__name__, m) for m in messages))
-    drives = drives_of(config, recorded, "simulated")
+    drives = extract_drives(config, recorded, "simulated")
     found = calibrate(config, drives)
     true = np.array(
         [robot.encoders.wheel_radius, 1.0, robot.encoders.track, *robot.lidar.mount, 0, 0, 1]
@@ -107,10 +107,10 @@ def _one(robot: SimulatedRobot, seed: int) -> tuple[Array, Array, Array, float]:
 
 
 def bound_of(drives: list[Drive], true: Array, noise: float) -> Array:
-    """Return the Cramér-Rao bound (8,) of the lidar's motions, their own errors as the scans say."""
+    """Return the Cramér-Rao bound (8,) for the lidar's motions, with the scans' own covariances."""
     H = np.zeros((8, 8))
     for drive in drives:
-        S = of_scans(drive) + noise * spreads(drive, true)[len(MATCHING)]
+        S = scan_covariances(drive) + noise * unit_covariances(drive, true)[len(MATCHING)]
         J = residuals(drive, true).by_all[..., :8]
         H += np.einsum("kim,kij,kjn->mn", J, np.linalg.inv(S), J)
     return np.sqrt(np.diag(np.linalg.inv(H)))
@@ -120,7 +120,7 @@ def bound_of(drives: list[Drive], true: Array, noise: float) -> Array:
 
 
 def published(data: Path) -> None:
-    """Print what is found for each mount beside the published result, whole and by thirds."""
+    """Print the results for each mount with the published ones, for whole logs and thirds."""
     names = ("l diameter", "r diameter", "axle", "x", "y", "yaw")
     for mount in ("lstraight", "l90", "lmov"):
         result = data / f"{mount}_results.json"
@@ -144,14 +144,14 @@ def published(data: Path) -> None:
 
 
 def reference(file: Path) -> Array:
-    told = json.loads(file.read_text())
-    return np.array([told[key] for key in ("l_diam", "r_diam", "axle", "l_x", "l_y", "l_theta")])
+    values = json.loads(file.read_text())
+    return np.array([values[key] for key in ("l_diam", "r_diam", "axle", "l_x", "l_y", "l_theta")])
 
 
 def _tuples(file: Path) -> Iterator[tuple[float, float, float, list[float]]]:
-    text, place, decoder = file.read_text(), 0, json.JSONDecoder()
-    while (place := text.find("{", place)) >= 0:
-        one, place = decoder.raw_decode(text, place)
+    text, start, decoder = file.read_text(), 0, json.JSONDecoder()
+    while (start := text.find("{", start)) >= 0:
+        one, start = decoder.raw_decode(text, start)
         yield one["T"], one["phi_l"], one["phi_r"], one["sm"]
 
 
@@ -162,7 +162,7 @@ def of_tuples(file: Path) -> tuple[Array, Array]:
     model = DifferentialDrive(stamps, np.zeros(len(left), bool), left * seconds, right * seconds)
     drive = Drive(model, exact_motions(stamps[:-1], stamps[1:], moved))
     start = np.array([0.04, 1.0, 0.09, 0, 0, 0, 0, 0, 1.0])
-    first = first_estimate([drive], 0.0)
+    first = initial_estimate([drive], 0.0)
     assert first is not None
     first[6] = 0.0
     free = np.arange(9) < 6
@@ -179,7 +179,7 @@ def of_tuples(file: Path) -> tuple[Array, Array]:
 
 
 def exact_motions(begins: Array, ends: Array, moved: Array) -> LidarMotions:
-    """Return motions (k, 3) whose errors are found from the data."""
+    """Return motions (k, 3) with negligible errors; the noise is estimated from the data."""
     joint, one = np.column_stack((moved, np.zeros(len(moved)))), np.ones(len(moved))
     information = np.tile(np.diag([1e8, 1e8, 1e8, 1e8]), (len(moved), 1, 1))
     return LidarMotions(begins, ends, moved, joint, information, one, one)
@@ -231,11 +231,11 @@ def _square(file: Path, per_turn: float) -> tuple[DifferentialDrive, Array]:
 
 
 def _return(log: tuple[DifferentialDrive, Array], values: Array) -> Array:
-    """Return where a run ends truly minus by odometry, (2,) m in the frame of the start."""
+    """Return the end position of a run, true minus odometry, (2,) m in the frame of the start."""
     model, truth = log
-    told = motion(model, values, 0.0, model.stamps[:1], model.stamps[-1:])
+    odometry = motion(model, values, 0.0, model.stamps[:1], model.stamps[-1:])
     true = between(truth[0, 1:], truth[-1, 1:])
-    return true[:2] - [told.way[0].real, told.way[0].imag]
+    return true[:2] - [odometry.translation[0].real, odometry.translation[0].imag]
 
 
 def _fit(logs: list[tuple[DifferentialDrive, Array]], values: Array) -> Array:
@@ -270,23 +270,23 @@ def arena() -> None:
                 ("config", np.array([0.0635, 1.0, 0.4])),
                 ("calibrated", found.solution.parameters[:3]),
             ):
-                told = motion(square.model, values, 0.0, truth[:1, 0], truth[-1:, 0])
+                odometry = motion(square.model, values, 0.0, truth[:1, 0], truth[-1:, 0])
                 true = between(truth[0, 1:], truth[-1, 1:])
-                off[name].append(abs(told.way[0] - complex(true[0], true[1])))
+                off[name].append(abs(odometry.translation[0] - complex(true[0], true[1])))
         for name, errors in off.items():
-            told = ", ".join(f"{1000 * e:.1f}" for e in errors)
-            print(f"wheel noise {np.sqrt(noise):.2f} m/sqrt(m), {name:10}: return off by {told} mm")
+            mm = ", ".join(f"{1000 * e:.1f}" for e in errors)
+            print(f"wheel noise {np.sqrt(noise):.2f} m/sqrt(m), {name:10}: return off by {mm} mm")
 
 
 def _arena_drive(config, robot, seed, waypoints):
-    """Return the drives of a robot in the arena: on its usual way, or on another one with the truth."""
+    """Return the drives of a robot in the arena: on its usual path, or on another one with the truth."""
     world = load_world("arena")
     if waypoints is not None:
         plan = world.robot.model_copy(update={"waypoints": waypoints, "lookahead": 0.15})
         world = world.model_copy(update={"robot": plan})
     messages = simulate(world, robot, seed)
     recorded = record_batches(config, batches((type(m).__name__, m) for m in messages))
-    drives = drives_of(config, recorded, "arena")
+    drives = extract_drives(config, recorded, "arena")
     return drives if waypoints is None else [_WithTruth(drives[0].model, recorded.truth)]
 
 

@@ -2,12 +2,11 @@
 
     python -m benchmarks.closures --data ../shared/data [LOG ...]
 
-Every accepted closure is checked in three ways. By relations that people measured (Kümmerle et al.
-2009), where one joins the same two passes within `NEAR` m of way of both ends; by an exhaustive search,
-that is by the best pose of all headings within `WINDOW` m; and by the poses as settled at the end. Where
-it differs by more than 0.5 m or 5 degrees from the relation or from the best pose found, free space is
-asked: a closure is false where it agrees with the other pose at least as much. Rooms and corridors look
-alike, and a reference may be bent.
+Every accepted closure is checked against: manually verified relations (Kümmerle et al. 2009), if one joins
+the same two passes within `MAX_GAP` m of driving at both ends; an exhaustive search for the best pose with
+any heading within `WINDOW` m; and the settled poses. If it differs by more than 0.5 m or 5 degrees from the
+relation or from the best pose, free space decides: the closure is false if free space agrees with the other
+pose at least as well. Rooms and corridors look alike, and a reference may be distorted.
 """
 
 from __future__ import annotations
@@ -36,18 +35,16 @@ from impslam.run import Run
 from impslam.surfaces.surface_map import add, clear, empty_surface_map
 from impslam.types import Array
 
-NEAR = (
-    2.0  # m of way between an end of a relation and that of a closure: tracking drifts 2 cm there
-)
+MAX_GAP = 2.0  # m driven between the ends of a relation and of a closure: tracking drifts by 2 cm
 WINDOW = 8.0  # m, half the extent of the exhaustive search
-REFERENCE_WAY, QUERY_WAY = 8.0, 4.0  # m of way on both sides that the two submaps consist of
-REACH = 30.0  # m: what the query can see from the edge of the window
-SAME = 0.3  # m and rad: a closure is where the search looks for its own score
+REFERENCE_PATH, QUERY_PATH = 8.0, 4.0  # m driven on both sides in the two submaps
+MAX_RANGE = 30.0  # m: visible to the query from the edge of the window
+OWN_RADIUS = 0.3  # m and rad around a closure, in which the search takes the closure's own score
 NONE = np.full(3, math.nan)
 
 
 class Check(NamedTuple):
-    """What the checks say of one closure; NaN where there is no relation.
+    """Results of the checks of one closure; NaN without a relation.
 
     Attributes
     ----------
@@ -70,7 +67,7 @@ class Check(NamedTuple):
 
     @property
     def elsewhere(self) -> bool:
-        """Whether another pose than the closure's has the best score."""
+        """Whether a different pose has a better score."""
         return differs(self.found)
 
     @property
@@ -118,7 +115,7 @@ def checks(run: Run, known: Map, relations: Array) -> list[Check]:
 def by_relations(
     known: Map, keys: KeyframeLog, i: int, j: int, pose: Array, relations: Array
 ) -> Array:
-    """Return the difference of a closure from the relation that joins its ends best; NaN if none does.
+    """Return the difference of a closure from the best relation between its ends; NaN if there is none.
 
     What lies between an end of the closure and that of the relation is taken from the settled map.
     """
@@ -127,7 +124,7 @@ def by_relations(
     sweeps = order[ranks].reshape(-1, 2)
     ways = keys.way[known.anchors[sweeps]]
     poses = known.path()[:, 1:][sweeps]
-    base, best, out = known.keyframes.poses, NEAR, NONE
+    base, best, out = known.keyframes.poses, MAX_GAP, NONE
     for way, ends, (*_, x, y, theta) in zip(ways, poses, relations, strict=True):
         for one, other in ((0, 1), (1, 0)):
             away = max(abs(way[one] - keys.way[i]), abs(way[other] - keys.way[j]))
@@ -147,10 +144,10 @@ def by_search(
 
     `other` (3,) is the pose by the relation.
     """
-    reference = around(keys, i, REFERENCE_WAY, (REFERENCE_CELL, REACH))
-    query = around(keys, j, QUERY_WAY, (QUERY_CELL, QUERY_REACH))
+    reference = around(keys, i, REFERENCE_PATH, (REFERENCE_CELL, MAX_RANGE))
+    query = around(keys, j, QUERY_PATH, (QUERY_CELL, QUERY_REACH))
     points, turn = search_points(query.features)
-    window, own = Window(WINDOW, WINDOW, math.pi), Window(SAME, SAME, SAME)
+    window, own = Window(WINDOW, WINDOW, math.pi), Window(OWN_RADIUS, OWN_RADIUS, OWN_RADIUS)
     pyramid = build(reference.features, deep_enough(window))
     mine = search(pyramid, points, pose, own, turn=turn)
     best = search(pyramid, points, pose, window, turn=turn)
@@ -165,7 +162,7 @@ def by_search(
 
 
 def around(keys: KeyframeLog, k: int, way: float, extent: tuple[float, float]) -> Submap:
-    """Return what was seen around a keyframe, as tracked: closures have no part in it."""
+    """Return the submap around a keyframe, as tracked: independent of closures."""
     near = np.flatnonzero(np.abs(keys.way - keys.way[k]) <= way)
     rows = [row for row in near if keys.views[row] is not None]
     views: list[Any] = [keys.views[row] for row in rows]

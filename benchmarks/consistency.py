@@ -1,12 +1,12 @@
-"""How far a study of consistency is luck: the same one with several base seeds.
+"""Variation of the consistency study by chance: the same study with several base seeds.
 
     python benchmarks/consistency.py --seeds 5 --runs 400                # riekf
     python benchmarks/consistency.py --seeds 20 --runs 50 --filter ekf   # as short as published ones
 
-A perfect filter has 95 % of its steps in the 95 % band on average over base seeds. All steps of a
-run share the first turn's error, so that in one study the share is above 95 % or well below it, as
-the draw of first turns goes; a script of one seed cannot tell. The last line says what a perfect filter
-would show, by drawing its NEES: one degree of freedom that stays for the whole run, two that do not.
+A perfect filter has 95 % of its steps in the 95 % band on average over base seeds. All steps of a run have
+the first turn's error in common, so in a single study the share may be above 95 % or well below it by
+chance. The last line is the result of a perfect filter, simulated by drawing its NEES: one degree of
+freedom is constant over a run, two vary.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from impslam.sweeps.job import Job
 from impslam.types import Array
 
 FIRST = 1
-"""Base seeds from here on; 0 is that of `imp reproduce consistency`."""
+"""First base seed; 0 is that of `imp reproduce consistency`."""
 
 
 def main() -> None:
@@ -61,11 +61,11 @@ def main() -> None:
 
 
 def perfect(runs: int, studies: int = 2000) -> Array:
-    """Return the shares (studies,) of steps in the band of a filter without fault."""
+    """Return the shares (studies,) of steps in the band of a perfect filter."""
     rng = np.random.default_rng(0)
-    stays = rng.chisquare(runs, studies) / runs
-    fresh = rng.chisquare(2 * runs, (studies, HUANG.steps - 1)) / runs
-    return np.array([share_within(nees, runs, 3) for nees in stays[:, None] + fresh])
+    constant = rng.chisquare(runs, studies) / runs
+    varying = rng.chisquare(2 * runs, (studies, HUANG.steps - 1)) / runs
+    return np.array([share_within(nees, runs, 3) for nees in constant[:, None] + varying])
 
 
 def study(name: str, runs: int, seed: int, processes: int) -> tuple[FilterResult, float]:

@@ -1,10 +1,10 @@
-"""How faults of a log are found: each fault, in several sizes, injected into several logs.
+"""Detection of faults in logs: each fault, in several sizes, injected into several logs.
 
     python -m benchmarks.diagnosis --data FOLDER [--only NAME]
 
-For each fault and size: in how many logs it is found (as a problem, or as a note, where a run copes with
-it), in how many of these the settings that are printed mend it (with them neither it nor another problem is
-left), and what else is called a problem. Then what is found in the sound logs.
+For each fault and size: the number of logs in which it is found (as a problem, or as a note if a run
+tolerates it), the number of these in which the printed settings fix it (with them neither it nor another
+problem remains), and other reported problems. Then the findings in sound logs.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Log:
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of some size: how the rows are changed, or else the settings that are wrong then.
+    """A fault of some size: a change of the rows, or wrong settings.
 
     `kinds` are the findings that name it. `needs` is the odometry that can have it.
     """
@@ -97,7 +97,7 @@ class Fault:
     settings: Callable[[Log], list[str]] = lambda _: []
     needs: tuple[str, ...] = ("encoders", "odometry_pose")
     mounted: bool = False
-    """Whether the preset must tell the mount."""
+    """Whether the preset must contain the mount."""
     unsmoothed: bool = False
     """Whether the preset must leave stamps as they are."""
     back: bool = False
@@ -217,7 +217,7 @@ def of_file(data: Path, path: str, preset: str | None, scans: int = SCANS) -> Lo
 
 @dataclass
 class Row:
-    """A fault in several logs, the names of those where all is not well with it."""
+    """Results of a fault in several logs, with the names of logs with other results."""
 
     logs: int = 0
     problems: int = 0

@@ -79,7 +79,7 @@ def _seen(points: Array) -> tuple[Observation, ...]:
 
 
 def floor(n: int) -> float:
-    """Return the median ms to copy as many bytes as the lower triangle of P (n, n) has."""
+    """Return the median ms to copy the number of bytes in the lower triangle of P (n, n)."""
     source = np.ones(n * (n + 1) // 2)
     target = np.empty_like(source)
     return 1e3 * _median(lambda: np.copyto(target, source))

@@ -4,11 +4,11 @@
     python benchmarks/ekf_drive.py ekf 100 400       # any other filter, and sizes
     python benchmarks/ekf_drive.py --lanes           # the same world, crossed from end to end
 
-Landmarks lie about 5 m apart. At each step of 0.25 m the nearest ten within 9 m are seen. The robot drives
-lanes 10 m apart in one block of 100 m after the other, and at last along both diagonals and edges, through
-what it has seen before. With `--lanes` each lane leads through the whole world: the hardest order for
-submaps, as the longest border is crossed the most often. Every step counts, changes of areas (in `predict`)
-and the whole map at the end included. Times are of the processor.
+Landmarks are about 5 m apart. At each step of 0.25 m the nearest ten within 9 m are observed. The robot
+drives lanes 10 m apart in one block of 100 m after the other, and finally along both diagonals and edges,
+through known areas. With `--lanes` each lane crosses the whole world: the hardest order for submaps,
+because the longest border is crossed most often. Times are CPU times of all steps, including changes of
+areas (in `predict`), and of the whole map at the end.
 """
 # ruff: noqa: E402  threads are limited before numpy is imported
 
@@ -51,7 +51,7 @@ def main(arguments: list[str]) -> None:
 
 
 def row(kind: str, size: int, whole: bool) -> str:
-    """Drive through a world of a size; return what it took."""
+    """Drive through a world of a size; return a row of times."""
     world, rng, association = World(size), np.random.default_rng(1), Mahalanobis()
     belief: Filter = build("filter", {"kind": kind})
     path = way_points(world.side, world.side if whole else BLOCK)
@@ -83,7 +83,7 @@ def row(kind: str, size: int, whole: bool) -> str:
 
 
 class World:
-    """Landmarks that are found by the square of the plane they lie in."""
+    """Landmarks, indexed by the grid square that contains them."""
 
     def __init__(self, size: int) -> None:
         count = math.isqrt(size)
@@ -108,7 +108,7 @@ class World:
 
 
 def way_points(side: float, block: float) -> Array:
-    """Return where to drive (k, 2): lanes block by block, and back along edges and diagonals."""
+    """Return way points (k, 2): lanes block by block, and back along edges and diagonals."""
     low, high = 0.5 * LANE, side - 0.5 * LANE
     points, rightward = [[low, low]], True
     for row_ in np.arange(0.0, side, block):
@@ -123,7 +123,7 @@ def way_points(side: float, block: float) -> Array:
 
 
 def drive(points: Array, rng: np.random.Generator) -> Iterator[tuple[Array, Increment]]:
-    """Yield poses (3,) and motions as felt on the way from point to point, turning 0.3 rad a step."""
+    """Yield poses (3,) and measured motions along the points, with turns of up to 0.3 rad per step."""
     pose, stamp = np.array([*points[0], 0.0]), 0.0
     for point in points[1:]:
         while math.hypot(*(point - pose[:2])) > 2.0 * STEP:

@@ -1,11 +1,11 @@
-"""Whether a run knows when its pose cannot be trusted: kidnapped robots, faults, and clean logs.
+"""Reliability of a run's health: kidnapped robots, faults, and clean logs.
 
     python benchmarks/health.py --data ../shared/data --runs 30 --faults 3
 
-A kidnapping joins two pieces of a log: the robot maps up to a sweep, is carried without a word from
-odometry to another sweep of the later part, whose surroundings it has mapped, and drives on. The faults
-change the sweeps of 10 s. Truth is that of the simulator; of a recorded log it is the map of the whole of
-it, so that its ellipses are no test. Clean logs show how often something is said in vain.
+A kidnapping joins two pieces of a log: the robot maps up to a sweep, is carried, without motion of
+odometry, to a later sweep in surroundings that it has mapped, and drives on. The faults change the sweeps
+of 10 s. Truth is that of the simulator, or for a recorded log the map of the whole log, so that ellipses
+cannot be tested with it. Clean logs show the rate of false reports.
 """
 # ruff: noqa: E402  threads are limited before numpy is imported
 
@@ -50,11 +50,11 @@ CLEAN = {
 }
 PLAIN = [f"sensors.lidar.extractors.{name}.kind=none" for name in ("walls", "cylinders", "corners")]
 GRAPH = ["tracker.kind=scan_to_map", "estimator.kind=graph"]
-AFTER = 1000  # sweeps after a kidnapping: 100 to 200 s
-NEAR = 1.5  # m: a pose so near to the way before was mapped
+SWEEPS_AFTER = 1000  # sweeps after a kidnapping: 100 to 200 s
+MAPPED_RADIUS = 1.5  # m: poses this close to the previous path are in mapped surroundings
 SECONDS = 10.0  # of a fault
-WRONG = 0.5  # m: a pose that is farther off without a word is a silent failure
-INSIDE, FAR_OUT = 11.34, 16.27  # chi-square of three degrees of freedom, exceeded by 1 % and 0.1 %
+MAX_ERROR = 0.5  # m: a pose with a larger error and no report is a silent failure
+CHI2_99, CHI2_999 = 11.34, 16.27  # three degrees of freedom, exceeded by 1 % and 0.1 %
 KIDNAPPED = (
     *("kidnapped in", "runs", "first scan suspected", "LOST within 1 s", "median / worst"),
     *("found again", "after", "wrongly", "off after / before", "scans that entered the map"),
@@ -76,7 +76,7 @@ class Log(NamedTuple):
 
 
 class Live(Observer):
-    """Keeps the path as it is known at the time."""
+    """Stores each pose as known at its time."""
 
     def __init__(self) -> None:
         self.rows: list[PathRows] = []
@@ -89,7 +89,7 @@ class Live(Observer):
 
 
 class Result(NamedTuple):
-    """A run: the settled map, health, and the path as it was known at the time, with covariances."""
+    """A run: the settled map, health, and the live path with covariances."""
 
     known: Map
     health: Health
@@ -155,7 +155,7 @@ def simulated(seed: int) -> Log:
 
 
 class Kidnapping(NamedTuple):
-    """What came of one.
+    """Result of a kidnapping.
 
     Attributes
     ----------
@@ -175,14 +175,14 @@ class Kidnapping(NamedTuple):
 
 
 def places(log: Log, after: int, rng: np.random.Generator) -> tuple[int, int]:
-    """Return two sweeps, far apart in space; the second begins a way that was mapped before the first."""
+    """Return two sweeps, far apart in space; the second begins a path that was mapped before the first."""
     n = len(log.poses)
     for _ in range(100_000):
         i = int(rng.integers(n // 3, 2 * n // 3))
         j = int(rng.integers(i + 100, n))
         d = between(log.poses[i], log.poses[j])
         known, later = log.poses[:i:10, :2], log.poses[j : j + after // 2 : 20, :2]
-        near = np.hypot(*(later[:, None] - known).transpose(2, 0, 1)).min(axis=1) < NEAR
+        near = np.hypot(*(later[:, None] - known).transpose(2, 0, 1)).min(axis=1) < MAPPED_RADIUS
         far = np.hypot(*d[:2]) > 2.0 or (np.hypot(*d[:2]) > 0.5 and abs(d[2]) > 1.0)
         if j + after < n and far and near.mean() > 0.7 and near[0]:
             return i, j
@@ -190,10 +190,10 @@ def places(log: Log, after: int, rng: np.random.Generator) -> tuple[int, int]:
 
 
 def kidnap(task: tuple[Path, str, int]) -> Kidnapping:
-    """Carry a robot from one place to another, and see what it says."""
+    """Carry a robot from one place to another, and score its reported health."""
     data, name, seed = task
     log = read(data, name, seed % 4)
-    after = min(AFTER, len(log.pairs) // 4)
+    after = min(SWEEPS_AFTER, len(log.pairs) // 4)
     i, j = places(log, after, np.random.default_rng([seed, 11]))
     motions, sweeps = log.pairs[j]
     jump = motions._replace(d_pose=np.zeros((1, 3)), duration=np.full(1, 0.2)), sweeps
@@ -232,13 +232,13 @@ def blocked(pair: tuple[Motions, Sweeps]) -> tuple[Motions, Sweeps]:
 
 
 def moved(scale: float, pair: tuple[Motions, Sweeps]) -> tuple[Motions, Sweeps]:
-    """Let odometry tell so many times the motion."""
+    """Scale the motion of odometry."""
     motions, sweeps = pair
     return motions._replace(d_pose=scale * motions.d_pose), sweeps
 
 
 def against_a_wall(log: Log, begin: int, seconds: float) -> tuple[Pairs, Array]:
-    """Return sweeps and true poses with a stay at a sweep, while the wheels go on at 0.3 m/s."""
+    """Return sweeps and true poses with a stop at a sweep, while the wheels turn at 0.3 m/s."""
     motions, sweeps = log.pairs[begin]
     period, rng, stay = 0.1, np.random.default_rng(begin), []
     told = motions._replace(
@@ -266,14 +266,14 @@ FAULTS: dict[str, Callable[[tuple[Motions, Sweeps]], tuple[Motions, Sweeps]] | N
 
 
 class Faulty(NamedTuple):
-    """What came of a fault.
+    """Result of a fault.
 
     Attributes
     ----------
     said : share of the scans of the fault that are not TRACKING
     worst, end : m, what the live path is off by at most from the fault on, and 20 s after it
     inside : share of all TRACKING scans inside their 99 % ellipse
-    silent : scans that are off by more than `WRONG` and outside their 99.9 % ellipse while TRACKING
+    silent : scans that are off by more than `MAX_ERROR` and outside their 99.9 % ellipse while TRACKING
     """
 
     said: float
@@ -313,13 +313,13 @@ def fail(task: tuple[Path, str, str, int]) -> Faulty:
         float((states[begin : begin + rows] != TRACKING).mean()),
         float(off[begin:].max()),
         float(at_end),
-        float((chi2[tracking] < INSIDE).mean()),
-        int((tracking & (off > WRONG) & (chi2 > FAR_OUT)).sum()),
+        float((chi2[tracking] < CHI2_99).mean()),
+        int((tracking & (off > MAX_ERROR) & (chi2 > CHI2_999)).sum()),
     )
 
 
 def clean(data: Path, name: str) -> str:
-    """Return a row for a log that nothing is wrong with."""
+    """Return a row for a log without faults."""
     log = read(data, name)
     health = mapped(log.config, log.pairs).health
     hours = np.median(np.abs(np.diff(log.stamps))) * len(log.stamps) / 3600.0
@@ -348,7 +348,7 @@ def kidnappings(found: list[Kidnapping], name: str) -> str:
         f"{np.median(seconds):.1f} / {seconds.max():.1f} s",
         again.sum(),
         f"{np.median(metres[again]):.1f} m" if again.any() else "",
-        (off > 100.0 * WRONG).sum(),
+        (off > 100.0 * MAX_ERROR).sum(),
         f"{np.median(off):.1f} / {np.median(before):.1f} cm" if again.any() else "",
         sum(one.entered for one in found),
     )

@@ -1,10 +1,10 @@
-"""Kills a recorder without warning, many times, and counts what its logs have lost.
+"""Kill a recorder without warning, many times, and measure the loss of data in its logs.
 
     python benchmarks/kill9.py [-n 100] [--together 3] [--seed 0]
 
-A child process records at the full rate of the robot, in real time, and is killed (SIGKILL) at a
-random moment. The log is then read as `imp run` reads it. Lost is the time between the last message
-in the log and the kill; all before must be there.
+A child process records at the full rate of the robot, in real time, and is killed (SIGKILL) at a random
+moment. The log is then read as by `imp run`. The loss is the time between the last message in the log and
+the kill; everything before must be there.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ from impslam.types import (
 )
 
 BEAMS, SWEEP = 682, 0.1  # URG-04LX
-LIMIT = 1.0  # s that a kill may cost
-LATEST = 3.0  # s after the beginning that a child is killed
+MAX_LOSS = 1.0  # s
+MAX_DELAY = 3.0  # s after the beginning until a child is killed
 FAST = ("/encoders/voltage", "/imu", "/imu/acceleration_2", "/imu/magnetic_field", "/temperature")
 FAST += ("/humidity", "/clock/autopilot")
 
 
 class FullRate:
-    """What the robot sends: an autopilot at 100 Hz, a lidar at 10 Hz, a camera at 5 Hz."""
+    """The robot's messages: an autopilot at 100 Hz, a lidar at 10 Hz, a camera at 5 Hz."""
 
     def __init__(self, seed: int = 0) -> None:
         self._rng = np.random.default_rng(seed)
@@ -79,7 +79,7 @@ class FullRate:
 
 
 def record(folder: Path) -> None:
-    """Record until killed, in real time; say when that begins."""
+    """Record until killed, in real time; report the beginning."""
     robot, recorder = FullRate(), LogRecorder(folder, "imp", 0, lambda _level, _text: None)
     recorder.start()
     begin, number = now(), 0
@@ -101,8 +101,8 @@ def kill_once(seed: int) -> float:
         assert child.stdout is not None
         with child.stdout as said:
             begun = float(said.readline())
-            time.sleep(rng.uniform(0.0, LATEST))
-            killed = time.time()  # which the child's time base was set by, a moment ago
+            time.sleep(rng.uniform(0.0, MAX_DELAY))
+            killed = time.time()  # on the clock of the child's time base
             child.send_signal(signal.SIGKILL)
             child.wait()
         (log,) = Path(folder).glob("*.mcap")
@@ -114,7 +114,7 @@ def kill_once(seed: int) -> float:
 
 
 def _end(log: Path, begun: float) -> float:
-    """Return when the log ends; `AssertionError` if anything before that is missing or changed."""
+    """Return the end time of the log; `AssertionError` if anything before it is missing or changed."""
     with recognise(log)(path=log) as source:
         counts = {stream.name: stream.count for stream in source.streams()}
         read = list(messages(source.batches()))
@@ -122,7 +122,7 @@ def _end(log: Path, begun: float) -> float:
     n = len(wheels)
     assert [wheel.left for wheel in wheels] == [0.1 * (i + 1) for i in range(n)], "wheels missing"
     for topic in FAST if n else ():
-        # The kill may part the readings of one tick, never those of two.
+        # The kill may separate the readings of one tick, but not those of two.
         assert 0 <= n - (counts.get(topic) or 0) <= 1, f"{topic} has not what the wheels have"
     assert 0 <= n // 10 - (counts.get("/scan") or 0) <= 1, "scans missing"
     assert 0 <= n // 20 - (counts.get("/camera/image/compressed") or 0) <= 1, "pictures missing"
@@ -130,7 +130,7 @@ def _end(log: Path, begun: float) -> float:
 
 
 def main() -> None:
-    """Kill, read, and print what was lost."""
+    """Kill, read, and print the losses."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-n", type=int, default=100, help="how often to kill")
     parser.add_argument("--together", type=int, default=1, help="children at a time")
@@ -143,11 +143,11 @@ def main() -> None:
         lost = np.array(list(pool.map(kill_once, range(chosen.seed, chosen.seed + chosen.n))))
     kept = np.isfinite(lost)
     print(
-        f"{chosen.n} kills at 0 to {LATEST} s: {kept.sum()} logs open and are complete up to their "
+        f"{chosen.n} kills at 0 to {MAX_DELAY} s: {kept.sum()} logs open and are complete up to their "
         f"end; lost: median {np.median(lost):.2f} s, worst {lost.max():.2f} s; "
-        f"{(lost <= LIMIT).sum()} within {LIMIT} s"
+        f"{(lost <= MAX_LOSS).sum()} within {MAX_LOSS} s"
     )
-    sys.exit(not (lost <= LIMIT).all())
+    sys.exit(not (lost <= MAX_LOSS).all())
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""Kills a robot that maps without warning, many times, and opens the map and the log that it leaves.
+"""Kill a mapping robot without warning, many times, and open the map and the log that remain.
 
     python benchmarks/kill9_map.py [-n 100] [--seed 0] [--period 0.1]
 
-A child process records and maps the simulated arena, three times as fast as real time, saves its map
-every `period` s instead of every minute, and is killed (SIGKILL) at a random moment after the first
-save; every second one then lives on until it next begins to write the file. The map must open and
-hold what had been mapped at the save before the last; the log must open, too. Children are forked from
-a process that has compiled the estimator.
+A child process records and maps the simulated arena, three times as fast as real time, saves its map every
+`period` s instead of every minute, and is killed (SIGKILL) at a random moment after the first save; every
+second one is killed at its next write of the file. The map must open and contain everything mapped at the
+save before the last; the log must open, too. Children are forked from a process that has compiled the
+estimator.
 """
 
 from __future__ import annotations
@@ -36,24 +36,24 @@ from impslam.simulation.world import load_world
 from impslam.sources.base import recognise
 from impslam.types import TruePose
 
-FASTER = 3.0  # than real time
-LATEST = 3.0  # s after the first save that a child is killed
+SPEEDUP = 3.0  # over real time
+MAX_DELAY = 3.0  # s after the first save until a child is killed
 WORLD = "arena"
 FORK = multiprocessing.get_context("fork")
 
 
-def live(folder: Path, period: float, said: Connection) -> None:
-    """Record and map until killed; tell after each save how many scans are mapped."""
+def live(folder: Path, period: float, sender: Connection) -> None:
+    """Record and map until killed; after each save, send the number of mapped scans."""
     map_keeper.SAVE_INTERVAL, map_keeper.MIN_PAUSE_RATIO = period, 0
     station = Station({}, "imp", folder, (0.5, 1.0), 0)
     save = station.mapper.save_map
 
-    def told(where: Path) -> Path:
+    def save_and_report(where: Path) -> Path:
         path = save(where)
-        said.send(station.mapper.status().steps)
+        sender.send(station.mapper.status().steps)
         return path
 
-    station.mapper.save_map = told  # type: ignore[method-assign]
+    station.mapper.save_map = save_and_report  # type: ignore[method-assign]
     station.start()
     station.begin(record=True, map_=True)
     while station.mapper.status().state == "compiling":
@@ -61,14 +61,14 @@ def live(folder: Path, period: float, said: Connection) -> None:
     readings = [m for m in simulate(load_world(WORLD), seed=1) if not isinstance(m, TruePose)]
     begin, first = now(), readings[0].stamp
     for message in readings:
-        time.sleep(max(0.0, begin + (message.stamp - first) / FASTER - now()))
+        time.sleep(max(0.0, begin + (message.stamp - first) / SPEEDUP - now()))
         station._receive(Reading(message, now(), "robot"))
     time.sleep(60.0)
 
 
 @dataclass(frozen=True)
 class Left:
-    """What a kill leaves: scans in the map, whether the file was being written, its bytes."""
+    """Remains of a killed robot: scans in the map, whether the file was being written, its bytes."""
 
     scans: int
     part: bool
@@ -77,28 +77,28 @@ class Left:
 
 
 def kill_once(seed: int, period: float) -> Left:
-    """Kill a child and look at what it leaves."""
+    """Kill a child and check what remains."""
     rng = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory(prefix="kill9-map-") as name:
         folder = Path(name)
-        heard, said = FORK.Pipe(duplex=False)
-        child = FORK.Process(target=live, args=(folder, period, said))
+        receiver, sender = FORK.Pipe(duplex=False)
+        child = FORK.Process(target=live, args=(folder, period, sender))
         child.start()
-        said.close()
-        told = [heard.recv()]
-        time.sleep(rng.uniform(0.0, LATEST))
+        sender.close()
+        counts = [receiver.recv()]
+        time.sleep(rng.uniform(0.0, MAX_DELAY))
         if seed % 2:
             _wait_for_part(folder)
         child.kill()
         child.join()
         with contextlib.suppress(EOFError):
             while True:
-                told.append(heard.recv())
+                counts.append(receiver.recv())
         part = any(folder.glob(f"maps/*/.{FILE}.*.part"))
         try:
             known, size = _opened(folder)
-            # What is told are the scans after a save: some may have come while it was written.
-            before = told[-2] if len(told) > 1 else 1
+            # The count is taken after a save: some scans may have come while it was written.
+            before = counts[-2] if len(counts) > 1 else 1
             assert len(known.stamps) >= before, f"{len(known.stamps)} scans, {before} were saved"
         except (ImpError, ValueError, AssertionError) as error:
             return Left(0, part, 0, f"seed {seed}: {error}")
@@ -106,7 +106,7 @@ def kill_once(seed: int, period: float) -> Left:
 
 
 def _opened(folder: Path) -> tuple[Map, int]:
-    """Return the map that is left and its bytes; an error if it or the log does not open."""
+    """Return the remaining map and its bytes; raise an error if it or the log does not open."""
     (one,) = MapStore(folder / "maps").maps()
     known = Map.load(folder / "maps" / one.name / FILE)
     assert np.isfinite(known.path()).all(), "the path is not finite"
@@ -124,7 +124,7 @@ def _wait_for_part(folder: Path) -> None:
 
 
 def main() -> None:
-    """Kill, open, and print what was found."""
+    """Kill, open, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-n", type=int, default=100, help="how often to kill")
     parser.add_argument("--seed", type=int, default=0)

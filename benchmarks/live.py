@@ -1,12 +1,12 @@
-"""Live mapping in real time: how old a scan is when it shows, and what that costs.
+"""Live mapping in real time: latency and CPU usage.
 
     python benchmarks/live.py [SECONDS]
 
-The arena is simulated beforehand and then put into a `LiveMapper` at the moments at which a robot
-would: wheel angles, and six other messages that the estimator has no use for, at 100 Hz, scans of 682
-beams at 10 Hz after their last beam. "latency" is from a scan's arrival to the snapshot that shows
-it; up to 10 ms of it is the wait for the wheel angles that reach the scan's end. In the middle the
-map is saved. CPU is that of the whole process, in percent of a core, less the same without mapping.
+The arena is simulated beforehand and then put into a `LiveMapper` at the rate of a robot: wheel angles,
+and six other messages that the estimator does not use, at 100 Hz, and scans of 682 beams at 10 Hz after
+their last beam. "latency" is from a scan's arrival to the snapshot that shows it; up to 10 ms of it is the
+wait for the wheel angles up to the scan's end. In the middle the map is saved. CPU is that of the whole
+process, in percent of a core, minus the same without mapping.
 """
 # ruff: noqa: E402  threads are limited before numpy is imported
 
@@ -45,11 +45,11 @@ from impslam.types import (
     WheelAngles,
 )
 
-PERIOD = 0.005  # s between two rounds of the feeder
+PERIOD = 0.005  # s between two iterations of the feeder
 
 
 class Timed(LiveView):
-    """A view that notes how old each scan is when it shows."""
+    """A view that records the age of each scan when it is shown."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -68,7 +68,7 @@ class Timed(LiveView):
 
 
 class Ticker(threading.Thread):
-    """Measures how long other threads of the process are held up."""
+    """Measures how long other threads of the process are blocked."""
 
     def __init__(self) -> None:
         super().__init__(daemon=True)
@@ -83,7 +83,7 @@ class Ticker(threading.Thread):
 
 
 def record(seconds: float) -> list[tuple[float, Message]]:
-    """Return messages with the moments of their arrival, counted from the first."""
+    """Return messages with their arrival times, relative to the first."""
     log: list[tuple[float, Message]] = []
     zero = None
     for message in simulate(load_world("arena")):
@@ -111,7 +111,7 @@ def others(at: float) -> list[Message]:
 
 
 def feed(mapper: LiveMapper, log: list[tuple[float, Message]]) -> float:
-    """Put each message when it is due; return the CPU seconds that the process took a second."""
+    """Put each message at its time; return the CPU seconds per second of the process."""
     zero, cpu, i = now(), time.process_time(), 0
     while i < len(log):
         while i < len(log) and zero + log[i][0] <= now():

@@ -1,10 +1,11 @@
-"""Maps of parts of a drive that are merged, and maps without a common place that are not.
+"""Merging of maps of parts of a drive, and rejection of maps without common places.
 
     python -m benchmarks.merging --data ../shared/data              # tables, in Markdown
     python -m benchmarks.merging --data ../shared/data --tries 20
 
-Two parts have no place in common if they are of two buildings, or if less than `COMMON` of floor is free in
-both, by the map of the whole drive, in whose frame they are not told to lie.
+Two parts have no place in common if they are of two buildings, or if less than `MIN_OVERLAP` of floor is
+free in both, by the map of the whole drive. The alignment is not told that the parts are in the same
+frame.
 """
 
 from __future__ import annotations
@@ -33,13 +34,13 @@ BUILDINGS = {
     "fr-hospital": "fr-hospital/fr-hospital.log",
     "exp1": "urg04lx-encoders/exp1.dat",
 }
-COMMON = 1.0  # m^2
+MIN_OVERLAP = 1.0  # m^2
 CELL = 0.1  # m
-PARTS = 20.0, 120.0  # m of way
+PART_LENGTH = 20.0, 120.0  # m driven
 
 
 class Part(NamedTuple):
-    """A part of a drive: its building, its keyframes, and the keys (n,) of cells that are free by them."""
+    """A part of a drive: its building, its keyframes, and the keys (n,) of its free cells."""
 
     name: str
     keyframes: Keyframes
@@ -47,7 +48,7 @@ class Part(NamedTuple):
 
 
 def cut(log: Path, folder: Path, parts: int, overlap: float) -> list[Path]:
-    """Write parts of a CARMEN log of equally many scans; each shares a tenth or so with the next one."""
+    """Write parts of a CARMEN log with equal numbers of scans and an overlap; return their paths."""
     lines = log.read_text().splitlines(keepends=True)
     scans = [i for i, line in enumerate(lines) if line.startswith("FLASER")]
     out = []
@@ -61,7 +62,7 @@ def cut(log: Path, folder: Path, parts: int, overlap: float) -> list[Path]:
 
 
 def mergers(data: Path, whole: dict[str, Map]) -> None:
-    """Print the relation errors of maps of parts of a drive, merged, beside that of the whole drive."""
+    """Print the relation errors of merged maps of parts, with those of the map of the whole drive."""
     print(
         "| log | parts | shared scans | relations, m | the whole log's | ratio | worst, m | CPU s |"
     )
@@ -86,12 +87,12 @@ def mergers(data: Path, whole: dict[str, Map]) -> None:
 
 
 def part(name: str, known: Map, rng: np.random.Generator) -> Part:
-    """Return a part of random length from a random place on."""
+    """Return a part of random length and position."""
     steps = np.diff(known.keyframes.poses, axis=0)
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
-    length = min(rng.uniform(*PARTS), 0.5 * way[-1])
-    begin = rng.uniform(0.0, way[-1] - length)
-    rows = np.arange(*np.searchsorted(way, [begin, begin + length]))
+    travel = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
+    length = min(rng.uniform(*PART_LENGTH), 0.5 * travel[-1])
+    begin = rng.uniform(0.0, travel[-1] - length)
+    rows = np.arange(*np.searchsorted(travel, [begin, begin + length]))
     keyframes = known.keyframes.take(rows)
     grid = replace(known, keyframes=keyframes).grid(CELL)
     found, columns = np.nonzero(grid.logodds < 0.0)
@@ -102,11 +103,11 @@ def part(name: str, known: Map, rng: np.random.Generator) -> Part:
 def apart(one: Part, other: Part) -> bool:
     if one.name != other.name:
         return True
-    return len(np.intersect1d(one.free, other.free, assume_unique=True)) * CELL**2 < COMMON
+    return len(np.intersect1d(one.free, other.free, assume_unique=True)) * CELL**2 < MIN_OVERLAP
 
 
 def refusals(maps: dict[str, Map], tries: int, seed: int = 1) -> None:
-    """Print what is said of pairs of parts without a common place; half of one building, if there are."""
+    """Print the outcomes for pairs of parts without a common place, half of them of one building."""
     rng, names = np.random.default_rng(seed), list(maps)
     counts: Counter[tuple[bool, str]] = Counter()
     seconds: list[float] = []
@@ -128,9 +129,11 @@ def refusals(maps: dict[str, Map], tries: int, seed: int = 1) -> None:
     print("\n| parts without a common place | tries | found | ambiguous | apart | CPU s, median |")
     print("|---|---|---|---|---|---|")
     for alike, words in ((True, "of one building"), (False, "of two buildings")):
-        told = [counts[alike, outcome.value] for outcome in Outcome]
+        totals = [counts[alike, outcome.value] for outcome in Outcome]
         print(
-            "|", " | ".join(map(str, (words, sum(told), *told, f"{np.median(seconds):.1f}"))), "|"
+            "|",
+            " | ".join(map(str, (words, sum(totals), *totals, f"{np.median(seconds):.1f}"))),
+            "|",
         )
 
 

@@ -1,10 +1,10 @@
-"""The car's outdoor logs against its GPS and surveyed beacons: figures, and pictures for the docs.
+"""The car's outdoor logs against GPS and surveyed beacons: numbers, and pictures for the docs.
 
     python benchmarks/outdoor.py --data ../shared/data                  # figures
     python benchmarks/outdoor.py --data ../shared/data -o docs/images   # and pictures
 
-The GPS has a frame of its own and no heading, and its antenna is where base_link is: the path is moved
-rigidly to where it fits the fixes best, and the map with it. Fixes that the wheels rule out are left out.
+The GPS has its own frame and no heading, and its antenna is at base_link: path and map are fitted rigidly
+to the fixes. Fixes that are implausible by odometry are left out.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ from impslam.sources.base import recognise  # noqa: E402
 from impslam.types import Array, TrueLandmark, TruePose  # noqa: E402
 
 INCHES = (9.0, 8.2)
-SURVEY = 0.02  # m, of the beacons, as those say who surveyed them
-FREE = 100.0  # m and rad: the map may lie anywhere
-NEAR = 2.0  # m, what a GPS without corrections keeps to under trees at best
+SURVEY_SIGMA = 0.02  # m, of the beacons, according to the survey
+FREE_SIGMA = 100.0  # m and rad: the frame of the map is free
+GPS_ERROR = 2.0  # m, of a GPS without corrections under trees, at best
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ def score(seen: Run, log: Path) -> Outdoor:
 
 
 def _fit(path: Array, fixes: Array) -> tuple[Array, Array, Array]:
-    """Return a path (n, 2) in the GPS's frame, its distance from each fix within its time, the motion.
+    """Return a path (n, 2) in the GPS's frame, its distances from the fixes, and the transform.
 
     The path is interpolated to the fixes, not they to it: between fixes that jump there is nothing.
     """
@@ -115,7 +115,7 @@ def map_nees(seen: Run, scored: Outdoor, log: Path) -> tuple[float, tuple[float,
     rows = np.array([ids[e.id] for e in scored.beacons.found])
     columns = (3 + 2 * rows[:, None] + np.arange(2)).ravel()
     C = P[np.ix_(columns, columns)]
-    # In a filter's own coordinates P may differ by motions of the whole map, which are free here.
+    # In a filter's own coordinates P may differ by rigid motions of the map, which are free here.
     own = [seen.landmarks[i].covariance for i in rows]
     blocks = [C[k : k + 2, k : k + 2] for k in range(0, len(C), 2)]
     assert np.allclose(blocks, own, rtol=0.01, atol=1e-5)  # of the same beacons
@@ -126,7 +126,7 @@ def map_nees(seen: Run, scored: Outdoor, log: Path) -> tuple[float, tuple[float,
     moves = np.zeros((len(error), 3))
     moves[0::2, 0] = moves[1::2, 1] = 1.0
     moves[0::2, 2], moves[1::2, 2] = -points[:, 1], points[:, 0]
-    S = C + SURVEY**2 * np.eye(len(C)) + FREE**2 * moves @ moves.T
+    S = C + SURVEY_SIGMA**2 * np.eye(len(C)) + FREE_SIGMA**2 * moves @ moves.T
     dof = len(error) - 3
     low, high = chi2_bounds(dof)
     return float(error @ np.linalg.solve(S, error)) / dof, (low / dof, high / dof)
@@ -147,7 +147,7 @@ def victoria_park(data: Path, folder: Path | None = None) -> tuple[Run, Outdoor]
 
 
 def carpark_figures(seen: Run, scored: Outdoor) -> str:
-    """Return what the docs say of the car park."""
+    """Return the text on the car park for the docs."""
     path, wheels = statistics(scored.errors), statistics(scored.wheels_errors)
     found, beacons = len(scored.beacons.found), scored.beacons
     rms = math.sqrt(float(np.mean(scored.beacon_errors**2)))
@@ -163,12 +163,12 @@ def carpark_figures(seen: Run, scored: Outdoor) -> str:
 
 
 def victoria_park_figures(seen: Run, scored: Outdoor) -> str:
-    """Return what the docs say of Victoria Park."""
+    """Return the text on Victoria Park for the docs."""
     path, wheels = statistics(scored.errors), statistics(scored.wheels_errors)
-    near = 100.0 * float(np.mean(scored.errors < NEAR))
+    near = 100.0 * float(np.mean(scored.errors < GPS_ERROR))
     return (
         f"{len(seen.landmarks)} trees; path from {path.count} fixes: median {path.median:.2f} m, "
-        f"{near:.0f} % within {NEAR:g} m, {path.rmse:.2f} m RMS, {path.max:.0f} m at most "
+        f"{near:.0f} % within {GPS_ERROR:g} m, {path.rmse:.2f} m RMS, {path.max:.0f} m at most "
         f"({scored.left_out} fixes left out; wheels alone {wheels.rmse:.0f} m RMS); "
         f"{seen.speed:.0f} times real time"
     )
@@ -197,7 +197,7 @@ def picture(scored: Outdoor, target: Path, mark: str) -> None:
 
 
 def _frame(axes: Any, points: Array) -> None:
-    """Show the points with equal axes in m; the wheels' path may leave the picture."""
+    """Fit equal axes in m to the points; the path by odometry may leave the picture."""
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.04 * float((high - low).max())
     axes.set_aspect("equal", adjustable="box")
@@ -215,7 +215,7 @@ JOBS = {
 
 
 def main() -> None:
-    """Print the figures of both logs, and draw them if told where."""
+    """Print the results of both logs, and draw them if an output folder is given."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
     parser.add_argument("-o", "--out", type=Path, help="folder for the pictures")

@@ -1,12 +1,12 @@
-"""Where the car of the outdoor logs carries its laser and its GPS antenna, and how its steering errs.
+"""Positions of the laser and the GPS antenna on the car of the outdoor logs, and errors of its steering.
 
     python benchmarks/outdoor_calibration.py --data ../shared/data
 
-Neither survey nor GPS is used for what the presets hold. Landmarks seen from two places some 1.5 s
-apart tell how the laser moved; the wheels say how the axle did; what reconciles both is the laser's place
-ahead of the axle and left of it, its yaw, its latency and the steering's offset and scale. Then, for
-scoring, the place of the antenna: in turns of 12 s the fixes are laid on the path where it fits them
-best, and the place is that at which they lie on it.
+Values in the presets use neither survey nor GPS. Landmarks observed from two positions some 1.5 s apart
+give the motion of the laser, odometry gives that of the axle; the position of the laser ahead of the axle
+and left of it, its yaw, its latency and the steering's offset and scale are fitted to both. The position
+of the antenna is only used for scoring: in turns of 12 s the fixes are fitted to the path, with the
+antenna's position as a parameter.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ from impslam.types import Array, Steering, TruePose  # noqa: E402
 WHEELBASE, ENCODER_OFFSET = 2.83, 0.76  # m, by the ruler
 NAMES = ("steering_offset", "steering_scale", "laser x", "laser y", "laser yaw", "latency")
 RULER = np.array([0.0, 1.0, 3.78, 0.5, 0.0, 0.0])
-LATER = 7  # scans, 1.5 s
-GATE = 2.0  # m; so near is the landmark that a sighting is taken for
-NOISE = 0.1  # m, beyond which a pair counts ever less: it may be of two landmarks
-WINDOW, TURN = 12.0, np.radians(30.0)  # s and rad, of stretches that tell where the antenna is
-FIX = 0.15  # m, beyond which a fix counts ever less
+SCAN_GAP = 7  # scans between the two of a pair, 1.5 s
+GATE = 2.0  # m between a landmark and its observation
+PAIR_SCALE = 0.1  # m, scale of the robust loss: a pair may be of two landmarks
+WINDOW, MIN_TURN = 12.0, np.radians(30.0)  # s and rad, of stretches used for the antenna
+FIX_SCALE = 0.15  # m, scale of the robust loss of fixes
 
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """What the car felt (n, 3), saw (stamps, and points in the laser's frame) and was told (m, 3)."""
+    """Odometry (n, 3), observations (stamps, and points in the laser's frame) and fixes (m, 3)."""
 
     wheels: Array
     stamps: Array
@@ -102,11 +102,11 @@ def pairs(log: Log) -> tuple[Array, Array, Array, Array]:
     """Return scans i and j (p,), and the same landmarks as each shows them (p, 2), twice."""
     poses = interpolate(axle_path(log.wheels, *RULER[:2]), log.stamps)
     found = []
-    for i in range(len(log.stamps) - LATER):
-        j = i + LATER
+    for i in range(len(log.stamps) - SCAN_GAP):
+        j = i + SCAN_GAP
         before, after = log.sights[i], log.sights[j]
         if len(before) == 0 or len(after) == 0 or np.allclose(poses[i], poses[j], atol=0.05):
-            continue  # a car that stands tells nothing
+            continue  # the car is stationary
         one, two = (
             placed(np.tile(poses[k], (len(z), 1)), z + RULER[2:4])
             for k, z in ((i, before), (j, after))
@@ -121,7 +121,7 @@ def pairs(log: Log) -> tuple[Array, Array, Array, Array]:
 
 
 def calibrate(log: Log) -> tuple[Array, Array, int]:
-    """Return the constants of NAMES, their standard deviations, and how many pairs told them."""
+    """Return the constants of NAMES, their standard deviations, and the number of pairs used."""
     i, j, before, after = pairs(log)
 
     def misfit(constants: Array) -> Array:
@@ -130,7 +130,7 @@ def calibrate(log: Log) -> tuple[Array, Array, int]:
         turn = rotation(yaw).T
         one, two = before @ turn + [x, y], after @ turn + [x, y]
         moved = relative(poses[i], poses[j])
-        return ((placed(moved, two) - one) / NOISE).ravel()
+        return ((placed(moved, two) - one) / PAIR_SCALE).ravel()
 
     best = least_squares(misfit, RULER, loss="cauchy")
     sigmas = np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac)))
@@ -138,18 +138,18 @@ def calibrate(log: Log) -> tuple[Array, Array, int]:
 
 
 def antenna(log: Log, constants: Array) -> tuple[Array, int]:
-    """Return where on the car the antenna is, from the axle (m, m), and the number of turns used."""
+    """Return the position of the antenna relative to the axle (m, m), and the number of turns used."""
     path = axle_path(log.wheels, *constants[:2])
     poses = interpolate(path, log.fixes[:, 0])
     headings = np.interp(log.fixes[:, 0], path[:, 0], path[:, 3])
     numbers = ((log.fixes[:, 0] - log.fixes[0, 0]) // WINDOW).astype(int)
     windows = [np.flatnonzero(numbers == n) for n in range(numbers.max() + 1)]
-    turns = [w for w in windows if len(w) > 20 and np.ptp(headings[w]) > TURN]
+    turns = [w for w in windows if len(w) > 20 and np.ptp(headings[w]) > MIN_TURN]
 
     def misfit(place: Array) -> float:
         at = placed(poses, np.tile(place, (len(poses), 1)))
         off = np.concatenate([_off(at[w], log.fixes[w, 1:]) for w in turns])
-        return float(np.log1p((off / FIX) ** 2).mean())
+        return float(np.log1p((off / FIX_SCALE) ** 2).mean())
 
     best: Array = minimize(misfit, RULER[2:4], method="Nelder-Mead").x
     return best, len(turns)
@@ -169,7 +169,7 @@ def _off(points: Array, fixes: Array) -> Array:
 
 
 def main() -> None:
-    """Print the constants of the car as each log tells them."""
+    """Print the constants of the car estimated from each log."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
     arguments = parser.parse_args()

@@ -1,13 +1,12 @@
-"""The robot's page under load from those who may not drive: what the driver notices of it.
+"""The robot's page under load from clients that may not drive, and its effect on the driver's page.
 
     python benchmarks/page_load.py [--seconds 10] [--rate 100] [--only NAME ...]
 
 A server with a fake robot runs in one process, the driver's page in another one, and this one sends
-requests and messages to 127.0.0.1 alone. For each kind of load it prints the longest gap between two
-beats at the driver's page (they are sent every 0.2 s), the longest time of CPU that the server's
-thread took before its next turn (it does not depend on what else the computer does), the growth of
-the server's memory from before the load to `SETTLE` s after it, its CPU time, its log, and what the
-load was answered with.
+requests and messages to 127.0.0.1 only. For each kind of load it prints the longest gap between two beats
+at the driver's page (they are sent every 0.2 s), the longest CPU time of the server's thread between two
+turns (independent of other load on the computer), the growth of the server's memory until `SETTLE` s after
+the load, its CPU time, its log, and the answers to the load.
 """
 
 from __future__ import annotations
@@ -39,8 +38,8 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 DRIVE, WATCH = "drive-password", "watch-password"
-WORKERS = 8  # connections that a load is sent over
-SETTLE = 5.0  # s after a load until the memory is looked at: pages that nobody opened are gone
+WORKERS = 8  # connections over which a load is sent
+SETTLE = 5.0  # s after a load until the memory is measured: pages that were never opened are gone
 SOCKET = "/_nicegui_ws/socket.io/"
 TICK = os.sysconf("SC_CLK_TCK")
 
@@ -71,7 +70,7 @@ def serve(folder: Path) -> None:
 
 
 class Stretch:
-    """The longest time of CPU that the server's thread takes before its next turn.
+    """Measures the longest CPU time of the server's thread between two turns.
 
     Unlike the gap between beats it does not depend on what else the computer does.
     """
@@ -147,7 +146,7 @@ class Browser:
 
 
 def drive(port: int, beats: multiprocessing.Queue) -> None:
-    """Be the driver's page: tell when beats come, and draw the map."""
+    """Act as the driver's page: report the times of beats, and draw the map."""
     browser = Browser(port, DRIVE)
     page = browser.page()
     with browser.socket(page) as line:
@@ -159,7 +158,7 @@ def drive(port: int, beats: multiprocessing.Queue) -> None:
 
 
 class Load:
-    """Sends what a function says at a rate, over a few connections; counts the answers."""
+    """Sends the requests of a function at a rate, over a few connections, and counts the answers."""
 
     def __init__(self, send: Callable[[Browser, int], object], password: str, rate: float) -> None:
         self.send, self.password, self.rate = send, password, rate
@@ -221,7 +220,7 @@ def sockets(browser: Browser, _: int) -> object:
 
 
 class Messages:
-    """Sends messages on one socket per connection, each of a page of its own."""
+    """Sends messages on one socket per connection, each for its own page."""
 
     def __init__(self, *messages: tuple[str, object]) -> None:
         self.messages = messages
@@ -288,7 +287,7 @@ class Server:
         self.port = int(self.process.stdout.readline().strip().rpartition(":")[2])
 
     def memory(self) -> float:
-        """MB that are resident and belong to no file."""
+        """Resident anonymous memory, MB."""
         status = Path(f"/proc/{self.process.pid}/status").read_text()
         return int(re.search(r"RssAnon:\s+(\d+)", status)[1]) / 1e3  # type: ignore[index]
 
@@ -302,7 +301,7 @@ class Server:
 
 
 def measure(name: str, seconds: float, rate: float) -> str:
-    """Put one load on a server of its own, and return what was seen."""
+    """Put one load on a new server, and return the results."""
     make, password = LOADS[name]
     with tempfile.TemporaryDirectory() as folder:
         server = Server(Path(folder))

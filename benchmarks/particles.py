@@ -1,10 +1,10 @@
-"""What a scan costs FastSLAM: ten observations, maps of any size, a share of the landmarks in sight.
+"""Time per scan of FastSLAM with ten observations, for maps of several sizes.
 
     python benchmarks/particles.py                      # 100 particles; 100, 1000 and 10000 landmarks
     python benchmarks/particles.py --version 1 --particles 1000
 
-Milliseconds of process time a scan, the median over scans; the map lies on a grid 2 m wide along a lane,
-and the robot drives along it, sees the ten points nearest to it and associates them by their places.
+Times are the median of process time over scans, in ms. The map is a grid of 2 m along a lane; the robot
+drives along it, observes the ten nearest points and associates them by their positions.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def scans(particles: int, version: int, landmarks: int) -> Array:
 
 
 def _places(landmarks: int) -> Array:
-    """Return places (n, 2) on a grid of 2 m, a lane of ten beside the way."""
+    """Return positions (n, 2) on a grid of 2 m, ten of them across the lane."""
     column, row = np.divmod(np.arange(landmarks), 10)
     return np.column_stack([2.0 * column - 4.0, 2.0 * row - 9.0])
 

@@ -1,11 +1,11 @@
-"""How much worse odometry may become before maps of buildings break.
+"""Robustness of maps of buildings against worse odometry.
 
     python benchmarks/perturbed.py --data ../shared/data                     # 100 runs a log, factor 1
     python benchmarks/perturbed.py --data ../shared/data --runs 20 --factors 1 2 4 8 --plot FILE
 
-Each run adds to the odometry of a recorded log, at random: an error of scale, a bias of the heading per
-way, noise, and slips; see `perturb`. A run fails if one of the log's relations is off by more than
-0.5 m. The runs are the same for the same seeds, whatever the number of processes.
+Each run adds random errors to the odometry of a recorded log: a scale error, a heading bias per distance,
+noise, and slips; see `perturb`. A run fails if one of the log's relations is off by more than 0.5 m. The
+runs depend only on the seeds, not on the number of processes.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from impslam.sources.base import Source
 from impslam.types import Array, OdometryPose
 
 LOGS = ("intel", "fr079")
-WRONG = 0.5  # m, of a relation: a map so wrong leads a robot into a wall
-SCALE, BIAS = 0.05, 0.03  # 1 and rad/m: at most, of each run
+MAX_ERROR = 0.5  # m, of a relation: a map with a larger error leads a robot into a wall
+MAX_SCALE, MAX_BIAS = 0.05, 0.03  # 1 and rad/m, of each run
 NOISE = np.array([0.05, 0.05, 0.05])  # m, m and rad per root metre
-TURN = 0.3  # m of way that a radian counts for
-SLIPS, SLIP = 10, 0.5  # a run; m or rad at most
+METRES_PER_RADIAN = 0.3  # distance that a turn counts for
+SLIPS, MAX_SLIP = 10, 0.5  # per run; m or rad
 PLAIN = [f"sensors.lidar.extractors.{name}.kind=none" for name in ("walls", "cylinders", "corners")]
 
 
 class Outcome(NamedTuple):
-    """What came of a run: relation errors in m and degrees, and loop closures."""
+    """Result of a run: relation errors in m and degrees, and loop closures."""
 
     log: str
     factor: float
@@ -50,20 +50,20 @@ class Outcome(NamedTuple):
 
     @property
     def failed(self) -> bool:
-        return self.worst > WRONG
+        return self.worst > MAX_ERROR
 
 
 def perturb(motions: Array, rng: np.random.Generator, factor: float) -> Array:
-    """Return motions (m, 3) with errors that are `factor` times those at the top of this file."""
-    scale, turn_scale = 1.0 + factor * rng.uniform(-SCALE, SCALE, 2)
-    way = np.hypot(motions[:, 0], motions[:, 1])
-    length = (way + TURN * np.abs(motions[:, 2]))[:, None]
+    """Return motions (m, 3) with errors of `factor` times the constants of this module."""
+    scale, turn_scale = 1.0 + factor * rng.uniform(-MAX_SCALE, MAX_SCALE, 2)
+    distance = np.hypot(motions[:, 0], motions[:, 1])
+    length = (distance + METRES_PER_RADIAN * np.abs(motions[:, 2]))[:, None]
     worse = motions * [scale, scale, turn_scale]
-    worse[:, 2] += factor * rng.uniform(-BIAS, BIAS) * way
+    worse[:, 2] += factor * rng.uniform(-MAX_BIAS, MAX_BIAS) * distance
     worse += factor * NOISE * np.sqrt(length) * rng.standard_normal(motions.shape)
     moving = np.flatnonzero(length[:, 0] > 0.0)
     for at in rng.choice(moving, SLIPS, replace=False):
-        size, direction = factor * rng.uniform(-SLIP, SLIP), rng.uniform(0.0, np.pi)
+        size, direction = factor * rng.uniform(-MAX_SLIP, MAX_SLIP), rng.uniform(0.0, np.pi)
         if rng.random() < 0.5:
             worse[at, 2] += size
         else:
@@ -73,9 +73,9 @@ def perturb(motions: Array, rng: np.random.Generator, factor: float) -> Array:
 
 def perturbed(batches: Sequence[Batch], seed: int, factor: float) -> Iterator[Batch]:
     """Yield a log with its odometry perturbed, in the order of the log over all its streams."""
-    told = [c for batch in batches for c in batch.values() if c.kind is OdometryPose]
-    rank = np.argsort(np.concatenate([c.order for c in told]), kind="stable")
-    poses = np.concatenate([c["pose"] for c in told])
+    odometry = [c for batch in batches for c in batch.values() if c.kind is OdometryPose]
+    rank = np.argsort(np.concatenate([c.order for c in odometry]), kind="stable")
+    poses = np.concatenate([c["pose"] for c in odometry])
     motions = perturb(
         between(poses[rank][:-1], poses[rank][1:]), np.random.default_rng([seed, 7]), factor
     )
@@ -97,7 +97,7 @@ def perturbed(batches: Sequence[Batch], seed: int, factor: float) -> Iterator[Ba
 
 
 def map_perturbed(log: Path, seed: int, factor: float) -> tuple[Run, Source, list[Batch]]:
-    """Return a run that has been fed a log with its odometry perturbed, and is to be finished."""
+    """Return an unfinished run on a log with perturbed odometry, and its remaining input."""
     config, source = open_log(log, None, PLAIN)
     run = Run(config)
     with source:
@@ -154,7 +154,9 @@ def plot(found: Sequence[Outcome], path: Path) -> None:
         share.plot(factors, failed, "o-", color=f"C{color}", label=name)
         x = np.array([o.factor for o in mine]) * 1.04 ** (2 * color - 1)
         error.plot(x, [o.mean for o in mine], ".", color=f"C{color}", alpha=0.5, label=name)
-    share.set(xscale="log", ylabel=f"runs with a relation off by > {WRONG} m, %", ylim=(-3, 103))
+    share.set(
+        xscale="log", ylabel=f"runs with a relation off by > {MAX_ERROR} m, %", ylim=(-3, 103)
+    )
     error.set(
         xscale="log",
         ylim=(0.0, 1.1 * max(o.mean for o in found)),

@@ -2,10 +2,10 @@
 
     python benchmarks/pipeline.py
 
-The arena is simulated with lidars of several resolutions and mapped, with its own landmarks alone
-and beside many that lie elsewhere. "kernels" is the part of the total spent in compiled code (numba
-and BLAS), "python" the rest: interpreter, numpy on small arrays, bookkeeping. Reading a log is not in
-it. Means over scans, keyframes or not, warm-up left out.
+The arena is simulated with lidars of several resolutions and mapped, with its own landmarks only and with
+many more elsewhere. "kernels" is the time in compiled code (numba and BLAS), "python" the rest:
+interpreter, numpy on small arrays, bookkeeping. Reading a log is not included. Times are means over all
+scans after warm-up.
 """
 # ruff: noqa: E402  threads are limited before numpy is imported
 
@@ -40,7 +40,7 @@ SECONDS = 40.0
 
 
 class Kernels:
-    """Adds up the time spent in compiled code that Python calls."""
+    """Accumulates the time spent in compiled code called from Python."""
 
     def __init__(self) -> None:
         self.seconds = 0.0
@@ -78,7 +78,7 @@ def main() -> None:
 
 
 def record(beams: int) -> list[Message]:
-    """Return what the robot records in the arena with a lidar of so many beams."""
+    """Return the robot's recording in the arena with a lidar of `beams` beams."""
     lidar = Lidar(beams=beams, angle_min=-SPAN, angle_step=2.0 * SPAN / (beams - 1))
     messages = simulate(load_world("arena"), SimulatedRobot(lidar=lidar))
     first = next(messages)
@@ -105,7 +105,7 @@ def measure(log: Sequence[Message], elsewhere: int, kernels: Kernels) -> dict[st
 
 
 def stage_seconds(run: Run) -> dict[str, float]:
-    """Return the seconds spent in each stage by now."""
+    """Return the seconds spent in each stage so far."""
     return {name: sum(times) for name, times in run.clock.stages.items()}
 
 

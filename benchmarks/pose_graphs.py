@@ -2,9 +2,9 @@
 
     python benchmarks/pose_graphs.py ../shared/data/pose-graphs    # a table as markdown
 
-Times are of the processor, one thread, the least of several runs, in one process. Ours start from
-`initial`; gtsam starts from the same poses and from odometry, by Levenberg and Marquardt, to the same
-accuracy. `SuperLU` solves the equations of the same graph once, by scipy with its best ordering.
+Times are CPU times of one thread, the minimum of several runs in one process. Our solver starts from
+`initial`; gtsam starts from the same poses and from odometry, with Levenberg-Marquardt to the same
+accuracy. `SuperLU` solves the equations of the same graph once, with scipy's best ordering.
 """
 # ruff: noqa: E402  threads are limited before numpy is imported
 
@@ -83,7 +83,7 @@ def report(name: str, poses: Array, edges: Edges) -> None:
     best = solve(begin, edges, FIRST)
     try:
         odometry = f"{solve(poses, edges, FIRST).chi2:.4f}"
-        from_odometry = f"{least(lambda: solve(poses, edges, FIRST)):.2f}"
+        from_odometry = f"{min_time(lambda: solve(poses, edges, FIRST)):.2f}"
     except NumericalError:
         odometry = from_odometry = "none"
     cells = [name, str(len(poses)), str(len(edges.i)), odometry, f"{best.chi2:.4f}"]
@@ -93,18 +93,18 @@ def report(name: str, poses: Array, edges: Edges) -> None:
     cells += theirs[:2]
     cells += [
         from_odometry,
-        f"{least(lambda: initial(poses, edges, FIRST)):.2f}",
-        f"{least(lambda: solve(begin, edges, FIRST)):.2f}",
+        f"{min_time(lambda: initial(poses, edges, FIRST)):.2f}",
+        f"{min_time(lambda: solve(begin, edges, FIRST)):.2f}",
         theirs[2],
-        f"{least(lambda: marginals(best.poses, edges, FIRST)):.2f}",
+        f"{min_time(lambda: marginals(best.poses, edges, FIRST)):.2f}",
         theirs[3],
         *equations(best.poses, edges),
     ]
     print(f"| {' | '.join(cells)} |", flush=True)
 
 
-def least(function: Callable[[], object]) -> float:
-    """Return the least CPU time of several calls, ms."""
+def min_time(function: Callable[[], object]) -> float:
+    """Return the minimum CPU time of several calls, ms."""
     times = []
     for _ in range(RUNS + 1):
         start = time.process_time()
@@ -114,7 +114,7 @@ def least(function: Callable[[], object]) -> float:
 
 
 def equations(poses: Array, edges: Edges) -> tuple[str, str]:
-    """Return the ms that the equations take, order included: by our factor and by SuperLU."""
+    """Return the times in ms to solve the equations, with ordering: our factorisation and SuperLU."""
     n, held = len(poses), np.arange(len(poses)) == 0
     system = empty_system(edges.i, edges.j, held)
     linearise(poses, edges, 1.0, system, Costs(np.empty(len(edges.i)), np.empty(len(edges.i))))
@@ -144,7 +144,7 @@ def equations(poses: Array, edges: Edges) -> tuple[str, str]:
 
     ours()
     np.testing.assert_allclose(superlu(), x.ravel(), atol=1e-6)
-    return f"{least(ours):.2f}", f"{least(superlu):.2f}"
+    return f"{min_time(ours):.2f}", f"{min_time(superlu):.2f}"
 
 
 def gtsam_figures(odometry: Array, begin: Array, edges: Edges) -> list[str]:
@@ -171,14 +171,14 @@ def gtsam_figures(odometry: Array, begin: Array, edges: Edges) -> list[str]:
 
     best = run(begin).optimize()
     chi2 = [2.0 * factors.error(found) for found in (run(odometry).optimize(), best)]
-    optimisers = [run(begin) for _ in range(RUNS + 1)]  # building them is not counted
+    optimisers = [run(begin) for _ in range(RUNS + 1)]  # construction is not timed
 
     def covariances() -> None:
         known = gtsam.Marginals(factors, best)
         for key in range(len(begin)):
             known.marginalCovariance(key)
 
-    solving, marginal = least(lambda: optimisers.pop().optimize()), least(covariances)
+    solving, marginal = min_time(lambda: optimisers.pop().optimize()), min_time(covariances)
     return [f"{chi2[0]:.4f}", f"{chi2[1]:.4f}", f"{solving:.2f}", f"{marginal:.2f}"]
 
 

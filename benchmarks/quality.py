@@ -1,15 +1,15 @@
-"""Whether map quality without truth ranks maps as the truth does.
+"""Correlation of map quality without truth and errors against the truth.
 
     python -m benchmarks.quality --data ../shared/data                      # tables, in Markdown
     python -m benchmarks.quality --data ../shared/data intel --plot FILE    # this log alone, and a picture
 
-Each log is mapped many times: with other parts of the program, and with odometry perturbed as in
-`perturbed.py` (of simulated logs: by another robot). The default map is also degraded: keyframes
-shaken, moved by a random walk, bent, stretched, warped. Each map has an error by the truth: the mean
-relation error of recorded buildings (Kümmerle et al. 2009), the RMS position error, aligned, of simulated
-drives. The tables hold Spearman's rank correlation of that error with the quality and its parts, and with
-measures of the point cloud and the grid that others use; and the share of pairs of maps, whose errors
-differ by a fifth at least, that each ranks right.
+Each log is mapped many times: with different components, and with odometry perturbed as in `perturbed.py`
+(for simulated logs, with another robot). The default map is also degraded: keyframes are shaken, moved by
+a random walk, bent, stretched, warped. The error of each map is the mean relation error of recorded
+buildings (Kümmerle et al. 2009), or the aligned RMS position error of simulated drives. The tables contain
+Spearman's rank correlation of that error with the quality and its parts, and with published measures of
+the point cloud and the grid; and the share of correctly ranked pairs among maps with errors that differ by
+at least a fifth.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ OTHERS = ("mean map entropy", "mean plane variance", "occupied cells")
 
 @dataclass(frozen=True)
 class Variant:
-    """A way to map a log; `bad` is the factor on what is added to odometry, by a seed."""
+    """A way to map a log; `bad` is the factor on the errors added to odometry, by a seed."""
 
     name: str
     settings: tuple[str, ...] = ()
@@ -64,7 +64,7 @@ class Variant:
 
 
 def variants() -> Iterator[Variant]:
-    """Yield the ways in which each log is mapped, the default first."""
+    """Yield the variants with which each log is mapped, the default first."""
     yield Variant("default")
     yield Variant("one round", ("estimator.rounds=1",))
     yield Variant("not settled", settled=False)
@@ -163,7 +163,7 @@ def other_measures(known: Map) -> dict[str, float]:
 
 
 def judged(name: str, way: str, known: Map, truth: Path) -> dict[str, Any]:
-    """Return a row of the table: the error, the quality and other measures of a map."""
+    """Return a row of the table: error, quality and other measures of a map."""
     begin = time.process_time()
     found = quality(known).figures()
     seconds = time.process_time() - begin
@@ -182,7 +182,7 @@ def rows_of(task: tuple[str, Path, Path, Variant]) -> list[dict[str, Any]]:
 
 
 def simulated(name: str, world: World, way: Variant, folder: Path) -> Path:
-    """Return the log of a drive through a world, by a robot whose wheels are as bad as asked."""
+    """Return the log of a drive through a world, by a robot with the variant's wheel errors."""
     log, bad = folder / f"{name}-{way.bad:g}-{way.seed % 2}.mcap", max(way.bad, 1.0)
     if not log.exists():
         settings = [f"encoders.slip_sigma={0.06 * bad}", f"encoders.noise={1e-4 * bad * bad}"]
@@ -213,7 +213,7 @@ def correlation(rows: list[dict[str, Any]], measure: str) -> float:
 
 
 def in_order(rows: list[dict[str, Any]], measure: str) -> float:
-    """Return the share of pairs, of those whose errors differ by a fifth, that a measure ranks right."""
+    """Return the share of pairs ranked correctly by a measure, for errors that differ by a fifth."""
     errors, values = compared(rows, measure).T
     i, j = np.triu_indices(len(errors), 1)
     differ = np.maximum(errors[i], errors[j]) > 1.2 * np.minimum(errors[i], errors[j])
@@ -221,7 +221,7 @@ def in_order(rows: list[dict[str, Any]], measure: str) -> float:
 
 
 def tables(rows: list[dict[str, Any]]) -> None:
-    """Print the correlations of all maps, and of those that are no default map degraded by hand."""
+    """Print the correlations of all maps, and of maps that were not degraded artificially."""
     names = list(dict.fromkeys(row["log"] for row in rows))
     groups = {name: [row for row in rows if row["log"] == name] for name in names}
     runs = {

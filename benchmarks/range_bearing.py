@@ -3,11 +3,10 @@
     python benchmarks/range_bearing.py --data ../shared/data kf-demo mrclam6
     python benchmarks/range_bearing.py --data FOLDER --filters ekf,fej,riekf mrclam6 mrclam7
 
-One row for each robot, filter and association. Path and map are moved together to where the path fits
-the truth best. A landmark is judged against the one whose label most of its observations carry, so that
-neighbours that are mixed up do not count as found, or, where no match of it is told, against the nearest;
-wrong associations are observations of another label than that. With association other than `known` the
-program does not use labels.
+One row for each robot, filter and association. Path and map are fitted together to the truth by the path.
+A landmark is compared with the true one of the most frequent label of its observations, so that confused
+neighbours do not count as found, or, without labelled matches, with the nearest one; observations with
+other labels are wrong associations. With associations other than `known` the program does not use labels.
 """
 
 from __future__ import annotations
@@ -38,15 +37,15 @@ from impslam.run import map_log  # noqa: E402
 from impslam.types import Array, Landmark, TrueLandmark, TruePose  # noqa: E402
 
 GATE = 0.5
-"""m: an estimate further off than this from what it was taken for is false."""
+"""m: an estimate further from its true landmark is false."""
 SIMULATED = "kf-demo"
 CLUSTERS = "association.new_gate=0.9"
-"""MRCLAM's barcodes stand 18 cm apart in twos and threes: one beside a matched one is another."""
+"""MRCLAM's barcodes are in groups of two or three, 18 cm apart: one beside a matched one is another."""
 
 
 @dataclass
 class Labelled(Run):
-    """A run, the true path, and which labels the observations of each landmark carried."""
+    """A run, the true path, and the labels of the observations of each landmark."""
 
     truth_path: list[Array] = field(default_factory=list)
     labels: LabelVotes = field(default_factory=LabelVotes)
@@ -63,7 +62,7 @@ class Labelled(Run):
 
 @dataclass(frozen=True)
 class Row:
-    """What is said of one run; lengths in m. Without a true path its figures are NaN and None."""
+    """Results of one run; lengths in m. Without a true path its values are NaN and None."""
 
     path: float
     odometry: float
@@ -139,7 +138,7 @@ def score(seen: Labelled, truth: Sequence[TrueLandmark]) -> Row:
 def _judged(
     seen: Labelled, places: Mapping[str, Array], T: Array | None
 ) -> tuple[dict[str, Landmark], int]:
-    """Return the landmark most often seen under each label, and how many others have one, too.
+    """Return the landmark most often observed with each label, and the number of others with a label.
 
     Where no label is known and T, `T_truth_map`, is, the nearest of the true places gives it.
     """

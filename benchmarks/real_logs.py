@@ -1,6 +1,6 @@
-"""Run the real logs and score them: what the tests on real logs and the tables of results share.
+"""Map and score the real logs, for the tests on real logs and the tables of results.
 
-The logs and their truths are not part of the project; each function takes the folder they are in.
+The logs and their truths are not part of the project; each function takes their folder.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from impslam.types import Array, Landmark, OdometryPose, TrueLandmark
 
 @dataclass
 class Run(Observer):
-    """What scoring needs of a run; poses as rows (n, 4) of stamp, x, y, theta."""
+    """The data of a run for scoring; poses as rows (n, 4) of stamp, x, y, theta."""
 
     ends: list[tuple[int, list[Array]]] = field(default_factory=list)
     known: Map | None = None
@@ -42,18 +42,18 @@ class Run(Observer):
         self.scans += len(path.stamps)
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
-        """Keep the ends of the walls seen, in base_link, with the number of the scan."""
+        """Store the ends of the observed walls, in base_link, with the number of the scan."""
         ends = [o.end_points for o in keyframe.observations if o.end_points is not None]
         self.ends.append((self.scans, ends))
         self.scans += 1
 
     def finish(self, known: Map, outcome: Outcome) -> None:
-        """Keep the map and the outcome."""
+        """Store the map and the outcome."""
         self.known, self.outcome = known, outcome
 
     @property
     def walls(self) -> dict[int, list[Array]]:
-        """Ends of the walls seen, in the final map, by the number of the scan."""
+        """Ends of the observed walls, in the final map, by the number of the scan."""
         assert self.known is not None
         placed = zip(self.known.keyframes.poses, self.ends, strict=True)
         return {scan: [transform(pose, e) for e in ends] for pose, (scan, ends) in placed}
@@ -84,7 +84,7 @@ class Run(Observer):
 
     @property
     def speed(self) -> float:
-        """How many times faster than real time."""
+        """Speed relative to real time."""
         assert self.outcome is not None
         return self.outcome.log_seconds / self.outcome.wall_seconds
 
@@ -189,14 +189,14 @@ def local_errors(data: Path, name: str, path: Array) -> RelationErrors:
 # --------------------------------------------------------------------------- against itself
 
 SAME_WALL = math.radians(10.0)
-APART = 0.6  # m; walls nearer than this, of one direction, are taken to be one
-BESIDE = 0.2  # m, of a wall that both laps must show
-LONG = 0.5  # m; shorter pieces may be the sides of things
-OTHER = 4  # scans; nearer ones look from the same place
+MAX_OFFSET = 0.6  # m: closer parallel walls are assumed to be the same
+MIN_COMMON = 0.2  # m of a wall that both laps must show
+MIN_LENGTH = 0.5  # m; shorter pieces may be the sides of things
+MIN_SCAN_GAP = 4  # scans; closer ones are from the same place
 
 
 def lap_offsets(seen: Run, first: int, second: int) -> Array:
-    """Return how far long walls seen from scan `second` on lie from those seen before `first`, m.
+    """Return the distances of long walls seen from scan `second` on from those seen before `first`, m.
 
     For each wall of the second lap, the median over all walls of the first lap that run beside it,
     each taken in the middle of the stretch that both show: the nearest would flatter.
@@ -207,26 +207,26 @@ def lap_offsets(seen: Run, first: int, second: int) -> Array:
 
 
 def same_lap_offsets(seen: Run, first: int, second: int) -> Array:
-    """Return the same of walls of one lap against those that other scans of this lap show, m.
+    """Return the same for walls of one lap against those seen in other scans of this lap, m.
 
-    Scans fewer than `OTHER` apart are left out. What is seen within a lap has hardly any drift: this is
-    how well single scans show a wall, and no map can bring two laps closer together.
+    Scans fewer than `MIN_SCAN_GAP` apart are left out. What is seen within a lap has hardly any drift:
+    this is how well single scans show a wall, and no map can bring two laps closer together.
     """
     long = _long_walls(seen)
     laps = [[(k, w) for k, w in long if k < first], [(k, w) for k, w in long if k >= second]]
     return _all_apart(
-        (wall, np.array([w for j, w in lap if abs(j - k) >= OTHER]))
+        (wall, np.array([w for j, w in lap if abs(j - k) >= MIN_SCAN_GAP]))
         for lap in laps
         for k, wall in lap
     )
 
 
 def _long_walls(seen: Run) -> list[tuple[int, Array]]:
-    return [(k, w) for k, walls in seen.walls.items() for w in walls if _length(w) > LONG]
+    return [(k, w) for k, walls in seen.walls.items() for w in walls if _length(w) > MIN_LENGTH]
 
 
 def _all_apart(walls: Iterable[tuple[Array, Array]]) -> Array:
-    """Return the distances (m) of walls from others beside them, without those that have none."""
+    """Return the distances (m) of walls from others beside them; walls without others are left out."""
     offsets = [_apart(wall, others) for wall, others in walls if len(others)]
     return np.abs(np.array([offset for offset in offsets if offset is not None]))
 
@@ -239,7 +239,7 @@ def _apart(wall: Array, others: Array) -> float | None:
     slope = np.diff(y)[:, 0] / np.diff(x)[:, 0]
     low, high = np.maximum(x.min(axis=1), 0.0), np.minimum(x.max(axis=1), _length(wall))
     offset = y[:, 0] + slope * (0.5 * (low + high) - x[:, 0])
-    same = (high - low > BESIDE) & (np.abs(slope) < SAME_WALL) & (np.abs(offset) < APART)
+    same = (high - low > MIN_COMMON) & (np.abs(slope) < SAME_WALL) & (np.abs(offset) < MAX_OFFSET)
     return float(np.median(offset[same])) if same.any() else None
 
 

@@ -1,15 +1,15 @@
-"""How well scans, and short ways, of recorded and simulated buildings are found in a map.
+"""Relocalisation of scans, and of short paths, in maps of recorded and simulated buildings.
 
     python -m benchmarks.relocalisation --data ../shared/data              # 1000 scans and ways a log
     python -m benchmarks.relocalisation --data ../shared/data --tries 100 intel
     python -m benchmarks.relocalisation --simulated 10000                  # buildings with twins
 
-Of each log, the one part makes the map, scans of the other are sought in it. Minutes by turns cover most
-places twice; the half of the building left of the median keyframe, and what was seen right of it, do not.
-The truth is the map of the whole log, settled. A place is covered by the map if at most 30 % of the beams
-end there where it knows nothing and one of its scans was taken within 1.5 m; it is outside if more than
-60 % do. An answer is right up to 0.3 m and 5 degrees; one that is told as found and is not right is
-silently wrong.
+One part of each log is mapped, and scans of the other part are searched in this map. With alternating
+minutes most places are in both parts; with the halves of the building left and right of the median
+keyframe they are not. The truth is the settled map of the whole log. A pose is covered by the map if at
+most 30 % of its beams end in unknown space and a scan of the map was taken within 1.5 m; it is outside if
+more than 60 % do. An answer is correct within 0.3 m and 5 degrees; an answer reported as found that is not
+correct is silently wrong.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ from impslam.types import Array, Ints, Mask
 
 LOGS = ("fr079", "intel", "fr-hospital")
 PLAIN = [f"sensors.lidar.extractors.{name}.kind=none" for name in ("walls", "cylinders", "corners")]
-METRES, RADIANS = 0.3, np.radians(5.0)  # an answer with a smaller error is right
-COVERED, OUTSIDE = 0.3, 0.6  # share of beams that end where the map knows nothing
-CLOSE = 1.5  # m from a keyframe of the map, where the place is covered
-WAY = 2.0  # m
+MAX_METRES, MAX_RADIANS = 0.3, np.radians(5.0)  # error of a correct answer
+COVERED, OUTSIDE = 0.3, 0.6  # share of beams that end in unknown space
+COVERED_RADIUS = 1.5  # m from a keyframe of the map to a covered pose
+PATH_LENGTH = 2.0  # m
 BLOCK = 60.0  # s
-SEEN = 50  # scans that are sought in a simulated building
+QUERIES = 50  # scans that are searched in a simulated building
 
 
 class Step(NamedTuple):
-    """A scan: where it is kept, and the tracker's motion to it from a keyframe, -1 for none."""
+    """A scan: its index, and the tracker's motion to it from a keyframe, -1 for none."""
 
     sweeps: Sweeps
     row: int
@@ -60,7 +60,7 @@ class Step(NamedTuple):
 
 
 class Steps(Observer):
-    """Keeps all scans of a run, and the tracker's motions; no estimate enters them."""
+    """Stores all scans of a run and the tracker's motions, independent of the estimate."""
 
     def __init__(self) -> None:
         self.scans: list[Step] = []
@@ -89,8 +89,8 @@ class Steps(Observer):
         return view(scan)
 
     def way(self, k: int) -> list[int]:
-        """Return the scans of the way that ends with scan k: keyframes, the oldest first, and k."""
-        found, left = [k], WAY
+        """Return the scans of the path that ends with scan k: keyframes, the oldest first, and k."""
+        found, left = [k], PATH_LENGTH
         while left > 0.0 and self.scans[found[-1]].anchor >= 0:
             left -= float(np.hypot(*self.scans[found[-1]].motion[:2]))
             found.append(self.keys[self.scans[found[-1]].anchor])
@@ -98,7 +98,7 @@ class Steps(Observer):
 
 
 class Try(NamedTuple):
-    """What came of seeking one scan, or way; `score` is that of the true pose, `area` in m^2."""
+    """Result of a search for one scan or path; `score` is that of the true pose, `area` in m^2."""
 
     log: str
     what: str
@@ -114,7 +114,7 @@ class Try(NamedTuple):
         if not self.answer.hypotheses:
             return False
         error = self.answer.hypotheses[0].pose - self.truth
-        return bool(np.hypot(*error[:2]) < METRES and abs(wrap(float(error[2]))) < RADIANS)
+        return bool(np.hypot(*error[:2]) < MAX_METRES and abs(wrap(float(error[2]))) < MAX_RADIANS)
 
     @property
     def silently_wrong(self) -> bool:
@@ -132,7 +132,7 @@ def part_of(keyframes: Keyframes, chosen: Mask) -> Keyframes:
 
 
 def parts(seen: Steps) -> Iterator[tuple[Mask, Ints]]:
-    """Yield keyframes to make a map of, and scans to seek in it."""
+    """Yield keyframes for a map, and scans to search in it."""
     assert seen.known is not None
     poses, keys = seen.known.rows().poses, np.array(seen.keys)
     n = len(poses)
@@ -145,23 +145,23 @@ def parts(seen: Steps) -> Iterator[tuple[Mask, Ints]]:
 def place_of(
     relocaliser: Relocaliser, places: Array, sought: View, truth: Array
 ) -> tuple[str, float]:
-    """Return whether a map of scans at places (k, 3) covers what is seen from a pose; its score there."""
+    """Return whether a map of scans at poses (k, 3) covers the view from a pose, and its score there."""
     told = explain(relocaliser.ground, query([sought], np.zeros((1, 3))).beams, truth)
     apart = np.hypot(*(places[:, :2] - truth[:2]).T).min()
-    if told.unknown <= COVERED and apart < CLOSE:
+    if told.unknown <= COVERED and apart < COVERED_RADIUS:
         return "covered", told.score
     return "outside" if told.unknown > OUTSIDE else "between", told.score
 
 
 def timed(find: Callable[[], Answer]) -> tuple[Answer, float]:
-    """Return an answer, and the CPU ms that it took."""
+    """Return an answer and its CPU time, ms."""
     begin = time.process_time()
     answer = find()
     return answer, 1e3 * (time.process_time() - begin)
 
 
 def way_before(relocaliser: Relocaliser, seen: Steps, k: int) -> WayRelocaliser:
-    """Return what finds scan k by the way that ends with it."""
+    """Return a relocaliser with the path that ends with scan k."""
     finder = WayRelocaliser(relocaliser)
     for j in seen.way(k):
         finder.remember(seen.view(j), seen.scans[j].motion, seen.scans[j].covariance)
@@ -169,7 +169,7 @@ def way_before(relocaliser: Relocaliser, seen: Steps, k: int) -> WayRelocaliser:
 
 
 def recorded(log: Path, count: int, seed: int) -> Iterator[Try]:
-    """Yield what comes of scans and ways of a log, `count` each."""
+    """Yield the results for scans and paths of a log, `count` each."""
     seen = Steps()
     config, source = open_log(log, None, PLAIN)
     map_log(config, source, [seen])
@@ -190,12 +190,12 @@ def recorded(log: Path, count: int, seed: int) -> Iterator[Try]:
 
 
 def simulated(count: int, seed: int) -> Iterator[Try]:
-    """Yield what comes of scans in buildings with twins, `SEEN` in each building."""
+    """Yield the results for scans in buildings with twins, `QUERIES` in each building."""
     rng = np.random.default_rng(seed)
-    for building in islice(buildings(seed), -(-count // SEEN)):
+    for building in islice(buildings(seed), -(-count // QUERIES)):
         chosen = building.map(rng)
         relocaliser = Relocaliser(chosen)
-        for truth in building.places(rng, SEEN):
+        for truth in building.places(rng, QUERIES):
             sought = building.view(truth, rng)
             place = place_of(relocaliser, chosen.poses, sought, truth)
             answer = timed(partial(relocaliser.find, sought))

@@ -1,11 +1,11 @@
-"""Run everything that the README and docs/results.md quote, and write the figures into them.
+"""Reproduce all results quoted in the README and docs/results.md, and write the values into them.
 
     python benchmarks/results.py --data ../shared/data              # all, about ten minutes
     python benchmarks/results.py --data ../shared/data lego exp1    # only these
     python benchmarks/results.py --list
 
-Each figure stands between `<!-- NAME -->` and `<!-- / -->` in the two files and is replaced there;
-pictures go to docs/images.
+The values between `<!-- NAME -->` and `<!-- / -->` in the two files are replaced; pictures go to
+docs/images.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from PIL import Image  # matplotlib brings it
+from PIL import Image  # a dependency of matplotlib
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -34,7 +34,7 @@ SIZE = 1000  # px of a picture, the longer side
 
 
 def picture(name: str, folder: Path) -> None:
-    """Put a run's picture, made smaller, into the docs."""
+    """Copy a run's picture, scaled down, to the docs."""
     image = Image.open(folder / "report.png").convert("RGB")
     image.thumbnail((SIZE, SIZE))
     target = ROOT / "docs" / "images" / f"{name}.png"
@@ -45,7 +45,7 @@ def picture(name: str, folder: Path) -> None:
 
 
 def floor_plan(name: str, folder: Path) -> None:
-    """Put a run's grid into the docs, without what a few far beams saw."""
+    """Copy a run's grid to the docs, without areas seen by a few far beams."""
     grid = Image.open(folder / "map.pgm")
     rows, columns = np.nonzero(np.asarray(grid) == 0)
     low = [int(np.percentile(cells, 0.5)) - 40 for cells in (columns, rows)]
@@ -61,7 +61,7 @@ def cm(metres: float) -> str:
 
 
 def demo(data: Path) -> str:
-    """Map the arena once, by the command that users are told first."""
+    """Map the arena once, with the first command of the docs."""
     del data
     from impslam.cli import main  # noqa: PLC0415  only here
 
@@ -154,7 +154,7 @@ def lidar_alone(name: str) -> Callable[[Path], str]:
 
 
 def fr101(data: Path) -> str:
-    """Map a building without truth; its picture tells."""
+    """Map a building without truth, for its picture."""
     seen = real_logs.run_log(data / "fr101" / "fr101.recovered.log", folder=RUNS / "fr101")
     floor_plan("fr101", RUNS / "fr101")
     return f"{len(seen.path)} scans; {seen.speed:.0f} times real time"
@@ -173,7 +173,7 @@ def car(name: str) -> Callable[[Path], str]:
 
 
 def spread(errors: real_logs.RelationErrors, digits: int = 3) -> str:
-    """Return mean and standard deviation, as the suite's tables give them."""
+    """Return mean and standard deviation in the format of the suite's tables."""
     m, degrees = errors.translation, np.degrees(errors.rotation)
     return (
         f"{m.mean():.{digits}f} ± {m.std():.{digits}f} m, {degrees.mean():.2f} ± {degrees.std():.2f}° "
@@ -182,7 +182,7 @@ def spread(errors: real_logs.RelationErrors, digits: int = 3) -> str:
 
 
 def ekf(data: Path) -> str:
-    """Time a step of the filter by the benchmark of its own."""
+    """Time a step of the filter with `ekf.py`."""
     del data
     script = [sys.executable, str(ROOT / "benchmarks" / "ekf.py")]
     said = subprocess.run(script, capture_output=True, text=True, check=True).stdout
@@ -190,7 +190,7 @@ def ekf(data: Path) -> str:
 
 
 def _steps(table: str) -> str:
-    """Return what the docs say of one filter's steps."""
+    """Return the text on one filter's steps for the docs."""
     rows = [line.split() for line in table.splitlines()]
     steps = {row[0]: row for row in rows if len(row) == 7 and row[0].isdigit()}
     times = ", ".join(f"{float(steps[n][4]):.2f} ms with {n}" for n in ("10", "100", "500"))
@@ -220,7 +220,7 @@ JOBS: dict[str, Callable[[Path], str]] = {
 
 
 def enter(name: str, figures: str) -> None:
-    """Replace the figures of a name in the pages."""
+    """Replace the values of a name in the pages."""
     mark = re.compile(rf"(<!-- {re.escape(name)} -->).*?(<!-- / -->)", re.DOTALL)
     for page in PAGES:
         text = page.read_text("utf-8")

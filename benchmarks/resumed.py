@@ -1,10 +1,10 @@
-"""What going on with a map costs: logs stopped anywhere and resumed, and halves localised in halves.
+"""Continuing a map: logs stopped at random and resumed, and halves localised in halves.
 
     python benchmarks/resumed.py DATA [fr079 intel ...]
 
-DATA holds a folder for each log, with NAME.log (CARMEN) and NAME.relations in it. A log is stopped at ten
-random scans, its map saved, loaded and gone on with by the whole log. Then the map of the first half is
-frozen, and the second half localised in it. Relation errors are those of the SLAM benchmarking suite.
+DATA contains a folder for each log, with NAME.log (CARMEN) and NAME.relations. A log is stopped at ten
+random scans, its map is saved, loaded and continued with the whole log. Then the map of the first half is
+frozen, and the second half is localised in it. Relation errors are those of the SLAM benchmarking suite.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from impslam.run import Run, map_log, run
 from impslam.types import Array
 
 STOPS = 10
-LIMIT = 0.05  # of the relation error: what resuming may cost
+MAX_INCREASE = 0.05  # of the relation error by resuming
 
 
 def stopped(log: Path, scans: int) -> Map:
-    """Return the map of a run that is stopped after so many scans."""
+    """Return the map of a run that is stopped after a number of scans."""
     config, source = open_log(log)
     course = Run(config)
     with source:
@@ -46,7 +46,7 @@ def error(known: Map, relations: Array) -> float:
 
 
 def resume(log: Path, relations: Array, folder: Path) -> None:
-    """Stop a log anywhere, go on, and print what comes out."""
+    """Stop a log at random scans, continue it, and print the errors."""
     whole = run(log)
     expected, n = error(whole, relations), len(whole.stamps)
     file = whole.save(folder / "whole.imp")
@@ -67,7 +67,7 @@ def resume(log: Path, relations: Array, folder: Path) -> None:
         print(f"| {len(part.stamps)} of {n} | {error(again, relations):.4f} | {100.0 * change:+.1f} % "
               f"| {np.hypot(*apart.T).max():.3f} |", flush=True)  # fmt: skip
         worst = max(worst, abs(change))
-    print(f"worst change {100.0 * worst:.1f} % (limit {100.0 * LIMIT:.0f} %)")
+    print(f"worst change {100.0 * worst:.1f} % (limit {100.0 * MAX_INCREASE:.0f} %)")
 
 
 def localise(log: Path, folder: Path) -> None:

@@ -1,11 +1,11 @@
-"""Every fault a hundred times on the virtual robot: what recovers, how long it takes, what is logged.
+"""Every fault a hundred times on the virtual robot: recovery, its time, and the log.
 
     python benchmarks/robot_faults.py [-n 100] [--seed 0]
 
-The station records and maps while faults are made on all devices at once, and the robot turns to
-and fro. A device has recovered when ten messages in a row have come at its usual rate after the
-fault; the time is told from the fault's end (of a reboot: from its beginning). What takes longer
-than 20 s counts as hanging. At the end the log is read: all that was written must be there.
+The station records and maps while faults occur on all devices at once, and the robot turns to and fro. A
+device has recovered when ten consecutive messages have arrived at its usual rate after the fault; the time
+is from the end of the fault (for a reboot, from its beginning). More than 20 s counts as hanging. At the
+end the log is read: everything that was written must be there.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from impslam.platform.station.station import Station
 from impslam.platform.virtual.process import VirtualRobot
 from impslam.sources.rosbag import RosBag
 
-HANGS = 20.0  # s
+RECOVERY_TIMEOUT = 20.0  # s
 MESSAGE = {"autopilot": "WheelAngles", "lidar": "LaserScan", "camera": "Image"}
 PERIOD = {"autopilot": 0.01, "lidar": 0.1, "camera": 0.2}
 ROW = {"autopilot": 10, "lidar": 3, "camera": 2}  # messages in a row that are recovery
@@ -56,7 +56,7 @@ FAULTS = {
 
 
 class Watch:
-    """When messages of a device came, by its own count."""
+    """Records the arrival times of the messages of a device."""
 
     def __init__(self, device: Device, kind: str) -> None:
         self._device, self._kind = device, kind
@@ -68,7 +68,7 @@ class Watch:
         """Return s from `since` (monotonic) until the first of `row` messages at the usual rate."""
         seen, first, last = self.count(), since, time.monotonic()
         got = 0
-        while time.monotonic() - since < HANGS:
+        while time.monotonic() - since < RECOVERY_TIMEOUT:
             time.sleep(0.002)
             count, moment = self.count(), time.monotonic()
             if count > seen:
@@ -92,11 +92,15 @@ def torment(imp: VirtualRobot, device: Device, name: str, times: int, seed: int,
             took = watch.recovery(time.monotonic(), ROW[name], PERIOD[name])
             out[name, title].append(took)
             if not np.isfinite(took):
-                print(f"HANGS: {name}: {title}: {device.health()}", file=sys.stderr, flush=True)
+                print(
+                    f"HANGS: {name}: {title}: {device.health()}",
+                    file=sys.stderr,
+                    flush=True,
+                )
 
 
 def turn(station: Station, imp: VirtualRobot, times: int, seed: int, out: dict, stop) -> None:
-    """Drive to and fro, and block the motors now and then: they must obey again afterwards."""
+    """Drive to and fro, and block the motors at times: they must respond again afterwards."""
     rng = np.random.default_rng(seed)
     station.helm.take("benchmark", "benchmark")
     stalls = 0
@@ -115,7 +119,7 @@ def turn(station: Station, imp: VirtualRobot, times: int, seed: int, out: dict, 
             if motors.min() > 0.03:
                 out["motors", "stall 0.5 s"].append(moment - healed)
                 healed, next_stall = None, moment + float(rng.uniform(0.5, 2.0))
-            elif moment - healed > HANGS:
+            elif moment - healed > RECOVERY_TIMEOUT:
                 out["motors", "stall 0.5 s"].append(float("nan"))
                 healed, next_stall = None, moment + 1.0
         time.sleep(0.05)

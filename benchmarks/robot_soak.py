@@ -1,12 +1,12 @@
-"""The whole virtual robot for half an hour, driven from a browser: what is lost, and what it costs.
+"""The whole virtual robot for half an hour, driven from a browser: losses and resource usage.
 
     python benchmarks/robot_soak.py [--minutes 30] [--chromium /usr/bin/chromium]
 
-One process is the robot computer (station, page), one the virtual robot, and one a browser that
-maps, records and drives round after round. Told are: frames lost, by the devices' own numbers;
-whether every scan was mapped or counted, and every reading written or counted; memory and CPU of
-each process over time; from a scan's arrival to its being drawn on the page; and from a key pressed
-in the browser to the motors being told.
+One process is the robot computer (station, page), one the virtual robot, and one a browser that maps,
+records and drives round after round. Printed are: lost frames, by the devices' own numbers; whether every
+scan was mapped or counted, and every reading written or counted; memory and CPU of each process over time;
+the time from a scan's arrival to its drawing on the page; and the time from a key press in the browser to
+the motor command.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def family(pid: int) -> list[int]:
 
 
 class Watcher(threading.Thread):
-    """Starts the browser, looks on, and ends the server when the browser has ended."""
+    """Starts the browser, monitors it, and stops the server when the browser has ended."""
 
     def __init__(self, imp, options) -> None:
         super().__init__(daemon=True)
@@ -145,7 +145,7 @@ class Watcher(threading.Thread):
         os.kill(os.getpid(), signal.SIGINT)
 
     def _listen(self, child: subprocess.Popen[str]) -> None:
-        """Ask when each pressed key reached the motors."""
+        """Query when each pressed key reached the motors."""
         for line in child.stdout:
             if not line.startswith("press "):
                 continue

@@ -1,9 +1,9 @@
-"""Bags in the manner of slam_toolbox's users, each mapped as `imp run BAG` does: error of the path.
+"""Bags of typical slam_toolbox users, each mapped as by `imp run BAG`: error of the path.
 
     python benchmarks/ros_bags.py [WORLD]      # default: arena, 78 s
 
-The simulator writes what the robots of `tests/sources/ros_recipes.py` would record: their frames,
-odometry and lidars. Errors are distances from the truth after the rigid motion that fits best.
+The simulator writes the recordings of the robots of `tests/sources/ros_recipes.py`: their frames, odometry
+and lidars. Errors are distances from the truth after a rigid fit.
 """
 # ruff: noqa: E402  threads are limited before numpy is imported
 

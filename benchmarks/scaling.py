@@ -1,10 +1,10 @@
-"""What a scan costs, and how much memory a map takes, when a building is driven again and again.
+"""Time per scan and memory of a map when a building is driven repeatedly.
 
     python -m benchmarks.scaling --data ../shared/data           # Intel driven 1, 2, 4 and 8 times
 
-The log is driven forth and back by turns; on the way back scans come in the reverse order, and odometry
-goes on from where it was. So the robot is always in the same building. Each length has a
-process of its own; times are of its CPU, loading of kernels included, reading of the log not.
+The log is replayed alternately forward and backward; backward, the scans are in reverse order and odometry
+continues. So the robot stays in the same building. Each length runs in a process of its own; times are its
+CPU times, including the loading of kernels but not the reading of the log.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ BREAK = 0.2  # s between the last row of a drive and the first of the next
 
 
 def driven(log: list[tuple[str, Message]], times: int) -> Iterator[tuple[str, Message]]:
-    """Yield the rows of a log forth and back, with stamps and odometry going on."""
+    """Yield the rows of a log forward and backward, with continuous stamps and odometry."""
     start = stamp = log[0][1].stamp
     pose = None
     for drive in range(times):
@@ -48,7 +48,7 @@ def driven(log: list[tuple[str, Message]], times: int) -> Iterator[tuple[str, Me
 
 
 def measure(task: tuple[Path, int]) -> list[float]:
-    """Return numbers of scans, keyframes, their scans kept, nodes and closures; what they cost and take."""
+    """Return numbers of scans, keyframes, stored scans, nodes and closures; CPU times and memory."""
     log, times = task
     config, source = open_log(log, None, PLAIN)
     with source:

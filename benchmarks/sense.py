@@ -1,9 +1,9 @@
-"""What sensing costs: odometry and a lidar of 180 beams, from columns to sweeps with their motion.
+"""CPU time of sensing: odometry and a lidar of 180 beams, from columns to sweeps with their motion.
 
     python benchmarks/sense.py
 
-In one process, after warm-up, in CPU time: us for a row of odometry and for a sweep in batches of 512
-rows, from two mixtures of the two; and for a batch of one row, as a live robot has them.
+In one process, after warm-up: us per row of odometry and per sweep in batches of 512 rows, from two
+mixtures of both; and per batch of one row, as on a live robot.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def one_by_one() -> list[Batch]:
 
 
 def main() -> None:
-    """Print the three figures."""
+    """Print the three times."""
     costs = [
         seconds(load("imp").make_robot(), [mixed(k, every) for k in range(REPEAT)]) * 1e6
         for every in (2, 100)

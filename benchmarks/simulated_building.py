@@ -1,4 +1,4 @@
-"""A building to simulate: rooms on both sides of a corridor that leads back into itself."""
+"""A building to simulate: rooms on both sides of a closed loop of corridors."""
 
 from __future__ import annotations
 

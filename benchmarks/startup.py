@@ -1,10 +1,10 @@
-"""CPU seconds of each command as a user types it, from its start to its end.
+"""CPU seconds of each command, from its start to its end.
 
     python benchmarks/startup.py [REPETITIONS]
 
-User and system time of the process, the median of several, after one that compiles. The helps
-measure imports alone; the log is 27 scans of a lidar with 180 beams in a room, so that its run is
-start-up and little else. No environment variable is set but those that find the program.
+User and system time of the process, the median of several, after one that compiles. The helps measure only
+imports; the log has 27 scans of a lidar with 180 beams in a room, so that its run is mostly start-up. Only
+the environment variables needed to find the program are set.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ KEPT = ("PATH", "PYTHONPATH", "HOME")
 
 
 def write_log(path: Path) -> None:
-    """Write what a robot that drives 2.6 m through a rectangular room would record, as CARMEN."""
+    """Write a CARMEN log of a robot that drives 2.6 m through a rectangular room."""
     with path.open("w") as log:
         for i in range(SCANS):
             x, stamp = 0.1 * i, 0.2 * i
@@ -67,8 +67,8 @@ def main() -> None:
         for words in (*helps, *runs):
             cpu(words, folder)
             seconds = [cpu(words, folder) for _ in range(repetitions)]
-            said = f"{statistics.median(seconds):6.2f} s  imp {' '.join(words)}"
-            print(said, f"  (least {min(seconds):.2f})", flush=True)
+            line = f"{statistics.median(seconds):6.2f} s  imp {' '.join(words)}"
+            print(line, f"  (least {min(seconds):.2f})", flush=True)
 
 
 if __name__ == "__main__":

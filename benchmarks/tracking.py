@@ -2,9 +2,9 @@
 
     python benchmarks/tracking.py LOG [RELATIONS]      # a log with a 2D lidar; *.relations of it
 
-The log is read and brought into sweeps first; then each tracker follows all of them in one process,
-after a first batch that compiles. Times are of the processor: what else runs does not count. Relations
-are compared over at most 30 s: farther apart, all trackers drift.
+The log is read and converted to sweeps first; then each tracker follows all of them in one process, after
+a first batch that compiles. Times are CPU times. Relations are compared over at most 30 s: over longer
+times, all trackers drift.
 """
 # ruff: noqa: E402  threads are limited before numpy is imported
 
@@ -65,7 +65,7 @@ def sense(log: str) -> Sensed:
 
 
 def follow(kind: str, sensed: Sensed) -> tuple[Array, Array, int, float]:
-    """Return stamps (n,), poses (n, 3) by tracking alone, how many are contradicted, and CPU s."""
+    """Return stamps (n,), poses (n, 3) by tracking only, the number of contradicted ones, and CPU s."""
     tracker: Tracker = build("tracker", {"kind": kind})
     tracker.start(np.zeros(3), KeyframeGate())
     begin = time.process_time()

@@ -1,7 +1,7 @@
-"""Buildings at random in which places look alike: twin corridors, with rooms of a few kinds along them.
+"""Random buildings with similar places: twin corridors, with rooms of a few kinds along them.
 
-A third of the rooms has something of its own in it; all others have a like one somewhere, most of them
-several. The simulated lidar has 360 beams over 270 degrees, 1 cm of noise, and reaches 20 m.
+A third of the rooms is unique; all others have one or more twins. The simulated lidar has 360 beams over
+270 degrees, 1 cm of noise, and a range of 20 m.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from impslam.recognition.submap import View
 from impslam.simulation.raycast import trace
 from impslam.types import Array
 
-BEAMS, FIELD, REACH, NOISE = 360, np.radians(270.0), 20.0, 0.01
-WIDE, DOOR = 2.0, 1.0  # m, of a corridor and of a door
-KINDS, OWN = 3, 1.0 / 3.0  # of rooms, and the share of rooms that are of no kind
-CLEAR = 0.4  # m that a robot keeps from walls and furniture
+BEAMS, FIELD, MAX_RANGE, NOISE = 360, np.radians(270.0), 20.0, 0.01
+CORRIDOR_WIDTH, DOOR_WIDTH = 2.0, 1.0  # m
+KINDS, UNIQUE_SHARE = 3, 1.0 / 3.0  # kinds of rooms, and the share of unique rooms
+CLEARANCE = 0.4  # m between a robot and walls or furniture
 ANGLES = (np.arange(BEAMS) + 0.5) / BEAMS * FIELD - 0.5 * FIELD
 
 
 class Building(NamedTuple):
-    """Walls and furniture as segments (s, 4), and boxes (b, 4) from low to high x and y to stand in."""
+    """Walls and furniture as segments (s, 4), and free boxes (b, 4) from low to high x and y."""
 
     walls: Array
     floors: Array
 
     def scan(self, pose: Array, rng: np.random.Generator) -> Array:
-        """Return the end points (n, 2) of the beams that meet anything, in base_link."""
+        """Return the end points (n, 2) of the beams that hit anything, in base_link."""
         lasers, none = np.tile(pose, (BEAMS, 1)), (np.empty((2, 0, 4)), np.empty((2, 0, 3)))
         standing = self.walls, np.empty((0, 3))
-        ranges, _, hit = trace(lasers, ANGLES, np.zeros(BEAMS), standing, none, REACH)
+        ranges, _, hit = trace(lasers, ANGLES, np.zeros(BEAMS), standing, none, MAX_RANGE)
         ranges = ranges[hit >= 0] + NOISE * rng.standard_normal(np.count_nonzero(hit >= 0))
         angles = ANGLES[hit >= 0]
         return np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles)])
@@ -42,8 +42,8 @@ class Building(NamedTuple):
     def view(self, pose: Array, rng: np.random.Generator) -> View:
         return points_view(self.scan(pose, rng), np.zeros(2))
 
-    def clear(self, poses: Array, metres: float = CLEAR) -> Array:
-        """Return those of poses (k, 3) that are so far from all walls."""
+    def clear(self, poses: Array, metres: float = CLEARANCE) -> Array:
+        """Return the poses (k, 3) with enough clearance from all walls."""
         a, b = self.walls[:, :2], self.walls[:, 2:]
         along = b - a
         to = poses[:, None, :2] - a
@@ -52,7 +52,7 @@ class Building(NamedTuple):
         return poses[apart.min(1) > metres]
 
     def places(self, rng: np.random.Generator, count: int) -> Array:
-        """Return poses (count, 3) at random, evenly over the floors."""
+        """Return random poses (count, 3), uniform over the floors."""
         sizes = (self.floors[:, 2:] - self.floors[:, :2]).prod(1)
         found = np.empty((0, 3))
         while len(found) < count:
@@ -96,21 +96,27 @@ def keyframes(scans: list[Array], poses: Array) -> Keyframes:
 
 
 def buildings(seed: int) -> Iterator[Building]:
-    """Yield buildings without end: two corridors, one above the other, joined at their left ends."""
+    """Yield buildings endlessly: two corridors, one above the other, joined at their left ends."""
     rng = np.random.default_rng(seed)
     while True:
         wide, deep, count = rng.uniform(3.0, 5.0), rng.uniform(3.5, 5.5), int(rng.integers(4, 8))
         kinds = [_furniture(rng, wide, deep) for _ in range(KINDS)]
-        length, high = count * wide, 2.0 * deep + WIDE
-        walls = [_box(-WIDE, 0.0, length, 2.0 * high), np.array([[0.0, high, length, high]])]
-        floors = [[-WIDE, 0.0, 0.0, 2.0 * high]]
-        for low, middle, top in ((0.0, deep, deep + WIDE), (high, high + deep, high + deep + WIDE)):
+        length, high = count * wide, 2.0 * deep + CORRIDOR_WIDTH
+        walls = [
+            _box(-CORRIDOR_WIDTH, 0.0, length, 2.0 * high),
+            np.array([[0.0, high, length, high]]),
+        ]
+        floors = [[-CORRIDOR_WIDTH, 0.0, 0.0, 2.0 * high]]
+        for low, middle, top in (
+            (0.0, deep, deep + CORRIDOR_WIDTH),
+            (high, high + deep, high + deep + CORRIDOR_WIDTH),
+        ):
             floors.append([0.0, middle, length, top])
             walls.append(np.array([[0.0, low, 0.0, middle], [0.0, top, 0.0, low + high]]))
             for left in wide * np.arange(count):
                 for outer, inner in ((low, middle), (low + high, top)):
                     own = _furniture(rng, wide, deep)
-                    inside = own if rng.random() < OWN else kinds[rng.integers(KINDS)]
+                    inside = own if rng.random() < UNIQUE_SHARE else kinds[rng.integers(KINDS)]
                     walls += [_room(left, inner, outer, wide)]
                     walls += [_placed(inside, left, outer, wide, turned=outer > inner)]
                     floors.append([left, min(outer, inner), left + wide, max(outer, inner)])
@@ -126,14 +132,14 @@ def _furniture(rng: np.random.Generator, wide: float, deep: float) -> Array:
 
 def _room(left: float, wall: float, base: float, wide: float) -> Array:
     """Return the wall to the corridor with a door, and the wall to the next room."""
-    door, right = left + 0.5 * (wide - DOOR), left + wide
+    door, right = left + 0.5 * (wide - DOOR_WIDTH), left + wide
     return np.array([
-        [left, wall, door, wall], [door + DOOR, wall, right, wall], [right, wall, right, base]
+        [left, wall, door, wall], [door + DOOR_WIDTH, wall, right, wall], [right, wall, right, base]
     ])  # fmt: skip
 
 
 def _placed(furniture: Array, left: float, outer: float, wide: float, *, turned: bool) -> Array:
-    """Return furniture in its room, turned by 180 degrees where the outer wall is the upper one."""
+    """Return furniture in its room, turned by 180 degrees if the outer wall is the upper one."""
     if turned:
         return np.array([left + wide, outer, left + wide, outer]) - furniture
     return furniture + np.array([left, outer, left, outer])

@@ -1,11 +1,11 @@
-"""What the virtual IMP costs and how well it keeps time, with every device read at its full rate.
+"""CPU usage and timing of the virtual IMP, with every device read at its full rate.
 
     python benchmarks/virtual.py [SECONDS]
 
-It runs in a process of its own, as for `imp robot --virtual`; the host's own drivers read autopilot
-(100 Hz), lidar (10 Hz) and camera, and drive it in a slow circle. The processor's share is of one
-core. Lateness is how far behind its millisecond the loop begins; latency is from a drive command on
-the host to the motors. The parts are timed apart, without ports.
+It runs in a process of its own, as for `imp robot --virtual`; the host's drivers read autopilot (100 Hz),
+lidar (10 Hz) and camera, and drive it in a slow circle. CPU usage is of one core. Lateness is the delay of
+the loop's beginning after its millisecond; latency is from a drive command on the host to the motors. The
+parts are timed separately, without ports.
 """
 # ruff: noqa: E402  threads are limited before numpy is imported
 
@@ -39,7 +39,7 @@ COMMANDS = 20.0  # Hz, as the helm sends them
 
 
 def parts() -> None:
-    """Print what a second of the robot's time costs, by part."""
+    """Print the CPU time per second of the robot's time, by part."""
     seconds = 5
     body = Body(load_world(WORLD))
     body.drive(0.05, 0.15)
@@ -63,7 +63,7 @@ def parts() -> None:
 
 
 def host(robot: VirtualRobot, seconds: float) -> tuple[dict[str, float], list[float]]:
-    """Read all devices and drive for so long; return readings per s by type, and latencies in s."""
+    """Read all devices and drive for a time; return readings per s by type, and latencies in s."""
     counts: Counter[str] = Counter()
     tables = robot.devices().items()
     devices: dict[str, Device] = {
@@ -90,7 +90,7 @@ def _drive(robot: VirtualRobot, autopilot: Device, seconds: float) -> list[float
     assert isinstance(autopilot, DriveDevice)
     sent, end = [], time.monotonic() + seconds
     while time.monotonic() < end:
-        # Each differs from the one before, so that its effect is seen.
+        # Each differs from the one before, so that its effect is visible.
         sent.append(time.monotonic())
         autopilot.drive(SPEED + 0.002 * (len(sent) % 2), TURN_RATE)
         time.sleep(1.0 / COMMANDS)

@@ -1,4 +1,4 @@
-"""Drives whose parameters are known: odometry and a lidar's motions, made without scans."""
+"""Drives with known parameters: odometry and a lidar's motions, made without scans."""
 
 import numpy as np
 
@@ -8,22 +8,22 @@ from impslam.calibration.scan_pairs import LidarMotions
 from impslam.geometry.se2 import between
 
 TRUE = np.array([0.05, 1.01, 0.31, 0.12, -0.03, 0.4, 0.06, 0.0, 1.0])
-"""wheel_radius, right_left_ratio, track, then `SENSOR`."""
+"""wheel_radius, right_left_ratio, track, then `LIDAR_PARAMETERS`."""
 SCALES = np.array([0.95, 1.06, 0.02, 0.12, -0.03, 0.4, 0.06, 0.0, 1.0])
-"""distance_scale, turn_scale, turn_per_metre, then `SENSOR`."""
+"""distance_scale, turn_scale, turn_per_metre, then `LIDAR_PARAMETERS`."""
 RATE, SPAN, MATCH = 50.0, 0.8, np.array([0.001, 0.001, 0.0007, 0.002])
 """Hz of odometry, s of a motion, and standard deviations of `LidarMotions.joint`."""
 
 
 def winding(seconds):
-    """Return speeds m/s and turn rates rad/s (n,) that change all the time."""
+    """Return constantly changing speeds m/s and turn rates rad/s (n,)."""
     t = np.arange(int(seconds * RATE)) / RATE
     speed = 0.3 + 0.2 * np.sin(0.7 * t) + 0.1 * np.sin(1.9 * t + 1.0)
     return speed, 0.6 * np.sin(0.41 * t) + 0.5 * np.sin(1.3 * t + 0.5)
 
 
 def wheels(seconds, rng=None, noise=0.0, true=TRUE):
-    """Return true and read wheels; `noise` is in m/sqrt(m)."""
+    """Return true and measured wheels; `noise` is in m/sqrt(m)."""
     radius, ratio, track = true[:3]
     speed, rate = winding(seconds)
     right, left = speed + 0.5 * track * rate, speed - 0.5 * track * rate
@@ -40,19 +40,19 @@ def wheels(seconds, rng=None, noise=0.0, true=TRUE):
 
 
 def twists(seconds, true=SCALES, rng=None, noise=(0.0, 0.0)):
-    """Return odometry that gives motions; `noise` is that of the readings, m/sqrt(m) and rad/sqrt(rad)."""
+    """Return odometry that measures motions, with noise of the readings, m/sqrt(m) and rad/sqrt(rad)."""
     speed, rate = winding(seconds)
     x = speed / true[0]
-    told = np.column_stack((x, np.zeros_like(x), (rate - true[2] * x) / true[1])) / RATE
+    steps = np.column_stack((x, np.zeros_like(x), (rate - true[2] * x) / true[1])) / RATE
     if rng is not None:
-        for j, spread in ((0, noise[0]), (2, noise[1])):
-            told[:, j] += spread * np.sqrt(np.abs(told[:, j])) * rng.normal(size=len(told))
+        for j, sigma in ((0, noise[0]), (2, noise[1])):
+            steps[:, j] += sigma * np.sqrt(np.abs(steps[:, j])) * rng.normal(size=len(steps))
     names = ("distance_scale", "turn_scale", "turn_per_metre")
-    return ScaledTwists(names, np.arange(len(x) + 1) / RATE, np.zeros(len(x), bool), told)
+    return ScaledTwists(names, np.arange(len(x) + 1) / RATE, np.zeros(len(x), bool), steps)
 
 
 def drive(exact, read=None, true=TRUE, rng=None):
-    """Return a drive; with a generator, the lidar's motions err by `MATCH`."""
+    """Return a drive; with a generator, the lidar's motions have errors of `MATCH`."""
     begins = np.arange(1.0, exact.stamps[-1] - 2.0, SPAN + 0.02)
     ends = begins + SPAN
     poses = lidar_poses(Drive(exact, none()), true, np.concatenate(([0.5], begins, ends)))

@@ -1,15 +1,15 @@
-"""From logs to a config: what a simulated robot is, what its drive does not tell, what is written."""
+"""Calibration from logs to a config: parameters of a simulated robot, observability, written tables."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from impslam.calibration.calibrate import calibrate, drives_of, table
-from impslam.calibration.gyro import gyro_of
+from impslam.calibration.calibrate import calibrate, config_tables, extract_drives
+from impslam.calibration.gyro import calibrate_gyro
 from impslam.calibration.lidar_path import lidar_path
 from impslam.calibration.recording import record_batches
-from impslam.calibration.scan_pairs import matched_pairs
+from impslam.calibration.scan_pairs import match_pairs
 from impslam.columns import batches
 from impslam.config import load, merge
 from impslam.errors import ConfigError, SourceError
@@ -30,10 +30,11 @@ EIGHT = [(0.9, 0.3), (1.5, 0.9), (0.9, 1.3), (0.3, 0.9), (0.9, 0.4), (0.3, -0.3)
 
 
 def recorded(waypoints, robot, rounds=1, world="room"):
-    """Return what a robot records on its way in a world."""
+    """Return the recording of a robot that drives along waypoints in a world."""
     world = load_world(world)
-    way = world.robot.model_copy(update={"waypoints": tuple(waypoints) * rounds, "lookahead": 0.2})
-    messages = simulate(world.model_copy(update={"robot": way, "cylinders": ()}), robot)
+    route = {"waypoints": tuple(waypoints) * rounds, "lookahead": 0.2}
+    driver = world.robot.model_copy(update=route)
+    messages = simulate(world.model_copy(update={"robot": driver, "cylinders": ()}), robot)
     return record_batches(WRONG, batches((type(m).__name__, m) for m in messages))
 
 
@@ -48,8 +49,8 @@ def eight():
     return recorded(EIGHT, robot, rounds=2)
 
 
-def test_what_the_robot_is(eight):
-    found = calibrate(WRONG, drives_of(WRONG, eight, "log"))
+def test_parameters_of_the_robot(eight):
+    found = calibrate(WRONG, extract_drives(WRONG, eight, "log"))
     got = {one.name: one for one in found.parameters}
     true = {
         "wheel_radius": 0.064,
@@ -64,40 +65,40 @@ def test_what_the_robot_is(eight):
         assert abs(got[name].value - value) < max(4.0 * got[name].sigma, 1e-3 * abs(value))
         assert got[name].sigma < 0.01
     assert not got["range_scale"].observable
-    config = load(merge(WRONG.model_dump(exclude_none=True), table(found)))
+    config = load(merge(WRONG.model_dump(exclude_none=True), config_tables(found)))
     assert config.odometry["track"] == got["track"].value
     assert config.sensors["lidar"]["mount"] == [got[name].value for name in ("x", "y", "yaw")]
 
 
-def test_a_length_that_is_kept_tells_the_scale_of_the_ranges(eight):
-    """The config says 0.44 m, and the track is 0.41: all is 7.3 % larger, ranges too."""
+def test_range_scale_follows_from_a_kept_length(eight):
+    """The configured track is 0.44 m, the true one 0.41: all lengths are 7.3 % larger, ranges too."""
     config = load(WRONG.model_dump(exclude_none=True), ["sensors.lidar.latency=0"])
     got = {
         one.name: one
-        for one in calibrate(config, drives_of(config, eight, "log"), ["track"]).parameters
+        for one in calibrate(config, extract_drives(config, eight, "log"), ["track"]).parameters
     }
     assert not got["track"].observable
     assert got["range_scale"].value == pytest.approx(0.44 / 0.41, rel=0.02)
     assert got["wheel_radius"].value == pytest.approx(0.064 * 0.44 / 0.41, rel=0.02)
 
 
-def test_several_logs_are_one(eight):
-    drives = drives_of(WRONG, eight, "log")
+def test_several_logs_reduce_the_sigmas(eight):
+    drives = extract_drives(WRONG, eight, "log")
     one, two = calibrate(WRONG, drives), calibrate(WRONG, [*drives, *drives])
     ratio = {
         a.name: a.sigma / b.sigma
         for a, b in zip(one.parameters, two.parameters, strict=True)
         if a.observable
     }
-    assert ratio.pop("range_offset") < 1.2  # it errs alike in all drives
+    assert ratio.pop("range_offset") < 1.2  # a systematic error, common to all drives
     np.testing.assert_allclose(list(ratio.values()), np.sqrt(2.0), rtol=0.15)
 
 
-def test_straight_on_tells_no_track():
+def test_track_is_not_observable_from_straight_driving():
     robot = SimulatedRobot(
         encoders=WheelEncoders.perfect(), lidar=Lidar.perfect(sigma=0.003), imu=None
     )
-    drives = drives_of(WRONG, recorded([(0.0, 1.2), (0.0, 4.9)], robot, world="arena"), "log")
+    drives = extract_drives(WRONG, recorded([(0.0, 1.2), (0.0, 4.9)], robot, world="arena"), "log")
     got = {one.name: one for one in calibrate(WRONG, drives).parameters}
     assert got["wheel_radius"].observable
     for name, before in (("track", 0.44), ("x", 0.1), ("y", 0.03)):
@@ -107,23 +108,23 @@ def test_straight_on_tells_no_track():
 
 def test_the_gyro(eight):
     _, lidar = "lidar", WRONG.make_robot().sensors["lidar"]
-    motions = matched_pairs(lidar, eight.scans, lidar_path(lidar, eight.scans))
-    found = gyro_of(eight.gyro, motions, 0.0)
+    motions = match_pairs(lidar, eight.scans, lidar_path(lidar, eight.scans))
+    found = calibrate_gyro(eight.gyro, motions, 0.0)
     standing = eight.gyro[eight.gyro[:, 0] < eight.gyro[0, 0] + 0.9, 1]
     assert abs(found.bias - standing.mean()) < 4.0 * np.hypot(
         found.bias_sigma, standing.std() / 9.0
     )
     assert abs(found.scale - 1.0) < 4.0 * found.scale_sigma
-    assert gyro_of(np.empty((0, 2)), motions, 0.0) is None
+    assert calibrate_gyro(np.empty((0, 2)), motions, 0.0) is None
 
 
-def test_what_cannot_be_calibrated(eight):
+def test_errors_for_logs_that_cannot_be_calibrated(eight):
     with pytest.raises(
         ConfigError, match="--keep radius: no such parameter; there are wheel_radius"
     ):
-        calibrate(WRONG, drives_of(WRONG, eight, "log"), ["radius"])
+        calibrate(WRONG, extract_drives(WRONG, eight, "log"), ["radius"])
     with pytest.raises(SourceError, match="log: has no OdometryPose to calibrate"):
-        drives_of(load("default"), replace(eight, odometry=()), "log")
+        extract_drives(load("default"), replace(eight, odometry=()), "log")
     robot = SimulatedRobot(imu=None)
     with pytest.raises(SourceError, match="motions of the lidar were matched, and 10 are needed"):
-        drives_of(WRONG, recorded([(0.3, 0.0)], robot), "log")
+        extract_drives(WRONG, recorded([(0.3, 0.0)], robot), "log")

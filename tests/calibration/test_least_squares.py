@@ -1,4 +1,4 @@
-"""The best parameters: exact without noise, and with it as uncertain as told, and no more than need be."""
+"""Least squares: exact without noise, consistent and near the Cramer-Rao bound with noise."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from tests.calibration.drives import SCALES, TRUE, drive, twists, wheels
 
 from impslam.calibration.least_squares import Prior, solve
-from impslam.calibration.noise import MATCHING, of_scans, spreads
+from impslam.calibration.noise import MATCHING, scan_covariances, unit_covariances
 from impslam.calibration.residuals import residuals
 
 FREE = np.arange(9) < 8
@@ -21,18 +21,18 @@ def test_exact_without_noise():
         np.testing.assert_allclose(found.parameters, true, atol=1e-6)
 
 
-def test_what_is_not_free_stays():
+def test_fixed_parameters_stay():
     start, free = TRUE + 0.001, FREE & (np.arange(9) != 3)
     found = solve([drive(wheels(30.0)[0])], start, free, Prior(start, WIDE))
     assert found.parameters[3] == start[3]
     assert found.covariance[3].max() == 0.0
 
 
-def test_errors_are_as_told_and_near_the_bound(rng):
-    """30 drives of 60 s: NEES of 8 parameters, and the spread against the Cramer-Rao bound.
+def test_errors_are_consistent_and_near_the_bound(rng):
+    """30 drives of 60 s: NEES of 8 parameters, and standard deviations against the Cramer-Rao bound.
 
     The bound is that of the motions with the true noise; a standard deviation of 30 values is within
-    26 % (2 sigma). `benchmarks/calibration.py` does it with more, and with scans.
+    26 % (2 sigma). `benchmarks/calibration.py` uses more drives, and scans.
     """
     errors, nees = [], []
     for _ in range(30):
@@ -44,7 +44,7 @@ def test_errors_are_as_told_and_near_the_bound(rng):
     low, high = chi2.ppf([0.005, 0.995], 8 * 30) / 30
     assert low < np.mean(nees) < high
     exact = drive(wheels(60.0)[0])
-    S = of_scans(exact) + 0.01**2 * spreads(exact, TRUE)[len(MATCHING)]
+    S = scan_covariances(exact) + 0.01**2 * unit_covariances(exact, TRUE)[len(MATCHING)]
     J = residuals(exact, TRUE).by_all[..., FREE]
     bound = np.sqrt(np.diag(np.linalg.inv(np.einsum("kim,kij,kjn->mn", J, np.linalg.inv(S), J))))
     ratio = np.std(errors, axis=0) / bound
@@ -53,14 +53,14 @@ def test_errors_are_as_told_and_near_the_bound(rng):
 
 
 def scales_off(read_of):
-    """Return the mean error (2,) of the scales of ways and turns that 8 drives of 300 s tell."""
+    """Return the mean errors (2,) of the distance and turn scales from 8 drives of 300 s."""
     wide = Prior(SCALES, 1e3 * WIDE)
     found = [solve([read_of()], SCALES, FREE, wide).parameters[:2] for _ in range(8)]
     return np.mean(found, axis=0) - SCALES[:2]
 
 
-def test_noise_of_poses_makes_no_scale_smaller(rng):
-    """Scales were 1.1 and 1.4 % too small; one drive tells them to 0.5 %. The mean is known to 0.2 %."""
+def test_noise_of_poses_does_not_bias_scales(rng):
+    """Without correction, scales are 1.1 and 1.4 % too small; sigma is 0.5 %, that of the mean 0.2 %."""
     exact = twists(300.0)
 
     def read():
@@ -69,8 +69,8 @@ def test_noise_of_poses_makes_no_scale_smaller(rng):
     assert np.abs(scales_off(read)).max() < 0.009
 
 
-def test_stamps_that_jitter_make_no_scale_smaller(rng):
-    """By 0.05 s at either end of a motion; scales were 1.6 and 1.8 % too small."""
+def test_stamp_jitter_does_not_bias_scales(rng):
+    """By 0.05 s at either end of a motion; without correction, scales are 1.6 and 1.8 % too small."""
     exact = twists(300.0)
 
     def read():
@@ -83,7 +83,7 @@ def test_stamps_that_jitter_make_no_scale_smaller(rng):
     assert np.abs(scales_off(read)).max() < 0.009
 
 
-def test_wheels_that_stick_are_left_out(rng):
+def test_sticking_wheels_are_left_out(rng):
     exact, read = wheels(100.0, rng, 0.01)
     for k in rng.choice(len(read.left), 6, replace=False):
         read.left[k] -= 2.0  # 10 cm

@@ -1,11 +1,11 @@
-"""Dead reckoning as a function of its parameters: as in `odometry`, and its derivatives."""
+"""Dead reckoning as a function of its parameters: agreement with `odometry`, and derivatives."""
 
 import numpy as np
 import pytest
 from tests.calibration.drives import SCALES, TRUE, twists, wheels
 from tests.numeric import jacobian
 
-from impslam.calibration.odometry_models import WINDOW, covered, model_of, motion, sums
+from impslam.calibration.odometry_models import WINDOW, covered, make_model, motion, sum_between
 from impslam.columns import batches
 from impslam.geometry.se2 import compose
 from impslam.odometry.encoders import Encoders
@@ -32,16 +32,16 @@ def added_up(motions):
 
 
 def readings(odometry, rng):
-    """Return 200 rows of what an odometry reads."""
+    """Return 200 readings of an odometry."""
     stamps = 0.05 * np.arange(200)
     if isinstance(odometry, Encoders):
         turned = np.cumsum(rng.uniform(-10.0, 30.0, (200, 2)), axis=0)
         return columns(WheelAngles(t, *row) for t, row in zip(stamps, turned, strict=True))
-    told = rng.uniform([-0.2, -1.0], [0.5, 1.0], (200, 2))
+    speeds = rng.uniform([-0.2, -1.0], [0.5, 1.0], (200, 2))
     if isinstance(odometry, Velocities):
-        return columns(Velocity(t, *row) for t, row in zip(stamps, told, strict=True))
+        return columns(Velocity(t, *row) for t, row in zip(stamps, speeds, strict=True))
     pose, rows = np.zeros(3), []
-    for t, (x, turn) in zip(stamps, 0.05 * told, strict=True):
+    for t, (x, turn) in zip(stamps, 0.05 * speeds, strict=True):
         pose = compose(pose, np.array([x, 0.1 * x, turn]))
         rows.append(OdometryPose(t, pose))
     return columns(rows)
@@ -55,13 +55,15 @@ def readings(odometry, rng):
         Velocities(speed_scale=0.9, turn_scale=1.1),
     ],
 )
-def test_motions_are_those_of_odometry(odometry, rng):
+def test_motions_agree_with_odometry(odometry, rng):
     rows = readings(odometry, rng)
-    model = model_of(odometry, rows)
+    model = make_model(odometry, rows)
     values = np.array([getattr(odometry, name) for name in model.names])
     found = motion(model, values, 0.0, model.stamps[:1], model.stamps[-1:])
     true = added_up(odometry.motions(rows))
-    np.testing.assert_allclose([found.way[0].real, found.way[0].imag], true[:2], atol=1e-9)
+    np.testing.assert_allclose(
+        [found.translation[0].real, found.translation[0].imag], true[:2], atol=1e-9
+    )
     assert np.cos(found.turn[0] - true[2]) == pytest.approx(1.0, abs=1e-12)
 
 
@@ -71,28 +73,28 @@ def test_jacobians(model, values):
 
     def moved(parameters):
         found = motion(model, parameters[:-1], parameters[-1], BEGINS, ENDS)
-        return np.concatenate((found.way.real, found.way.imag, found.turn))
+        return np.concatenate((found.translation.real, found.translation.imag, found.turn))
 
     found = motion(model, values, 0.06, BEGINS, ENDS)
-    exact = np.concatenate((found.way_D.real, found.way_D.imag, found.turn_D))
+    exact = np.concatenate((found.translation_D.real, found.translation_D.imag, found.turn_D))
     np.testing.assert_allclose(exact[:, :3], jacobian(moved, at, 1e-5)[:, :3], atol=2e-7)
     np.testing.assert_allclose(exact[:, 3], jacobian(moved, at, WINDOW)[:, 3], atol=2e-3)
 
 
-def test_straight_on_is_smooth():
-    """Turns of 1e-4 rad a step are where the series takes over from the closed form."""
+def test_derivatives_are_smooth_for_straight_motion():
+    """Below turns of some 1e-3 rad a step, the series replaces the closed form."""
     model, values = MODELS[0]
     for track in (0.3, 300.0, 3e5):
         at = np.array([values[0], 1.0, track])
-        found = motion(model, at, 0.0, BEGINS, ENDS).way_D.imag[:, :2]
+        found = motion(model, at, 0.0, BEGINS, ENDS).translation_D.imag[:, :2]
 
         def across(parameters, track=track):
-            return motion(model, np.append(parameters, track), 0.0, BEGINS, ENDS).way.imag
+            return motion(model, np.append(parameters, track), 0.0, BEGINS, ENDS).translation.imag
 
         np.testing.assert_allclose(found, jacobian(across, at[:2], 1e-5), atol=1e-7)
 
 
-def test_spans_are_covered_where_all_is_known():
+def test_spans_with_unknown_or_missing_steps_are_not_covered():
     model = wheels(2.0)[0]
     model.unknown[40] = True  # from 0.80 to 0.82 s
     begins, ends = np.array([-0.1, 0.1, 0.1, 0.83, 1.5]), np.array([0.5, 0.79, 0.81, 1.9, 2.1])
@@ -102,4 +104,6 @@ def test_spans_are_covered_where_all_is_known():
 def test_sums_between_readings():
     model = wheels(2.0)[0]
     ones = np.ones((len(model.left), 1))
-    np.testing.assert_allclose(sums(model, ones, BEGINS[:1], np.array([1.5])), (1.5 - 0.505) * 50.0)
+    np.testing.assert_allclose(
+        sum_between(model, ones, BEGINS[:1], np.array([1.5])), (1.5 - 0.505) * 50.0
+    )

@@ -1,11 +1,11 @@
-"""Stamps that run back and forth: the order of the log tells the time, and what a robot is is found."""
+"""Disordered stamps: times from the order of the log, and calibration with them."""
 
 import numpy as np
 import pytest
 from tests.log_faults import faulty, with_values
 
-from impslam.calibration.calibrate import calibrate, drives_of
-from impslam.calibration.order_clock import MOST, disorder, in_order
+from impslam.calibration.calibrate import calibrate, extract_drives
+from impslam.calibration.order_clock import MAX_DISORDER, disorder, reorder_stamps
 from impslam.calibration.recording import record_batches
 from impslam.columns import batches
 from impslam.config import load
@@ -28,55 +28,55 @@ def log():
     return [(type(m).__name__, m) for m in simulate(load_world("arena"), robot)]
 
 
-def busy(log, most=0.4, late=0.05, longest=0.8):
-    """Return batches whose rows are stamped several at once, and some rows up to 0.8 s later still.
+def busy(log, max_wait=0.4, late=0.05, max_late=0.8):
+    """Return batches with rows stamped several at once, and some rows up to 0.8 s later still.
 
-    The computer gets to them after some time, at random up to `most` s; `late` is the share of those
-    turns at which an earlier one was stamped by `longest` s at most too late.
+    The computer stamps waiting rows at random intervals of up to `max_wait` s; in a share `late` of these
+    turns, the stamps are late by up to `max_late` s more.
     """
     rng = np.random.default_rng(0)
-    turns = log[0][1].stamp + np.cumsum(rng.uniform(0.0, most, 2000))
-    extra = np.where(rng.uniform(size=2000) < late, rng.uniform(0.0, longest, 2000), 0.0)
+    turns = log[0][1].stamp + np.cumsum(rng.uniform(0.0, max_wait, 2000))
+    extra = np.where(rng.uniform(size=2000) < late, rng.uniform(0.0, max_late, 2000), 0.0)
 
     def stamped(columns):
         if columns.kind is TruePose:
             return columns
         turn = np.searchsorted(turns, columns.stamps)
-        since = 1e-3 * (columns.stamps - turns[turn])  # the computer's own pace
+        since = 1e-3 * (columns.stamps - turns[turn])  # keeps the order within a turn
         return with_values(columns, stamp=turns[turn] + extra[turn] + since)
 
     return faulty(batches(log), stamped)
 
 
-def test_stamps_in_order_are_left_as_they_are(log):
+def test_ordered_stamps_are_unchanged(log):
     recording = record_batches(CONFIG, batches(log))
-    found, size = in_order(recording)
+    found, size = reorder_stamps(recording)
     assert size == 0.0
     assert found is recording
 
 
-def test_disorder_is_how_far_stamps_run_back():
+def test_disorder_is_the_amount_by_which_stamps_run_back():
     np.testing.assert_allclose(disorder(np.arange(5.0)), 0.0)
     np.testing.assert_allclose(disorder(np.array([0.0, 3.0, 1.0, 2.0, 4.0])), [0, 2, 2, 1, 0])
 
 
-def test_one_device_before_the_other_is_no_disorder(log):
-    """Scans that are written 0.3 s after they were stamped, on a clock in order."""
+def test_offset_between_devices_is_no_disorder(log):
+    """Scans are written 0.3 s after they were stamped, each device in order."""
 
     def early(columns):
         is_scan = columns.kind is LaserScan
         return with_values(columns, stamp=columns["stamp"] - 0.3) if is_scan else columns
 
-    _, size = in_order(record_batches(CONFIG, faulty(batches(log), early)))
+    _, size = reorder_stamps(record_batches(CONFIG, faulty(batches(log), early)))
     assert size == 0.0
 
 
-def test_the_order_tells_the_time(log):
-    """Stamps are off by 0.2 s, times by the order by a fifth of that, but for a constant."""
+def test_times_by_order_are_better_than_stamps(log):
+    """Stamps are off by 0.2 s, times by order by a fifth of that, except for a constant."""
     true = record_batches(CONFIG, batches(log))
     wrong = record_batches(CONFIG, busy(log))
-    found, size = in_order(wrong)
-    assert size > MOST
+    found, size = reorder_stamps(wrong)
+    assert size > MAX_DISORDER
     for before, after, right in zip(
         (*wrong.odometry, *wrong.scans),
         (*found.odometry, *found.scans),
@@ -89,9 +89,9 @@ def test_the_order_tells_the_time(log):
         assert np.all(np.diff(after.stamps[middle]) > 0.0)
 
 
-def test_what_the_robot_is_with_stamps_back_and_forth(log):
-    """Wheels and mount within 4 sigma; no latency is told, and the config keeps its own."""
-    found = calibrate(CONFIG, drives_of(CONFIG, record_batches(CONFIG, busy(log)), "log"))
+def test_calibration_with_disordered_stamps(log):
+    """Wheels and mount are within 4 sigma; the latency is not observable and keeps its value."""
+    found = calibrate(CONFIG, extract_drives(CONFIG, record_batches(CONFIG, busy(log)), "log"))
     got = {one.name: one for one in found.parameters}
     true = {"wheel_radius": 0.064, "track": 0.41, "x": 0.15, "y": 0.0, "yaw": 0.0}
     for name, value in true.items():

@@ -1,4 +1,4 @@
-"""Residuals of lidar motions: nothing at the truth, and their derivatives."""
+"""Residuals of lidar motions: zero for the true parameters, and their derivatives."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ WHEELS, TWISTS = drive(wheels(20.0)[0]), drive(twists(20.0), true=SCALES)
 
 
 @pytest.mark.parametrize(("of", "true"), [(WHEELS, TRUE), (TWISTS, SCALES)])
-def test_nothing_is_off_at_the_truth(of, true):
+def test_residuals_are_zero_for_the_true_parameters(of, true):
     np.testing.assert_allclose(residuals(of, true).values, 0.0, atol=1e-9)
 
 

@@ -1,4 +1,4 @@
-"""Motions of a lidar by its scans: exact without noise, consistent with it, no scan used twice."""
+"""Motions of a lidar by its scans: exact without noise, consistent with noise, no scan used twice."""
 
 import numpy as np
 import pytest
@@ -8,8 +8,8 @@ from tests.numeric import jacobian
 from tests.recorded import perfect
 
 from impslam.calibration.lidar_path import LidarPath, lidar_path, twists
-from impslam.calibration.recording import lidar_of, record_batches
-from impslam.calibration.scan_pairs import _misfit, align, matched_pairs, pairs, surface
+from impslam.calibration.recording import first_lidar, record_batches
+from impslam.calibration.scan_pairs import _misfit, align, match_pairs, pairs, surface
 from impslam.columns import batches
 from impslam.config import load
 from impslam.evaluation.trajectory import interpolate
@@ -24,13 +24,13 @@ NOISE = (0.005, 0.0)
 
 
 def seen(pose, noise=0.0, rng=None, offset=0.0):
-    """Return the surface that a lidar at a pose sees, its ranges long by an offset."""
+    """Return the surface seen by a lidar at a pose, with an offset added to its ranges."""
     scan = cast(ROOM, CIRCLES, pose=np.array(pose), noise=noise, rng=rng).scan
     rows = features(with_ranges(scan, scan.ranges + offset, scan.valid), 0.0)
     return surface(rows[rows[:, 4] > 0])
 
 
-def test_noiseless_scans_tell_the_motion():
+def test_noiseless_scans_give_the_exact_motion():
     found = align(seen(np.zeros(3)), seen(MOTION), MOTION + np.array([0.08, -0.05, 0.06]), NOISE)
     np.testing.assert_allclose(found.T_a_b, MOTION, atol=3e-4)
     assert found.share > 0.85
@@ -41,7 +41,7 @@ def test_scans_of_different_places_do_not_match():
 
 
 def test_jacobian_by_the_pose():
-    """A point falls up to 2 cm beside its partner, so half of b's normals turning moves it by 1 cm."""
+    """Points are up to 2 cm beside their partners, so b's half of the rotating normal moves e by 1 cm."""
     a, b, at = seen(np.zeros(3)), seen(MOTION), MOTION + np.array([0.002, -0.003, 0.001])
     trees = cKDTree(a.points), cKDTree(b.points)
     e, J, off = _misfit(a, b, trees, at, 0.05, NOISE)
@@ -51,7 +51,7 @@ def test_jacobian_by_the_pose():
 
 
 def test_jacobian_by_an_offset_of_all_ranges():
-    """Where beams meet the surface at other angles, an offset opens a gap."""
+    """If beams hit the surface at different angles, an offset opens a gap."""
     at, offset = MOTION + np.array([0.002, -0.003, 0.001]), 2e-4  # points are float32
     a, b = seen(np.zeros(3)), seen(MOTION)
     long_a, long_b = seen(np.zeros(3), offset=offset), seen(MOTION, offset=offset)
@@ -64,8 +64,8 @@ def test_jacobian_by_an_offset_of_all_ranges():
     assert np.quantile(error, 0.9) < 0.01
 
 
-def test_errors_are_what_the_information_says(rng):
-    """NEES of 60 motions: 3 if points were independent; their surfaces' smoothing shares errors."""
+def test_errors_are_consistent_with_the_information(rng):
+    """NEES of 60 motions: 3 for independent points; smoothing correlates their errors."""
     nees = []
     for _ in range(60):
         pose = np.array([*rng.uniform(-0.5, 0.5, 2), rng.uniform(-3, 3)])
@@ -77,10 +77,10 @@ def test_errors_are_what_the_information_says(rng):
     assert 0.7 < np.mean(nees) / 3.0 < 1.8
 
 
-def test_noise_makes_ranges_no_shorter(rng):
-    """80 motions with noise of 15 mm, NEES of pose and offset. By raw points: 14 instead of 4, -20 mm.
+def test_noise_does_not_bias_the_range_offset(rng):
+    """80 motions with noise of 15 mm, NEES of pose and offset. With raw points: 14 instead of 4, -20 mm.
 
-    A third of that offset is left, as normals err with the points.
+    A third of that offset remains, because errors of normals and points are correlated.
     """
     offsets, weights, nees = [], [], []
     for _ in range(80):
@@ -108,7 +108,7 @@ def test_smoothing_keeps_lines_and_circles():
 def test_no_scan_is_in_two_pairs():
     stamps = 0.1 * np.arange(200)
     poses = np.column_stack((0.05 * np.arange(200), np.zeros(200), np.zeros(200)))
-    poses[100:] = poses[100]  # it stands
+    poses[100:] = poses[100]  # stationary
     trusted = np.arange(200) != 50
     begins, ends = pairs(LidarPath(stamps, poses, trusted, trusted, twists(stamps, poses)))
     rows = np.concatenate((begins, ends))
@@ -119,16 +119,16 @@ def test_no_scan_is_in_two_pairs():
 
 
 @pytest.mark.parametrize("beam_time", [0.0, 1e-4])
-def test_the_path_of_a_simulated_lidar(beam_time):
-    """Sweeps of 0.07 s are as good as instant ones: the lidar's own motion de-skews them."""
+def test_path_of_a_simulated_lidar(beam_time):
+    """Sweeps of 0.07 s are as accurate as instant ones: the lidar's own motion de-skews them."""
     config = load("imp")
     found = record_batches(
         config, batches((type(m).__name__, m) for m in perfect(load_world("room"), beam_time))
     )
-    _, lidar = lidar_of(config)
+    _, lidar = first_lidar(config)
     path = lidar_path(lidar, found.scans)
     assert path.trusted.all()
-    motions = matched_pairs(lidar, found.scans, path)
+    motions = match_pairs(lidar, found.scans, path)
     mount = np.array(lidar.mount)
     true = [compose(interpolate(found.truth, t), mount) for t in (motions.begins, motions.ends)]
     error = motions.T_begin_end - between(*true)

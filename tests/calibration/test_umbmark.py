@@ -1,4 +1,4 @@
-"""Squares of wheels whose errors are known tell them, to first order."""
+"""UMBmark: squares driven with known wheel errors give these errors, to first order."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ SIDE, NOMINAL = 2.0, np.array([0.05, 1.0, 0.3])
 
 
 def square(true, sign):
-    """Return where a robot ends that drives a square by its nominal wheels, true minus odometry."""
+    """Return the return error of a square driven by nominal wheels, true minus odometry."""
     wheel = SIDE / NOMINAL[0]
     corner = 0.25 * np.pi * NOMINAL[2] / NOMINAL[0]
     left = np.tile(np.repeat([wheel / 100, -sign * corner / 100], 100), 4)
@@ -18,7 +18,8 @@ def square(true, sign):
     stamps = np.arange(len(left) + 1.0)
     model = DifferentialDrive(stamps, np.zeros(len(left), bool), left, right)
     ends = [
-        motion(model, values, 0.0, stamps[:1], stamps[-1:]).way[0] for values in (true, NOMINAL)
+        motion(model, values, 0.0, stamps[:1], stamps[-1:]).translation[0]
+        for values in (true, NOMINAL)
     ]
     off = ends[0] - ends[1]
     return np.array([[off.real, off.imag]])
@@ -26,7 +27,7 @@ def square(true, sign):
 
 @pytest.mark.parametrize(("ratio", "track"), [(1.002, 0.3), (1.0, 0.302), (0.998, 0.297)])
 def test_wheels_are_found(ratio, track):
-    """UMBmark does not tell the mean diameter, and takes it for right."""
+    """UMBmark does not determine the mean diameter and assumes it is correct."""
     true = np.array([2.0 * NOMINAL[0] / (1.0 + ratio), ratio, track])
     found = umbmark(square(true, -1), square(true, 1), SIDE, NOMINAL[2])
     new = corrected(found, NOMINAL)
@@ -36,7 +37,7 @@ def test_wheels_are_found(ratio, track):
     assert before == pytest.approx(max(np.hypot(*e[0]) for e in errors))
 
 
-def test_the_mean_diameter_stays():
+def test_mean_diameter_stays():
     found = umbmark(np.array([[-0.03, 0.01]]), np.array([[0.02, 0.0]]), SIDE, 0.3)
     new = corrected(found, NOMINAL)
     assert new[0] * (1.0 + new[1]) == pytest.approx(2.0 * NOMINAL[0])

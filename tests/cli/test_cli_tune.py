@@ -16,7 +16,7 @@ def test_a_search_writes_a_config_and_its_evidence(imp, room, tmp_path):
     assert said.code == 0, said.err
     config = load(tmp_path / "out" / "tuned.toml")
     assert 0.001 <= config.sensors["lidar"]["sigma"] <= 0.1
-    assert "room, kept apart: " in said.out
+    assert "room, held out: " in said.out
     with (tmp_path / "out" / "runs.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert {(row["log"], row["config"]) for row in rows} == {

@@ -1,4 +1,4 @@
-"""A drive through the arena with one thing wrong: it is found, its settings mend it, nothing else is."""
+"""Diagnosis of a drive through the arena with one fault: it finds only that, and its settings fix it."""
 
 from collections.abc import Iterable
 
@@ -9,7 +9,7 @@ from tests import log_faults as faults
 from impslam.columns import Batch, batches
 from impslam.config import load
 from impslam.diagnosis.diagnose import diagnose
-from impslam.diagnosis.finding import standing
+from impslam.diagnosis.finding import worst_health
 from impslam.health import MISALIGNED, MISSCALED, MISTIMED, OPPOSED, SOUND
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
@@ -31,13 +31,13 @@ def harm(drive: Iterable[Batch], *settings: str) -> dict:
     return {one.kind: one for one in found(drive, *settings) if one.harmful}
 
 
-def test_silent_on_a_sound_log(drive) -> None:
+def test_sound_log_has_no_findings(drive) -> None:
     assert found(drive) == []
 
 
 CASES = {
-    "exchanged, a gyro tells": (faults.exchanged(), (), "wheels exchanged"),
-    "mirrored, a gyro tells": (faults.mirrored(), (), "scan mirrored"),
+    "exchanged, with gyro": (faults.exchanged(), (), "wheels exchanged"),
+    "mirrored, with gyro": (faults.mirrored(), (), "scan mirrored"),
     "left reversed": (faults.reversed_wheels("left"), (), "wheel reversed"),
     "right reversed": (faults.reversed_wheels("right"), (), "wheel reversed"),
     "both reversed": (faults.reversed_wheels("left", "right"), (), "wheels reversed"),
@@ -60,7 +60,7 @@ CASES = {
 
 
 SPOILED = {
-    "exchanged, a gyro tells": (OPPOSED, 0.0, 0.0),
+    "exchanged, with gyro": (OPPOSED, 0.0, 0.0),
     "left reversed": (OPPOSED, 0.0, 0.0),
     "turned by 20 degrees": (MISALIGNED, 20.0, 1.0),
     "ranges 10 % short": (MISSCALED, 0.11, 0.02),
@@ -71,52 +71,51 @@ SPOILED = {
 
 
 @pytest.mark.parametrize("name", SPOILED)
-def test_a_fault_that_spoils_every_pose_is_said_of_the_run(drive, name) -> None:
+def test_worst_health_gives_reason_and_amount(drive, name) -> None:
     change, settings, _ = CASES[name]
-    told = standing(found(list(faults.faulty(drive, change)), *settings))
+    health = worst_health(found(list(faults.faulty(drive, change)), *settings))
     reason, amount, within = SPOILED[name]
-    assert told.reason == reason
-    assert told.amount == pytest.approx(amount, abs=within)
+    assert health.reason == reason
+    assert health.amount == pytest.approx(amount, abs=within)
 
 
 @pytest.mark.parametrize(("seconds", "reason"), [(0.12, SOUND.reason), (0.3, MISTIMED)])
-def test_a_run_that_matches_scans_copes_with_a_sweep_s_lag_and_not_with_a_queue(
+def test_scan_matching_tolerates_a_lag_of_one_sweep_but_not_of_a_queue(
     drive, seconds, reason
 ) -> None:
     wrong = list(faults.faulty(drive, faults.late(seconds)))
-    told = found(wrong, "tracker.kind=scan_to_map", "estimator.kind=graph")
-    assert [one.kind for one in told] == ["stamps late"]
-    assert standing(told).reason == reason
+    findings = found(wrong, "tracker.kind=scan_to_map", "estimator.kind=graph")
+    assert [one.kind for one in findings] == ["stamps late"]
+    assert worst_health(findings).reason == reason
 
 
-def test_nothing_is_said_of_a_sound_run(drive) -> None:
-    assert standing(found(drive)) == SOUND
+def test_sound_log_has_sound_health(drive) -> None:
+    assert worst_health(found(drive)) == SOUND
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_fault_is_found_and_mended(drive, name: str) -> None:
+def test_fault_is_found_and_its_settings_fix_it(drive, name: str) -> None:
     change, settings, kind = CASES[name]
     wrong = list(faults.faulty(drive, change))
     problems = harm(wrong, *settings)
     assert list(problems) == [kind]
     assert problems[kind].sure > 0.99 or problems[kind].advice
-    mended = harm(wrong, *settings, *problems[kind].fix)
-    assert mended == {}
+    assert harm(wrong, *settings, *problems[kind].fix) == {}
 
 
-def test_another_robots_preset_is_named(drive) -> None:
+def test_matching_preset_is_proposed(drive) -> None:
     (only,) = diagnose(load("turtlebot3-waffle", ["sensors.lidar.mount=[0.15,0,0]"]), drive, {})
     assert only.kind == "wrong preset"
     assert only.advice.endswith("-c imp")
 
 
-def test_what_a_run_copes_with_is_a_note(drive) -> None:
+def test_tolerable_error_is_not_harmful(drive) -> None:
     settings = "tracker.kind=scan_to_map", "odometry.track=0.42"
     (only,) = found(drive, *settings)
     assert (only.kind, only.harmful) == ("track", False)
 
 
-def test_a_dead_sector(drive) -> None:
+def test_dead_sector(drive) -> None:
     (only,) = found(faults.faulty(drive, faults.blocked(0.3)))
     assert (only.kind, only.harmful) == ("dead sector", False)
 
@@ -128,8 +127,7 @@ def test_mirrored_or_exchanged_without_a_gyro(drive) -> None:
     assert "odometry.exchanged=true" in problems["scan mirrored"].advice
 
 
-def test_logs_that_tell_nothing(drive) -> None:
-    """Nothing of these can be compared, and nothing is made up."""
+def test_logs_without_usable_data_have_no_harmful_findings(drive) -> None:
     scans = [{name: c for name, c in batch.items() if name == "LaserScan"} for batch in drive]
     wheels = [{name: c for name, c in batch.items() if name == "WheelAngles"} for batch in drive]
     stopped = faults.of(Stamped, lambda c: faults.with_values(c, stamp=0.0 * c["stamp"]))

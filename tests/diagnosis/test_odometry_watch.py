@@ -1,4 +1,4 @@
-"""Odometry whose lengths are wrong is noticed while the robot drives, by how much, and nothing else is."""
+"""Detection of wrong odometry lengths, with their size, while the robot drives."""
 
 import re
 from types import SimpleNamespace
@@ -16,7 +16,7 @@ from impslam.types import Increment
 RADIUS, TRACK = 0.05, 0.30
 WHEELS = {"kind": "encoders", "wheel_radius": RADIUS, "track": TRACK}
 STEP = 0.5  # s between keyframes
-ERROR = np.array([0.01, 0.01, 0.008])  # m, m, rad: what an estimate in a map is off by
+ERROR = np.array([0.01, 0.01, 0.008])  # m, m, rad: error of an estimate in a map
 ADVICE = ": run `imp calibrate` on a log of this robot"
 
 
@@ -26,11 +26,11 @@ def watch(odometry, gyro_turns=False):
     )
 
 
-def drive(seed, true=(RADIUS, RADIUS, TRACK), minutes=5.0, told=None, slip=0.0):
-    """Return poses (n, 3) of a drive, as estimated and as odometry tells.
+def drive(seed, true=(RADIUS, RADIUS, TRACK), minutes=5.0, measure=None, slip=0.0):
+    """Return poses (n, 3) of a drive, by the estimate and by odometry.
 
-    `true` are the radii of the left and the right wheel, and the track; `told` maps the true motions (n, 3)
-    to those of odometry, in place of wheels.
+    `true` are the radii of the left and the right wheel, and the track; `measure` maps the true motions
+    (n, 3) to those of odometry, in place of wheels.
     """
     rng = np.random.default_rng(seed)
     n = int(60.0 * minutes / STEP)
@@ -39,9 +39,9 @@ def drive(seed, true=(RADIUS, RADIUS, TRACK), minutes=5.0, told=None, slip=0.0):
     moved, _ = wheel_motions(left, right, true[2], 0.0)
     spun = np.where(rng.random((2, n)) < slip, 0.3, 0.0)
     turns = left / true[0] * RADIUS + spun[0], right / true[1] * RADIUS + spun[1]
-    gone = wheel_motions(*turns, TRACK, 0.0)[0] if told is None else told(moved)
-    gone = gone * (1.0 + 0.02 * rng.standard_normal((n, 1)))
-    return chained(moved) + ERROR * rng.standard_normal((n, 3)), chained(gone)
+    measured = wheel_motions(*turns, TRACK, 0.0)[0] if measure is None else measure(moved)
+    measured = measured * (1.0 + 0.02 * rng.standard_normal((n, 1)))
+    return chained(moved) + ERROR * rng.standard_normal((n, 3)), chained(measured)
 
 
 def chained(steps):
@@ -51,10 +51,10 @@ def chained(steps):
     return np.array(poses)
 
 
-def follow(watched, estimated, told, located=True):
-    """Show the poses to a watch; return what it says."""
+def follow(watched, estimated, measured, located=True):
+    """Pass the poses to a watch; return its notice."""
     still = np.zeros(3), np.zeros((3, 3))
-    for k, (pose, odometry) in enumerate(zip(estimated, told, strict=True)):
+    for k, (pose, odometry) in enumerate(zip(estimated, measured, strict=True)):
         motion = Increment(STEP * k, np.zeros(3), np.zeros((3, 3)), STEP)
         frame = Keyframe(k, STEP * k, motion, odometry, *still, None, 0, located=located)
         watched.revise(frame, Revision(np.array([k]), pose[None], np.zeros((1, 3, 3))), None)
@@ -76,7 +76,7 @@ def follow(watched, estimated, told, located=True):
         ),
     ],
 )
-def test_a_wrong_length_is_told_with_its_size(true, words, percent):
+def test_wrong_length_is_reported_with_its_size(true, words, percent):
     notice = follow(watch(WHEELS), *drive(1, true))
     assert re.match(words, notice)
     assert notice.endswith(ADVICE)
@@ -87,31 +87,31 @@ def test_a_wrong_length_is_told_with_its_size(true, words, percent):
 
 
 @pytest.mark.parametrize("slip", [0.0, 0.02])
-def test_sound_wheels_are_never_doubted(slip):
+def test_sound_wheels_give_no_notice(slip):
     """One in fifty motions may be a wheel that spins: 0.3 m in half a second."""
     for seed in range(30):
         assert follow(watch(WHEELS), *drive(seed, minutes=3.0, slip=slip)) == ""
 
 
-def test_odometry_that_follows_itself_tells_nothing():
+def test_dead_reckoning_gives_no_notice():
     """Dead reckoning in place of an estimate agrees with odometry, whatever the wheels are."""
-    _, told = drive(2, (0.9 * RADIUS, 0.9 * RADIUS, TRACK))
-    assert follow(watch(WHEELS), told, told) == ""
+    _, measured = drive(2, (0.9 * RADIUS, 0.9 * RADIUS, TRACK))
+    assert follow(watch(WHEELS), measured, measured) == ""
     assert (
         follow(watch(WHEELS), *drive(2, (0.9 * RADIUS, 0.9 * RADIUS, TRACK)), located=False) == ""
     )
 
 
-def test_wheels_that_wear_are_noticed_and_the_size_follows():
+def test_wear_is_reported_with_its_current_size():
     watched, seen = watch(WHEELS), []
-    estimated, told = (np.array([[0.0, 0.0, 0.0]]) for _ in range(2))
+    estimated, measured = (np.array([[0.0, 0.0, 0.0]]) for _ in range(2))
     for share in (1.0, 0.96):
         more = drive(3, (share * RADIUS, share * RADIUS, TRACK), minutes=15.0)
-        estimated, told = (
+        estimated, measured = (
             np.array([compose(old[-1], p) for p in new])
-            for old, new in zip((estimated, told), more, strict=True)
+            for old, new in zip((estimated, measured), more, strict=True)
         )
-        seen.append(follow(watched, estimated, told))
+        seen.append(follow(watched, estimated, measured))
     assert seen[0] == ""
     size, sigma = map(
         float, re.search(r"radius is ([\d.]+) ± ([\d.]+) % smaller", seen[1]).groups()
@@ -120,24 +120,26 @@ def test_wheels_that_wear_are_noticed_and_the_size_follows():
     assert watched.problems.examples == {"odometry off": seen[1]}
 
 
-def test_a_gyro_tells_the_turns_and_nothing_of_the_track():
-    turned_well = drive(4, told=lambda moved: moved * (1.06, 1.06, 1.0))
+def test_track_is_not_checked_if_a_gyro_measures_turns():
+    turned_well = drive(4, measure=lambda moved: moved * (1.06, 1.06, 1.0))
     notice = follow(watch(WHEELS, gyro_turns=True), *turned_well)
     assert re.match(r"the wheels' radius is [56]\.\d ± .* % smaller", notice)
     assert "track" not in notice
 
 
 def test_odometry_without_wheels_has_scales():
-    def told(moved):
+    def measure(moved):
         return moved * (0.95, 0.95, 1.08)
 
-    notice = follow(watch({"kind": "odometry_pose"}), *drive(5, told=told))
-    assert re.match(r"odometry's ways are [45]\.\d ± .* % shorter than those of the map; ", notice)
+    notice = follow(watch({"kind": "odometry_pose"}), *drive(5, measure=measure))
+    assert re.match(
+        r"odometry's distances are [45]\.\d ± .* % shorter than those of the map; ", notice
+    )
     assert re.search(r"; odometry's turns are [78]\.\d ± .* % larger", notice)
     assert notice.endswith(ADVICE)
     car = {"kind": "ackermann", "wheelbase": 2.8}
-    assert follow(watch(car), *drive(5, told=told)).endswith(
-        ": check the lengths and angles that odometry is told"
+    assert follow(watch(car), *drive(5, measure=measure)).endswith(
+        ": check the lengths and angles in the odometry settings"
     )
-    sound = drive(6, told=lambda moved: moved)
+    sound = drive(6, measure=lambda moved: moved)
     assert follow(watch({"kind": "odometry_pose"}), *sound) == ""

@@ -1,4 +1,4 @@
-"""Straight fits that outliers do not move, and what they say of their own errors."""
+"""Robust linear fits and their standard deviations."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ DRIVES = 150
 
 
 def drives(rng, turns):
-    """Return the errors over their standard deviations of turns' scale, of drives with so many turns."""
+    """Return normalised errors of the turn scale, of drives with so many turns."""
     out = []
     for _ in range(DRIVES):
         A = np.column_stack((np.full(40, 0.4), np.zeros(40)))
@@ -21,17 +21,17 @@ def drives(rng, turns):
 
 
 @pytest.mark.parametrize("turns", [1, 2, 3, 10])
-def test_a_parameter_that_few_rows_tell_of_is_not_taken_to_be_sure(rng, turns):
-    """Beyond 3.29 sigma are 0.1 % of normal errors; few rows have longer tails."""
+def test_sigma_is_not_too_small_if_few_rows_determine_a_parameter(rng, turns):
+    """3.29 sigma leave out 0.1 % of normal errors; few rows have longer tails."""
     assert np.mean(np.abs(drives(rng, turns)) > 3.29) <= 0.02
 
 
-def test_the_covariance_is_that_of_the_errors_where_rows_are_many(rng):
+def test_sigma_matches_the_errors_with_many_rows(rng):
     assert np.std(drives(rng, 20)) == pytest.approx(1.0, abs=0.15)
 
 
-def test_blocks_are_left_out_as_a_whole(rng):
-    """The parameters move as in fits that are made anew without each block."""
+def test_jackknife_leaves_out_whole_blocks(rng):
+    """The covariance is that of fits repeated without each block."""
     J, y, block = rng.standard_normal((11, 2)), rng.standard_normal(11), 3
     p = np.linalg.lstsq(J, y, rcond=None)[0]
     moved = [
@@ -42,7 +42,7 @@ def test_blocks_are_left_out_as_a_whole(rng):
     np.testing.assert_allclose(found, sum(np.outer(d, d) for d in moved), rtol=1e-6)
 
 
-def test_a_minority_of_wrong_rows_does_not_move_the_fit(rng):
+def test_fit_ignores_a_minority_of_outliers(rng):
     A = rng.standard_normal((60, 2))
     y = A @ [0.5, -2.0] + 0.01 * rng.standard_normal(60)
     y[:20] += 5.0

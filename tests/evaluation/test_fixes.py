@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from impslam.evaluation.fixes import JUMP, plausible
+from impslam.evaluation.fixes import MAX_EXCESS, plausible
 
 
 def fixes(n=50):
@@ -28,7 +28,7 @@ def test_a_shift_that_stays_may_be_true():
 def test_a_gap_in_which_the_robot_drove_is_no_jump():
     made = fixes()[[*range(20), 25, *range(30, 50)]]
     assert plausible(made, fixes()).all()
-    assert np.hypot(*np.diff(made[19:21, 1:3], axis=0)[0]) > JUMP
+    assert np.hypot(*np.diff(made[19:21, 1:3], axis=0)[0]) > MAX_EXCESS
 
 
 def test_only_distances_of_odometry_count():

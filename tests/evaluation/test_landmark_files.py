@@ -1,4 +1,4 @@
-"""True landmarks come back from their file; lists of a surveyor will do; bad ones say where."""
+"""Files of true landmarks: round trip, surveyed lists, and errors that name the landmark."""
 
 import contextlib
 
@@ -18,7 +18,7 @@ def read(tmp_path, text):
 
 
 @pytest.mark.parametrize("world", ["arena", "room"])
-def test_the_landmarks_of_a_world_come_back(tmp_path, world):
+def test_landmarks_of_a_world_are_preserved(tmp_path, world):
     known = load_world(world).landmarks()
     write_true_landmarks(tmp_path / "a.csv", known)
     back = read_true_landmarks(tmp_path / "a.csv")
@@ -32,7 +32,7 @@ def test_the_landmarks_of_a_world_come_back(tmp_path, world):
             np.testing.assert_array_equal(ours.end_points, theirs.end_points)
 
 
-def test_a_surveyors_list_will_do(tmp_path):
+def test_a_surveyed_list_is_read(tmp_path):
     points = read(tmp_path, "x,y,remark\n1,2,tree\n3,4.5,pole\n")
     assert [(t.name, t.kind, *t.position) for t in points] == [
         ("1", "point", 1.0, 2.0),
@@ -47,18 +47,18 @@ def test_a_surveyors_list_will_do(tmp_path):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("", "holds no landmark"),
-        ("x,y\n", "holds no landmark"),
+        ("", "contains no landmark"),
+        ("x,y\n", "contains no landmark"),
         ("x,y\n1,2\n1\n", "landmark 2: y is missing"),
         ("x,y\n1,up\n", "landmark 1: .*'up'"),
         ("x,y\n1,nan\n", "landmark 1: nan is not finite"),
         ("kind,x,y\nwall,1,2\n", "landmark 1: x1 is missing"),
-        ("x1,y1,x2,y2\n1,2,1,2\n", "landmark 1: its end points are one"),
+        ("x1,y1,x2,y2\n1,2,1,2\n", "landmark 1: its end points coincide"),
         ("name,x,y\na,1,2\na,2,3\n", "two landmarks are called 'a'"),
         ("1 2 3\n4 5 6\n", "landmark 1: x is missing"),
     ],
 )
-def test_bad_files_say_what_and_where(tmp_path, text, why):
+def test_errors_name_the_problem_and_the_landmark(tmp_path, text, why):
     with pytest.raises(ImpError, match=why):
         read(tmp_path, text)
 

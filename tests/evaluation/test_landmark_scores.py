@@ -1,4 +1,4 @@
-"""Landmarks are taken for the right truth, and the rest is missing, false or a double."""
+"""Assignment of landmarks to the truth: found, missing, false and double ones."""
 
 import math
 from dataclasses import dataclass, field
@@ -9,8 +9,8 @@ import pytest
 from impslam.evaluation.landmarks import (
     corners,
     landmark_errors,
-    moved,
     score_landmarks,
+    transform_landmarks,
     true_wall,
 )
 from impslam.geometry.se2 import inverse, transform
@@ -71,7 +71,7 @@ def test_missing_false_and_doubles():
     assert score.false == (3,)
 
 
-def test_kinds_that_the_truth_says_nothing_of_are_not_judged():
+def test_kinds_without_truth_are_ignored():
     corner = Landmark(9, "corner", np.zeros(2), {}, np.eye(2), None, 5, 0.0, 1.0)
     score = score_landmarks([corner, cylinder(1, 0, 0)], [true_cylinder("a", 0, 0)])
     assert score.false == ()
@@ -153,21 +153,21 @@ def test_the_wall_between_two_points_is_that_of_the_formulas():
 MOTION = np.array([3.0, -2.0, 2.5])
 
 
-def test_moved_landmarks_stand_in_the_other_frame():
+def test_transform_landmarks():
     post = TrueLandmark("a", "cylinder", np.array([1.0, 2.0]), {"x": 1.0, "y": 2.0, "radius": 0.1})
     side = true_wall("w", np.array([[0.0, 1.0], [2.0, 3.0]]))
-    post_, side_ = moved(MOTION, [post, side])
+    post_, side_ = transform_landmarks(MOTION, [post, side])
     there = transform(MOTION, np.array([[1.0, 2.0], [0.0, 1.0], [2.0, 3.0]]))
     np.testing.assert_allclose(post_.position, there[0])
     assert post_.parameters == pytest.approx({"x": there[0, 0], "y": there[0, 1], "radius": 0.1})
     np.testing.assert_allclose(side_.end_points, there[1:])
     np.testing.assert_allclose(side_.position, line(*there[1:])[0])
-    back = moved(inverse(MOTION), [post_, side_])
+    back = transform_landmarks(inverse(MOTION), [post_, side_])
     np.testing.assert_allclose(back[0].position, post.position, atol=1e-12)
     assert back[1].parameters == pytest.approx(dict(side.parameters))
 
 
-def test_errors_are_of_what_the_covariance_is_of():
+def test_errors_match_the_parameters_of_the_covariance():
     np.testing.assert_allclose(
         landmark_errors(cylinder(1, 1.1, 1.8), true_cylinder("a", 1, 2)), [0.1, -0.2]
     )

@@ -1,4 +1,4 @@
-"""Map quality without truth: what it must see, and what must not change it."""
+"""Map quality without truth: its sensitivities and its invariances."""
 
 import math
 from dataclasses import replace
@@ -75,7 +75,7 @@ def test_it_grows_with_the_error_between_two_passes(ring):
     assert np.ptp([f.within for f in found]) < 0.2 * NOISE  # each lap is as it was
 
 
-def test_a_wall_that_stands_twice_is_told(ring):
+def test_a_doubled_wall_is_detected(ring):
     found = quality(made(off(ring, (0.25, 0.25, 0.0))))
     assert found.doubled > 0.1
     assert found.contradicted >= found.doubled
@@ -83,7 +83,7 @@ def test_a_wall_that_stands_twice_is_told(ring):
     assert 0.2 < found.between < 0.3
 
 
-def test_errors_within_a_pass_are_told_where_no_place_is_seen_twice():
+def test_errors_within_a_pass_are_measured_without_revisits():
     truth = way(*LAP[:2])
     rng = np.random.default_rng(1)
     shaken = truth + rng.normal(size=truth.shape) * [0.05, 0.05, 0.01]
@@ -113,7 +113,7 @@ def test_how_densely_it_was_driven_and_seen_does_not_matter(ring):
         assert other.thickness == pytest.approx(whole.thickness, rel=0.15)
 
 
-def test_where_the_map_lies_does_not_matter(ring):
+def test_the_frame_of_the_map_does_not_matter(ring):
     moved = replace(ring, poses=compose(np.array([5.2, -3.7, 2.0]), ring.poses))
     assert quality(made(moved)).disagreement == pytest.approx(
         quality(made(ring)).disagreement, rel=0.05
@@ -121,7 +121,7 @@ def test_where_the_map_lies_does_not_matter(ring):
 
 
 @pytest.mark.parametrize("k", [0, 1])
-def test_a_map_that_tells_nothing_has_no_quality(k):
+def test_a_map_without_overlaps_has_no_quality(k):
     found = quality(made(keyframes(RING, TWICE[:k])))
     assert math.isnan(found.disagreement)
     assert math.isnan(found.revisited)

@@ -47,7 +47,7 @@ def test_relations_without_poses_are_counted(rng):
     relations = relations_of(path(), rng)
     relations[:7, 1] += 1e4
     assert relation_errors(path(), relations).missing == 7
-    with pytest.raises(ImpError, match="no relation lies"):
+    with pytest.raises(ImpError, match="no relation is within"):
         relation_errors(path(), relations + np.array([1e5, 0, 0, 0, 0]))
 
 
@@ -56,7 +56,7 @@ def test_bad_files_are_one_line(tmp_path):
     with pytest.raises(ImpError, match=r"line 1: expected stamp1 stamp2"):
         read_relations(tmp_path / "a.relations")
     (tmp_path / "a.relations").write_text("")
-    with pytest.raises(ImpError, match="holds no relation"):
+    with pytest.raises(ImpError, match="contains no relation"):
         read_relations(tmp_path / "a.relations")
 
 

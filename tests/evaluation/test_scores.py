@@ -5,7 +5,7 @@ import pytest
 
 from impslam.errors import ImpError
 from impslam.evaluation.comparison_plot import COLOURS, draw_comparison
-from impslam.evaluation.landmarks import moved, true_wall
+from impslam.evaluation.landmarks import transform_landmarks, true_wall
 from impslam.evaluation.relations import relation_errors
 from impslam.evaluation.run_files import RecordedRun, read_run
 from impslam.evaluation.scores import score_kinds, score_path
@@ -76,7 +76,7 @@ def test_where_headings_are_lost_two_degrees_of_freedom_remain(rng):
     assert sure.within == pytest.approx(0.95, abs=0.02)
 
 
-def test_positions_alone_tell_no_start_but_a_truth_in_map_needs_none(rng):
+def test_positions_give_no_start_but_a_truth_in_map_needs_none(rng):
     run, truth = noisy(rng)
     score = score_path(run, positions(in_frame(truth)), "fit", 1.0)
     assert score.consistency is None
@@ -119,7 +119,7 @@ def true_point(name, x, y):
     return TrueLandmark(name, "cylinder", np.array([x, y], float), {"radius": 0.1})
 
 
-def test_landmarks_are_compared_in_the_frame_that_the_path_tells():
+def test_landmarks_are_compared_in_the_frame_of_the_path():
     known = [true_point("a", 1, 2), true_point("b", 3, -1), true_point("gone", 9, 9)]
     north = np.array([[0.0, 4.0], [5.0, 4.0]])
     wall = true_wall("north", north)
@@ -128,7 +128,7 @@ def test_landmarks_are_compared_in_the_frame_that_the_path_tells():
     )
     found = [point(1, 1.1, 2), point(2, 3, -1), point(3, 1.2, 2), point(4, -5, -5), map_wall]
     path = score_path(RecordedRun(way()), in_frame(way()), "fit", 1.0)
-    cylinders, walls = score_kinds(found, moved(FRAME, [*known, wall]), path)
+    cylinders, walls = score_kinds(found, transform_landmarks(FRAME, [*known, wall]), path)
     assert (cylinders.true, cylinders.missing, cylinders.false, cylinders.doubles) == (3, 1, 1, 1)
     assert cylinders.distance.max == pytest.approx(0.1)
     assert cylinders.distance.rmse == pytest.approx(0.1 / 2**0.5)
@@ -236,7 +236,7 @@ def test_a_robot_that_stood_still_without_any_error_can_be_drawn(tmp_path):
     picture({}, {"a": rows}, errors).savefig(tmp_path / "b.png")
 
 
-def test_the_frame_in_which_a_run_is_scored_is_told():
+def test_the_alignment_of_a_run_is_returned():
     path = score_path(RecordedRun(way()), in_frame(way()), "fit", 1.0)
     np.testing.assert_allclose(path.T_truth_map, FRAME, atol=1e-6)
     np.testing.assert_allclose(path.T_truth_start, FRAME, atol=1e-9)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.observers import runs
 
-from impslam.evaluation.landmarks import moved
+from impslam.evaluation.landmarks import transform_landmarks
 from impslam.evaluation.quality import Quality
 from impslam.observers.base import Dropped
 from impslam.observers.history import History
@@ -178,7 +178,7 @@ def test_a_truth_of_positions_is_laid_where_it_fits_and_tells_no_nees(tmp_path):
 
 def test_true_landmarks_are_told_in_the_frame_of_the_truth(tmp_path):
     frame = np.array([40.0, -7.0, 2.0])
-    known = moved(frame, true_landmarks())
+    known = transform_landmarks(frame, true_landmarks())
     text = write(tmp_path, truth=runs.make_truth(frame=frame), true_landmarks=known)
     assert "2 of 3 found, 0 false, 0 double" in text
 

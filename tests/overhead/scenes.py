@@ -1,4 +1,4 @@
-"""A camera five metres up, what it was calibrated with, and markers that it sees: without pictures."""
+"""A camera five metres up, with simulated calibration data and markers, without pictures."""
 
 import cv2
 import numpy as np

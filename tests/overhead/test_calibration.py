@@ -8,7 +8,7 @@ from impslam.overhead.calibration import View, calibrate
 from impslam.overhead.camera import linearised, project
 
 
-def test_a_point_of_a_plane_is_seen_where_its_pixel_leads_to() -> None:
+def test_projection_and_on_plane_are_inverse() -> None:
     camera, rng = true_camera(), np.random.default_rng(0)
     pixels = rng.uniform((0, 0), SIZE_PX, (200, 2))
     for height in (0.0, 0.2, 1.5):
@@ -31,7 +31,7 @@ def test_without_noise_the_camera_is_found_exactly() -> None:
         np.testing.assert_allclose(laid, true_camera().on_plane(pixels, height), atol=2e-4)
 
 
-def test_points_alone_leave_the_lens_open_and_the_covariance_tells() -> None:
+def test_covariance_includes_the_lens_if_only_points_are_given() -> None:
     rng = np.random.default_rng(2)
     with_board, without = calibrated(rng), calibrated(rng, boards=0)
     assert np.isnan(without.board_rms)
@@ -40,7 +40,7 @@ def test_points_alone_leave_the_lens_open_and_the_covariance_tells() -> None:
     assert abs(error) < 3 * np.sqrt(without.camera.covariance[6, 6])
 
 
-def test_points_on_a_line_or_too_few_are_refused() -> None:
+def test_points_on_a_line_or_too_few_are_rejected() -> None:
     line = np.column_stack([np.arange(5.0), np.zeros(5), np.zeros(5)])
     seen = true_camera().project(line)
     for number, told in ((3, "at least 4"), (5, "spread them out")):

@@ -33,13 +33,13 @@ def test_without_noise_poses_are_exact_at_every_heading() -> None:
     np.testing.assert_allclose(pose_errors(found.poses, true), 0.0, atol=1e-9)
 
 
-def test_a_marker_is_not_on_the_floor() -> None:
+def test_the_height_of_the_marker_matters() -> None:
     true = poses(100, np.random.default_rng(0))
     wrong = find_poses(true_camera(), seen(true_camera(), true), CORNERS, 0.0, 0.0)
     assert np.hypot(*(wrong.poses - true)[:, :2].T).max() > 0.05
 
 
-def test_noise_of_corners_gives_the_covariance_that_is_told() -> None:
+def test_covariance_is_consistent_with_noise_of_corners() -> None:
     rng, camera = np.random.default_rng(1), true_camera()
     true = poses(2000, rng)
     pixels = seen(camera, true)
@@ -66,7 +66,7 @@ def test_errors_of_calibration_and_height_are_in_the_covariance() -> None:
     assert low < np.mean(values) < high
 
 
-def test_corners_of_something_else_are_told() -> None:
+def test_corners_that_fit_no_marker_are_not_good() -> None:
     rng = np.random.default_rng(2)
     pixels = seen(true_camera(), poses(50, rng))
     pixels += NOISE * rng.standard_normal(pixels.shape)

@@ -1,4 +1,4 @@
-"""The whole way: a simulated robot is filmed from 5 m with distortion, blur and noise, and tracked."""
+"""End to end: a simulated robot is filmed from 5 m with distortion, blur and noise, and tracked."""
 
 import cv2
 import numpy as np
@@ -25,7 +25,7 @@ def ignore(*_: object) -> None:
 
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory):
-    """Return the video, and the true way."""
+    """Return the video, and the true path."""
     world, video = load_world("room"), tmp_path_factory.mktemp("film") / "film.mp4"
     way = drive(world.robot)
     write_film(video, DEVICE, Scene(world), way, START, SEED, ignore)
@@ -45,14 +45,14 @@ def test_poses_within_5_mm_and_half_a_degree(filmed, tracked) -> None:
     assert 0.05 < nees(errors, tracked.found.covariances).mean() < 16.3
 
 
-def test_ten_hidden_pictures_are_told_and_not_invented(tracked) -> None:
+def test_ten_hidden_pictures_are_reported_without_poses(tracked) -> None:
     np.testing.assert_allclose(tracked.hidden, START + np.arange(3.0, 4.9, 0.2), atol=1e-3)
     assert len(tracked.hidden) == 10
     assert not np.isin(tracked.stamps, tracked.hidden).any()
     assert len(tracked.unfit) == 0
 
 
-def test_cylinders_are_measured(tracked) -> None:
+def test_cylinders_are_located(tracked) -> None:
     true = sorted(part.centre for part in load_world("room").cylinders)
     assert len(tracked.cylinders) == len(true)
     for cylinder, centre in zip(tracked.cylinders, true, strict=True):
@@ -61,7 +61,7 @@ def test_cylinders_are_measured(tracked) -> None:
         assert np.hypot(*error) < 0.005
 
 
-def test_what_cannot_be_used_is_told(filmed, tmp_path) -> None:
+def test_errors_for_unusable_videos_and_setups(filmed, tmp_path) -> None:
     video = filmed[0]
     setup = load_setup(video.with_suffix(".toml"))
     text, empty, single = (tmp_path / name for name in ("no.mp4", "empty", "single"))
@@ -73,7 +73,7 @@ def test_what_cannot_be_used_is_told(filmed, tmp_path) -> None:
     points = (*setup.floor.points[:3], setup.floor.points[3].model_copy(update={"marker": 99}))
     for path, changed, told in (
         (tmp_path / "absent.mp4", {}, "no such video"),
-        (text, {}, "is no video that can be read"),
+        (text, {}, "is not a readable video"),
         (
             video,
             {"board": setup.board.model_copy(update={"views": str(single)})},
@@ -82,12 +82,12 @@ def test_what_cannot_be_used_is_told(filmed, tmp_path) -> None:
         (
             video,
             {"board": setup.board.model_copy(update={"views": str(empty)})},
-            "holds no picture",
+            "contains no picture",
         ),
         (
             video,
             {**bare, "floor": setup.floor.model_copy(update={"points": points})},
-            "3 of 4 are seen",
+            "3 of 4 are found",
         ),
         (
             video,
@@ -99,7 +99,7 @@ def test_what_cannot_be_used_is_told(filmed, tmp_path) -> None:
             track(path, setup.model_copy(update=changed), video.parent, ignore)
 
 
-def test_the_simulated_camera_refuses_what_it_cannot_see(tmp_path) -> None:
+def test_the_simulated_camera_rejects_points_outside_its_view(tmp_path) -> None:
     world = load_world("room")
     for changed, told in (
         ({"focal": 5000.0}, "whole way"),

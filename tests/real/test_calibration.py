@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from benchmarks.calibration import of_tuples, reference
 
-from impslam.calibration.calibrate import calibrate, drives_of
+from impslam.calibration.calibrate import calibrate, extract_drives
 from impslam.calibration.recording import record
 from impslam.open_log import open_log
 
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.real
 def found(log, preset, settings=()):
     """Return the parameters that a log tells, by name."""
     config, source = open_log(log, preset, settings)
-    drives = drives_of(config, record(config, source), str(log))
+    drives = extract_drives(config, record(config, source), str(log))
     return {one.name: one for one in calibrate(config, drives).parameters}
 
 

@@ -1,4 +1,4 @@
-"""What real logs show to be wrong: nothing that harms a run, and what is known of each."""
+"""Diagnosis of real logs: sound ones have no harmful findings, and a wrong preset is found."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from impslam.open_log import open_log
 pytestmark = [pytest.mark.real]
 
 
-def looked_at(folder, log, preset=None):
+def findings(folder, log, preset=None):
     config, source = open_log(folder / log, preset)
     with source:
         return first_look(config, source)
@@ -19,12 +19,12 @@ def looked_at(folder, log, preset=None):
     ["turtlebot3/turtlebot3.bag", "lego-robot4", "urg04lx-encoders/exp1.dat", "intel/intel.log",
      "fr079/fr079.log", "fr101/fr101.recovered.log", "carpark", "mrclam6"],
 )  # fmt: skip
-def test_silent_on_sound_logs(data_folder, log):
-    assert looked_at(data_folder, log) == []
+def test_sound_logs_have_no_findings(data_folder, log):
+    assert findings(data_folder, log) == []
 
 
 @pytest.mark.parametrize("preset", ["imp", "mines-rover", "lego-robot4"])
 def test_another_robots_preset(data_folder, preset):
-    (only,) = looked_at(data_folder, "turtlebot3/turtlebot3.bag", preset)
+    (only,) = findings(data_folder, "turtlebot3/turtlebot3.bag", preset)
     assert only.kind == "wrong preset"
     assert only.advice.endswith("-c turtlebot3-waffle")

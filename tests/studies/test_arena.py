@@ -55,7 +55,7 @@ def test_the_printed_errors_are_squares_of_the_printed_positions(name):
     assert math.dist(DETECTED[name][END], END_POSITION) ** 2 == pytest.approx(ENDS[name], abs=1e-5)
 
 
-def test_what_is_said_of_the_print():
+def test_errors_of_the_printed_positions():
     first, second = (DETECTED["points"][f"cylinder {i}"] for i in (1, 2))
     assert math.dist(first, second) == pytest.approx(1.97, abs=0.005)
     true = [TRUE[f"cylinder {i}"].position for i in (1, 2, 3)]
@@ -177,7 +177,7 @@ def test_landmarks_that_the_experiment_is_not_about_may_be_missing():
     assert summary([row(0, without=NAMED[:4])], POINTS.names)["seeds_missing"] == []
 
 
-def test_an_overconfident_estimate_is_found_out():
+def test_an_overconfident_estimate_is_detected():
     result = summary([row(0, end=3.0)], NAMED)
     assert result["pose_nees_within_95"] == 0.0
     assert result["pose_nees"] == pytest.approx(9.0)
@@ -208,7 +208,7 @@ def test_the_picture_is_the_same_bytes_each_time():
 # ------------------------------------------------------------------------------- the runs
 
 
-def test_seeds_are_chosen_by_dead_reckoning_alone():
+def test_seeds_are_selected_by_dead_reckoning():
     chosen = drifting_seeds(Job(), 2)
     drifts = {seed: dead_reckoning_error(seed) for seed in range(chosen[-1] + 1)}
     assert chosen == [seed for seed, drift in drifts.items() if drift >= MIN_DRIFT]

@@ -1,4 +1,4 @@
-"""The figures of Chapter IV show what they say: jumps where the range jumps, spurious what is not there."""
+"""Figures of Chapter IV: jumps, true and spurious detections, and the selection of scans."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from impslam.studies.chapter4_plot import (
 )
 from impslam.studies.chapter4_scans import (
     ARENA,
+    MAX_DISTANCE,
+    MAX_TURN,
     PEOPLE,
-    SAME,
-    SAME_ANGLE,
     Detections,
     Snapshot,
     ThesisExtractors,
@@ -38,9 +38,9 @@ from impslam.studies.chapter4_scans import (
     long_ones,
     on_people,
     rates,
+    select_walls,
     snapshots,
     true_thing,
-    walls_among,
     world_of,
 )
 from impslam.studies.report import Section
@@ -94,7 +94,7 @@ def cylinder(x: float, y: float, pose: Array = POSE) -> Observation:
 
 
 def one_cylinder() -> tuple[Snapshot, int, int]:
-    """Return a scan of a cylinder in a room, and the first_or_nearest and last beam on it."""
+    """Return a scan of a cylinder in a room, and the first and the last beam on it."""
     seen = cast(room(-2.0, 3.0, -2.0, 2.0), np.array([[1.2, 0.5, 0.1524]]))
     on = seen.beams_on_circle(0)
     snapshot = replace(snapshot_of(), scan=seen.scan, pose=np.zeros(3))
@@ -158,7 +158,7 @@ def test_a_finding_is_judged_by_the_truth(finding: Observation, there: bool) -> 
 
 def test_a_line_across_an_open_door_is_of_the_wall_beside_it() -> None:
     wall_with_gap = np.array([[0.0, 0.0, 3.0, 0.0], [3.9, 0.0, 6.0, 0.0], [0.0, 2.0, 0.3, 2.0]])
-    snapshot = replace(snapshot_of(np.zeros(3)), surfaces=walls_among(wall_with_gap))
+    snapshot = replace(snapshot_of(np.zeros(3)), surfaces=select_walls(wall_with_gap))
     longer = np.array([[-0.45, 0.0, 3.45, 0.0], [3.45, 0.0, 6.45, 0.0]])
     assert snapshot.surfaces == pytest.approx(longer)
     across = wall((2.0, 0.1), (4.8, 0.1), np.zeros(3))
@@ -188,10 +188,10 @@ def to_nearest_wall(snapshot: Snapshot, finding: Observation) -> float:
     ends = transform(snapshot.pose, finding.end_points)
     dx, dy = np.abs(ends[1] - ends[0])
     apart = [math.inf]
-    if math.atan2(dx, dy) <= SAME_ANGLE:
+    if math.atan2(dx, dy) <= MAX_TURN:
         outside = max(BOTTOM - y, y - TOP, 0.0)
         apart += [math.hypot(x - LEFT, outside), math.hypot(x - RIGHT, outside)]
-    if math.atan2(dy, dx) <= SAME_ANGLE:
+    if math.atan2(dy, dx) <= MAX_TURN:
         outside = max(LEFT - x, x - RIGHT, 0.0)
         apart += [math.hypot(y - BOTTOM, outside), math.hypot(y - TOP, outside)]
     return min(apart)
@@ -207,8 +207,8 @@ def test_spurious_walls_are_away_from_every_wall(
     true = [to_nearest_wall(s.snapshot, o) for s in seen for o in s.true]
     assert len(spurious) > 10
     assert len(true) > 100
-    assert min(spurious) > SAME
-    assert max(true) <= SAME
+    assert min(spurious) > MAX_DISTANCE
+    assert max(true) <= MAX_DISTANCE
 
 
 def test_spurious_cylinders_are_away_from_every_axis(thesis: ThesisExtractors) -> None:
@@ -220,8 +220,8 @@ def test_spurious_cylinders_are_away_from_every_axis(thesis: ThesisExtractors) -
                 centre = compose(s.snapshot.pose, np.array([*finding.z, 0.0]))[:2]
                 apart.append(np.hypot(*(CYLINDERS - centre).T).min())
     assert len(parted["spurious"]) > 10
-    assert min(parted["spurious"]) > SAME
-    assert max(parted["true"]) <= SAME
+    assert min(parted["spurious"]) > MAX_DISTANCE
+    assert max(parted["true"]) <= MAX_DISTANCE
     # In an arena with nothing but cylinders and people, most of them are on legs.
     assert sum(map(on_people, seen)) > 0.5 * len(parted["spurious"])
 
@@ -256,7 +256,7 @@ def test_readings_on_legs_are_those_that_met_them() -> None:
     assert snapshot_of().is_clear
 
 
-def test_where_no_scan_obeys_the_rule_the_nearest_is_given() -> None:
+def test_without_a_scan_that_satisfies_the_rule_the_nearest_is_returned() -> None:
     def most(detections: Detections) -> int:
         return len(detections.spurious)
 
@@ -309,7 +309,7 @@ def test_a_peak_is_the_line_of_its_wall_in_the_image(
     assert -1e-6 < theta < math.pi
 
 
-def test_walls_found_stand_on_cells_above_the_threshold(
+def test_detected_walls_are_cells_above_the_threshold(
     arena: list[Snapshot], thesis: ThesisExtractors
 ) -> None:
     for snapshot in arena[::10]:
@@ -395,7 +395,7 @@ def test_hough_gives_fewer_spurious_walls_and_fewer_true_ones(part: Section, wor
         assert run["hough"][what] < run["ransac"][what]
 
 
-def test_the_same_again_whatever_the_job(part: Section) -> None:
+def test_the_result_does_not_depend_on_the_job(part: Section) -> None:
     steps: list[tuple[int, int]] = []
     again = figures(
         Job(seeds=3, processes=2, progress=lambda _, done, total: steps.append((done, total)))

@@ -1,4 +1,4 @@
-"""The corridor: what counts as a wall, a person, a false landmark; and that one seed goes through."""
+"""The corridor: classification of walls, people and false landmarks, and a run of one seed."""
 
 import json
 import math
@@ -17,9 +17,9 @@ from impslam.studies.corridor import map_table, numbers, path_table
 from impslam.studies.corridor_metrics import (
     DEFAULT,
     HOUGH,
+    MAX_DRIFT,
     READINGS,
     VARIANTS,
-    WITHIN,
     corridor_metrics,
     distance_held,
 )
@@ -112,7 +112,7 @@ def point(sweep_, kind, place, beams):
 # ------------------------------------------------------------------------------- observations
 
 
-def test_beams_meet_what_is_there(truth, sweep_):
+def test_beams_hit_the_true_things(truth, sweep_):
     assert {truth.scene.things[i].kind for i in sweep_.hits if i >= 0} == {
         *("wall", "door", "doorway", "cylinder", "person")
     }
@@ -150,7 +150,7 @@ def test_a_line_across_the_passage_is_none(sweep_, beams_on, south):
     assert judge(sweep_, wall(sweep_, (0.0, -1.5), (0.5, 1.5), beams)).false
 
 
-def test_whoever_is_taken_for_something_is_a_person(sweep_, beams_on):
+def test_observations_of_people_are_people(sweep_, beams_on):
     legs = beams_on("person")
     for kind in ("cylinder", "corner"):
         seen = judge(sweep_, point(sweep_, kind, (2.5, -0.5), legs))
@@ -158,7 +158,7 @@ def test_whoever_is_taken_for_something_is_a_person(sweep_, beams_on):
     assert judge(sweep_, wall(sweep_, (2.44, -0.7), (2.44, -0.3), legs)).person
 
 
-def test_what_lies_where_someone_is_is_the_person_though_beams_say_else(sweep_, beams_on):
+def test_observations_at_a_person_are_the_person_whatever_beams_hit(sweep_, beams_on):
     beams = beams_on("wall")
     assert judge(sweep_, point(sweep_, "corner", (2.5, -0.2), beams)).person
     assert not judge(sweep_, point(sweep_, "corner", (2.5, 0.0), beams)).person
@@ -240,7 +240,7 @@ def row(seed, off, variant=DEFAULT, people=0):
         "variant": variant,
         "error": "",
         **path_metrics(run),
-        "holds": distance_held(run, WITHIN * 100.0),
+        "holds": distance_held(run, MAX_DRIFT * 100.0),
         **dict.fromkeys(("landmarks_ever", "people_ever", "touched_by_people"), people),
         "false_at_birth": people,
         "false_at_the_end": (),
@@ -305,7 +305,7 @@ def test_promotions_are_those_of_the_map(runs):
     assert stamps == sorted(stamps)
 
 
-def test_ransac_sees_more_that_is_not_there_than_the_others(runs):
+def test_ransac_finds_more_spurious_walls_than_the_others(runs):
     counts = count_walls(runs[DEFAULT].messages, 3, every=2)
     assert len({count["scans"] for count in counts.values()}) == 1
     rates = {name: count["spurious"] / count["scans"] for name, count in counts.items()}
@@ -322,7 +322,7 @@ def test_the_picture_is_the_same_bytes_each_time(runs):
     assert png != draw_maps(some, CORRIDOR)
 
 
-def test_every_seed_is_driven_once_few_by_every_variant_and_fewer_are_read_otherwise(monkeypatch):
+def test_seeds_are_limited_for_variants_and_interpretations(monkeypatch):
     asked = []
 
     def fake(variants, seeds, worlds, measure, job, stage):
@@ -331,7 +331,7 @@ def test_every_seed_is_driven_once_few_by_every_variant_and_fewer_are_read_other
 
     monkeypatch.setattr(corridor, "sweep", fake)
     monkeypatch.setattr(corridor, "_pictures", lambda seed: [])
-    seeds, every = corridor.EVERY_VARIANT + 4, corridor.EVERY_VARIANT
+    seeds, every = corridor.THESIS_SEEDS + 4, corridor.THESIS_SEEDS
     part = corridor.corridor(Job(seeds))
     assert asked == [
         (len(VARIANTS), list(range(every))),
@@ -346,13 +346,15 @@ def test_every_seed_is_driven_once_few_by_every_variant_and_fewer_are_read_other
 
 
 @pytest.mark.slow
-def test_the_thesis_comes_back_where_walls_are_matched_as_seen_from_the_robot():
+def test_the_thesis_succeeds_with_walls_matched_in_the_robot_frame():
     rows = sweep(VARIANTS, [0], [corridor_world()], corridor_metrics)
     default, hough, from_robot, likelihood, ransac = (
         next(row for row in rows if row["variant"] == variant.name) for variant in VARIANTS
     )
     assert default["odometry_end"] > 3.0
-    assert max(default["end"], from_robot["end"], likelihood["end"]) < WITHIN * default["travelled"]
+    assert (
+        max(default["end"], from_robot["end"], likelihood["end"]) < MAX_DRIFT * default["travelled"]
+    )
     assert (default["people_ever"], default["false_at_birth"], default["missing"]) == (0, 0, ())
     assert 20.0 < hough["holds"] < 60.0
     assert ransac["holds"] < 20.0

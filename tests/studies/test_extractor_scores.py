@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from impslam.studies.extractor_scores import (
-    OFF,
-    TURNED,
+    MAX_DISTANCE,
+    MAX_TURN,
     Counts,
     Detection,
     known_association,
@@ -73,8 +73,8 @@ def test_nothing_seen_nothing_found():
 @pytest.mark.parametrize(
     "observed",
     [
-        wall(2.0 + 1.5 * OFF, 0.0, range(50)),  # too far off
-        wall(2.0, 1.2 * TURNED, range(50)),  # turned too far
+        wall(2.0 + 1.5 * MAX_DISTANCE, 0.0, range(50)),  # too far off
+        wall(2.0, 1.2 * MAX_TURN, range(50)),  # turned too far
         wall(2.0, 0.0, range(25, 85)),  # most of its beams are of something else
         wall(2.0, 0.0, range(50, 60)),  # all of them are
         wall(2.0, math.pi, range(50)),  # the wall's other side

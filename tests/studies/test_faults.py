@@ -1,4 +1,4 @@
-"""The fault campaign: faults do to a drive what their names say, and runs are judged by what they said."""
+"""Fault injection: effects of the faults on a drive, and verdicts of runs."""
 
 from dataclasses import replace
 
@@ -8,8 +8,8 @@ import pytest
 from impslam.geometry.se2 import between
 from impslam.studies import faults as study
 from impslam.studies.drives import numbered, simulated, with_values
-from impslam.studies.fault_kinds import FAULTS, FROZEN, TRACK, stuck, told
-from impslam.studies.fault_scores import VERDICTS, _verdict, limit_of, mapped, score
+from impslam.studies.fault_kinds import FAULTS, FROZEN, TRACK, stuck, with_wheels
+from impslam.studies.fault_scores import VERDICTS, _verdict, limit_of, map_drive, score
 from impslam.studies.faults import fault_table, faults
 from impslam.sweeps.job import Job
 from impslam.types import OdometryPose
@@ -25,7 +25,7 @@ def faulty(drive, name, seed=1):
 
 
 def way(drive):
-    """Metres that odometry tells of."""
+    """Return the distance by odometry, m."""
     wheels = np.column_stack((drive.odometry["left"], drive.odometry["right"]))
     return 0.0635 * np.abs(np.diff(wheels, axis=0)).mean(axis=1).sum()
 
@@ -49,14 +49,14 @@ def test_every_fault_gives_a_drive_and_leaves_the_clean_one_alone(drive, name):
     assert same == (name == "none")
 
 
-def test_frozen_wheels_tell_less_and_slipping_ones_more(drive):
+def test_frozen_wheels_measure_less_and_slipping_ones_more(drive):
     clean = way(drive)
     assert way(faulty(drive, "odometry frozen for 10 s")) < clean - 1.0
     assert way(faulty(drive, "slip of 0.5 m")) == pytest.approx(clean + 0.5, abs=0.01)
     assert way(faulty(drive, "wheels swapped")) == pytest.approx(clean)
 
 
-def test_a_robot_against_a_wall_stands_while_its_wheels_turn(drive):
+def test_a_robot_against_a_wall_is_stationary_while_its_wheels_turn(drive):
     found = stuck(drive, np.random.default_rng(1))
     extra = drive.rows(FROZEN)
     assert len(found.scans) == len(drive.scans) + extra
@@ -88,8 +88,8 @@ def test_odometry_poses_have_wheels_too(drive):
     )
     columns = replace(columns, order=np.arange(3))
     whole = drive._replace(odometry=columns)
-    np.testing.assert_allclose(told(whole, lambda w: w).odometry["pose"], poses, atol=1e-12)
-    turned = told(whole, lambda w: w * np.array([0.0, 1.0])).odometry["pose"]
+    np.testing.assert_allclose(with_wheels(whole, lambda w: w).odometry["pose"], poses, atol=1e-12)
+    turned = with_wheels(whole, lambda w: w * np.array([0.0, 1.0])).odometry["pose"]
     np.testing.assert_allclose(between(turned[0], turned[1])[2], 1.0 / TRACK, atol=1e-9)
 
 
@@ -103,7 +103,7 @@ def test_verdicts():
 
 
 def test_a_run_is_scored_against_the_truth(drive):
-    clean = mapped(drive)
+    clean = map_drive(drive)
     limit = limit_of(clean, drive)
     assert 0.0 < limit <= 0.5
     assert score(drive, limit, clean.notes, exact=True)["verdict"] == "harmless"

@@ -29,7 +29,7 @@ def test_the_path_closes_and_the_ring_surrounds_it():
     )
 
 
-def test_the_noise_is_as_said(rng):
+def test_the_noise_matches_the_setting(rng):
     setting = Setting(steps=4000)
     trial, places = simulate(setting, rng), setting.ring()
     odometry = trial.odometry - [0.25, 0.0, 0.075]
@@ -74,7 +74,7 @@ def test_the_batch_optimum_is_what_dense_least_squares_finds(rng):
     np.testing.assert_allclose(best.covariance, covariance, rtol=1e-3, atol=1e-8)
 
 
-def test_all_but_without_noise_optimum_and_filters_are_the_truth(rng):
+def test_with_little_noise_optimum_and_filters_match_the_truth(rng):
     trial = simulate(NOISELESS, rng)
     for best in optima(NOISELESS, trial, [30, 89]):
         assert np.abs(wrapped(best.pose - trial.truth[best.step], 2)).max() < 5e-5
@@ -86,7 +86,7 @@ def test_all_but_without_noise_optimum_and_filters_are_the_truth(rng):
         assert max(np.abs(p - places[which[i]]).max() for i, p in found.items()) < 5e-5
 
 
-def test_the_interval_holds_the_figure_and_narrows_with_runs():
+def test_the_interval_contains_the_value_and_narrows_with_runs():
     few, many = (
         consistency_study(["riekf"], runs=n, setting=Setting(steps=42)).rows[0] for n in (10, 90)
     )
@@ -131,7 +131,7 @@ def test_on_a_long_loop_the_textbook_filter_loses_accuracy_too():
     assert riekf.position_ratio < 1.03
 
 
-def test_a_filter_that_does_not_exist_is_named_before_anything_runs():
+def test_an_unknown_filter_is_rejected_before_anything_runs():
     with pytest.raises(ConfigError, match="did you mean 'riekf'"):
         consistency_study(["riekff"], runs=10**6)
 
@@ -144,7 +144,7 @@ def test_parameters_of_a_filter_show_in_its_name():
 
 
 @pytest.mark.slow
-def test_the_textbook_filter_is_too_sure_and_the_others_are_not():
+def test_only_the_textbook_filter_is_overconfident():
     """30 runs of the full setting; the bounds leave room for what 30 runs scatter (2026-11)."""
     study = consistency_study(runs=30, seed=1)
     rows = {row.name: row for row in study.rows}

@@ -1,4 +1,4 @@
-"""The table of all filters: everything is in it, and its cells are the figures."""
+"""The table of all filters: completeness, and values of its cells."""
 
 import math
 from dataclasses import replace
@@ -12,7 +12,7 @@ from impslam.studies import filter_table
 from impslam.studies.circle_simulation import HUANG, simulate
 from impslam.studies.filter_consistency import BATCH
 from impslam.studies.filter_plot import draw_nees
-from impslam.studies.filter_table import FILTERS, KNOWN, circle_row, installed, standing
+from impslam.studies.filter_table import FILTERS, KNOWN, circle_row, installed, score_filters
 
 SHORT = replace(HUANG, steps=85)
 
@@ -41,7 +41,7 @@ def rows():
 
 
 def test_a_filter_is_compared_with_the_optimum_where_that_is_known(rows):
-    found = standing(rows, "circle")
+    found = score_filters(rows, "circle")
     assert found[BATCH].over_optimum == 1.0
     assert math.isnan(found[BATCH].milliseconds)
     for name in ("ekf", "riekf"):
@@ -49,27 +49,27 @@ def test_a_filter_is_compared_with_the_optimum_where_that_is_known(rows):
     assert 0.5 < found["FastSLAM 2"].over_optimum < 2.0
 
 
-def test_a_filter_that_fails_does_not_cost_the_others(rows):
+def test_a_failing_filter_does_not_affect_the_others(rows):
     failed = {"world": "circle", "variant": "ukf", "seed": 0, "error": "no"}
-    assert list(standing([*rows, failed], "circle")) == list(standing(rows, "circle"))
+    assert list(score_filters([*rows, failed], "circle")) == list(score_filters(rows, "circle"))
 
 
-def test_intervals_hold_the_means(rows):
-    for found in standing(rows, "circle").values():
+def test_intervals_contain_the_means(rows):
+    for found in score_filters(rows, "circle").values():
         assert found.runs == 2
         for cell in (found.nees, found.position):
             assert cell.low <= cell.value <= cell.high
     values = [row["nees"] for row in rows if row["variant"] == "ekf"]
-    assert standing(rows, "circle")["ekf"].nees.value == pytest.approx(np.mean(values))
+    assert score_filters(rows, "circle")["ekf"].nees.value == pytest.approx(np.mean(values))
 
 
 def test_the_figure_has_a_panel_for_each_data_set(rows):
-    found = standing(rows, "circle")
+    found = score_filters(rows, "circle")
     cells = {data: {name: s.nees for name, s in found.items()} for data in ("one", "two")}
     assert [axes.get_title("left") for axes in draw_nees(cells).axes] == ["one", "two"]
 
 
-def test_the_section_is_told_in_tables_of_its_own(monkeypatch):
+def test_the_section_has_a_table_for_each_data_set(monkeypatch):
     monkeypatch.setattr(filter_table, "FILTERS", {"ekf": FILTERS["ekf"]})
     monkeypatch.setattr(filter_table, "SETTINGS", {"circle": SHORT})
     part = filter_table.filter_table(filter_table.Job(seeds=1))

@@ -1,4 +1,4 @@
-"""Labels: every beam lies on what it is said to have hit, and only what was hit is seen."""
+"""Labels of beams: every beam ends on its thing, and only things that were hit are seen."""
 
 import math
 
@@ -156,7 +156,7 @@ def test_people_stand_in_sight():
             assert math.dist((x, y), (0.0, 1.0)) > 0.4
 
 
-def test_noise_and_the_shared_error_are_as_told():
+def test_noise_and_the_common_error_match_the_settings():
     """Of beams that hit walls at less than 60 degrees, so that noise is what is left."""
     lidar = Lidar(divergence=0.0, dropout=0.0)
     condition = Condition("biased", lidar, driving=False, people=0)
@@ -179,7 +179,7 @@ def test_noise_and_the_shared_error_are_as_told():
     assert STANDING.lidar.bias_sigma == 0.0
 
 
-def test_people_who_come_by_at_the_beginning_start_with_the_run():
+def test_people_at_the_beginning_start_with_the_run():
     """Not a rounding error after it, which no world accepts."""
     for time in np.random.default_rng(0).uniform(0.01, 0.8, 500):
         person = walker(np.zeros(2), float(time), 0.3)

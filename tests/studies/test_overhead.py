@@ -1,4 +1,4 @@
-"""The study of the overhead camera: what it measures of the cylinders, and that it says it all."""
+"""The study of the overhead camera: errors of cylinders, and completeness of its report."""
 
 import math
 from types import SimpleNamespace
@@ -21,7 +21,7 @@ def test_cylinders_are_compared_with_the_nearest_and_none_may_be_missing() -> No
     assert overhead._rms(errors) == math.inf
 
 
-def test_the_section_tells_everything_that_is_measured(monkeypatch) -> None:
+def test_the_section_reports_all_metrics(monkeypatch) -> None:
     row = dict.fromkeys(overhead.FOUND, 0.002)
     monkeypatch.setattr(overhead, "measure", lambda seed: row | {"seed": seed})
     monkeypatch.setattr(overhead, "film_and_track", lambda *_: (None, None, None))

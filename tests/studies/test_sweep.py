@@ -1,4 +1,4 @@
-"""The sweep: a row for each run, in order, whatever the processes; failures are rows too."""
+"""Sweeps: a row for each run, in order, independent of the processes; failures have rows too."""
 
 import math
 
@@ -34,7 +34,7 @@ def fail_for_ekf(run):
 VARIANTS = grid(["imp"], {"default": (), "ekf": ("filter.kind=ekf",)})
 
 
-def test_rows_are_ordered_by_world_seed_and_variant_whatever_the_processes(short):
+def test_rows_are_ordered_independent_of_the_processes(short):
     steps = []
     rows = sweep(VARIANTS, [3, 1], short, job=Job(progress=lambda *step: steps.append(step)))
     assert [(row["world"], row["seed"], row["variant"]) for row in rows] == [
@@ -47,7 +47,7 @@ def test_rows_are_ordered_by_world_seed_and_variant_whatever_the_processes(short
     assert rows == sweep(VARIANTS, [3, 1], short, job=Job(processes=2))
 
 
-def test_a_run_that_fails_has_a_row_and_costs_no_other(short):
+def test_a_failed_run_has_a_row_and_does_not_affect_others(short):
     rows = sweep(VARIANTS, [0, 1], short[:1], measure=fail_for_ekf)
     assert [row["error"] for row in rows] == ["", "ArithmeticError: singular", "", ""]
     assert all(row["scans"] > 5 for row in rows if not row["error"])
@@ -62,7 +62,7 @@ def test_a_run_that_fails_has_a_row_and_costs_no_other(short):
         by_variant(rows[:2])
 
 
-def test_a_setting_that_does_not_exist_is_refused_before_anything_runs(short):
+def test_an_unknown_setting_is_rejected_before_anything_runs(short):
     with pytest.raises(ConfigError, match="knd is not a parameter"):
         sweep([Variant("bad", settings=("filter.knd=ekf",))], range(10**9), short)
 

@@ -1,4 +1,4 @@
-"""The runs of a sweep: every combination, refused before anything runs where one cannot be used."""
+"""Runs of a sweep: all combinations; invalid ones are rejected before anything runs."""
 
 import pytest
 
@@ -22,7 +22,7 @@ def test_every_combination_in_order():
     }
 
 
-def test_a_config_is_known_by_its_content(tmp_path):
+def test_a_config_is_identified_by_its_content(tmp_path):
     file = tmp_path / "mine.toml"
     file.write_text('base = "imp"\n')
     (before,) = cases([find_log("room")], [str(file)], {}, 1)
@@ -31,19 +31,19 @@ def test_a_config_is_known_by_its_content(tmp_path):
     assert before.row() != after.row()
 
 
-def test_a_setting_that_does_not_exist_is_refused_before_anything_runs():
+def test_an_unknown_setting_is_rejected_before_anything_runs():
     with pytest.raises(ConfigError, match="knd is not a parameter"):
         cases([find_log("room")], ["imp"], {"filter.knd": ["ekf"]}, 3)
 
 
-def test_what_is_no_log_is_refused():
+def test_invalid_logs_are_rejected():
     with pytest.raises(
         SourceError, match=r"aren: no such file or folder, and none of the worlds arena"
     ):
         find_log("aren")
 
 
-def test_commas_separate_values_unless_they_belong_to_one():
+def test_commas_separate_values_except_in_brackets_and_quotes():
     assert alternatives(["a.b=1,2.5", "c=[1, 2],[3,4]", 'd="x,y"', "a.b=7"]) == {
         "a.b": ["1", "2.5", "7"],
         "c": ["[1, 2]", "[3,4]"],
@@ -53,7 +53,7 @@ def test_commas_separate_values_unless_they_belong_to_one():
         alternatives(["filter"])
 
 
-def test_values_are_numbers_where_they_can_be():
+def test_values_are_parsed_as_numbers_if_possible():
     assert [plain(text) for text in ("1", "2.5", "true", "ekf", "[1]")] == [
         1,
         2.5,

@@ -1,4 +1,4 @@
-"""A Dask cluster on this machine, started as its documentation says; one of two workers is killed."""
+"""A local Dask cluster, started as documented; one of two workers is killed."""
 
 import math
 import re
@@ -40,7 +40,7 @@ def cluster(processes):
     raise AssertionError("the scheduler told no address")
 
 
-def test_a_killed_worker_costs_nothing(processes, cluster):
+def test_no_result_is_lost_with_a_killed_worker(processes, cluster):
     words = ("worker", cluster, "--nthreads", "1", "--no-dashboard", "--no-nanny")
     workers = [processes(*words) for _ in "ab"]
     results = {}
@@ -59,8 +59,8 @@ def unknown_to_workers(x):
     return x
 
 
-def test_without_a_scheduler_or_a_worker_one_line_says_so(cluster, monkeypatch):
-    monkeypatch.setattr("impslam.sweeps.cluster.PATIENCE", 0.5)
+def test_errors_without_a_scheduler_or_a_worker(cluster, monkeypatch):
+    monkeypatch.setattr("impslam.sweeps.cluster.CONNECT_TIMEOUT", 0.5)
     with pytest.raises(ConfigError, match="no scheduler answers"):
         list(Cluster("tcp://127.0.0.1:1").each(math.sqrt, [1]))
     with pytest.raises(ConfigError, match="has no worker; start some with 'dask worker tcp:"):

@@ -1,4 +1,4 @@
-"""Processes that share work: in any order, all of it; a process that dies costs its own item alone."""
+"""Pools of processes: all items are done, in any order; a process that dies loses only its own item."""
 
 import os
 import signal
@@ -7,7 +7,7 @@ import pytest
 
 from impslam.errors import ImpError
 from impslam.sweeps.job import Job
-from impslam.sweeps.pool import Lost, Processes
+from impslam.sweeps.pool import ProcessDied, Processes
 
 
 def square(x):
@@ -29,9 +29,9 @@ def test_every_item_is_done_once(count):
     assert sorted(Processes(count).each(square, range(5))) == [(k, k * k) for k in range(5)]
 
 
-def test_a_process_that_is_killed_costs_one_item():
+def test_a_killed_process_loses_one_item():
     results = dict(Processes(2).each(die_at_three, range(6)))
-    assert isinstance(results.pop(3), Lost)
+    assert isinstance(results.pop(3), ProcessDied)
     assert results == {k: k for k in range(6) if k != 3}
 
 
@@ -41,6 +41,6 @@ def test_a_job_needs_all_its_results():
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_what_the_work_raises_is_raised(count):
+def test_exceptions_of_the_work_propagate(count):
     with pytest.raises(ArithmeticError, match="no 1"):
         Job(processes=count).map(refuse, [1, 1], "refusing")

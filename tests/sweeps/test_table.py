@@ -1,4 +1,4 @@
-"""The table of a sweep: nothing that was written is lost, and it is the same whatever the order."""
+"""Journal and table of a sweep: robust against crashes, and independent of the order of the runs."""
 
 import csv
 import math
@@ -15,7 +15,7 @@ def row(seed, error="", **more):
     return {**who, "log_sha256": "1", "config_sha256": "2", "error": error, **more}
 
 
-def test_a_journal_survives_a_cut_and_knows_what_is_done(tmp_path):
+def test_a_journal_ignores_an_incomplete_line_and_knows_finished_runs(tmp_path):
     journal = Journal(tmp_path)
     for one in (row(0, ate_m=0.25), row(1, "IMU on fire"), row(2, ate_m=math.nan)):
         journal.add(one)
@@ -28,7 +28,7 @@ def test_a_journal_survives_a_cut_and_knows_what_is_done(tmp_path):
     assert [r.get("ate_m") for r in Journal(tmp_path).rows()] == [0.25, 0.5, None]
 
 
-def test_a_folder_of_something_else_is_left_alone(tmp_path):
+def test_a_folder_with_other_content_is_rejected(tmp_path):
     (tmp_path / "thesis.tex").write_text("")
     with pytest.raises(ConfigError, match="is not the folder of a sweep"):
         Journal(tmp_path)
@@ -48,7 +48,7 @@ def test_the_table_has_a_row_for_each_run_in_order(tmp_path):
     assert (second["status"], second["message"], second["ate_m"]) == ("failed", "IMU on fire", "")
 
 
-def test_parquet_holds_the_same_with_types(tmp_path):
+def test_parquet_contains_the_same_with_types(tmp_path):
     io = pytest.importorskip("arro3.io")
     write_table(tmp_path, [row(0, scans=7, ate_m=0.25), row(1, "lost")])
     table = io.read_parquet(tmp_path / PARQUET).read_all()

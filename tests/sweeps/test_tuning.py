@@ -1,4 +1,4 @@
-"""The search: finds what is best, goes on where it was left, and survives trials that fail."""
+"""Parameter search: finds the optimum, resumes after an interruption, and tolerates failed trials."""
 
 import json
 import math
@@ -22,7 +22,7 @@ BASE = (("odometry.wheel_noise", "0.5"), ("filter.kind", "ekf"))
 
 
 def bowl(cases):
-    """Return the row of a run whose error is least at a noise of 0.03 with the riekf."""
+    """Return the row of a run with the least error at a noise of 0.03 with the riekf."""
     (settings,) = cases
 
     def measure():
@@ -67,7 +67,7 @@ def interrupted(cases):
     raise KeyboardInterrupt
 
 
-def test_it_goes_on_where_it_was_interrupted(tmp_path):
+def test_an_interrupted_search_is_resumed(tmp_path):
     tune(tmp_path, 3)
     with pytest.raises(KeyboardInterrupt):
         tune(tmp_path, 9, interrupted)
@@ -83,13 +83,13 @@ def test_processes_share_the_trials(tmp_path):
     assert len(finished(study)) == 6
 
 
-def test_a_study_of_something_else_is_not_gone_on_with(tmp_path):
+def test_a_study_with_another_space_is_rejected(tmp_path):
     open_study(tmp_path, BASE, SPACE)
-    with pytest.raises(ConfigError, match="holds a search of something else"):
+    with pytest.raises(ConfigError, match="contains another search"):
         open_study(tmp_path, BASE, {"filter.kind": Choice(("ekf", "oc"))})
 
 
-def test_where_all_fail_the_first_reason_is_told(tmp_path):
+def test_the_first_reason_is_reported_if_all_trials_fail(tmp_path):
     def refuse(cases):
         return [{"log": "toy", "error": "no scan"}]
 
@@ -98,13 +98,13 @@ def test_where_all_fail_the_first_reason_is_told(tmp_path):
         best(study)
 
 
-def test_logs_weigh_alike_whatever_their_size():
+def test_logs_of_any_size_have_equal_weight():
     def rows(small, large):
         return [{"log": "a", "ate_m": small}, {"log": "b", "relation_m": large}]
 
     assert score_of(rows(0.02, 1.0), "best") == pytest.approx(score_of(rows(0.01, 2.0), "best"))
     assert score_of([{"log": "a", "nll": -3.0}, {"log": "b", "nll": 1.0}], "likelihood") == -1.0
-    with pytest.raises(ConfigError, match=r"b: its truth score is not known; give --truth FILE"):
+    with pytest.raises(ConfigError, match=r"b: its truth score is unknown; give --truth FILE"):
         score_of(rows(1.0, 1.0), "truth")
     with pytest.raises(ConfigError, match=r"estimator.kind=landmarks"):
         score_of([{"log": "a", "nll": math.nan}], "likelihood")
@@ -127,7 +127,7 @@ def test_by_default_all_noise_is_searched_around_its_value():
         ("odometry.wheel_noise=a:b", "expected two numbers"),
     ],
 )
-def test_a_space_that_is_none_is_refused(text, message):
+def test_an_invalid_space_is_rejected(text, message):
     with pytest.raises(ConfigError, match=message):
         parse_space([text], load("imp"))
 
@@ -138,7 +138,7 @@ def test_a_range_of_whole_numbers_stays_whole():
     }
 
 
-def test_the_tuned_config_loads_and_tells_its_evidence(tmp_path):
+def test_the_tuned_config_loads_and_contains_its_scores(tmp_path):
     study, _ = tune(tmp_path, 8)
     task = Task([find_log("room")], [find_log("arena")], None, ["grid.resolution=0.1"], 1)
     rows = [
@@ -151,7 +151,7 @@ def test_the_tuned_config_loads_and_tells_its_evidence(tmp_path):
     found = suggest(SPACE, best(study))
     text = tuned_config(task, found, rows, "best", study)
     assert "# room: 0.02 before, 0.01 after" in text
-    assert "# arena, kept apart: 0.04 before, 0.05 after" in text
+    assert "# arena, held out: 0.04 before, 0.05 after" in text
     (tmp_path / "tuned.toml").write_text(text)
     config = load(tmp_path / "tuned.toml")
     assert config.filter["kind"] == "riekf"
@@ -160,7 +160,7 @@ def test_the_tuned_config_loads_and_tells_its_evidence(tmp_path):
     assert config.robot == "imp"
 
 
-def test_an_end_of_a_range_that_no_config_has_is_refused():
+def test_a_range_with_an_invalid_end_is_rejected():
     task = Task([find_log("room")], [], "imp", [], 1)
     with pytest.raises(ConfigError, match=r"sensors.lidar.sigma = 500"):
         task.space(["sensors.lidar.sigma=0.001:500.0"])

@@ -1,1 +1,1 @@
-"""From tracks to parameters: how a robot's wheels and laser differ from what its config says."""
+"""Calibration of wheels and lidar from logs."""

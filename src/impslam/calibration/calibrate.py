@@ -1,4 +1,4 @@
-"""Calibration of a robot from logs: read, matched, solved, and said in the config's own keys."""
+"""Calibrate a robot from logs, and express the result in the keys of its config."""
 
 from __future__ import annotations
 
@@ -8,33 +8,33 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from impslam.calibration import noise
-from impslam.calibration.closed_form import LATENCIES, first_estimate
-from impslam.calibration.gyro import gyro_of
+from impslam.calibration.closed_form import LATENCIES, initial_estimate
+from impslam.calibration.gyro import calibrate_gyro
 from impslam.calibration.least_squares import Prior, Solution, solve
 from impslam.calibration.lidar_path import lidar_path
-from impslam.calibration.odometry_models import covered, model_of
-from impslam.calibration.order_clock import MOST, in_order
-from impslam.calibration.recording import Recording, lidar_of
-from impslam.calibration.residuals import SENSOR, Drive
-from impslam.calibration.scan_pairs import matched_pairs
+from impslam.calibration.odometry_models import covered, make_model
+from impslam.calibration.order_clock import MAX_DISORDER, reorder_stamps
+from impslam.calibration.recording import Recording, first_lidar
+from impslam.calibration.residuals import LIDAR_PARAMETERS, Drive
+from impslam.calibration.scan_pairs import match_pairs
 from impslam.config import Config
 from impslam.errors import ConfigError, SourceError
 from impslam.odometry.base import Odometry
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.types import Array, Mask
 
-FEWEST = 10
-"""Motions of a log, below which nothing is calibrated: 3 m or a turn."""
-LOOSE = 10.0
-"""The prior is so many times wider than the limit of what counts as observable: it changes nothing that the
-drive determines."""
+MIN_MOTIONS = 10
+"""Motions of a log needed for a calibration: 3 m or a turn."""
+PRIOR_WIDTH = 10.0
+"""Standard deviations of the prior, in limits of observability: wide enough not to affect parameters that
+the drives determine."""
 
 
 class Kind(NamedTuple):
-    """A parameter's unit, and the standard deviation up to which a drive tells it.
+    """A parameter's unit, and the standard deviation up to which it counts as observable.
 
-    `limit` is of the unit, or a share of the value: a few times what a ruler, a protractor and a look
-    at the clock tell.
+    `limit` is in the unit, or a share of the value: a few times the accuracy of a ruler, a protractor and a
+    clock.
     """
 
     unit: str
@@ -58,7 +58,7 @@ KINDS = {
     "range_scale": Kind("1", 0.02),
 }
 LENGTHS = ("wheel_radius", "track", "distance_scale", "speed_scale")
-"""What is to be known for the scale of the ranges: it and the robot's lengths are one and the same."""
+"""Lengths of the robot, one of which must be kept to find the scale of the ranges: they scale together."""
 
 
 class Parameter(NamedTuple):
@@ -67,9 +67,9 @@ class Parameter(NamedTuple):
     Attributes
     ----------
     name, unit : as in `KINDS`
-    before, value : as the config has it, and as found; the same where the drive does not tell
-    sigma : standard deviation of what was found; infinite if it was kept
-    observable : whether the drive determines it
+    before, value : as in the config, and as calibrated; equal if it is not observable
+    sigma : standard deviation of the calibrated value; infinite if it was kept
+    observable : whether the drives determine it
     """
 
     name: str
@@ -80,8 +80,8 @@ class Parameter(NamedTuple):
     observable: bool
 
 
-class Spread(NamedTuple):
-    """A standard deviation of odometry or of matches, and its own; names as in `noise.names`."""
+class RandomError(NamedTuple):
+    """A standard deviation of odometry or matches, with its own; names as in `noise_names`."""
 
     name: str
     unit: str
@@ -90,55 +90,57 @@ class Spread(NamedTuple):
 
 
 class Calibration(NamedTuple):
-    """What drives tell of a robot.
+    """Calibration of a robot.
 
     Attributes
     ----------
     lidar : name of the lidar in the config
-    parameters, covariance : (n,) of odometry and lidar, and (n, n), 0 where not observable
-    spreads : of odometry and of matches
-    drives, solution : what it rests on
-    start : (n,) the parameters by the config, as `residuals` takes them
+    parameters, covariance : (n,) of odometry and lidar, and (n, n), 0 if not observable
+    random_errors : of odometry and of matches
+    drives, solution : input, and solution of least squares
+    start : (n,) the parameters of the config, for `residuals`
     """
 
     lidar: str
     parameters: tuple[Parameter, ...]
     covariance: Array
-    spreads: tuple[Spread, ...]
+    random_errors: tuple[RandomError, ...]
     drives: tuple[Drive, ...]
     solution: Solution
     start: Array
 
 
-def drives_of(config: Config, recording: Recording, where: str) -> list[Drive]:
-    """Return what one log has for a calibration, a drive for each piece of its odometry.
+def extract_drives(config: Config, recording: Recording, where: str) -> list[Drive]:
+    """Return the drives of one log, one for each piece of its odometry.
 
     Raises
     ------
     SourceError
         If it has no odometry, or too little motion.
     """
-    odometry, (_, lidar) = config.make_robot().odometry, lidar_of(config)
+    odometry, (_, lidar) = config.make_robot().odometry, first_lidar(config)
     if not odometry.measures_motion or not recording.odometry:
         raise SourceError(
             f"{where}: has no {odometry.consumes.__name__} to calibrate; record odometry, or choose "
-            "what the log has with --set odometry.kind="
+            "the kind that the log has with --set odometry.kind="
         )
-    recording, disorder = in_order(recording)
+    recording, disorder = reorder_stamps(recording)
     path = lidar_path(lidar, recording.scans)
-    found, slack = matched_pairs(lidar, recording.scans, path), float(LATENCIES[-1])
-    gyro = gyro_of(recording.gyro, found, lidar.latency) if disorder <= MOST else None
+    found, slack = match_pairs(lidar, recording.scans, path), float(LATENCIES[-1])
+    gyro = (
+        calibrate_gyro(recording.gyro, found, lidar.latency) if disorder <= MAX_DISORDER else None
+    )
     out = list[Drive]()
     for readings in recording.odometry:
         if len(readings) > 1:
-            model = model_of(odometry, readings)
+            model = make_model(odometry, readings)
             begins, ends = found.begins - lidar.latency, found.ends - lidar.latency
             inside = covered(model, begins - slack, ends + slack)
             out.append(Drive(model, found.take(np.flatnonzero(inside)), path, gyro, disorder))
     count = sum(len(drive.motions.begins) for drive in out)
-    if count < FEWEST:
+    if count < MIN_MOTIONS:
         raise SourceError(
-            f"{where}: {count} motions of the lidar were matched, and {FEWEST} are needed; drive 10 m "
+            f"{where}: {count} motions of the lidar were matched, and {MIN_MOTIONS} are needed; drive 10 m "
             "with turns to both sides, near walls"
         )
     return out
@@ -147,16 +149,16 @@ def drives_of(config: Config, recording: Recording, where: str) -> list[Drive]:
 def calibrate(config: Config, drives: Sequence[Drive], keep: Sequence[str] = ()) -> Calibration:
     """Return the parameters that fit all drives of a robot best.
 
-    `keep` names parameters of `KINDS` that stay as the config has them. If one of them is a length of
-    the robot, the scale of the ranges is found.
+    `keep` names parameters of `KINDS` that keep their configured value. If one of them is a length of the
+    robot, the scale of the ranges is calibrated too.
 
     Raises
     ------
     ConfigError
         If `keep` names something else.
     """
-    odometry, (name, lidar) = config.make_robot().odometry, lidar_of(config)
-    names = (*drives[0].model.names, *SENSOR)
+    odometry, (name, lidar) = config.make_robot().odometry, first_lidar(config)
+    names = (*drives[0].model.names, *LIDAR_PARAMETERS)
     _check(keep, names)
     before = _before(odometry, lidar, drives[0].model.names)
     limits = np.array([_limit(one, value) for one, value in zip(names, before, strict=True)])
@@ -165,7 +167,7 @@ def calibrate(config: Config, drives: Sequence[Drive], keep: Sequence[str] = ())
         free[names.index("range_scale")] = False
     start = before.copy()
     start[-2:] = 0.0, 1.0
-    prior = Prior(start, LOOSE * limits)
+    prior = Prior(start, PRIOR_WIDTH * limits)
     solution = solve(drives, _begin(drives, prior, free), free, prior)
     sigmas = np.sqrt(np.diag(solution.covariance))
     observable = free & (sigmas <= limits)
@@ -174,7 +176,7 @@ def calibrate(config: Config, drives: Sequence[Drive], keep: Sequence[str] = ())
             drives, np.where(observable, solution.parameters, start), observable, prior
         )
     disorder = max(drive.disorder for drive in drives)
-    if disorder > MOST:
+    if disorder > MAX_DISORDER:
         late = names.index("latency")
         observable[late], sigmas[late] = False, disorder
     sigmas = np.where(
@@ -188,21 +190,21 @@ def calibrate(config: Config, drives: Sequence[Drive], keep: Sequence[str] = ())
                        np.where(observable, after, before).tolist(), sigmas.tolist(),
                        observable.tolist(), strict=True)
     )  # fmt: skip
-    spreads = _spreads(drives[0], solution)
-    return Calibration(name, parameters, covariance, spreads, tuple(drives), solution, start)
+    random_errors = _random_errors(drives[0], solution)
+    return Calibration(name, parameters, covariance, random_errors, tuple(drives), solution, start)
 
 
 def _begin(drives: Sequence[Drive], prior: Prior, free: Mask) -> Array:
-    """Return where to begin: the closed form, unless the drives tell too little for it.
+    """Return the start: the closed-form estimate, or the prior if that estimate is too far from it.
 
-    A robot may look backwards whatever its config says, but is not ten times as large.
+    The yaw may be anything, as a lidar may face backward, but a robot is not ten times as large.
     """
-    first = first_estimate(drives, float(prior.values[-3]))
+    first = initial_estimate(drives, float(prior.values[-3]))
     if first is None:
         return prior.values
     off = np.abs(first - prior.values) / prior.sigmas
     off[-4] = 0.0  # the yaw
-    return np.where(free, first, prior.values) if off.max() < LOOSE else prior.values
+    return np.where(free, first, prior.values) if off.max() < PRIOR_WIDTH else prior.values
 
 
 def _check(keep: Sequence[str], names: Sequence[str]) -> None:
@@ -212,13 +214,13 @@ def _check(keep: Sequence[str], names: Sequence[str]) -> None:
 
 
 def _before(odometry: Odometry, lidar: Lidar2D, names: Sequence[str]) -> Array:
-    """Return the parameters as the config has them."""
+    """Return the configured parameters."""
     own = [float(getattr(odometry, name)) for name in names]
     return np.array([*own, *lidar.mount, lidar.latency, lidar.range_offset, lidar.range_scale])
 
 
 def _in_config(found: Array, lidar: Lidar2D) -> Array:
-    """Return parameters as the config has them: true = scale * measured + offset."""
+    """Return parameters in the config's convention: true = scale * measured + offset."""
     out, (offset, scale) = found.copy(), found[-2:]
     out[-2:] = scale * (lidar.range_offset + offset), scale * lidar.range_scale
     return out
@@ -229,19 +231,19 @@ def _limit(name: str, value: float) -> float:
     return kind.limit * (value if kind.is_share else 1.0)
 
 
-def _spreads(drive: Drive, solution: Solution) -> tuple[Spread, ...]:
-    """Return the standard deviations of matches, and of odometry with its slips."""
-    names, m = noise.names(drive), len(noise.MATCHING)
+def _random_errors(drive: Drive, solution: Solution) -> tuple[RandomError, ...]:
+    """Return the standard deviations of matches, and of odometry including slip."""
+    names, m = noise.noise_names(drive), len(noise.MATCHING)
     of_matches = zip(names[:m], *_roots(solution.noise), strict=False)
     of_odometry = zip(names[m:], *_roots(solution.slip), strict=True)
     return tuple(
-        Spread(name, noise.UNITS[name.rpartition(".")[2]], value, sigma)
+        RandomError(name, noise.UNITS[name.rpartition(".")[2]], value, sigma)
         for name, value, sigma in (*of_matches, *of_odometry)
     )
 
 
 def _roots(found: noise.Noise) -> tuple[list[float], list[float]]:
-    """Return standard deviations (c,) and their own: that of sqrt(v) is that of v over 2 sqrt(v)."""
+    """Return c standard deviations and their own: that of sqrt(v) is that of v over 2 sqrt(v)."""
     sigmas = np.sqrt(np.diag(np.linalg.pinv(found.information, hermitian=True)))
     values = np.sqrt(found.variances)
     small = found.variances <= sigmas
@@ -249,8 +251,8 @@ def _roots(found: noise.Noise) -> tuple[list[float], list[float]]:
     return values.tolist(), own.tolist()
 
 
-def table(calibration: Calibration) -> dict[str, Any]:
-    """Return what was found as a config's tables: what the drives determined, and the noise of odometry."""
+def config_tables(calibration: Calibration) -> dict[str, Any]:
+    """Return the observable parameters and the noise of odometry as tables of a config."""
     found = {one.name: one.value for one in calibration.parameters if one.observable}
     every = {one.name: one.value for one in calibration.parameters}
     lidar: dict[str, Any] = {
@@ -258,12 +260,12 @@ def table(calibration: Calibration) -> dict[str, Any]:
     }
     if found.keys() & {"x", "y", "yaw"}:
         lidar["mount"] = [every["x"], every["y"], every["yaw"]]
-    odometry: dict[str, Any] = {name: found[name] for name in found if name not in SENSOR}
-    for spread in calibration.spreads:
+    odometry: dict[str, Any] = {name: found[name] for name in found if name not in LIDAR_PARAMETERS}
+    for spread in calibration.random_errors:
         if spread.name in noise.MATCHING:
             continue
         group, _, name = spread.name.rpartition(".")
         (odometry.setdefault(group, {}) if group else odometry)[name] = spread.value
     if "slip" in odometry:
-        odometry["slip"]["forward"] = 0.0  # wheel_noise tells it
+        odometry["slip"]["forward"] = 0.0  # included in wheel_noise
     return {"odometry": odometry, "sensors": {calibration.lidar: lidar}}

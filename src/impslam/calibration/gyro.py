@@ -1,6 +1,7 @@
-"""Bias and scale of a gyro, by the turns of a lidar.
+"""Bias and scale of a gyro, from the turns of a lidar.
 
-A lidar turns as the robot does, wherever it is mounted: f = k g + b t, for the gyro's sum g over a time t.
+A lidar turns with the robot, wherever it is mounted: its turn is f = k g + b t, with g the integral of the
+gyro's rate over a time t.
 """
 
 from __future__ import annotations
@@ -13,14 +14,14 @@ from impslam.calibration.scan_pairs import LidarMotions
 from impslam.geometry.angles import wrap
 from impslam.types import Array
 
-FEWEST = 10
-"""Motions at least."""
-ROUNDS, GATE = 5, 4.0
-"""Rounds in which motions that are off by more standard deviations are left out."""
+MIN_MOTIONS = 10
+"""Motions needed for an estimate."""
+ITERATIONS, GATE = 5, 4.0
+"""Number of fits, and the standard deviations beyond which a motion is left out of the next one."""
 
 
 class Gyro(NamedTuple):
-    """What to add to a gyro's rate and what to scale it by: true = scale * (rate - bias).
+    """Bias and scale of a gyro: true = scale * (rate - bias).
 
     Attributes
     ----------
@@ -34,8 +35,8 @@ class Gyro(NamedTuple):
     scale_sigma: float
 
 
-def gyro_of(readings: Array, motions: LidarMotions, latency: float) -> Gyro | None:
-    """Return what is off with the gyro of a log; None without one, or if the robot hardly moved.
+def calibrate_gyro(readings: Array, motions: LidarMotions, latency: float) -> Gyro | None:
+    """Return bias and scale of the gyro of a log; None if it has none or the robot hardly moved.
 
     `readings` (g, 2) are stamps, s, and yaw rates, rad/s; `latency` is that of the lidar, s.
     """
@@ -44,15 +45,15 @@ def gyro_of(readings: Array, motions: LidarMotions, latency: float) -> Gyro | No
         return None
     begins, ends = motions.begins - latency, motions.ends - latency
     inside = (begins >= stamps[0]) & (ends <= stamps[-1])
-    if inside.sum() < FEWEST:
+    if inside.sum() < MIN_MOTIONS:
         return None
     seconds = (ends - begins)[inside]
-    turned = _turned(stamps, rates, begins[inside], ends[inside])
-    told = turned + wrap(motions.T_begin_end[inside, 2] - turned)
-    return _fitted(np.column_stack((turned, seconds)), told)
+    by_gyro = _integrate(stamps, rates, begins[inside], ends[inside])
+    by_lidar = by_gyro + wrap(motions.T_begin_end[inside, 2] - by_gyro)
+    return _fit(np.column_stack((by_gyro, seconds)), by_lidar)
 
 
-def _turned(stamps: Array, rates: Array, begins: Array, ends: Array) -> Array:
+def _integrate(stamps: Array, rates: Array, begins: Array, ends: Array) -> Array:
     """Return the integrals (k,) rad of the rates between times (k,)."""
     steps = 0.5 * (rates[1:] + rates[:-1]) * np.maximum(np.diff(stamps), 0.0)
     angle, at = np.concatenate(([0.0], np.cumsum(steps))), np.maximum.accumulate(stamps)
@@ -60,11 +61,11 @@ def _turned(stamps: Array, rates: Array, begins: Array, ends: Array) -> Array:
     return difference
 
 
-def _fitted(A: Array, told: Array) -> Gyro:
+def _fit(A: Array, turns: Array) -> Gyro:
     near = np.ones(len(A), np.bool_)
-    for _ in range(ROUNDS):
-        k, b = np.linalg.lstsq(A[near], told[near], rcond=None)[0]
-        off = np.abs(A @ [k, b] - told)
+    for _ in range(ITERATIONS):
+        k, b = np.linalg.lstsq(A[near], turns[near], rcond=None)[0]
+        off = np.abs(A @ [k, b] - turns)
         near = off <= GATE * 1.4826 * np.median(off) + 1e-9
     variance = float(off[near] @ off[near]) / max(int(near.sum()) - 2, 1)
     sigmas = np.sqrt(np.diag(np.linalg.inv(A[near].T @ A[near])) * variance)

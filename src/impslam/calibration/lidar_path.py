@@ -1,4 +1,4 @@
-"""The path of a lidar, by its scans alone: neither odometry nor the lidar's mount tells anything of it."""
+"""The path of a lidar by its scans alone, independent of odometry and of the lidar's mount."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from impslam.tracking.base import Gate
 from impslam.tracking.scan_to_map import ScanToMap
 from impslam.types import Array, Ints, Mask
 
-LOST, CHUNK = 5, 100
-"""Scans in a row that do not fit, after which the tracker is lost; and sweeps that it takes at once."""
-NEVER = 1e9
-"""m, rad, s: no motion is so long, and no sweep but the first becomes a keyframe."""
+MAX_MISMATCHES, CHUNK = 5, 100
+"""Consecutive scans that do not fit, after which the tracker restarts; and sweeps per tracker call."""
+NO_LIMIT = 1e9
+"""m, rad, s: a gate so wide that only the first sweep becomes a keyframe."""
 
 
 class LidarPath(NamedTuple):
@@ -29,9 +29,10 @@ class LidarPath(NamedTuple):
     Attributes
     ----------
     middles : (n,) s, by the scans' own clock
-    poses : (n, 3) `T_first_laser`, as the tracker follows it
-    trusted : (n,) whether the scan fits what was seen before, and the pose may be used
-    located : (n,) whether the scan tells the place, too, along both axes: it does not in a bare corridor
+    poses : (n, 3) `T_first_laser`, as tracked
+    trusted : (n,) whether the scan fits the previous ones, so that the pose may be used
+    located : (n,) whether the scan also determines the position along both axes: not in a bare
+        corridor
     twists : (n, 3) m/s, m/s, rad/s, body velocity of the lidar over each sweep
     """
 
@@ -42,20 +43,20 @@ class LidarPath(NamedTuple):
     twists: Array
 
 
-def bare(lidar: Lidar2D) -> Lidar2D:
-    """Return a lidar whose base_link is its own place, on its own clock, without extractors."""
+def unmounted(lidar: Lidar2D) -> Lidar2D:
+    """Return the lidar with base_link at its own origin, on its own clock, without extractors."""
     table = lidar.model_dump(exclude={"extractors"})
     return Lidar2D(**{**table, "mount": (0.0, 0.0, 0.0), "latency": 0.0})
 
 
 def lidar_path(lidar: Lidar2D, scans: Sequence[Columns]) -> LidarPath:
-    """Return the path of a lidar by its scans (pieces of one layout each), matched scan to map.
+    """Return the path of a lidar by scan-to-map matching of its scans (pieces of one layout each).
 
-    Stamps should be on one time line. Between sweeps it is predicted at constant velocity. Where scans
-    no longer fit it begins anew: only what is relative counts.
+    Stamps should be on one time line. Motions are predicted at constant velocity. If scans no longer fit,
+    the tracker restarts: only relative poses matter.
     """
-    robot = Robot("lidar", LidarOnly(), {"lidar": bare(lidar)})
-    clock, follower = bare(lidar), _Follower()
+    robot = Robot("lidar", LidarOnly(), {"lidar": unmounted(lidar)})
+    clock, follower = unmounted(lidar), _Follower()
     nothing = np.empty(0, np.bool_)
     found, at = [_Followed(np.empty((0, 3)), nothing, nothing)], [np.empty(0)]
     for piece in scans:
@@ -63,54 +64,54 @@ def lidar_path(lidar: Lidar2D, scans: Sequence[Columns]) -> LidarPath:
         found += [one for motions, sweeps in sensed for one in follower.follow(motions, sweeps)]
         begins, ends = clock.spans(piece)
         at.append(0.5 * (begins + ends))
-    moved, trusted, located = map(np.concatenate, zip(*found, strict=True))
-    middles, poses = np.concatenate(at), chain(moved)
+    motion, trusted, located = map(np.concatenate, zip(*found, strict=True))
+    middles, poses = np.concatenate(at), chain(motion)
     return LidarPath(middles, poses, trusted, located, twists(middles, poses))
 
 
 class _Followed(NamedTuple):
-    """Motions (m, 3) to m sweeps; whether each may be used, and tells the place, (m,)."""
+    """Motions (m, 3) to m sweeps; `trusted` and `located` (m,) as in `LidarPath`."""
 
-    moved: Array
+    motion: Array
     trusted: Mask
     located: Mask
 
 
 class _Follower:
-    """A tracker that begins anew where it is lost."""
+    """A tracker that restarts when it is lost."""
 
     def __init__(self) -> None:
         self._tracker = ScanToMap()
-        self._gate = Gate(np.full(3, NEVER), np.zeros(3))
-        self._anew = False
+        self._gate = Gate(np.full(3, NO_LIMIT), np.zeros(3))
+        self._restarted = False
 
     def follow(self, motions: Motions, sweeps: Sweeps) -> Iterator[_Followed]:
-        """Yield what became of the next sweeps, in order."""
+        """Yield the motions to the next sweeps, in order."""
         begin = 0
         while begin < len(sweeps):
             rows = slice(begin, begin + CHUNK)
             steps = self._tracker.steps(motions.take(rows), sweeps.take(rows), self._gate)
             trusted = steps.reasons == NONE
-            trusted[0] &= not self._anew
-            lost = np.convolve(~trusted, np.ones(LOST), "valid") == LOST
-            self._anew = bool(lost.any())
-            end = int(np.argmax(lost)) + LOST if self._anew else len(trusted)
+            trusted[0] &= not self._restarted
+            lost = np.convolve(~trusted, np.ones(MAX_MISMATCHES), "valid") == MAX_MISMATCHES
+            self._restarted = bool(lost.any())
+            end = int(np.argmax(lost)) + MAX_MISMATCHES if self._restarted else len(trusted)
             yield _Followed(steps.moved[:end], trusted[:end], steps.located[:end])
             begin += end
-            if self._anew:
+            if self._restarted:
                 self._tracker = ScanToMap()
 
 
-def chain(moved: Array) -> Array:
-    """Return poses (n, 3): motions (n, 3) one after another from the origin; headings not wrapped."""
-    heading = np.cumsum(moved[:, 2])
-    way = (moved[:, 0] + 1j * moved[:, 1]) * np.exp(1j * np.concatenate(([0.0], heading))[:-1])
-    place = np.cumsum(way)
-    return np.column_stack((place.real, place.imag, heading))
+def chain(motions: Array) -> Array:
+    """Return poses (n, 3): the motions (n, 3) composed from the origin; headings not wrapped."""
+    heading = np.cumsum(motions[:, 2])
+    steps = motions[:, 0] + 1j * motions[:, 1]
+    position = np.cumsum(steps * np.exp(1j * np.concatenate(([0.0], heading))[:-1]))
+    return np.column_stack((position.real, position.imag, heading))
 
 
 def twists(stamps: Array, poses: Array) -> Array:
-    """Return body velocities (n, 3), each by the neighbours on both sides; 0 where stamps stand."""
+    """Return body velocities (n, 3) by central differences; 0 if stamps do not advance."""
     n = len(stamps)
     before, after = np.maximum(np.arange(n) - 1, 0), np.minimum(np.arange(n) + 1, n - 1)
     seconds = stamps[after] - stamps[before]
@@ -119,8 +120,8 @@ def twists(stamps: Array, poses: Array) -> Array:
 
 
 def deskewed(lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath, rows: Ints) -> list[Scans]:
-    """Return the sweeps in these rows (increasing), each in the lidar's frame in its middle."""
-    own, out, start = bare(lidar), list[Scans](), 0
+    """Return the sweeps in these rows (increasing), each in the lidar's frame at its middle."""
+    own, out, start = unmounted(lidar), list[Scans](), 0
     for piece in scans:
         inside = rows[(rows >= start) & (rows < start + len(piece))]
         if len(inside):

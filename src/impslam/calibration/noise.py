@@ -1,7 +1,7 @@
-"""How much odometry and matches err at random: variances by maximum likelihood.
+"""Variances of the random errors of odometry and matches, by maximum likelihood.
 
-A residual has the covariance C + sum of v_j B_j, with C from the scans and a B_j for each way in which
-odometry or matches may err. The v_j >= 0 minimise the sum of log|S| + e' S^-1 e.
+A residual has the covariance S = C + sum of v_j B_j, with C from the scans and a B_j for each error source
+of odometry or matches. The v_j >= 0 minimise the sum of log|S| + e' S^-1 e.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from impslam.calibration.odometry_models import (
     DifferentialDrive,
     Motion,
     motion,
-    sums,
+    sum_between,
 )
-from impslam.calibration.residuals import SENSOR, Drive, residuals
+from impslam.calibration.residuals import LIDAR_PARAMETERS, Drive, residuals
 from impslam.calibration.scan_pairs import LidarMotions
 from impslam.geometry.se2 import exp, log
 from impslam.types import Array
 
 MATCHING = ("matching", "matching_yaw", "matching_offset", "jitter")
-"""What matches err by beyond what their scans say, m, rad and m; and what their stamps do, s."""
+"""Errors of matches in addition to the noise of their scans, m, rad and m; and of their stamps, s."""
 _JITTER = MATCHING.index("jitter")
-WEAKEST = np.diag([1.0, 1.0, 1.0, 1.0])
-"""Information that every motion has: of 1 m and 1 rad, so that it has an inverse along a corridor."""
+MIN_INFORMATION = np.diag([1.0, 1.0, 1.0, 1.0])
+"""Added to that of every motion: of 1 m and 1 rad, so that it is invertible along a corridor."""
 UNITS = {
     "matching": "m",
     "matching_yaw": "rad",
@@ -40,102 +40,105 @@ UNITS = {
     "turn_per_turn": "rad/sqrt(rad)",
 }
 TYPICAL = np.array([0.002, 0.001, 0.002, 0.002, 0.01, 0.01, 0.01, 0.03])
-"""Where the search begins: units as in `names`."""
-MOST = 100.0
-"""How many times as large they are at most: 0.2 m, 0.1 rad, 0.2 s. Beyond, all would be noise."""
+"""Start of the search, in the order of `noise_names`."""
+MAX_RATIO = 100.0
+"""Upper bound, as a multiple of `TYPICAL`: 0.2 m, 0.1 rad, 0.2 s. Beyond, everything would be noise."""
 
 
 STEP = 1e-6
-"""m and rad, of differences."""
+"""m and rad, of finite differences."""
 
 
 class Noise(NamedTuple):
-    """Variances (c,) of the ways to err, and their information (c, c)."""
+    """Variances (c,) of the error sources, and their information (c, c)."""
 
     variances: Array
     information: Array
 
 
-def names(drive: Drive) -> tuple[str, ...]:
-    """Return the names of the ways to err: of matches, then keys of the config's odometry."""
+def noise_names(drive: Drive) -> tuple[str, ...]:
+    """Return the names of the error sources: of matches, then keys of the config's odometry."""
     table = "slip" if isinstance(drive.model, DifferentialDrive) else "noise"
     along = "wheel_noise" if table == "slip" else "noise.forward"
     rest = ("sideways", "turn_per_distance", "turn_per_turn")
     return (*MATCHING, along, *(f"{table}.{one}" for one in rest))
 
 
-def of_scans(drive: Drive) -> Array:
-    """Return the covariances C (k, 4, 4) of the motions that the scans tell."""
-    return np.asarray(np.linalg.inv(drive.motions.information + WEAKEST), np.float64)
+def scan_covariances(drive: Drive) -> Array:
+    """Return the covariances C (k, 4, 4) of the motions, from the noise of their scans."""
+    return np.asarray(np.linalg.inv(drive.motions.information + MIN_INFORMATION), np.float64)
 
 
 class _Lengths(NamedTuple):
-    """Ways and turns (k,) of k motions, all counted positive, and the travels of both wheels, m."""
+    """Distances and absolute turns (k,) of k motions, and the distances of both wheels, m."""
 
-    way: Array
+    distance: Array
     turn: Array
     left: Array
     right: Array
 
 
-def spreads(drive: Drive, parameters: Array) -> Array:
-    """Return B (c, k, 4, 4), the covariances for variances of 1, in the order of `names`.
+def unit_covariances(drive: Drive, parameters: Array) -> Array:
+    """Return B (c, k, 4, 4), the covariances for variances of 1, in the order of `noise_names`.
 
-    Errors of odometry arise along the whole way, and are told in the middle of it: there a heading
-    that strays by q per metre leaves the place off by q d^3 / 12 across a way d.
+    Errors of odometry accumulate along the motion and are expressed at its middle: there, a heading
+    variance of q per metre causes a variance of q d^3 / 12 of the position across a distance d.
     """
     base, lengths = _driven(drive, parameters)
-    Q = _of_twists(lengths, base)
+    Q = _twist_covariances(lengths, base)
     if isinstance(drive.model, DifferentialDrive):
-        Q[0] = _of_wheels(lengths, np.abs(base.way) ** 2 / 12.0, parameters[2])
-    G = _into_lidar(base.way, base.turn, *_mount(drive, parameters))
-    return np.concatenate((_of_matches(drive.motions), G @ Q @ np.swapaxes(G, -1, -2)))
+        Q[0] = _wheel_covariance(lengths, np.abs(base.translation) ** 2 / 12.0, parameters[2])
+    G = _into_lidar(base.translation, base.turn, *_mount(drive, parameters))
+    return np.concatenate((_match_covariances(drive.motions), G @ Q @ np.swapaxes(G, -1, -2)))
 
 
-def slopes(drive: Drive, parameters: Array, variances: Array) -> Array:
-    """Return (n, k, 4, 4) how the covariance of noise in the readings changes with the parameters (n,).
+def covariance_slopes(drive: Drive, parameters: Array, variances: Array) -> Array:
+    """Return the derivatives (n, k, 4, 4) of the covariance of reading noise by the parameters (n,).
 
-    The noise of odometry, and stamps that jitter, are in the readings, and are as they are; what they do
-    to a motion depends on the parameters. Without these slopes least squares makes what it multiplies
-    too small: a scale is too small, and a track seems wide, by the share that noise has of the squared
-    motions (regression dilution; Fuller 1987, Sec. 1.1). `variances` (c,) are in the order of `names`.
+    Noise of odometry and jitter of stamps are properties of the readings; their effect on a motion depends
+    on the parameters. Without these derivatives, least squares underestimates factors of the readings: a
+    scale is too small, and a track too wide, by the ratio of noise to squared motions (regression dilution;
+    Fuller 1987, Sec. 1.1). `variances` (c,) are in the order of `noise_names`.
     """
     base, lengths = _driven(drive, parameters)
     p, (m, yaw) = len(drive.model.names), _mount(drive, parameters)
-    G, of_odometry = _into_lidar(base.way, base.turn, m, yaw), variances[len(MATCHING) :]
+    G, odometry_variances = (
+        _into_lidar(base.translation, base.turn, m, yaw),
+        variances[len(MATCHING) :],
+    )
     if isinstance(drive.model, DifferentialDrive):
-        Q, Q_D = _slopes_of_wheels(lengths, base, parameters[:3])
-        Q, Q_D = of_odometry[0] * Q, of_odometry[0] * Q_D
+        Q, Q_D = _wheel_slopes(lengths, base, parameters[:3])
+        Q, Q_D = odometry_variances[0] * Q, odometry_variances[0] * Q_D
     else:
-        Q, Q_D = _slopes_of_twists(lengths, base, parameters[:p], of_odometry)
-    out: Array = variances[_JITTER] * _slopes_of_jitter(drive, parameters)
+        Q, Q_D = _twist_slopes(lengths, base, parameters[:p], odometry_variances)
+    out: Array = variances[_JITTER] * _jitter_slopes(drive, parameters)
     out[:p] += G @ Q_D @ np.swapaxes(G, -1, -2)
     for j, other in enumerate(((m + STEP, yaw), (m + 1j * STEP, yaw), (m, yaw + STEP))):
-        moved = _into_lidar(base.way, base.turn, *other)
+        shifted = _into_lidar(base.translation, base.turn, *other)
         out[p + j] += (
-            moved @ Q @ np.swapaxes(moved, -1, -2) - G @ Q @ np.swapaxes(G, -1, -2)
+            shifted @ Q @ np.swapaxes(shifted, -1, -2) - G @ Q @ np.swapaxes(G, -1, -2)
         ) / STEP
     return out
 
 
-def _slopes_of_wheels(lengths: _Lengths, base: Motion, values: Array) -> tuple[Array, Array]:
-    """Return the covariance (k, 4, 4) of wheel noise of unit variance, and (3, k, 4, 4) its slopes."""
-    (radius, ratio, track), across = values, np.abs(base.way) ** 2 / 12.0
-    Q = _of_wheels(lengths, across, track)
-    of_right = _of_wheels(lengths._replace(left=np.zeros_like(across)), across, track)
-    wider = _of_wheels(lengths, across, track * (1.0 + STEP)) - Q
-    return Q, np.array([2.0 / radius * Q, 2.0 / ratio * of_right, wider / (track * STEP)])
+def _wheel_slopes(lengths: _Lengths, base: Motion, values: Array) -> tuple[Array, Array]:
+    """Return the covariance (k, 4, 4) of wheel noise of unit variance, and its slopes (3, k, 4, 4)."""
+    (radius, ratio, track), across = values, np.abs(base.translation) ** 2 / 12.0
+    Q = _wheel_covariance(lengths, across, track)
+    by_right = _wheel_covariance(lengths._replace(left=np.zeros_like(across)), across, track)
+    wider = _wheel_covariance(lengths, across, track * (1.0 + STEP)) - Q
+    return Q, np.array([2.0 / radius * Q, 2.0 / ratio * by_right, wider / (track * STEP)])
 
 
-def _slopes_of_twists(
+def _twist_slopes(
     lengths: _Lengths, base: Motion, values: Array, variances: Array
 ) -> tuple[Array, Array]:
-    """Return the covariance (k, 4, 4) of the noise of poses or speeds, and (p, k, 4, 4) its slopes.
+    """Return the covariance (k, 4, 4) of the noise of poses or speeds, and its slopes (p, k, 4, 4).
 
-    An error of a way grows with the scale of ways, that of a turn with the one of turns; a way that is
-    read wrong turns the robot by so much per metre.
+    Distance errors grow with the distance scale and turn errors with the turn scale; by the turn per metre,
+    a distance error also turns the robot.
     """
-    Q = np.tensordot(variances, _of_twists(lengths, base), axes=1)
+    Q = np.tensordot(variances, _twist_covariances(lengths, base), axes=1)
     E = np.zeros((len(values), 4, 4))
     E[0, 0, 0] = E[0, 1, 1] = 1.0 / values[0]
     E[1, 2, 2] = 1.0 / values[1]
@@ -144,13 +147,15 @@ def _slopes_of_twists(
     return Q, half + np.swapaxes(half, -1, -2)
 
 
-def _slopes_of_jitter(drive: Drive, parameters: Array) -> Array:
-    """Return (n, k, 4, 4) the slopes of what stamps that jitter by 1 s do: speeds grow with the scales."""
-    found, p = drive.motions, len(drive.model.names)
-    still = p + np.array([SENSOR.index("latency"), SENSOR.index("range_offset")])
-    speeds = residuals(drive, parameters).by_all / (found.ends - found.begins)[:, None, None]
-    speeds[:, :, still] = 0.0
-    half: Array = 2.0 * np.einsum("kin,kj->nkij", speeds, _speeds(found))
+def _jitter_slopes(drive: Drive, parameters: Array) -> Array:
+    """Return the slopes (n, k, 4, 4) of the covariance by jitter of 1 s: speeds grow with the scales."""
+    motions, p = drive.motions, len(drive.model.names)
+    unaffected = p + np.array(
+        [LIDAR_PARAMETERS.index("latency"), LIDAR_PARAMETERS.index("range_offset")]
+    )
+    speeds = residuals(drive, parameters).by_all / (motions.ends - motions.begins)[:, None, None]
+    speeds[:, :, unaffected] = 0.0
+    half: Array = 2.0 * np.einsum("kin,kj->nkij", speeds, _speeds(motions))
     return half + np.swapaxes(half, -1, -2)
 
 
@@ -160,27 +165,28 @@ def _mount(drive: Drive, parameters: Array) -> tuple[complex, float]:
 
 
 def _driven(drive: Drive, parameters: Array) -> tuple[Motion, _Lengths]:
-    """Return the motions of base_link, and how long they are."""
-    model, found, p = drive.model, drive.motions, len(drive.model.names)
+    """Return the motions of base_link, and their lengths."""
+    model, motions, p = drive.model, drive.motions, len(drive.model.names)
     latency, steps = parameters[p + 3], model.steps(parameters[:p])
-    base = motion(model, parameters[:p], latency, found.begins, found.ends)
-    left, right = (np.abs(turned) * parameters[0] for turned in model.travels())
-    table = np.column_stack((np.abs(steps.way), np.abs(steps.turn), left, right))
-    return base, _Lengths(*sums(model, table, found.begins - latency, found.ends - latency).T)
+    base = motion(model, parameters[:p], latency, motions.begins, motions.ends)
+    left, right = (np.abs(turns) * parameters[0] for turns in model.wheel_turns())
+    table = np.column_stack((np.abs(steps.path), np.abs(steps.turn), left, right))
+    begins, ends = motions.begins - latency, motions.ends - latency
+    return base, _Lengths(*sum_between(model, table, begins, ends).T)
 
 
-def _of_twists(lengths: _Lengths, base: Motion) -> Array:
-    """Return (4, k, 4, 4) what errors of ways, sideways and of the heading do in the middle of a motion."""
-    across, way = np.abs(base.way) ** 2 / 12.0, lengths.way
-    Q = np.zeros((4, len(way), 4, 4))
-    Q[0, :, 0, 0] = Q[1, :, 1, 1] = way
-    for j, spread in ((2, way), (3, lengths.turn)):
-        Q[j, :, 1, 1], Q[j, :, 2, 2] = across * spread, spread
+def _twist_covariances(lengths: _Lengths, base: Motion) -> Array:
+    """Return the covariances (4, k, 4, 4) of errors forward, sideways and of the heading, mid-motion."""
+    across, distance = np.abs(base.translation) ** 2 / 12.0, lengths.distance
+    Q = np.zeros((4, len(distance), 4, 4))
+    Q[0, :, 0, 0] = Q[1, :, 1, 1] = distance
+    for j, variance in ((2, distance), (3, lengths.turn)):
+        Q[j, :, 1, 1], Q[j, :, 2, 2] = across * variance, variance
     return Q
 
 
-def _of_wheels(lengths: _Lengths, across: Array, track: float) -> Array:
-    """Return (k, 4, 4) what wheel noise of unit variance per metre does in the middle of a motion."""
+def _wheel_covariance(lengths: _Lengths, across: Array, track: float) -> Array:
+    """Return the covariance (k, 4, 4) of wheel noise of unit variance per metre, mid-motion."""
     both, difference = lengths.left + lengths.right, lengths.right - lengths.left
     Q = np.zeros((len(both), 4, 4))
     Q[:, 0, 0], Q[:, 2, 2] = 0.25 * both, both / track**2
@@ -189,50 +195,48 @@ def _of_wheels(lengths: _Lengths, across: Array, track: float) -> Array:
     return Q
 
 
-def _of_matches(found: LidarMotions) -> Array:
-    """Return (4, k, 4, 4) of `MATCHING`.
+def _match_covariances(motions: LidarMotions) -> Array:
+    """Return the covariances (4, k, 4, 4) of the errors in `MATCHING`.
 
-    What seems an error of the ranges, and is the shape of things, takes the pose along; a stamp that is
-    wrong shifts the motion as a whole.
+    An apparent range offset caused by shapes also affects the pose; a wrong stamp scales the whole motion.
     """
-    B = np.zeros((4, len(found.begins), 4, 4))
+    B = np.zeros((4, len(motions.begins), 4, 4))
     B[0, :, 0, 0] = B[0, :, 1, 1] = B[1, :, 2, 2] = 1.0
-    offset = np.linalg.inv(found.information + WEAKEST)[:, 3]
+    offset = np.linalg.inv(motions.information + MIN_INFORMATION)[:, 3]
     offset /= offset[:, 3:]
     B[2] = np.einsum("ki,kj->kij", offset, offset)
-    speeds = _speeds(found)
+    speeds = _speeds(motions)
     B[_JITTER] = 2.0 * np.einsum("ki,kj->kij", speeds, speeds)
     return B
 
 
-def _speeds(found: LidarMotions) -> Array:
-    """Return (k, 4) the motions per second; 0 last, as the range offset stays."""
-    still = np.zeros(len(found.begins))
-    return np.column_stack((found.T_begin_end, still)) / (found.ends - found.begins)[:, None]
+def _speeds(motions: LidarMotions) -> Array:
+    """Return the motions per second (k, 4), with 0 for the constant range offset."""
+    zero = np.zeros(len(motions.begins))
+    return np.column_stack((motions.T_begin_end, zero)) / (motions.ends - motions.begins)[:, None]
 
 
-def _into_lidar(way: Complex, turn: Array, m: complex, yaw: float) -> Array:
-    """Return (k, 4, 4) what an error in the middle of base_link's motion does to the lidar's."""
-    half = exp(0.5 * log(np.column_stack((way.real, way.imag, turn))))
-    facing, rest = np.exp(1j * half[:, 2]), half[:, 0] + 1j * half[:, 1]
+def _into_lidar(translation: Complex, turn: Array, m: complex, yaw: float) -> Array:
+    """Return the Jacobian (k, 4, 4) of the lidar's motion by an error in the middle of base_link's."""
+    half = exp(0.5 * log(np.column_stack((translation.real, translation.imag, turn))))
+    heading, middle = np.exp(1j * half[:, 2]), half[:, 0] + 1j * half[:, 1]
     into = np.exp(-1j * yaw)
-    along, lever = into * facing, into * 1j * (facing * rest + np.exp(1j * turn) * m)
-    G = np.zeros((len(way), 4, 4))
+    along, lever = into * heading, into * 1j * (heading * middle + np.exp(1j * turn) * m)
+    G = np.zeros((len(translation), 4, 4))
     G[:, 0, 0], G[:, 1, 0] = along.real, along.imag
     G[:, 0, 1], G[:, 1, 1] = -along.imag, along.real
     G[:, 0, 2], G[:, 1, 2], G[:, 2, 2] = lever.real, lever.imag, 1.0
     return G
 
 
-def fitted(e: Array, C: Array, B: Array, start: Array) -> Noise:
-    """Return the variances that explain residuals e (k, 4) best, sought from some (c,)."""
+def fit_variances(e: Array, C: Array, B: Array, start: Array) -> Noise:
+    """Return the variances that explain residuals e (k, 4) best; the search begins at `start` (c,)."""
 
     def scaled(factors: Array) -> tuple[float, Array]:
         value, slope = cost(factors * start, e, C, B)
         return value, slope * start
 
-    largest = (MOST * TYPICAL[-len(start) :]) ** 2 / start
-    bounds = [(0.0, float(most)) for most in largest]
+    bounds = [(0.0, float(high)) for high in (MAX_RATIO * TYPICAL[-len(start) :]) ** 2 / start]
     best = minimize(scaled, np.ones(len(start)), jac=True, method="L-BFGS-B", bounds=bounds)
     variances = best.x * start
     S_inv = np.linalg.inv(C + np.tensordot(variances, B, axes=1))
@@ -241,7 +245,7 @@ def fitted(e: Array, C: Array, B: Array, start: Array) -> Noise:
 
 
 def cost(variances: Array, e: Array, C: Array, B: Array) -> tuple[float, Array]:
-    """Return the mean of log|S| + e' S^-1 e over k residuals, and its slope (c,)."""
+    """Return the mean of log|S| + e' S^-1 e over k residuals, and its gradient (c,)."""
     S = C + np.tensordot(variances, B, axes=1)
     S_inv = np.linalg.inv(S)
     w = np.einsum("kij,kj->ki", S_inv, e)

@@ -1,4 +1,4 @@
-"""What a log holds for a calibration: readings of odometry, scans, and yaw rates, on one time line."""
+"""The data of a log that a calibration needs: odometry readings, scans and yaw rates, on one time line."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Recording:
 
     Attributes
     ----------
-    odometry : readings of odometry; none in a log without
+    odometry : readings of odometry; empty if the log has none
     scans : sweeps of one lidar
     gyro : (g, 2) s and rad/s, the yaw rates of an inertial unit
     truth : (t, 4) s, m, m, rad, true poses of base_link; for scoring
@@ -35,7 +35,7 @@ class Recording:
     truth: Array
 
 
-def lidar_of(config: Config) -> tuple[str, Lidar2D]:
+def first_lidar(config: Config) -> tuple[str, Lidar2D]:
     """Return the name of the config's first lidar, and the lidar.
 
     Raises
@@ -51,12 +51,14 @@ def lidar_of(config: Config) -> tuple[str, Lidar2D]:
     )
 
 
-def record(config: Config, source: Source, seen: Callable[[], object] = lambda: None) -> Recording:
-    """Read a log; `seen` is called after each batch. See `record_batches`."""
+def record(
+    config: Config, source: Source, progress: Callable[[], object] = lambda: None
+) -> Recording:
+    """Read a log; call `progress` after each batch. See `record_batches`."""
     with source:
         streams = _streams(config)
         streams.choose(source.defaults())
-        return _record(streams, _told(source.batches(), seen))
+        return _record(streams, _with_progress(source.batches(), progress))
 
 
 def record_batches(
@@ -64,22 +66,22 @@ def record_batches(
 ) -> Recording:
     """Return the rows of the config's odometry and first lidar, and of any inertial unit.
 
-    Clocks that were set are corrected as in a run, so that all stamps are on one time line. `defaults` are
-    the streams to read where the config names none; see `Source.defaults`.
+    Clock steps are corrected as in a run, so that all stamps are on one time line. `defaults` are the
+    streams to read if the config names none; see `Source.defaults`.
     """
     streams = _streams(config)
     streams.choose(defaults or {})
     return _record(streams, batches)
 
 
-def _told(batches: Iterable[Batch], seen: Callable[[], object]) -> Iterable[Batch]:
+def _with_progress(batches: Iterable[Batch], progress: Callable[[], object]) -> Iterable[Batch]:
     for batch in batches:
         yield batch
-        seen()
+        progress()
 
 
 def _streams(config: Config) -> Streams:
-    odometry, (name, lidar) = config.make_robot().odometry, lidar_of(config)
+    odometry, (name, lidar) = config.make_robot().odometry, first_lidar(config)
     return Streams(
         Reader("odometry", odometry.consumes, odometry.stream),
         {name: Reader(f"sensors.{name}", LaserScan, lidar.stream)},
@@ -105,7 +107,7 @@ def _record(streams: Streams, batches: Iterable[Batch]) -> Recording:
 
 
 def _joined(pieces: Iterable[Columns]) -> tuple[Columns, ...]:
-    """Return the pieces with neighbours of one layout joined."""
+    """Return the pieces, with adjacent ones of the same layout joined."""
     runs: list[list[Columns]] = []
     for piece in pieces:
         if runs and same_layout(runs[-1][0], piece):
@@ -116,7 +118,7 @@ def _joined(pieces: Iterable[Columns]) -> tuple[Columns, ...]:
 
 
 def _join_all(run: Sequence[Columns]) -> Columns:
-    """Return pieces of one layout as one; halves, so that a row is copied few times."""
+    """Join pieces of one layout; recursively by halves, so that each row is copied few times."""
     if len(run) == 1:
         return run[0]
     middle = len(run) // 2

@@ -1,8 +1,8 @@
-"""What a lidar's motions say of odometry and mount: residuals, and their derivatives.
+"""Residuals of odometry and mount against a lidar's motions, and their derivatives.
 
-With the motion of base_link z, turn f (complex way, see `odometry_models`) and the lidar at m with yaw
-psi, the lidar moves by L = exp(-i psi) (z + (exp(i f) - 1) m) / s and turns by f, if its ranges have to
-be scaled by s. Residuals are [Re L, Im L, f, o] minus `LidarMotions.joint`, o being the range offset.
+If base_link moves by z (complex, see `odometry_models`) and turns by f, a lidar at m with yaw psi, whose
+ranges must be scaled by s, moves by L = exp(-i psi) (z + (exp(i f) - 1) m) / s and turns by f. Residuals
+are [Re L, Im L, f, o] minus `LidarMotions.joint`, with o the range offset.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from impslam.calibration.scan_pairs import LidarMotions
 from impslam.geometry.angles import wrap
 from impslam.types import Array
 
-SENSOR = ("x", "y", "yaw", "latency", "range_offset", "range_scale")
-"""What is calibrated of the lidar, after the parameters of odometry: m, m, rad, s, m, 1."""
+LIDAR_PARAMETERS = ("x", "y", "yaw", "latency", "range_offset", "range_scale")
+"""Calibrated parameters of the lidar, following those of odometry: m, m, rad, s, m, 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One log: what odometry reads, what the lidar moved by, its path, and what is off with a gyro.
+    """One log: odometry readings with their model, the lidar's motions and path, and errors of a gyro.
 
-    `disorder` is how much its stamps run back and forth, s rms: no latency is known better.
+    `disorder` is the amount by which its stamps run back, s rms: no latency is known better.
     """
 
     model: OdometryModel
@@ -45,13 +45,13 @@ class Residuals(NamedTuple):
 
 
 def residuals(drive: Drive, parameters: Array) -> Residuals:
-    """Return the residuals by parameters (p + 6,): those of odometry, then `SENSOR`."""
+    """Return the residuals for parameters (p + 6,): those of odometry, then `LIDAR_PARAMETERS`."""
     found, p = drive.motions, len(drive.model.names)
     x, y, yaw, latency, offset, scale = parameters[p:]
     base = motion(drive.model, parameters[:p], latency, found.begins, found.ends)
     L, L_D = _seen(base, complex(x, y), yaw, scale)
     k = len(L)
-    e, J = np.empty((k, 4)), np.zeros((k, 4, p + len(SENSOR)))
+    e, J = np.empty((k, 4)), np.zeros((k, 4, p + len(LIDAR_PARAMETERS)))
     e[:, 0], e[:, 1], e[:, 2], e[:, 3] = L.real, L.imag, base.turn, offset
     e -= found.joint
     e[:, 2] = wrap(e[:, 2])
@@ -62,11 +62,11 @@ def residuals(drive: Drive, parameters: Array) -> Residuals:
 
 
 def _seen(base: Motion, m: complex, yaw: float, scale: float) -> tuple[Complex, Complex]:
-    """Return the lidar's ways (k,) complex, in its frame, and the derivatives (k, p + 6)."""
+    """Return the lidar's translations (k,), complex, in its frame, and their derivatives (k, p + 6)."""
     turned = np.exp(1j * base.turn)
     into = np.exp(-1j * yaw) / scale
-    L = into * (base.way + (turned - 1.0) * m)
-    by_base = into * (base.way_D + 1j * (turned * m)[:, None] * base.turn_D)
+    L = into * (base.translation + (turned - 1.0) * m)
+    by_base = into * (base.translation_D + 1j * (turned * m)[:, None] * base.turn_D)
     by_x, none = into * (turned - 1.0), np.zeros_like(L)
     own = np.column_stack((by_x, 1j * by_x, -1j * L, by_base[:, -1], none, -L / scale))
     return L, np.column_stack((by_base[:, :-1], own))

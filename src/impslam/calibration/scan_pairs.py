@@ -1,14 +1,14 @@
-"""Motions of a lidar between two of its scans, each matched by itself, with what they are worth.
+"""Motions of a lidar between pairs of its scans, with their information.
 
 Point to line: with q = T p_b, a point of scan b in the frame of scan a, p_a its nearest point there and n
 the mean of both normals, e = n . (q - p_a) (Rusinkiewicz 2019, "A symmetric objective function for ICP").
 The pose T_a_b = [x, y, yaw] minimises the weighted sum of e^2; errors are additive on it. An error o of
-all ranges moves each point along its beam u, so that de/do = n . (R u_b - u_a), and one least squares
-tells both. An error of scale cannot be told from the motion: de/ds = -n . t.
+all ranges moves each point along its beam u, so that de/do = n . (R u_b - u_a), and one least-squares fit
+gives both. A scale error cannot be separated from the motion: de/ds = -n . t.
 
-Pairs do not share scans, so that their errors are independent. Neither odometry nor the lidar's mount
-has a part in them, so that they can be held against both. Points are smoothed along their surface, and the
-information counts those that share an error as one.
+Pairs do not share scans, so their errors are independent. They use neither odometry nor the lidar's mount,
+so they can be compared with both. Points are smoothed along their surface, and the information counts
+points with a common error as one.
 """
 
 from __future__ import annotations
@@ -27,37 +27,37 @@ from impslam.sensors.lidar2d import Lidar2D
 from impslam.surfaces.features import Features, beam_spacing, find_features
 from impslam.types import Array, Ints
 
-WAY, TURN = 0.3, 0.3
-"""m, rad between the scans of a pair: a hundred times the error of a match, and the view is the same."""
-LONGEST = 3.0
-"""s between them at most: standing tells of a gyro's bias and of the noise."""
-MOST = 1500
-"""Pairs of a log; of more, as many are taken evenly. What is then left is better known than it is true."""
-REACH, NEAR, CLOSE = 0.3, 0.05, 3.0
-"""m between points that are paired at first and in the end; and standard deviations of e in the end."""
-FACING = 0.9
-"""Cosine between the normals of a pair."""
-SMOOTH, ALONG, FLAT = 4, 0.25, 0.95
-"""Neighbours on either side, m, and cosine between normals, of points that are smoothed."""
-FEWEST, SHARE = 30, 0.5
-"""Points that match, and their share of the scan with fewer: below, the scans show different places."""
-ROUGH = 0.005
-"""m: what surfaces are not flat by (skirting, frames, fabric), and what a grazing beam shows of it."""
-LEAST = 1e-4
-"""Chi-square per point: ranges are no more than 100 times as exact as the config says."""
-ROUNDS = 20
-SETTLED = 1e-5
-"""m, rad: the last step is smaller; a hundredth of what a match is uncertain by."""
+PAIR_DISTANCE, PAIR_TURN = 0.3, 0.3
+"""m, rad between the scans of a pair: a hundred times the error of a match, with nearly the same view."""
+MAX_INTERVAL = 3.0
+"""s between them: pairs without motion give the bias of a gyro and the noise."""
+MAX_PAIRS = 1500
+"""Pairs of a log; if there are more, they are thinned evenly. More would reduce only the random errors."""
+START_RADIUS, END_RADIUS, END_SIGMAS = 0.3, 0.05, 3.0
+"""m between paired points, at first and in the end; and standard deviations of e in the end."""
+MIN_FACING = 0.9
+"""Cosine between the normals of a pair of points."""
+SMOOTH_NEIGHBOURS, SMOOTH_RADIUS, SMOOTH_FACING = 4, 0.25, 0.95
+"""Neighbours on either side, their distance in m, and cosine between normals, for smoothing."""
+MIN_POINTS, MIN_SHARE = 30, 0.5
+"""Points that match, and their share of the smaller scan: below, the scans show different places."""
+ROUGHNESS = 0.005
+"""m: unevenness of surfaces (skirting, frames, fabric), which matters for grazing beams."""
+MIN_CHI2 = 1e-4
+"""Lower bound of chi-square per point: ranges are at most 100 times as exact as configured."""
+MAX_ITERATIONS = 20
+CONVERGENCE = 1e-5
+"""m, rad of the last step: a hundredth of the uncertainty of a match."""
 
 
 class LidarMotions(NamedTuple):
-    """m motions of a lidar, whose errors are independent of each other.
+    """m motions of a lidar with independent errors.
 
     Attributes
     ----------
     begins, ends : (m,) s, middles of the two sweeps, by the scans' own clock
-    T_begin_end : (m, 3) of the lidar, if the ranges are right
-    joint : (m, 4) [x, y, yaw, range offset] that fit best together, m, m, rad, m
+    T_begin_end : (m, 3) of the lidar, for a range offset of 0
+    joint : (m, 4) [x, y, yaw, range offset] of the joint fit, m, m, rad, m
     information : (m, 4, 4) of `joint`
     scatter : (m,) m, standard deviation of the points' distances from the lines
     share : (m,) share of points that match
@@ -73,7 +73,7 @@ class LidarMotions(NamedTuple):
 
     @property
     def covariance(self) -> Array:
-        """(m, 3, 3) of `T_begin_end`; the ranges count as right."""
+        """(m, 3, 3) of `T_begin_end`, without a range offset."""
         return np.asarray(np.linalg.pinv(self.information[:, :3, :3], hermitian=True), np.float64)
 
     def take(self, rows: slice | Ints) -> LidarMotions:
@@ -84,8 +84,8 @@ class LidarMotions(NamedTuple):
 class Surface(NamedTuple):
     """n points of a scan, smoothed along the surface, and their normals, both (n, 2).
 
-    The nearest of noisy points is one whose error is alike, and what noise does to a pair beyond first
-    order makes ranges seem too short. `shared` is how many points have an error in common.
+    Without smoothing, nearest-neighbour pairs favour points with similar errors, and the second-order
+    effect of noise makes ranges look too short. `shared` is the mean number of points with a common error.
     """
 
     points: Array
@@ -94,7 +94,7 @@ class Surface(NamedTuple):
 
 
 class Alignment(NamedTuple):
-    """Where one scan lies on another; see `LidarMotions`."""
+    """Pose of one scan relative to another; see `LidarMotions`."""
 
     T_a_b: Array
     joint: Array
@@ -103,8 +103,8 @@ class Alignment(NamedTuple):
     share: float
 
 
-def matched_pairs(lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath) -> LidarMotions:
-    """Return the motions along a path, between scans that are matched with each other."""
+def match_pairs(lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath) -> LidarMotions:
+    """Return the motions along a path between pairs of scans, each pair matched independently."""
     begins, ends = pairs(path)
     rows = np.concatenate((begins, ends))
     features = dict(
@@ -125,19 +125,19 @@ _NONE = [np.empty((0, *shape)) for shape in ((3,), (4,), (4, 4), (), ())]
 
 
 def pairs(path: LidarPath) -> tuple[Ints, Ints]:
-    """Return the rows (m,) of a path at which motions begin and end; no row is in two of them."""
+    """Return the rows (m,) of a path at which motions begin and end; each row is used at most once."""
     begins, ends, a = [], [], 0
     for b in range(1, len(path.poses)):
         if not path.trusted[b] or path.middles[b] <= path.middles[b - 1]:
             a = b + 1
         elif b > a:
             x, y, turn = path.poses[b] - path.poses[a]
-            late = path.middles[b] - path.middles[a] >= LONGEST
-            if math.hypot(x, y) >= WAY or abs(turn) >= TURN or late:
+            late = path.middles[b] - path.middles[a] >= MAX_INTERVAL
+            if math.hypot(x, y) >= PAIR_DISTANCE or abs(turn) >= PAIR_TURN or late:
                 begins.append(a)
                 ends.append(b)
                 a = b + 1
-    some = np.unique(np.linspace(0, len(begins) - 1, min(len(begins), MOST)).astype(np.int64))
+    some = np.unique(np.linspace(0, len(begins) - 1, min(len(begins), MAX_PAIRS)).astype(np.int64))
     return np.array(begins, np.int64)[some], np.array(ends, np.int64)[some]
 
 
@@ -146,14 +146,14 @@ def _features(
 ) -> list[Surface]:
     """Return the surfaces of sweeps, in the lidar's frame in the middle of each."""
     return [
-        surface_of(some, k)
+        sweep_surface(some, k)
         for some in deskewed(lidar, scans, path, rows)
         for k in range(len(some.stamps))
     ]
 
 
-def surface_of(scans: Scans, k: int) -> Surface:
-    """Return what sweep k shows, in the frame of the scans."""
+def sweep_surface(scans: Scans, k: int) -> Surface:
+    """Return the surface of sweep k, in the frame of the scans."""
     out = np.empty((len(scans.angles), 5), np.float32)
     spacing = beam_spacing(scans.angles)
     count = find_features(
@@ -163,90 +163,90 @@ def surface_of(scans: Scans, k: int) -> Surface:
 
 
 def surface(features: Features) -> Surface:
-    """Return features (n, 5), which are in beam order, with their points smoothed along the surface."""
+    """Return the surface of features (n, 5) in beam order, with points smoothed along it."""
     points, normals = features[:, :2].astype(np.float64), features[:, 2:4].astype(np.float64)
     total, count = np.zeros(len(points)), np.ones(len(points))
-    for step in range(1, SMOOTH + 1):
+    for step in range(1, SMOOTH_NEIGHBOURS + 1):
         for this, other in ((slice(step, None), slice(-step)), (slice(-step), slice(step, None))):
-            way = points[other] - points[this]
-            same = _dot(normals[this], normals[other]) > FLAT
-            same &= np.hypot(way[:, 0], way[:, 1]) < ALONG
-            total[this] += same * 0.5 * _dot(normals[this] + normals[other], way)
+            offset = points[other] - points[this]
+            same = _dot(normals[this], normals[other]) > SMOOTH_FACING
+            same &= np.hypot(offset[:, 0], offset[:, 1]) < SMOOTH_RADIUS
+            total[this] += same * 0.5 * _dot(normals[this] + normals[other], offset)
             count[this] += same
     smooth = points + (total / count)[:, None] * normals
     return Surface(smooth, normals, float(count.mean()) if len(count) else 1.0)
 
 
 def align(a: Surface, b: Surface, guess: Array, noise: tuple[float, float]) -> Alignment | None:
-    """Return where scan b lies on scan a, near a guess (3,); None if they show different places.
+    """Return the pose of scan b in scan a, near a guess (3,); None if they show different places.
 
-    `noise` is the standard deviation of a range at 0 (m) and how much it grows with range; what is
-    smaller or larger of it in truth scales the information.
+    `noise` is the standard deviation of a range at 0 (m), and its growth with range; the information is
+    scaled to the residuals.
     """
-    fewest = min(len(a.points), len(b.points))
-    if fewest < FEWEST:
+    smaller = min(len(a.points), len(b.points))
+    if smaller < MIN_POINTS:
         return None
     trees, pose, scale = (cKDTree(a.points), cKDTree(b.points)), np.array(guess), 1.0
-    for k in range(ROUNDS):
-        e, J, _ = _misfit(a, b, trees, pose, max(REACH * 0.5**k, NEAR), noise)
-        if len(e) < FEWEST:
+    for k in range(MAX_ITERATIONS):
+        e, J, _ = _misfit(a, b, trees, pose, max(START_RADIUS * 0.5**k, END_RADIUS), noise)
+        if len(e) < MIN_POINTS:
             return None
-        scale = CLOSE * 1.4826 * float(np.median(np.abs(e)))
+        scale = END_SIGMAS * 1.4826 * float(np.median(np.abs(e)))
         WJ = J.T * (1.0 + (e / scale) ** 2) ** -2
         step = np.linalg.lstsq(WJ[:3] @ J[:, :3], -WJ[:3] @ e, rcond=1e-9)[0]
         pose += step
-        if np.abs(step).max() < SETTLED:
+        if np.abs(step).max() < CONVERGENCE:
             break
-    e, J, off = _misfit(a, b, trees, pose, NEAR, noise)
+    e, J, off = _misfit(a, b, trees, pose, END_RADIUS, noise)
     near = np.abs(e) < scale
     count = 0.5 * float(near.sum())  # each point is in two pairs, on average
-    if count < FEWEST or count < SHARE * fewest:
+    if count < MIN_POINTS or count < MIN_SHARE * smaller:
         return None
-    chi2 = max(0.5 * float(e[near] @ e[near]) / (count - 3.0), LEAST)
+    chi2 = max(0.5 * float(e[near] @ e[near]) / (count - 3.0), MIN_CHI2)
     H = 0.5 * J[near].T @ J[near]
     joint = np.append(pose, 0.0) - np.linalg.pinv(H, 1e-9, hermitian=True) @ (
         0.5 * J[near].T @ e[near]
     )
     H /= chi2 * 0.5 * (a.shared + b.shared)
-    return Alignment(pose, joint, H, float(off[near].std()), count / fewest)
+    return Alignment(pose, joint, H, float(off[near].std()), count / smaller)
 
 
 Trees: TypeAlias = tuple[cKDTree, cKDTree]
 
 
 def _misfit(
-    a: Surface, b: Surface, trees: Trees, pose: Array, reach: float, noise: tuple[float, float]
+    a: Surface, b: Surface, trees: Trees, pose: Array, radius: float, noise: tuple[float, float]
 ) -> tuple[Array, Array, Array]:
-    """Return (k,) how far points of b are off the lines of a, in standard deviations, and in m.
+    """Return normalised distances (k,) of points of b from lines of a, their derivatives, and m (k,).
 
-    In between, the derivatives (k, 4) of the first by x, y and yaw of the pose, and by an offset of
-    all ranges.
+    The derivatives (k, 4) of the normalised distances are by x, y and yaw of the pose, and by an offset of
+    all ranges. The last result is the distances in m.
     """
     turn = rotation(float(pose[2])).T  # of rows
-    i, j = _paired(a, b, trees, pose, reach)
+    i, j = _paired(a, b, trees, pose, radius)
     m = b.normals[i] @ turn
-    facing = _dot(m, a.normals[j]) > FACING
+    facing = _dot(m, a.normals[j]) > MIN_FACING
     i, j, m = i[facing], j[facing], m[facing]
     r, p, n = b.points[i] @ turn, a.points[j], m + a.normals[j]
     n /= np.hypot(n[:, 0], n[:, 1])[:, None]
     far_b, far_a = np.hypot(r[:, 0], r[:, 1]), np.hypot(p[:, 0], p[:, 1])
     along_b, along_a = _dot(n, r) / far_b, _dot(n, p) / far_a
     of_b, of_a = ((noise[0] + noise[1] * far) for far in (far_b, far_a))
-    sigma = np.hypot(np.hypot(of_b * along_b, of_a * along_a), ROUGH)
+    sigma = np.hypot(np.hypot(of_b * along_b, of_a * along_a), ROUGHNESS)
     off = _dot(n, r + pose[:2] - p)
     J = np.column_stack((n, n[:, 1] * r[:, 0] - n[:, 0] * r[:, 1], along_b - along_a))
     return off / sigma, J / sigma[:, None], off
 
 
-def _paired(a: Surface, b: Surface, trees: Trees, pose: Array, reach: float) -> tuple[Ints, Ints]:
-    """Return the rows (k,) of b and of a that are paired: the nearest one of each point, both ways.
+def _paired(a: Surface, b: Surface, trees: Trees, pose: Array, radius: float) -> tuple[Ints, Ints]:
+    """Return the rows (k,) of b and of a that are paired: nearest neighbours in both directions.
 
-    Points lie denser nearby, so that the nearest one is more often a near one that was measured too
-    long; one way alone, ranges seem to be off by some sigma^2 / r.
+    Points are denser close to the lidar, so a nearest neighbour is more often a closer point measured too
+    long; pairing in one direction alone would bias ranges by some sigma^2 / r.
     """
     turn, of_a, of_b = rotation(float(pose[2])), np.arange(len(a.points)), np.arange(len(b.points))
-    to_a, j = trees[0].query(b.points @ turn.T + pose[:2], distance_upper_bound=reach)
-    to_b, i = trees[1].query((a.points - pose[:2]) @ turn, distance_upper_bound=reach)
+    to_a, j = trees[0].query(b.points @ turn.T + pose[:2], distance_upper_bound=radius)
+    to_b, i = trees[1].query((a.points - pose[:2]) @ turn, distance_upper_bound=radius)
     there, back = np.isfinite(to_a), np.isfinite(to_b)
     return np.concatenate((of_b[there], i[back])), np.concatenate((j[there], of_a[back]))
 

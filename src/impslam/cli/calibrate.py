@@ -100,7 +100,7 @@ def _solved(  # see `calibrate`
 ) -> Written:
     """Calibrate by all motions; show it, draw it, and return what is to be written."""
     from impslam.calibration.calibrate import calibrate as solve
-    from impslam.calibration.calibrate import table
+    from impslam.calibration.calibrate import config_tables
 
     chosen, drives = _read(logs, config, settings, quiet)
     found = solve(chosen, drives, keep)
@@ -117,14 +117,14 @@ def _solved(  # see `calibrate`
     told = [
         f"{one.name}: +- {one.sigma:.2g} {one.unit}" for one in found.parameters if one.observable
     ]
-    return chosen, table(found), told
+    return chosen, config_tables(found), told
 
 
 def _read(
     logs: Sequence[Path], base: str | None, settings: Sequence[str], quiet: bool
 ) -> tuple[Config, list[Drive]]:
     """Return the config, as it fits the first log, and the drives of all."""
-    from impslam.calibration.calibrate import drives_of
+    from impslam.calibration.calibrate import extract_drives
     from impslam.calibration.recording import record
     from impslam.open_log import open_log
 
@@ -138,7 +138,7 @@ def _read(
                 if shown:
                     shown.update(task, completed=source.position)
 
-            drives += drives_of(config, record(config, source, tick), str(log))
+            drives += extract_drives(config, record(config, source, tick), str(log))
             configs.append(config)
     names = {drive.model.names for drive in drives}
     if len(names) > 1:
@@ -160,7 +160,7 @@ def _show(found: Calibration, keep: Sequence[str]) -> None:
         )
     header = ("parameter", "unit", "observable", "config", "found", "std")
     console.show_table(header, list(_rows(found, keep)), numbers=3)
-    noise = [(s.name, s.unit, *_rounded(s.sigma, s.value, s.sigma)) for s in found.spreads]
+    noise = [(s.name, s.unit, *_rounded(s.sigma, s.value, s.sigma)) for s in found.random_errors]
     console.show_table(("random error", "unit", "found", "std"), noise, numbers=2)
     for gyro in {drive.gyro for drive in found.drives if drive.gyro is not None}:
         bias = " +- ".join(_rounded(gyro.bias_sigma, gyro.bias, gyro.bias_sigma))
@@ -169,10 +169,14 @@ def _show(found: Calibration, keep: Sequence[str]) -> None:
 
 
 def _rows(found: Calibration, keep: Sequence[str]) -> Iterator[tuple[str, ...]]:
-    from impslam.calibration.order_clock import MOST
+    from impslam.calibration.order_clock import MAX_DISORDER
 
     back = max(drive.disorder for drive in found.drives)
-    advice = ADVICE if back <= MOST else {**ADVICE, "latency": f"stamps run back by {back:.2f} s"}
+    advice = (
+        ADVICE
+        if back <= MAX_DISORDER
+        else {**ADVICE, "latency": f"stamps run back by {back:.2f} s"}
+    )
     for one in found.parameters:
         if one.observable:
             yield one.name, one.unit, "yes", *_rounded(one.sigma, one.before, one.value, one.sigma)
@@ -222,16 +226,16 @@ def _write(
 
 
 def _numbers(found: Calibration) -> dict[str, Any]:
-    from impslam.calibration.calibrate import table
+    from impslam.calibration.calibrate import config_tables
     from impslam.evaluation.json_values import json_values
 
     numbers: dict[str, Any] = json_values({
         "parameters": found.parameters,
         "covariance": found.covariance.tolist(),
-        "random_errors": found.spreads,
+        "random_errors": found.random_errors,
         "gyro": [drive.gyro for drive in found.drives],
         "motions": [len(kept) for kept in found.solution.kept],
         "motions_that_fit": [int(kept.sum()) for kept in found.solution.kept],
-        "config": table(found),
+        "config": config_tables(found),
     })  # fmt: skip
     return numbers

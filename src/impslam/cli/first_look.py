@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from impslam.cli import console
 from impslam.config import Config
-from impslam.diagnosis.diagnose import first_look, fresh
-from impslam.diagnosis.finding import standing
+from impslam.diagnosis.diagnose import first_look, unread_copy
+from impslam.diagnosis.finding import worst_health
 from impslam.fitting import choices
 from impslam.health import Standing
 from impslam.sources.base import Source
@@ -16,7 +16,7 @@ def show_first_look(config: Config, source: Source, preset: str | None) -> Stand
 
     `preset` is the one that was asked for. Returned is what that says of all poses of the run.
     """
-    with fresh(source) as log:
+    with unread_copy(source) as log:
         found = log.preset
         harm = first_look(config, log)
         chosen = choices(config, log)
@@ -24,4 +24,4 @@ def show_first_look(config: Config, source: Source, preset: str | None) -> Stand
     console.say(f"reads: preset {named}; {chosen}")
     for finding in harm:
         console.show_finding(finding.kind, str(finding), harmful=True)
-    return standing(harm)
+    return worst_health(harm)

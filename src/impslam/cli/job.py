@@ -13,7 +13,7 @@ from impslam.cli.progress import display
 from impslam.config import Config
 from impslam.continuing import Known
 from impslam.errors import ConfigError
-from impslam.evaluation.landmark_files import surveyed
+from impslam.evaluation.landmark_files import read_surveyed
 from impslam.health import SOUND, Standing
 from impslam.map import Map
 from impslam.observers.base import Observer
@@ -78,7 +78,7 @@ def execute(  # noqa: PLR0913  # all that a run consists of
     if folder.resolve().is_relative_to(source.path.resolve()):
         raise ConfigError(f"{folder}: is inside the log and would change it; give another -o")
     with display(quiet) as shown:
-        known = known or source.true_landmarks() or surveyed(source.path)
+        known = known or source.true_landmarks() or read_surveyed(source.path)
         bar = Bar(source, shown)
         files = [] if exports is None else exports.observers(bar.show)
         observers = [bar, Recorder(folder, known), *more, *files]

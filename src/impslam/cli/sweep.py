@@ -147,14 +147,14 @@ def _run(left: Sequence[Case], pool: Pool, journal: Journal, quiet: bool) -> Non
     from impslam.cli.interruption import Interruption
     from impslam.cli.progress import StageBars, display
     from impslam.sweeps.measures import run_case
-    from impslam.sweeps.pool import Lost
+    from impslam.sweeps.pool import ProcessDied
 
     with Interruption(), display(quiet) as shown:
         bars = StageBars(shown, "sweep")
         bars("runs", 0, len(left))
         for done, (index, result) in enumerate(pool.each(run_case, left), start=1):
             run = left[index].row()
-            journal.add({**run, "error": result.why} if isinstance(result, Lost) else result)
+            journal.add({**run, "error": result.why} if isinstance(result, ProcessDied) else result)
             bars("runs", done, len(left))
 
 

@@ -125,7 +125,7 @@ def _finish(
     from impslam.sweeps.tuning_plot import draw_search
 
     found = suggest(space, best(study))
-    rows = task.evidence(found, pool)
+    rows = task.compare(found, pool)
     text = tuned_config(task, found, rows, score, study)
     (folder / TUNED).write_text(text, encoding="utf-8")
     draw_search(study, list(space)).savefig(folder / PICTURE, metadata={"Software": None})

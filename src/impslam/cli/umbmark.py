@@ -52,21 +52,23 @@ def show_squares(
 def _read(
     logs: Sequence[Path], base: str | None, settings: Sequence[str]
 ) -> tuple[Config, list[Square], np.ndarray[Any, np.dtype[np.float64]]]:
-    from impslam.calibration.calibrate import drives_of
-    from impslam.calibration.recording import lidar_of, record
-    from impslam.calibration.umbmark import square_of
+    from impslam.calibration.calibrate import extract_drives
+    from impslam.calibration.recording import first_lidar, record
+    from impslam.calibration.umbmark import measure_square
     from impslam.odometry.encoders import Encoders
     from impslam.open_log import open_log
 
     squares, configs = list["Square"](), list["Config"]()
     for log in logs:
         config, source = open_log(log, base, settings)
-        odometry, (_, lidar) = config.make_robot().odometry, lidar_of(config)
+        odometry, (_, lidar) = config.make_robot().odometry, first_lidar(config)
         if not isinstance(odometry, Encoders):
             raise ConfigError("--square: needs wheels; set odometry.kind=encoders")
         values = np.array([odometry.wheel_radius, odometry.right_left_ratio, odometry.track])
         recording = record(config, source)
-        square = square_of(lidar, recording, drives_of(config, recording, str(log))[0], values)
+        square = measure_square(
+            lidar, recording, extract_drives(config, recording, str(log))[0], values
+        )
         if square is None:
             raise SourceError(
                 f"{log}: its last scan does not show where it began; end at the start"

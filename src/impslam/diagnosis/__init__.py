@@ -1,1 +1,1 @@
-"""What is wrong with a log, by its data: findings, each with the setting that fixes it."""
+"""Diagnosis of logs: findings, each with the settings that fix it."""

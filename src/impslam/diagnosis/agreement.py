@@ -1,16 +1,16 @@
-"""How odometry agrees with the laser's own motion.
+"""Linear relation between odometry and the motion measured by the laser.
 
-With F and T the way forward and the turn of the axle by the laser, and S and R those by odometry, each of a
-stretch, a robot that is as its config says has S = F and R = T. In general
+Let F and T be the forward distance and the turn of the axle over a stretch, measured by the laser, and S
+and R the same by odometry. If the config is correct, S = F and R = T. In general
 
     S = a F + b T,    R = c F + d T
 
-with a the scale of ways, d that of turns, c the turn per metre (unequal wheels), b the laser's offset
-to the left times a. An axle does not move sideways, and so the laser's motion alone tells along which of
-its axes the robot drives, and how far ahead of the axle it stands (Censi et al. 2013 solve for both with
+with a the distance scale, d the turn scale, c the turn per metre (unequal wheels), and b the laser's offset
+to the left times a. An axle does not move sideways, so the laser's motion alone gives the driving direction
+in the laser's frame, and how far the laser is ahead of the axle (Censi et al. 2013 solve for both with
 odometry):
 
-    n . [u, v] = x T,    n a unit vector, x how far the laser stands ahead.
+    n . [u, v] = x T,    n a unit vector, x the distance of the laser ahead of the axle.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.diagnosis.robust import Fit, biweight, fit, sandwich, spread
+from impslam.diagnosis.robust import Fit, biweight, fit, robust_sigma, sandwich
 from impslam.types import Array
 
-FEWEST = 12
-"""Stretches of a fit at least: twice the rows that its robust scale can be wrong about."""
+MIN_STRETCHES = 12
+"""Stretches that a fit needs: twice the rows that its robust scale can be wrong about."""
 
 
 class Axis(NamedTuple):
-    """The direction in which the robot drives, seen from the laser.
+    """The driving direction of the robot, in the laser's frame.
 
     Attributes
     ----------
-    angle : rad, the beam angle that looks ahead, in [-pi/2, pi/2): a motion cannot tell ahead from astern
-    ahead : m, how far the laser stands in that direction from the axle
+    angle : rad, the beam angle that points ahead, in [-pi/2, pi/2): motion alone leaves its sense open
+    ahead : m, position of the laser in that direction, relative to the axle
     covariance : (2, 2) of both
     inliers : share of stretches that fit
     """
@@ -43,25 +43,25 @@ class Axis(NamedTuple):
     covariance: Array
     inliers: float
 
-    def turned(self) -> Axis:
-        """Return the axis in the other sense."""
+    def flipped(self) -> Axis:
+        """Return the same axis with the opposite sense."""
         return self._replace(angle=self.angle + math.pi, ahead=-self.ahead)
 
 
-def drive_axis(laser: Array) -> Axis:
-    """Find the axis from the laser's motions over k stretches, (k, 3) m, m, rad."""
-    way, turn = laser[:, :2], laser[:, 2]
-    weights = np.ones(len(laser))
+def drive_axis(motions: Array) -> Axis:
+    """Estimate the axis from the laser's motions over k stretches, (k, 3) m, m, rad."""
+    distance, turn = motions[:, :2], motions[:, 2]
+    weights = np.ones(len(motions))
     for _ in range(30):
-        lever = (weights * turn) @ way / (float((weights * turn) @ turn) + 1e-12)
-        rest = way - np.outer(turn, lever)
+        lever = (weights * turn) @ distance / (float((weights * turn) @ turn) + 1e-12)
+        rest = distance - np.outer(turn, lever)
         _, axes = np.linalg.eigh((rest * weights[:, None]).T @ rest)
         normal = axes[:, 0] * (-1.0 if axes[1, 0] < 0.0 else 1.0)
         residuals = rest @ normal
-        scale = spread(residuals)
+        scale = robust_sigma(residuals)
         weights = biweight(residuals, scale)
     forward = np.array([normal[1], -normal[0]])
-    J = np.column_stack((-way @ forward, -turn))
+    J = np.column_stack((-distance @ forward, -turn))
     return Axis(
         math.atan2(forward[1], forward[0]),
         float(normal @ lever),
@@ -71,17 +71,17 @@ def drive_axis(laser: Array) -> Axis:
 
 
 class Agreement(NamedTuple):
-    """The fits of S and R; parameters are [a, b] and [c, d]."""
+    """The fits of S (parameters [a, b]) and R (parameters [c, d])."""
 
-    way: Fit
+    distance: Fit
     turn: Fit
 
     @property
-    def is_astern(self) -> bool:
-        """Whether ways are opposite, and turns are not."""
-        return self.way.is_negative(0) and not self.turn.is_negative(1)
+    def is_reversed(self) -> bool:
+        """Whether distances have opposite signs and turns do not."""
+        return self.distance.is_negative(0) and not self.turn.is_negative(1)
 
 
-def agreement(axle: Array, odometry: Array) -> Agreement:
-    """Relate odometry (k, 3) to the motion of the axle (k, 2), m and rad, by the laser."""
+def fit_agreement(axle: Array, odometry: Array) -> Agreement:
+    """Fit odometry's motions (k, 3) to the laser's motions of the axle (k, 2), m and rad."""
     return Agreement(fit(axle, odometry[:, 0]), fit(axle, odometry[:, 2]))

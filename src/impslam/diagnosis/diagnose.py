@@ -1,4 +1,4 @@
-"""All checks of a log, one after another."""
+"""Run all checks on a log."""
 
 from __future__ import annotations
 
@@ -7,72 +7,74 @@ from collections.abc import Iterable, Mapping
 from impslam.calibration.recording import record_batches
 from impslam.columns import Batch
 from impslam.config import Config
-from impslam.diagnosis.beams import beams
-from impslam.diagnosis.evidence import evidence
-from impslam.diagnosis.finding import Finding, standing
-from impslam.diagnosis.handedness import handedness
+from impslam.diagnosis.beams import check_beams
+from impslam.diagnosis.evidence import gather_evidence
+from impslam.diagnosis.finding import Finding, worst_health
+from impslam.diagnosis.handedness import check_handedness
 from impslam.diagnosis.head import Head
-from impslam.diagnosis.mount import mount
-from impslam.diagnosis.odometry import odometry
-from impslam.diagnosis.presets import preset
-from impslam.diagnosis.scales import scales
-from impslam.diagnosis.stamps import overlap, stamps
-from impslam.diagnosis.wheels import wheels
+from impslam.diagnosis.mount import check_mount
+from impslam.diagnosis.odometry import check_odometry
+from impslam.diagnosis.presets import check_preset
+from impslam.diagnosis.scales import check_scales
+from impslam.diagnosis.stamps import check_overlap, check_stamps
+from impslam.diagnosis.wheels import check_wrap
 from impslam.health import Standing
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Source
 from impslam.types import Message
 
 SCANS = 4000
-"""Scans at the beginning of a log that are diagnosed: some minutes, and seconds of work."""
+"""Scans at the beginning of a log that are diagnosed: a few minutes of driving, seconds of computing."""
 FIRST_SCANS = 600
-"""The same before a run: a minute or two, and tenths of a second."""
+"""The same before a run: a minute or two of driving, tenths of a second of computing."""
 
-LEAST_SCANS = 50
-"""Fewer scans do not show enough motion to tell anything; following them takes longer than such a run."""
+MIN_SCANS = 50
+"""Fewer scans do not contain enough motion, and matching them takes longer than such a run."""
 
-ROOTS = (overlap, wheels, preset)
-"""What these find makes others find much that follows from it."""
-CHECKS = (handedness, stamps, odometry, scales, mount, beams)
+ROOT_CHECKS = (check_overlap, check_wrap, check_preset)
+"""The faults that these find would cause findings of the other checks."""
+CHECKS = (
+    check_handedness, check_stamps, check_odometry, check_scales, check_mount, check_beams,
+)  # fmt: skip
 
 
 def diagnose(
     config: Config, batches: Iterable[Batch], defaults: Mapping[type[Message], str]
 ) -> list[Finding]:
-    """Return what the batches of a log show to be other than its config says, what harms first.
+    """Return the differences between the data of a log and its config, harmful ones first.
 
-    `defaults` are the streams to read where the config names none; see `Source.defaults`.
+    `defaults` are the streams to read if the config names none; see `Source.defaults`.
     """
     if not _has_lidar(config):
         return []
-    known = evidence(config, record_batches(config, batches, defaults))
-    for check in ROOTS:
-        if roots := list(check(known)):
+    evidence = gather_evidence(config, record_batches(config, batches, defaults))
+    for check in ROOT_CHECKS:
+        if roots := list(check(evidence)):
             return roots
-    found = [finding for check in CHECKS for finding in check(known)]
-    return sorted(found, key=lambda finding: not finding.harmful)
+    findings = [finding for check in CHECKS for finding in check(evidence)]
+    return sorted(findings, key=lambda finding: not finding.harmful)
 
 
 def first_look(config: Config, source: Source) -> list[Finding]:
-    """Return what harms a run, as far as the beginning of a log shows it; the source must be open."""
+    """Return the harmful findings in the beginning of a log; the source must be open."""
     if not _has_lidar(config):
         return []
     head = Head(FIRST_SCANS)
     for _ in head.read(source.batches()):
         pass
-    if head.scans < LEAST_SCANS:
+    if head.scans < MIN_SCANS:
         return []
     return [one for one in diagnose(config, head.batches, source.defaults()) if one.harmful]
 
 
 def first_health(config: Config, source: Source) -> Standing:
-    """Return what `first_look` says of all poses of a run; the source is opened anew."""
-    with fresh(source) as own:
-        return standing(first_look(config, own))
+    """Return the worst health that `first_look` implies for all poses of a run; opens its own source."""
+    with unread_copy(source) as own:
+        return worst_health(first_look(config, own))
 
 
-def fresh(source: Source) -> Source:
-    """Return another source of the same log, with the same settings, that nobody has read yet."""
+def unread_copy(source: Source) -> Source:
+    """Return another source of the same log with the same settings, still at its beginning."""
     return type(source)(**{name: getattr(source, name) for name in type(source).model_fields})
 
 

@@ -1,4 +1,4 @@
-"""What the checks rest on: the laser's own motion and odometry's, over the same stretches of time."""
+"""Data that the checks share: motions by the laser and by odometry, over the same stretches of time."""
 
 from __future__ import annotations
 
@@ -9,35 +9,35 @@ from dataclasses import dataclass
 import numpy as np
 
 from impslam.calibration.lidar_path import lidar_path
-from impslam.calibration.recording import Recording, lidar_of
+from impslam.calibration.recording import Recording, first_lidar
 from impslam.columns import Columns
 from impslam.config import Config
-from impslam.diagnosis.agreement import FEWEST, Agreement, Axis, agreement, drive_axis
-from impslam.diagnosis.timing import Timing, timing
-from impslam.diagnosis.travel import Laser, Odometer, laser, odometer, stretches
+from impslam.diagnosis.agreement import MIN_STRETCHES, Agreement, Axis, drive_axis, fit_agreement
+from impslam.diagnosis.timing import Timing, estimate_timing
+from impslam.diagnosis.travel import Odometer, SweepMotions, make_odometer, stretches, sweep_motions
 from impslam.odometry.base import Odometry
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.types import Array, Ints
 
-HOLONOMIC = 0.1
-"""Share of odometry's way that is sideways, from which on a robot is no wheeled one with an axle."""
+MAX_SIDEWAYS = 0.1
+"""Largest ratio of sideways to forward distance by odometry of a robot with an axle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """A log as the checks see it.
+    """Input of the checks, computed from a log.
 
     Attributes
     ----------
     config, name, lidar, odometry : the config, its first lidar with its name, its odometry
     recording : the rows of the log
-    laser : motion by the lidar alone, with stamps as received
+    sweep_motions : motion by the lidar alone, with stamps as received
     timing : when scans were taken
     times : (k, 2) s, begin and end of stretches on the odometry's clock, where both are known
-    moved, gone : (k, 3) twists over the stretches of the laser, and of base_link by odometry
-    axis : direction in which the robot drives, from the laser; None where it cannot be told
-    axle : (k, 2) m, rad: motion of the axle by the laser, ahead as the config has it, or else odometry
-    agreement : how odometry relates to that; None where it cannot be told
+    lidar_motion, odometry_motion : (k, 3) twists over the stretches, of the laser and of base_link
+    axis : driving direction, from the laser; None if it cannot be determined
+    axle_motion : (k, 2) m, rad: motion of the axle by the laser, in the sense of `axis`
+    agreement : fit of odometry to that; None if there is no axis
     """
 
     config: Config
@@ -45,89 +45,90 @@ class Evidence:
     lidar: Lidar2D
     odometry: Odometry
     recording: Recording
-    laser: Laser
+    sweep_motions: SweepMotions
     timing: Timing
     times: Array
-    moved: Array
-    gone: Array
+    lidar_motion: Array
+    odometry_motion: Array
     axis: Axis | None
-    axle: Array
+    axle_motion: Array
     agreement: Agreement | None
 
     @property
-    def place(self) -> str:
+    def lidar_key(self) -> str:
         """The lidar's table in the config."""
         return f"sensors.{self.name}"
 
     @property
     def matches_scans(self) -> bool:
-        """Whether a run follows the scans, and odometry is a guess only."""
+        """Whether a run matches scans and uses odometry only as an initial guess."""
         return self.config.make_tracker().matches_scans
 
     @property
-    def goes(self) -> bool:
-        """Whether odometry tells of any motion over the stretches."""
-        return bool((np.abs(self.gone[:, [0, 2]]) > 1e-6).any())
+    def odometry_moves(self) -> bool:
+        """Whether odometry reports any motion over the stretches."""
+        return bool((np.abs(self.odometry_motion[:, [0, 2]]) > 1e-6).any())
 
     @property
     def is_mount_given(self) -> bool:
-        """Whether the config, or the log for it, says where the laser is mounted."""
+        """Whether the config, or the log for it, gives the laser's mount."""
         return "mount" in self.config.sensors[self.name]
 
 
-def evidence(config: Config, recording: Recording) -> Evidence:
-    """Weigh a recording against a config that has a lidar."""
+def gather_evidence(config: Config, recording: Recording) -> Evidence:
+    """Compare the lidar's motions in a recording with odometry; the config must have a lidar."""
     robot = config.make_robot()
-    name, lidar = lidar_of(config)
-    motion = laser(lidar_path(lidar, recording.scans))
-    counter = odometer(robot.odometry, recording.odometry if robot.odometry.measures_motion else ())
-    when = timing(motion, counter, lidar)
-    begins, ends = _known(motion, counter, when.stamps)
-    times = np.column_stack((when.stamps[begins], when.stamps[ends]))
-    sums = np.cumsum(motion.twists, axis=0)
-    moved = sums[ends] - sums[begins]
-    gone = counter.until(times[:, 1]) - counter.until(times[:, 0]) if len(times) else moved
-    axis = _axis(moved, gone, lidar)
-    axle, agreed = np.empty((0, 2)), None
+    name, lidar = first_lidar(config)
+    sweeps = sweep_motions(lidar_path(lidar, recording.scans))
+    odometer = make_odometer(
+        robot.odometry, recording.odometry if robot.odometry.measures_motion else ()
+    )
+    timing = estimate_timing(sweeps, odometer, lidar)
+    begins, ends = _known_stretches(sweeps, odometer, timing.stamps)
+    times = np.column_stack((timing.stamps[begins], timing.stamps[ends]))
+    sums = np.cumsum(sweeps.twists, axis=0)
+    lidar_motion = sums[ends] - sums[begins]
+    odometry_motion = odometer.between(times) if len(times) else lidar_motion
+    axis = _axis(lidar_motion, odometry_motion, lidar)
+    axle_motion, agreement = np.empty((0, 2)), None
     if axis is not None:
-        axle = driven(moved, axis.angle)
-        agreed = agreement(axle, gone)
-        if agreed.is_astern:
-            axis = axis.turned()
-            axle = driven(moved, axis.angle)
-            agreed = agreement(axle, gone)
+        axle_motion = motion_along(lidar_motion, axis.angle)
+        agreement = fit_agreement(axle_motion, odometry_motion)
+        if agreement.is_reversed:
+            axis = axis.flipped()
+            axle_motion = motion_along(lidar_motion, axis.angle)
+            agreement = fit_agreement(axle_motion, odometry_motion)
     return Evidence(
-        config, name, lidar, robot.odometry, recording, motion, when, times, moved, gone,
-        axis, axle, agreed,
+        config, name, lidar, robot.odometry, recording, sweeps, timing, times, lidar_motion,
+        odometry_motion, axis, axle_motion, agreement,
     )  # fmt: skip
 
 
-def driven(moved: Array, angle: float) -> Array:
-    """Return the motion (k, 2) m, rad along a beam angle, of the laser's twists (k, 3)."""
-    return np.column_stack((moved[:, :2] @ [math.cos(angle), math.sin(angle)], moved[:, 2]))
+def motion_along(twists: Array, angle: float) -> Array:
+    """Return the distance along a beam angle and the turn, (k, 2) m, rad, of the laser's twists (k, 3)."""
+    return np.column_stack((twists[:, :2] @ [math.cos(angle), math.sin(angle)], twists[:, 2]))
 
 
-def gone_by(odometry: Odometry, rows: Sequence[Columns], times: Array) -> Array:
-    """Return how far (k, 3) another odometry would have the robot go over the stretches."""
-    counter = odometer(odometry, rows)
-    return counter.until(times[:, 1]) - counter.until(times[:, 0])
+def motion_by(odometry: Odometry, rows: Sequence[Columns], times: Array) -> Array:
+    """Return the motions (k, 3) over the stretches by another odometry."""
+    return make_odometer(odometry, rows).between(times)
 
 
-def _known(motion: Laser, counter: Odometer, stamps: Array) -> tuple[Ints, Ints]:
+def _known_stretches(motion: SweepMotions, odometer: Odometer, stamps: Array) -> tuple[Ints, Ints]:
     begins, ends = stretches(motion)
-    if not len(counter.stamps):
+    if not len(odometer.stamps):
         return begins[:0], ends[:0]
-    whole = counter.is_whole(stamps[begins], stamps[ends])
+    whole = odometer.is_whole(stamps[begins], stamps[ends])
     return begins[whole], ends[whole]
 
 
-def _axis(moved: Array, gone: Array, lidar: Lidar2D) -> Axis | None:
-    """Return the axis in the sense that is nearer to that of the config."""
-    sideways, forward = np.abs(gone[:, 1]).sum(), np.abs(gone[:, 0]).sum()
-    if len(moved) < FEWEST or sideways > HOLONOMIC * forward + 0.1:
+def _axis(lidar_motion: Array, odometry_motion: Array, lidar: Lidar2D) -> Axis | None:
+    """Return the axis in the sense that is closer to that of the config."""
+    sideways, forward = np.abs(odometry_motion[:, 1]).sum(), np.abs(odometry_motion[:, 0]).sum()
+    if len(lidar_motion) < MIN_STRETCHES or sideways > MAX_SIDEWAYS * forward + 0.1:
         return None
-    axis = drive_axis(moved)
-    expected = -lidar.mount[2]  # the beam angle that looks ahead
+    axis = drive_axis(lidar_motion)
+    expected = -lidar.mount[2]  # the beam angle that points ahead
     if math.cos(axis.angle - expected) < 0.0:
-        axis = axis.turned()
+        axis = axis.flipped()
     return axis

@@ -1,4 +1,4 @@
-"""A finding of the diagnosis: one line on what is wrong, the settings that fix it, and its certainty."""
+"""A finding of the diagnosis: one line on the problem, the settings that fix it, and its probability."""
 
 from __future__ import annotations
 
@@ -9,55 +9,56 @@ from dataclasses import dataclass
 from impslam.health import SOUND, Standing
 
 ERROR_RATE = 1e-3
-"""Share of tests that may find what is not there: some twenty tests make 2 % of sound logs."""
+"""Rate of false findings per test: some twenty tests give one in 2 % of sound logs."""
 SIGMAS = 3.29
-"""Standard deviations of a normal error beyond which `ERROR_RATE` lies, both sides together."""
-SUREST = 0.9999
-"""Nothing is surer: standard deviations rest on the noise being what it seems."""
+"""Standard deviations of a normal error that `ERROR_RATE` corresponds to, two-sided."""
+MAX_PROBABILITY = 0.9999
+"""Upper bound of all probabilities: standard deviations depend on assumptions about the noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something that the data show to be other than the config has it.
+    """A difference between the data and the config.
 
     Attributes
     ----------
     kind : its name, the same in every log
-    what : what is measured, with its standard deviation
-    fix : settings for --set that fix it, as "key=value"; several go together
-    sure : probability that it is so
-    advice : what to do where no setting fixes it, or what else it may be
-    harmful : whether a run suffers; otherwise it copes, and the finding is for information
-    health : the reason, with its amount, why no pose of such a run can be trusted
+    what : the measurement, with its standard deviation
+    fix : settings for --set that fix it together, as "key=value"
+    sure : probability that the finding is true
+    advice : what to do if no setting fixes it, or another possible cause
+    harmful : whether it makes a run worse; otherwise the finding is for information
+    health : why no pose of such a run can be trusted, with the amount
     """
 
     kind: str
     what: str
     fix: tuple[str, ...] = ()
-    sure: float = SUREST
+    sure: float = MAX_PROBABILITY
     advice: str = ""
     harmful: bool = True
     health: Standing = SOUND
 
     def __str__(self) -> str:
         """Return the finding as one line."""
-        mended = " ".join(f"--set '{one}'" if "[" in one else f"--set {one}" for one in self.fix)
-        ends = "; ".join(part for part in (mended, self.advice) if part)
-        return f"{self.what} ({100.0 * self.sure:.4g} % sure)" + (f": {ends}" if ends else "")
+        settings = " ".join(f"--set '{one}'" if "[" in one else f"--set {one}" for one in self.fix)
+        remedy = "; ".join(part for part in (settings, self.advice) if part)
+        claim = f"{self.what} ({100.0 * self.sure:.4g} % sure)"
+        return f"{claim}: {remedy}" if remedy else claim
 
 
-def standing(findings: Iterable[Finding]) -> Standing:
-    """Return the worst reason that harmful findings give for not trusting the poses of a run."""
+def worst_health(findings: Iterable[Finding]) -> Standing:
+    """Return the worst health among harmful findings; `SOUND` if there is none."""
     harm = (one.health for one in findings if one.harmful)
     return max(harm, key=lambda one: one.reason, default=SOUND)
 
 
-def certainty(off: float, sigma: float, allowed: float) -> float:
-    """Return how sure it is that a value with a normal error is off by more than is allowed."""
+def probability_off(off: float, sigma: float, allowed: float) -> float:
+    """Return the probability that a value with a normal error is off by more than allowed."""
     above = (abs(off) - allowed) / max(sigma, 1e-12)
-    return min(0.5 * math.erfc(-above / math.sqrt(2.0)), SUREST)
+    return min(0.5 * math.erfc(-above / math.sqrt(2.0)), MAX_PROBABILITY)
 
 
 def is_off(off: float, sigma: float, allowed: float) -> bool:
-    """Tell whether a value is off by more than is allowed, at the error rate of all tests."""
+    """Return whether a value is significantly (see `ERROR_RATE`) off by more than allowed."""
     return abs(off) - SIGMAS * sigma > allowed

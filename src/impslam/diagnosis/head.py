@@ -1,4 +1,4 @@
-"""The beginning of a log, as much as a diagnosis needs of it."""
+"""The beginning of a log, as much as a diagnosis needs."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from impslam.types import LaserScan
 
 @dataclass(slots=True)
 class Head:
-    """Keeps batches of a log until they hold `most` scans; what comes later is not kept."""
+    """Keeps the first batches of a log, until they contain `max_scans` scans."""
 
-    most: int
+    max_scans: int
     batches: list[Batch] = field(default_factory=list)
     scans: int = 0
 
     @property
     def is_full(self) -> bool:
-        """Whether there are scans enough."""
-        return self.scans >= self.most
+        """Whether there are enough scans."""
+        return self.scans >= self.max_scans
 
     def add(self, batch: Batch) -> None:
-        """Keep a batch, unless there are scans enough."""
+        """Keep a batch, unless there are enough scans."""
         if not self.is_full:
             self.batches.append(batch)
             self.scans += sum(len(c) for c in batch.values() if c.kind is LaserScan)
 
     def read(self, batches: Iterable[Batch]) -> Iterator[Batch]:
-        """Keep the beginning of a log; yield the batches that are kept."""
+        """Keep the beginning of a log; yield the batches kept."""
         for batch in batches:
             self.add(batch)
             yield batch

@@ -1,4 +1,4 @@
-"""Where the laser is mounted: turned, and ahead of the axle or behind it."""
+"""Check the laser's mount: its yaw, and its position ahead of the axle or behind it."""
 
 from __future__ import annotations
 
@@ -7,31 +7,31 @@ import math
 import numpy as np
 
 from impslam.diagnosis.evidence import Evidence
-from impslam.diagnosis.finding import Finding, certainty, is_off
-from impslam.diagnosis.handedness import handedness
+from impslam.diagnosis.finding import Finding, is_off, probability_off
+from impslam.diagnosis.handedness import check_handedness
 from impslam.diagnosis.robust import fit
-from impslam.diagnosis.scales import RANGES, scales
+from impslam.diagnosis.scales import RANGES, check_scales
 from impslam.geometry.angles import wrap
 from impslam.health import MISALIGNED, Standing
 
-ASKEW = math.radians(2.0)
-"""What a laser mounted by eye is askew by: 3.5 cm per metre, as much as odometry strays sideways."""
-FITS = 0.7
-"""Share of stretches that obey the axis, below which the robot does not drive along one."""
+YAW_TOLERANCE = math.radians(2.0)
+"""Typical error of a laser mounted by eye: 3.5 cm per metre, as much as odometry drifts sideways."""
+MIN_INLIERS = 0.7
+"""Share of stretches that fit the axis; below it, the robot does not drive along an axis."""
 
 
-def mount(e: Evidence) -> list[Finding]:
-    """Find a laser that is turned, or that stands elsewhere, than the config says."""
-    if e.axis is None or e.agreement is None or e.axis.inliers < FITS:
+def check_mount(e: Evidence) -> list[Finding]:
+    """Find a laser whose yaw or position differs from its mount in the config."""
+    if e.axis is None or e.agreement is None or e.axis.inliers < MIN_INLIERS:
         return []
-    if handedness(e):
+    if check_handedness(e):
         return []
     yaw = wrap(-e.axis.angle)
     off = wrap(yaw - e.lidar.mount[2])
     sigma = math.sqrt(e.axis.covariance[0, 0])
-    if is_off(off, sigma, ASKEW):
+    if is_off(off, sigma, YAW_TOLERANCE):
         return [_turned(e, yaw, off, sigma)]
-    return _elsewhere(e)
+    return _displaced(e)
 
 
 def _turned(e: Evidence, yaw: float, off: float, sigma: float) -> Finding:
@@ -42,40 +42,42 @@ def _turned(e: Evidence, yaw: float, off: float, sigma: float) -> Finding:
         f"the laser is turned by {math.degrees(yaw):.1f} ± {math.degrees(sigma):.1f} deg from the "
         f"direction in which the robot drives; its mount says {math.degrees(e.lidar.mount[2]):.1f} deg"
     )
-    astern = abs(off) > math.radians(135.0)
+    faces_backward = abs(off) > math.radians(135.0)
     return Finding(
         "laser turned",
         what,
-        (f"{e.place}.mount=[{x:.3f},{y:.3f},{yaw:.4f}]",),
-        certainty(off, sigma, ASKEW),
-        "if the mount is right, odometry logs ways forward as backward" if astern else "",
+        (f"{e.lidar_key}.mount=[{x:.3f},{y:.3f},{yaw:.4f}]",),
+        probability_off(off, sigma, YAW_TOLERANCE),
+        "if the mount is right, odometry reports forward motion as backward"
+        if faces_backward
+        else "",
         health=Standing(MISALIGNED, abs(math.degrees(off))),
     )
 
 
-def _elsewhere(e: Evidence) -> list[Finding]:
-    """Compare how far ahead of the axle the laser stands with its mount.
+def _displaced(e: Evidence) -> list[Finding]:
+    """Compare the laser's position ahead of the axle with its mount.
 
-    Of odometry that tells sideways motion base_link need not be on the axle: it goes sideways by so much
-    per turn as it lies ahead of it.
+    If odometry reports sideways motion, base_link need not be on the axle: its sideways motion per turn is
+    its distance ahead of the axle.
     """
     assert e.axis is not None
-    if any(finding.kind == RANGES for finding in scales(e)):
-        return []  # first the metres, then the places
-    base = fit(e.gone[:, 2:], e.gone[:, 1])
+    if any(finding.kind == RANGES for finding in check_scales(e)):
+        return []  # positions are meaningful only once ranges are in metres
+    base = fit(e.odometry_motion[:, 2:], e.odometry_motion[:, 1])
     x, y, yaw = e.lidar.mount
     ahead = e.axis.ahead - float(base.p[0])
     sigma = math.hypot(math.sqrt(e.axis.covariance[1, 1]), float(base.sigma[0]))
-    allowed = 3.0 * (e.lidar.sigma + e.lidar.bias)  # what a range is off by itself, at worst
+    allowed = 3.0 * (e.lidar.sigma + e.lidar.bias)  # largest error of a range itself
     if not is_off(ahead - x, sigma, allowed):
         return []
-    given = f"its mount says {x:.3f} m" if e.is_mount_given else "its mount is not known"
+    given = f"its mount says {x:.3f} m" if e.is_mount_given else "its mount is unknown"
     return [
         Finding(
             "laser elsewhere",
-            f"the laser stands {ahead:.3f} ± {np.fmax(sigma, 1e-3):.3f} m ahead of the axle; {given}",
-            (f"{e.place}.mount=[{ahead:.3f},{y:.3f},{yaw:.3f}]",),
-            certainty(ahead - x, sigma, allowed),
+            f"the laser is {ahead:.3f} ± {np.fmax(sigma, 1e-3):.3f} m ahead of the axle; {given}",
+            (f"{e.lidar_key}.mount=[{ahead:.3f},{y:.3f},{yaw:.3f}]",),
+            probability_off(ahead - x, sigma, allowed),
             harmful=e.is_mount_given,
         )
     ]

@@ -1,9 +1,9 @@
-"""Watches during a run whether odometry's lengths still hold: wheels wear, tyres lose air, tracks are bent.
+"""Check odometry's configured lengths during a run: wheels wear, tyres lose air, tracks get bent.
 
-The motion of each stretch by the estimate is compared with that by odometry (`agreement`), over the
-newest stretches alone, so that memory is bounded and wear shows. With a the scale of odometry's ways, d
-that of its turns, c its turn per metre, and the configured mean radius r, track w and ratio q of the right
-wheel to the left one, the wheels have
+The motion of each stretch by the estimate is compared with that by odometry (see `agreement`). Only the
+newest stretches count, so that memory is bounded and wear is detected. With a the distance scale, d the
+turn scale, c the turn per metre, and the configured mean radius r, track w and ratio q of the right wheel
+to the left one, the wheels have
 
     r / a,    w d / a,    q (1 - c w / 2 a) / (1 + c w / 2 a), about q (1 - c w / a).
 """
@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.calibration.odometry_models import is_calibrated
-from impslam.diagnosis.agreement import Agreement, agreement
+from impslam.diagnosis.agreement import Agreement, fit_agreement
 from impslam.geometry.se2 import between, compose, log
 from impslam.health import SLIPPED
 from impslam.map import Keyframe, PathRows, Revision
@@ -29,29 +29,29 @@ from impslam.sources.base import Problems
 from impslam.types import Array
 
 KIND = "odometry off"
-SECONDS = 3.0
-"""s of a stretch: a metre or a radian of most robots, a hundred times what a pose in a map is off by. If
-stretches ended after a way or a turn, more of them would end within turns than begin there, and a clock
-that is late would look like a scale."""
-MOVED = 0.02
-"""m or rad, the least of a stretch that tells anything."""
-NEWEST = 200
+STRETCH_DURATION = 3.0
+"""s: a metre or a radian of most robots, a hundred times the error of a pose in a map. If stretches ended
+after a distance or a turn, more of them would end within turns than begin there, and a late clock would
+look like a scale."""
+MIN_MOTION = 0.02
+"""m or rad of a stretch that is used."""
+MAX_STRETCHES = 200
 """Stretches that are compared: ten minutes of driving."""
-FEWEST, MORE = 16, 0.2
-"""Stretches before the first comparison, and the share of new ones from which on another is worth it."""
-EXCITED = 3.0
-"""m^2 or rad^2, the least sum of squares that tells a scale: errors of the estimate, 1 cm and 0.5 degrees
-a stretch, make it less than 0.7 % too small then (regression dilution)."""
-CARRIERS = 6.0
-"""Stretches that a scale rests on at least (Kish's effective number, 1965): what is off in one of a few,
-such as a scan that is stamped late, would pass for a scale."""
-LEAST, SIGMAS = 0.01, 4.0
-"""Share of a length that counts, a ruler tells no less; and how many standard deviations beyond it are
-needed: ten minutes of driving make some tens of comparisons."""
-PULL = 0.025
-"""rad/m of turn that nobody has asked for: wheels 0.4 m apart that differ by 1 %."""
-RANGES = 3.0
-"""Standard deviations within which turns are right: ways that alone are off may be the lidar's error."""
+MIN_STRETCHES, MIN_NEW_SHARE = 16, 0.2
+"""Stretches before the first comparison, and the share of new ones before each further one."""
+MIN_SQUARES = 3.0
+"""m^2 or rad^2, sum of squares needed for a scale: with errors of the estimate of 1 cm and 0.5 degrees per
+stretch, it is then less than 0.7 % too small (regression dilution)."""
+MIN_EFFECTIVE = 6.0
+"""Effective number of stretches (Kish 1965) needed for a scale: with fewer, an error in one of them, such
+as a scan with a late stamp, would look like a scale."""
+MIN_CHANGE, SIGMAS = 0.01, 4.0
+"""Share of a length that is reported, about the accuracy of a ruler; and how many standard deviations
+beyond it are needed: ten minutes of driving make some tens of comparisons."""
+MAX_PULL = 0.025
+"""rad/m of unintended turn: wheels 0.4 m apart that differ by 1 %."""
+TURN_SIGMAS = 3.0
+"""Standard deviations within which turns are right: if only distances are off, the ranges may be wrong."""
 
 
 class Estimate(NamedTuple):
@@ -62,37 +62,35 @@ class Estimate(NamedTuple):
 
     @property
     def is_clear(self) -> bool:
-        """Whether a share by which a length is off is surely worth saying."""
-        return self.is_beyond(LEAST)
+        """Whether the relative error of a length is large enough to report."""
+        return self.is_beyond(MIN_CHANGE)
 
     def is_beyond(self, limit: float) -> bool:
-        """Tell whether its size is surely more than a limit."""
+        """Return whether the absolute value is significantly above a limit."""
         return abs(self.value) - SIGMAS * self.sigma > limit
 
     def words(self, less: str, more: str) -> str:
-        """Return a share in percent, "2.1 ± 0.3 % smaller"."""
+        """Return a share in percent, such as "2.1 ± 0.3 % smaller"."""
         size, sigma = 100.0 * abs(self.value), max(100.0 * self.sigma, 0.1)
         return f"{size:.1f} ± {sigma:.1f} % {more if self.value > 0.0 else less}"
 
 
 class OdometryWatch(Observer):
-    """Says in one line when odometry's lengths are not those of the config.
+    """Reports in one line if odometry's lengths differ from the config.
 
-    Stretches count where the estimate rests on more than odometry: scans that were matched, or
-    landmarks that were seen again, while wheels and scans agree.
+    Stretches count if the estimate is based on more than odometry (matched scans or re-observed landmarks)
+    and wheels and scans agree.
 
     Attributes
     ----------
-    notice : the line, as of the newest comparison that was clear; "" as long as there was none
+    notice : the line of the newest significant comparison; "" if there was none
     """
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
-        self._poses: list[
-            tuple[Array, Array]
-        ] = []  # of the stretch, by the estimate and by odometry
+        self._poses: list[tuple[Array, Array]] = []  # of the stretch: estimate, odometry
         self._seconds = 0.0  # of the stretch
-        self._rows: deque[Array] = deque(maxlen=NEWEST)
+        self._rows: deque[Array] = deque(maxlen=MAX_STRETCHES)
         self._new = 0  # stretches since the last comparison
         self.notice = ""
 
@@ -105,7 +103,7 @@ class OdometryWatch(Observer):
         return found
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
-        """Add the motion to a keyframe; compare, once there are some stretches more."""
+        """Add the motion to a keyframe; compare again after enough new stretches."""
         del path
         poses = compose(revision.poses[-1], keyframe.T_keyframe_stamp), keyframe.odometry
         if not (_is_sound(keyframe, revision) and np.isfinite(poses).all()):
@@ -113,39 +111,40 @@ class OdometryWatch(Observer):
             return
         self._seconds = self._seconds + keyframe.motion.duration if self._poses else 0.0
         self._poses.append(poses)
-        if self._seconds >= SECONDS:
+        if self._seconds >= STRETCH_DURATION:
             stretch = np.array(self._poses)
             self._add(log(between(stretch[:-1], stretch[1:])).sum(axis=0))
             self._poses, self._seconds = self._poses[-1:], 0.0
 
     def _add(self, stretch: Array) -> None:
-        """Add a stretch (2, 3), by the estimate and by odometry; compare all, if it is time."""
-        if np.abs(stretch[1, [0, 2]]).max() < MOVED:
+        """Add a stretch (2, 3), by the estimate and by odometry; compare all if enough are new."""
+        if np.abs(stretch[1, [0, 2]]).max() < MIN_MOTION:
             return
         self._rows.append(stretch)
         self._new += 1
-        if len(self._rows) >= FEWEST and self._new > MORE * len(self._rows):
+        if len(self._rows) >= MIN_STRETCHES and self._new > MIN_NEW_SHARE * len(self._rows):
             self._new, rows = 0, np.array(self._rows)
             self.notice = self._compare(rows[:, 0, [0, 2]], rows[:, 1]) or self.notice
 
-    def _compare(self, moved: Array, told: Array) -> str:
+    def _compare(self, estimated: Array, measured: Array) -> str:
         """Return the line for motions (n, 2) by the estimate, m and rad, and (n, 3) by odometry."""
-        squares = np.square(moved)
+        squares = np.square(estimated)
         sums, fourth = squares.sum(axis=0), np.square(squares).sum(axis=0)
-        way, turn = (sums >= EXCITED) & (sums**2 >= CARRIERS * fourth)
-        if not way:
+        has_distance, has_turn = (sums >= MIN_SQUARES) & (sums**2 >= MIN_EFFECTIVE * fourth)
+        if not has_distance:
             return ""
-        agreed = agreement(moved, told)
-        if agreed.way.p[0] < 0.5:  # no length, but another way to be wrong: `imp inspect` tells it
+        agreed = fit_agreement(estimated, measured)
+        if agreed.distance.p[0] < 0.5:  # not a wrong length: `imp inspect` reports the cause
             return ""
-        found = "; ".join(self._findings(agreed, turn=bool(turn) and not self._robot.gyro_turns))
-        return f"{found}: {self._advice}" if found else ""
+        turn = bool(has_turn) and not self._robot.gyro_turns
+        findings = "; ".join(self._findings(agreed, turn=turn))
+        return f"{findings}: {self._advice}" if findings else ""
 
     @property
     def _advice(self) -> str:
         if is_calibrated(self._robot.odometry):
             return "run `imp calibrate` on a log of this robot"
-        return "check the lengths and angles that odometry is told"
+        return "check the lengths and angles in the odometry settings"
 
     def _findings(self, agreed: Agreement, *, turn: bool) -> Iterator[str]:
         odometry = self._robot.odometry
@@ -155,7 +154,7 @@ class OdometryWatch(Observer):
 
 
 def _is_sound(keyframe: Keyframe, revision: Revision) -> bool:
-    """Tell whether the keyframe's pose rests on more than odometry, and continues the one before."""
+    """Return whether the keyframe's pose is based on more than odometry and continues the last one."""
     is_placed = bool(np.ravel(revision.placed)[-1]) and len(revision.ids) == 1
     is_seen = keyframe.located or bool(revision.matches)
     return is_placed and is_seen and not keyframe.lost and keyframe.reason < SLIPPED
@@ -167,7 +166,7 @@ def _of_wheels(agreed: Agreement, track: float, *, turn: bool) -> Iterator[str]:
     ratio = d.value / a.value
     wide = Estimate(ratio - 1.0, ratio * math.hypot(d.sigma / d.value, a.sigma / a.value))
     unequal = Estimate(-track * c.value / a.value, track * c.sigma / a.value)
-    turns_fit = abs(d.value - 1.0) < RANGES * d.sigma
+    turns_fit = abs(d.value - 1.0) < TURN_SIGMAS * d.sigma
     if turn and turns_fit and radius.is_clear and wide.is_clear:
         yield (
             f"the wheels' radius and the track are {radius.words('smaller', 'larger')} than "
@@ -185,21 +184,21 @@ def _of_wheels(agreed: Agreement, track: float, *, turn: bool) -> Iterator[str]:
 
 def _of_poses(agreed: Agreement, *, turn: bool) -> Iterator[str]:
     a, c, d = _parameters(agreed)
-    ways, turns = a._replace(value=a.value - 1.0), d._replace(value=d.value - 1.0)
-    if ways.is_clear:
-        yield f"odometry's ways are {ways.words('shorter', 'longer')} than those of the map"
+    distances, turns = a._replace(value=a.value - 1.0), d._replace(value=d.value - 1.0)
+    if distances.is_clear:
+        yield f"odometry's distances are {distances.words('shorter', 'longer')} than those of the map"
     if turn and turns.is_clear:
         yield f"odometry's turns are {turns.words('smaller', 'larger')} than those of the map"
-    if turn and c.is_beyond(PULL):
+    if turn and c.is_beyond(MAX_PULL):
         pull = f"{c.value:+.3f} ± {max(c.sigma, 1e-3):.3f} rad"
-        yield f"odometry turns by {pull} per metre of straight way"
+        yield f"odometry turns by {pull} per metre of straight driving"
 
 
 def _parameters(agreed: Agreement) -> tuple[Estimate, Estimate, Estimate]:
     """Return a, c and d."""
-    way, turn = agreed
+    distance, turn = agreed
     return (
-        Estimate(float(way.p[0]), float(way.sigma[0])),
+        Estimate(float(distance.p[0]), float(distance.sigma[0])),
         Estimate(float(turn.p[0]), float(turn.sigma[0])),
         Estimate(float(turn.p[1]), float(turn.sigma[1])),
     )

@@ -1,4 +1,4 @@
-"""Straight least squares that a minority of wrong rows does not move, with honest standard deviations."""
+"""Robust linear least squares with realistic standard deviations."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 from impslam.types import Array
 
 CLEAR = 6.0
-"""Standard deviations that a parameter is below 0 before its sign is believed."""
-CUT = 4.685
-"""Standard deviations beyond which a row counts nothing: 95 % efficient for normal errors (Tukey's
+"""Standard deviations that a parameter must be below 0 to count as negative."""
+BIWEIGHT_CUTOFF = 4.685
+"""Standard deviations beyond which a row has no weight: 95 % efficient for normal errors (Tukey's
 biweight; Holland & Welsch 1977)."""
-ROUNDS = 30
+MAX_ITERATIONS = 30
 
 
 class Fit(NamedTuple):
-    """What y = A p comes to.
+    """Solution of y = A p.
 
     Attributes
     ----------
     p : (n,) parameters
-    covariance : (n, n) of them, from the residuals themselves (sandwich; Huber 1967): it needs no noise
-        model, and rows of unequal noise do no harm
+    covariance : (n, n) of them, from the residuals (sandwich; Huber 1967): it needs no noise model, and the
+        rows may have unequal noise
     """
 
     p: Array
@@ -34,29 +34,29 @@ class Fit(NamedTuple):
         """(n,) standard deviations of the parameters."""
         return np.sqrt(np.diag(self.covariance))
 
-    def times(self, factor: float) -> Fit:
+    def scaled(self, factor: float) -> Fit:
         """Return the fit of y times a factor."""
         return Fit(factor * self.p, factor**2 * self.covariance)
 
     def is_negative(self, k: int) -> bool:
-        """Tell whether parameter k is below 0, beyond doubt."""
+        """Return whether parameter k is significantly below 0."""
         return bool(self.p[k] < -CLEAR * self.sigma[k])
 
 
-def fit(A: Array, y: Array, block: int = 1, least: float = 1e-9) -> Fit:
+def fit(A: Array, y: Array, block: int = 1, min_sigma: float = 1e-9) -> Fit:
     """Fit the parameters (n,) of m rows A (m, n) and y (m,), m > n; see `sandwich` for `block`.
 
-    `least` is the standard deviation of a row at least.
+    `min_sigma` is a lower bound of the standard deviation of a row.
     """
     weights: Array = np.ones(len(y))
     p: Array = np.zeros(A.shape[1])
-    for k in range(ROUNDS):
+    for k in range(MAX_ITERATIONS):
         weighted: Array = A * weights[:, None]
         before = p
         p = np.asarray(np.linalg.lstsq(weighted.T @ A, weighted.T @ y, rcond=None)[0])
         residuals = y - A @ p
-        scale = max(spread(residuals), least)
-        if k < ROUNDS // 3:  # least absolute residuals first: the biweight needs a start near
+        scale = max(robust_sigma(residuals), min_sigma)
+        if k < MAX_ITERATIONS // 3:  # least absolute residuals: the biweight needs a good start
             weights = 1.0 / np.maximum(np.abs(residuals), scale)
         else:
             weights = biweight(residuals, scale)
@@ -68,9 +68,9 @@ def fit(A: Array, y: Array, block: int = 1, least: float = 1e-9) -> Fit:
 def sandwich(J: Array, residuals: Array, scale: float, block: int = 1) -> Array:
     """Return the covariance (n, n) of n parameters from m residuals and their derivatives J (m, n).
 
-    That of a fit by Tukey's biweight of residuals of a robust standard deviation, `scale`; see `jackknife`
-    for `block`. No parameter is surer than rows of equal noise make it: the fit passes through a row that
-    is alone in telling of turns, whatever its error is.
+    It is that of a fit by Tukey's biweight of residuals with a robust standard deviation `scale`; see
+    `jackknife` for `block`. No variance is less than rows of equal noise would give: if only one row has
+    information on a parameter, the fit passes through it and its residual says nothing about its error.
     """
     weights, slopes = biweight(residuals, scale), biweight_slopes(residuals, scale)
     covariance = jackknife(J, weights * residuals, slopes, block)
@@ -83,9 +83,9 @@ def sandwich(J: Array, residuals: Array, scale: float, block: int = 1) -> Array:
 def jackknife(J: Array, scores: Array, slopes: Array, block: int = 1) -> Array:
     """Return the covariance (n, n) of parameters from scores (m,) and their slopes by the residuals.
 
-    Errors of neighbouring rows may hang together within a `block` of rows, not beyond (Liang & Zeger 1986).
+    Errors of neighbouring rows may be correlated within a `block` of rows, not beyond (Liang & Zeger 1986).
     Each block counts as if it were left out of the fit (CR3, Bell & McCaffrey 2002; for single rows HC3,
-    MacKinnon & White 1985): the fit follows the few rows that tell of a parameter.
+    MacKinnon & White 1985), because the fit follows the rows if few of them determine a parameter.
     """
     blocks = -(-len(J) // block)
 
@@ -96,23 +96,23 @@ def jackknife(J: Array, scores: Array, slopes: Array, block: int = 1) -> Array:
     bread = np.linalg.pinv((J * slopes[:, None]).T @ J)
     derivatives = by_block(J).transpose(0, 2, 1)
     own = by_block(J * slopes[:, None]) @ bread @ derivatives
-    rest = (1.0 + 1e-9) * np.eye(block) - own  # no block tells all of a parameter
+    rest = (1.0 + 1e-9) * np.eye(block) - own  # regular even if one block determines a parameter
     moved = (derivatives @ np.linalg.solve(rest, by_block(scores[:, None])))[..., 0] @ bread
     covariance: Array = moved.T @ moved
     return covariance
 
 
-def spread(residuals: Array) -> float:
-    """Return the standard deviation of normal residuals, by their median: half of them may be wrong."""
+def robust_sigma(residuals: Array) -> float:
+    """Return the standard deviation of normal residuals by their median; up to half may be outliers."""
     return 1.4826 * float(np.median(np.abs(residuals))) + 1e-9
 
 
 def biweight(residuals: Array, scale: float) -> Array:
-    """Return Tukey's weights (m,): 1 in the middle, 0 from `CUT` standard deviations on."""
-    return np.square(np.maximum(1.0 - np.square(residuals / (CUT * scale)), 0.0))
+    """Return Tukey's weights (m,): 1 at zero, 0 from `BIWEIGHT_CUTOFF` standard deviations on."""
+    return np.square(np.maximum(1.0 - np.square(residuals / (BIWEIGHT_CUTOFF * scale)), 0.0))
 
 
 def biweight_slopes(residuals: Array, scale: float) -> Array:
-    """Return by how much (m,) weight times residual grows with the residual."""
-    u2 = np.square(residuals / (CUT * scale))
+    """Return the derivatives (m,) of weight times residual by the residual."""
+    u2 = np.square(residuals / (BIWEIGHT_CUTOFF * scale))
     return np.where(u2 < 1.0, (1.0 - u2) * (1.0 - 5.0 * u2), 0.0)

@@ -1,35 +1,35 @@
-"""What is wrong with the stamps of scans: late, jittering, and sweeps that overlap."""
+"""Check the stamps of scans: lag, jitter, and overlapping sweeps."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from impslam.diagnosis.evidence import Evidence
-from impslam.diagnosis.finding import Finding, certainty, is_off
-from impslam.diagnosis.timing import LATE
+from impslam.diagnosis.finding import Finding, is_off, probability_off
+from impslam.diagnosis.timing import MAX_LAG_ERROR
 from impslam.health import MISTIMED, Standing
 
-OVERLAP = 1.1
-"""Times the median time between scans that a sweep takes at most; drivers round."""
-QUEUED = 0.2
-"""s: where scans are matched the path is right but for the moment that it is stamped with. Drivers stamp a
-sweep or two late; more is a queue or another clock, and 10 cm at half a metre per second."""
+MAX_SWEEP_RATIO = 1.1
+"""Largest duration of a sweep, in median times between scans; drivers round."""
+QUEUE_LAG = 0.2
+"""s: if scans are matched, only the stamps of the path are wrong. Drivers stamp a sweep or two late; more
+is a queue or another clock, and 10 cm at half a metre per second."""
 
 
-def overlap(e: Evidence) -> Iterator[Finding]:
-    """Find sweeps that are said to take longer than there is time for."""
+def check_overlap(e: Evidence) -> Iterator[Finding]:
+    """Find sweeps that last longer, by their beams' times, than the time between scans."""
     sweep = max((float(c["time_offsets"].max(initial=0.0)) for c in e.recording.scans), default=0.0)
     period = e.timing.period
-    if e.lidar.deskew and period and sweep > OVERLAP * period:
+    if e.lidar.deskew and period and sweep > MAX_SWEEP_RATIO * period:
         yield Finding(
             "sweep too long",
             f"a sweep takes {sweep:.3f} s by its beams' times, but scans come every {period:.3f} s",
-            (f"{e.place}.deskew=false",),
+            (f"{e.lidar_key}.deskew=false",),
             advice="time_increment in the log is wrong",
         )
 
 
-def stamps(e: Evidence) -> Iterator[Finding]:
+def check_stamps(e: Evidence) -> Iterator[Finding]:
     """Find stamps that jitter, or that are late or early by a constant time."""
     if e.timing.jitters:
         yield _jitter(e)
@@ -43,26 +43,26 @@ def _jitter(e: Evidence) -> Finding:
     assert smooth is not None
     return Finding(
         "stamps jitter",
-        f"scans are stamped {1000.0 * e.timing.jitter:.0f} ms (rms) early or late: with one every "
-        f"{period:.4g} s turns fit odometry {raw.rms / smooth.rms:.1f} times as well",
-        (f"{e.place}.period={period:.4g}", f"{e.place}.latency={smooth.seconds:.3f}"),
+        f"scans are stamped {1000.0 * e.timing.jitter:.0f} ms (rms) early or late: with a steady period of "
+        f"{period:.4g} s, turns fit odometry {raw.rms / smooth.rms:.1f} times as well",
+        (f"{e.lidar_key}.period={period:.4g}", f"{e.lidar_key}.latency={smooth.seconds:.3f}"),
         harmful=not e.matches_scans,
         health=Standing(MISTIMED, e.timing.jitter),
     )
 
 
 def _late(e: Evidence) -> Finding:
-    late, said = e.timing.lag, ""
+    late, configured = e.timing.lag, ""
     assert late is not None
     off = late.seconds - e.lidar.latency
     if e.lidar.latency:
-        said = f"; {e.place}.latency says {e.lidar.latency:g} s"
+        configured = f"; {e.lidar_key}.latency is {e.lidar.latency:g} s"
     return Finding(
         "stamps late",
         f"scans are stamped {abs(late.seconds):.3f} ± {max(late.sigma, 1e-3):.3f} s "
-        f"{'late' if late.seconds > 0.0 else 'early'} on the clock of odometry{said}",
-        (f"{e.place}.latency={late.seconds:.3f}",),
-        certainty(off, late.sigma, LATE),
-        harmful=not e.matches_scans or is_off(off, late.sigma, QUEUED),
+        f"{'late' if late.seconds > 0.0 else 'early'} on the clock of odometry{configured}",
+        (f"{e.lidar_key}.latency={late.seconds:.3f}",),
+        probability_off(off, late.sigma, MAX_LAG_ERROR),
+        harmful=not e.matches_scans or is_off(off, late.sigma, QUEUE_LAG),
         health=Standing(MISTIMED, abs(off)),
     )

@@ -1,8 +1,8 @@
-"""How far laser and odometry say that a robot went, over the same stretches of time.
+"""Motion of the robot by laser and by odometry, over the same stretches of time.
 
 All motions are twists [forward, left, turn] (m, m, rad) in the body's own frame, summed over a stretch.
-Twists of two frames on one body differ by a constant matrix, so that sums obey the same linear law as each
-(the adjoint of SE(2); Solà et al. 2018, Eq. 166).
+Twists of two frames on one body differ by a constant matrix (the adjoint of SE(2); Solà et al. 2018,
+Eq. 166), so their sums obey the same linear relation.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from impslam.odometry.base import Odometry
 from impslam.odometry.stream import OdometryStream
 from impslam.types import Array, Ints, Mask
 
-WAY, TURN = 0.4, 0.4
+STRETCH_DISTANCE, STRETCH_TURN = 0.4, 0.4
 """m, rad of a stretch: a hundred times the error of a match."""
-GAP = 1.5
-"""s between two sweeps of a stretch at most; the motion between sweeps further apart is a guess."""
+MAX_GAP = 1.5
+"""s between two sweeps of a stretch; the motion between sweeps further apart is uncertain."""
 
 
 class Odometer(NamedTuple):
-    """Odometry added up.
+    """Accumulated odometry.
 
     Attributes
     ----------
-    stamps : (n,) s, increasing: rows that are stamped before one that precedes them are left out, and
-        what moved up to them counts for the next row
-    sums : (n, 3) m, m, rad gone since the first row
-    unknown : (n,) how many motions up to each row are unknown
-    rows : (r, 4) stamp and sums of every row, by stamp
+    stamps : (n,) s, increasing: rows with a stamp earlier than a preceding one are omitted, and their
+        motion is added to the next row
+    sums : (n, 3) m, m, rad since the first row
+    unknown : (n,) number of unknown motions up to each row
+    rows : (r, 4) stamp and sums of every row, sorted by stamp
     """
 
     stamps: Array
@@ -42,16 +42,20 @@ class Odometer(NamedTuple):
     unknown: Ints
     rows: Array
 
-    def until(self, times: Array) -> Array:
-        """Return the sums (k, 3) at times (k,): of the row with that stamp, else between two rows.
+    def at(self, times: Array) -> Array:
+        """Return the sums (k, 3) at times (k,): those of the row with that stamp, else interpolated.
 
-        Rows that are recorded together with a scan bear its stamp, also where stamps jitter or run back.
+        Rows recorded together with a scan have its stamp, even if stamps jitter or decrease.
         """
         sums = np.column_stack([np.interp(times, self.stamps, column) for column in self.sums.T])
-        at = np.minimum(np.searchsorted(self.rows[:, 0], times), len(self.rows) - 1)
-        together = self.rows[at, 0] == times
-        sums[together] = self.rows[at[together], 1:]
+        nearest = np.minimum(np.searchsorted(self.rows[:, 0], times), len(self.rows) - 1)
+        exact = self.rows[nearest, 0] == times
+        sums[exact] = self.rows[nearest[exact], 1:]
         return sums
+
+    def between(self, times: Array) -> Array:
+        """Return the motions (k, 3) between begins and ends, times (k, 2)."""
+        return self.at(times[:, 1]) - self.at(times[:, 0])
 
     def is_whole(self, begins: Array, ends: Array) -> Mask:
         """Return (k,) whether odometry is known from each begin to each end."""
@@ -62,8 +66,8 @@ class Odometer(NamedTuple):
         return np.asarray(inside & (self.unknown[np.maximum(first, 0)] == self.unknown[last]))
 
 
-def odometer(odometry: Odometry, pieces: Sequence[Columns]) -> Odometer:
-    """Add up the motions of odometry's readings."""
+def make_odometer(odometry: Odometry, pieces: Sequence[Columns]) -> Odometer:
+    """Accumulate the motions of odometry readings."""
     stream = OdometryStream(odometry)
     motions = [stream.motions(rows).motions for rows in pieces if len(rows)]
     if not motions:
@@ -79,44 +83,44 @@ def odometer(odometry: Odometry, pieces: Sequence[Columns]) -> Odometer:
     return Odometer(stamps[kept], sums[kept], count[kept], rows)
 
 
-class Laser(NamedTuple):
-    """The laser's motions between m consecutive sweeps, from that before to each.
+class SweepMotions(NamedTuple):
+    """The laser's motions to each of m consecutive sweeps from the sweep before.
 
     Attributes
     ----------
     stamps : (m,) s, middles of the sweeps
-    twists : (m, 3) m, m, rad, in the laser's own frame; the first is nought
-    sure : (m,) whether the scans tell it
+    twists : (m, 3) m, m, rad, in the laser's own frame; the first is zero
+    known : (m,) whether the scans determine the motion
     """
 
     stamps: Array
     twists: Array
-    sure: Mask
+    known: Mask
 
 
-def laser(path: LidarPath) -> Laser:
-    """Return the motions along a path by the lidar alone."""
+def sweep_motions(path: LidarPath) -> SweepMotions:
+    """Return the motions along a path found by the lidar alone."""
     twists = np.zeros((len(path.poses), 3))
     twists[1:] = log(between(path.poses[:-1], path.poses[1:]))
     seconds = np.diff(path.middles, prepend=np.nan)
-    # Where stamps jitter, leaving out those that run back would keep the longer of the times between them.
-    near, told = np.abs(seconds) <= GAP, path.trusted & path.located
-    return Laser(path.middles, twists, near & told & np.append(False, told[:-1]))
+    # If stamps jitter, omitting those that decrease would keep the longer of the times between them.
+    near, located = np.abs(seconds) <= MAX_GAP, path.trusted & path.located
+    return SweepMotions(path.middles, twists, near & located & np.append(False, located[:-1]))
 
 
-def stretches(motion: Laser) -> tuple[Ints, Ints]:
-    """Return the rows (k,) of sweeps where stretches begin and end, whose motion is sure throughout."""
+def stretches(motion: SweepMotions) -> tuple[Ints, Ints]:
+    """Return the rows (k,) of sweeps where stretches of known motion begin and end."""
     begins, ends = list[int](), list[int]()
-    ways = np.hypot(motion.twists[:, 0], motion.twists[:, 1]).tolist()
+    distances = np.hypot(motion.twists[:, 0], motion.twists[:, 1]).tolist()
     turns = np.abs(motion.twists[:, 2]).tolist()
-    start, way, turn = 0, 0.0, 0.0
-    for k, is_sure in enumerate(motion.sure.tolist()):
-        if not is_sure:
-            start, way, turn = k, 0.0, 0.0
+    start, distance, turn = 0, 0.0, 0.0
+    for k, is_known in enumerate(motion.known.tolist()):
+        if not is_known:
+            start, distance, turn = k, 0.0, 0.0
             continue
-        way, turn = way + ways[k], turn + turns[k]
-        if way >= WAY or turn >= TURN:
+        distance, turn = distance + distances[k], turn + turns[k]
+        if distance >= STRETCH_DISTANCE or turn >= STRETCH_TURN:
             begins.append(start)
             ends.append(k)
-            start, way, turn = k, 0.0, 0.0
+            start, distance, turn = k, 0.0, 0.0
     return np.array(begins, np.int64), np.array(ends, np.int64)

@@ -1,8 +1,8 @@
-"""What colour everything is drawn in, in every picture."""
+"""Colours of all figures."""
 
 INK, PALE = "#37424d", "#8a949e"
 PATH, ODOMETRY, TRUTH, WALL, POINT = "#d81b60", "#f2a03d", "#15803d", "#2563eb", "#7c3aed"
 FREE, SEEN, UNSEEN = "#ffffff", "#7d8892", "#eceef1"
-"""Cells of the grid: free, occupied, and those that nobody has seen."""
+"""Cells of the grid: free, occupied, and unobserved."""
 SIGMAS = 3.0
-"""How many standard deviations an ellipse shows."""
+"""Size of ellipses in standard deviations."""

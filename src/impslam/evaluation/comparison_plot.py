@@ -1,7 +1,6 @@
-"""The figure of several runs: their paths, their errors over time, and their errors of relations.
+"""Figure that compares runs: paths, errors over time, and relation errors.
 
-Importing this module imports matplotlib (0.3 s); import it where a picture is drawn. Figures are
-drawn on their own canvas, without pyplot and its global state.
+Importing this module imports matplotlib (0.3 s); import it only to draw.
 """
 
 from __future__ import annotations
@@ -22,18 +21,18 @@ from impslam.evaluation.trajectory import align, associate, move, position_error
 from impslam.types import Array, Ints
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
-"""Okabe and Ito 2008: they differ for the colour-blind, too. More runs differ by their dashes."""
+"""Okabe and Ito 2008: safe for colour-blind readers. Further runs differ by their dashes."""
 DASHES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1, 1)))
 TRUTH = "#c3cad1"
 WIDTH = 9.0
-"""inches, 900 pixels as the picture is shown, at twice that resolution."""
-NAME = 30
-"""Characters of a name in the legend; a longer one loses its middle."""
-SCALES = 10.0
-"""Errors further apart than that are drawn on a logarithmic scale, or the small ones were nothing."""
+"""inches: 900 pixels as displayed, at twice that resolution."""
+MAX_NAME = 30
+"""Characters of a name in the legend; a longer one is shortened in the middle."""
+LOG_RATIO = 10.0
+"""Ratio of errors from which on the scale is logarithmic, so that small ones remain visible."""
 
-NOTHING = 1e-3
-"""m: smaller errors of relations do not matter, and people did not measure them so well."""
+MIN_ERROR = 1e-3
+"""m: smaller relation errors do not matter; the relations were not measured more accurately."""
 
 
 def draw_comparison(
@@ -47,9 +46,9 @@ def draw_comparison(
     Parameters
     ----------
     runs : name -> (n, 4) stamp, x, y, theta; drawn in their own frame only if there is no truth
-    paths : those that were compared with a truth
-    relations : those that were compared with relations
-    where : how the paths were laid, for the title
+    paths : scores of runs that were compared with a truth
+    relations : errors of runs that were compared with relations
+    where : the alignment of the paths, for the title
     """
     panels = 1 + bool(paths) + bool(relations)
     shown = [score.pairs.truth for score in paths.values()] or [run[:, 1:] for run in runs.values()]
@@ -81,7 +80,7 @@ def draw_comparison(
 
 
 def _height(poses: Array) -> float:
-    """Return how high the map of poses (n, 3) should be, inches."""
+    """Return the height of the map of poses (n, 3), inches."""
     width, height = np.ptp(poses[:, :2], axis=0)
     return WIDTH * float(np.clip(height / max(width, 1e-9), 0.35, 0.7))
 
@@ -100,16 +99,16 @@ def _styles(names: list[str]) -> dict[str, dict[str, Any]]:
 
 
 def _shortened(name: str) -> str:
-    if len(name) <= NAME:
+    if len(name) <= MAX_NAME:
         return name
-    half = NAME // 2 - 1
+    half = MAX_NAME // 2 - 1
     return f"{name[:half]}…{name[-half:]}"
 
 
 def _draw_paths(
     axes: Axes, paths: Mapping[str, PathScore], styles: Mapping[str, Any], holes: Mapping[str, Ints]
 ) -> None:
-    """Draw what is true, and the estimates in its frame; nothing where there is no truth."""
+    """Draw the truth, and the estimates in its frame; leave gaps where there is no truth."""
     for i, (name, score) in enumerate(paths.items()):
         true = np.insert(score.pairs.truth[:, :2], holes[name], np.nan, axis=0)
         axes.plot(*true.T, color=TRUTH, lw=4.0, zorder=1, label="" if i else "truth")
@@ -119,7 +118,7 @@ def _draw_paths(
 
 
 def _draw_runs(axes: Axes, runs: Mapping[str, Array], styles: Mapping[str, Any]) -> None:
-    """Draw paths without a truth, each where it fits the first best."""
+    """Draw paths without a truth, each fitted to the first one."""
     first = next(iter(runs.values()))
     for name, run in runs.items():
         axes.plot(*_fitted(run, first)[:, :2].T, **styles[name])
@@ -128,7 +127,7 @@ def _draw_runs(axes: Axes, runs: Mapping[str, Array], styles: Mapping[str, Any])
 
 
 def _fitted(run: Array, first: Array) -> Array:
-    """Return poses (n, 3) of a run where they fit another best, if they share any time."""
+    """Return poses (n, 3) of a run, fitted to another one if they overlap in time."""
     try:
         pairs = associate(run, first)
     except ImpError:
@@ -145,7 +144,7 @@ def _draw_errors(
         axes.plot(*np.insert(errors, holes[name], np.nan, axis=0).T, **styles[name])
     axes.set(xlabel="time in s", ylabel="distance from the truth in m", xmargin=0.01)
     typical = [score.aligned.median for score in paths.values()]
-    if max(typical) > SCALES * min(typical) > 0.0:
+    if max(typical) > LOG_RATIO * min(typical) > 0.0:
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter("{x:g}")
         axes.set_ylim(bottom=max(0.1 * min(typical), 1e-4))
@@ -156,18 +155,18 @@ def _draw_errors(
 def _draw_relations(
     axes: Axes, relations: Mapping[str, RelationErrors], styles: Mapping[str, Any]
 ) -> None:
-    """Draw which share of the relations has an error of at most so much."""
+    """Draw the cumulative distribution of relation errors."""
     largest = max(errors.metres.max for errors in relations.values())
     for name, errors in relations.items():
-        axes.ecdf(np.maximum(errors.translation, NOTHING), **styles[name])
-    # Errors of closed and of missed loops are orders of magnitude apart.
+        axes.ecdf(np.maximum(errors.translation, MIN_ERROR), **styles[name])
+    # Errors with closed and with missed loops differ by orders of magnitude.
     axes.set(xscale="log", xlabel="translation error in m", ylabel="share of the relations")
-    axes.set_xlim(NOTHING, max(10.0 * NOTHING, 1.1 * largest))
+    axes.set_xlim(MIN_ERROR, max(10.0 * MIN_ERROR, 1.1 * largest))
     axes.set_ylim(0.0, 1.0)
     axes.xaxis.set_major_formatter("{x:g}")
 
 
 def _holes(run: Array, score: PathScore) -> Ints:
-    """Return the pairs (k,) before which poses of the run (n, 4) have no truth."""
+    """Return the indices (k,) of pairs that follow poses of the run (n, 4) without truth."""
     rows = np.flatnonzero(np.isin(run[:, 0], score.pairs.stamps))
     return np.flatnonzero(np.diff(rows) > 1) + 1

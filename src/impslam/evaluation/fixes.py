@@ -1,4 +1,4 @@
-"""GPS fixes that cannot be true."""
+"""Rejection of implausible GPS fixes."""
 
 from __future__ import annotations
 
@@ -7,19 +7,20 @@ import numpy as np
 from impslam.evaluation.trajectory import interpolate
 from impslam.types import Array, Mask
 
-JUMP = 5.0
-"""m that the way to another fix may exceed that of the wheels: three standard deviations of the difference
-of two fixes without corrections, each 1.2 m."""
+MAX_EXCESS = 5.0
+"""m by which the distance between two fixes may exceed that by odometry: three standard deviations of the
+difference of two uncorrected fixes of 1.2 m each."""
 
 
 def plausible(fixes: Array, odometry: Array) -> Mask:
-    """Return which fixes (m, 4), in the order of time, are where the robot may have been, (m,).
+    """Return (m,) which fixes (m, 4), sorted by time, are plausible.
 
-    One is not if it is farther from the fix before and from the one after than wheels tell, by more than
-    `JUMP`. `odometry` (n, 4) is the path by dead reckoning, of which only distances count.
+    A fix is implausible if its distances to the fix before and to the fix after both exceed those by
+    odometry by more than `MAX_EXCESS`. `odometry` (n, 4) is the path by dead reckoning; only its distances
+    matter.
     """
     driven = interpolate(odometry, fixes[:, 0])[:, :2]
-    ways = [np.hypot(*np.diff(places, axis=0).T) for places in (fixes[:, 1:3], driven)]
-    far = ways[0] - ways[1] > JUMP
-    # At either end there is one neighbour to tell.
+    steps = [np.hypot(*np.diff(points, axis=0).T) for points in (fixes[:, 1:3], driven)]
+    far = steps[0] - steps[1] > MAX_EXCESS
+    # The first and the last fix have one neighbour only.
     return np.asarray(~(np.append(far, far[-1:]) & np.append(far[:1], far)))

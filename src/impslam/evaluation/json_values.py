@@ -1,4 +1,4 @@
-"""Numbers and what holds them, as JSON knows them."""
+"""Conversion of results to JSON values."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def json_values(value: Any) -> Any:
-    """Return a value as dicts, lists, numbers and text; None for a number that is not finite.
+    """Return a value as dicts, lists, numbers and strings; None for a number that is not finite.
 
     Dataclasses and named tuples become dicts.
     """

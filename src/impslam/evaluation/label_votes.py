@@ -1,4 +1,4 @@
-"""Which observations were taken for the wrong landmark, where a log labels them."""
+"""Count wrong data associations in logs with labelled observations."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from impslam.types import Landmark
 
 
 class LabelVotes(Observer):
-    """Counts the labels of the observations that each landmark was matched with.
+    """Counts the labels of the observations matched with each landmark.
 
-    A landmark is what most of them say; a match with an observation of another label is wrong.
+    The label of a landmark is the most frequent one; matches with other labels are wrong.
     """
 
     def __init__(self) -> None:
@@ -30,15 +30,15 @@ class LabelVotes(Observer):
 
     @property
     def matched(self) -> int:
-        """Observations with a label that were taken for a landmark."""
+        """Number of labelled observations that were matched with a landmark."""
         return sum(sum(votes.values()) for votes in self._votes.values())
 
     @property
     def wrong(self) -> int:
-        """Observations that were taken for a landmark of another label."""
+        """Number of observations that were matched with a landmark of another label."""
         return self.matched - sum(max(votes.values()) for votes in self._votes.values())
 
     def label(self, mark: Landmark) -> int | None:
-        """Return the label that most of a landmark's observations carried; None without any."""
+        """Return the most frequent label of a landmark's observations; None if it has none."""
         votes = self._votes.get(mark.id)
         return None if votes is None else max(votes, key=lambda label: votes[label])

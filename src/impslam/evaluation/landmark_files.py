@@ -1,6 +1,6 @@
 """True landmarks as a table: `LOG.landmarks.csv` of a simulation, `truth.landmarks.csv` of a run.
 
-A surveyor's list needs no more than `x,y`, or `x1,y1,x2,y2` for walls; what is missing is made up for.
+A surveyed list needs only `x,y`, or `x1,y1,x2,y2` for walls; missing names and kinds get defaults.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from impslam.evaluation.landmarks import true_wall
 from impslam.types import Array, TrueLandmark
 
 TRUE_LANDMARKS = "truth.landmarks.csv"
-"""The true landmarks in a run folder, where the log holds them, in the log's own frame."""
+"""The true landmarks in a run folder, if the log has them, in the log's own frame."""
 COLUMNS = ("name", "kind", "x", "y", "r", "alpha", "radius", "x1", "y1", "x2", "y2")
 """x, y: the centre, or the foot of the normal from the origin (m). r (m), alpha (rad) of walls, radius
-(m) of cylinders, x1 to y2: end points of walls (m). Cells that a kind does not have stay empty."""
+(m) of cylinders, x1 to y2: end points of walls (m). Cells that do not apply to a kind are empty."""
 ENDS = ("x1", "y1", "x2", "y2")
 
 
 def landmarks_path(log: Path) -> Path:
-    """Return where the true landmarks of a log stand, if they do: beside it, LOG.landmarks.csv."""
+    """Return the path of the true landmarks of a log, LOG.landmarks.csv beside it."""
     return log.with_name(f"{log.stem}.landmarks.csv")
 
 
-def surveyed(log: Path) -> list[TrueLandmark]:
-    """Return the true landmarks that lie beside a log."""
+def read_surveyed(log: Path) -> list[TrueLandmark]:
+    """Return the true landmarks from the file beside a log; empty if there is none."""
     path = landmarks_path(log)
     return read_true_landmarks(path) if path.is_file() else []
 
@@ -51,12 +51,12 @@ def write_true_landmarks(path: Path, landmarks: Iterable[TrueLandmark]) -> None:
 
 
 def read_true_landmarks(path: Path) -> list[TrueLandmark]:
-    """Read true landmarks. Without a name they have their number, without a kind they are points.
+    """Read true landmarks. The default name is the row number, the default kind is point.
 
     Raises
     ------
     ImpError
-        If the file is missing or holds no landmark, or a row is none.
+        If the file is missing or empty, or a row is not a landmark.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
@@ -64,7 +64,7 @@ def read_true_landmarks(path: Path) -> list[TrueLandmark]:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ImpError(f"{path}: cannot be read as a table ({error}); check the path") from None
     if not rows:
-        raise ImpError(f"{path}: holds no landmark; it needs the columns {','.join(COLUMNS)}")
+        raise ImpError(f"{path}: contains no landmark; it needs the columns {','.join(COLUMNS)}")
     landmarks = [_landmark(row, number, path) for number, row in enumerate(rows, 1)]
     twice = [name for name, n in Counter(mark.name for mark in landmarks).items() if n > 1]
     if twice:
@@ -90,7 +90,7 @@ def _landmark(row: Mapping[str, str | None], number: int, path: Path) -> TrueLan
 
 def _wall(name: str, ends: Array, kind: str) -> TrueLandmark:
     if np.array_equal(*ends):
-        raise ValueError("its end points are one")
+        raise ValueError("its end points coincide")
     return true_wall(name, ends, kind)
 
 

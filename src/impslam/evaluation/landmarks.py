@@ -1,4 +1,4 @@
-"""Landmarks against the truth: which is which, how far off, what is missing and what is false."""
+"""Landmarks against the truth: assignment, errors, missing and false landmarks."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from impslam.geometry.se2 import transform
 from impslam.types import Array, Landmark, TrueLandmark
 
 ANGLE_GATE = math.radians(20.0)
-"""rad: likewise for the direction of walls."""
-SAME = {"point": "cylinder", "cylinder": "point"}
-"""Kinds that name the same thing, without and with its size."""
+"""rad: the same for the direction of walls."""
+EQUIVALENT_KINDS = {"point": "cylinder", "cylinder": "point"}
+"""Kinds of the same object, without and with its size."""
 
 
 @dataclass(frozen=True, slots=True)
 class LandmarkError:
-    """How far off a landmark is.
+    """Error of a landmark.
 
-    `distance` (m) is that of a point, or of the estimated line from the middle of the true wall;
-    `angle` (rad) is between walls; `foot` (m) is between the feet of the normals, as the thesis
-    scores walls (5.2.2), which grows with the wall's distance from the origin.
+    `distance` (m) is that of a point, or of the estimated line from the middle of the true wall; `angle`
+    (rad) is between walls; `foot` (m) is between the feet of the normals, the thesis's error of walls
+    (5.2.2), which grows with the wall's distance from the origin.
     """
 
     name: str
@@ -39,10 +39,10 @@ class LandmarkError:
 
 @dataclass(frozen=True, slots=True)
 class LandmarkScore:
-    """What became of the truth and of the estimates.
+    """Assignment of estimates to the truth.
 
-    `found` is in the order of the truth; `missing` are names; `false` are ids of estimates where
-    there is nothing, `doubles` those of second estimates of something true.
+    `found` is in the order of the truth; `missing` are names of true landmarks; `false` are ids of
+    estimates without a true landmark, `doubles` those of further estimates of a true one.
     """
 
     found: tuple[LandmarkError, ...]
@@ -54,21 +54,22 @@ class LandmarkScore:
 def score_landmarks(
     estimates: Sequence[Landmark], truth: Sequence[TrueLandmark], gate: float = GATE
 ) -> LandmarkScore:
-    """Assign estimates to the truth one to one, so that the sum of the distances is least.
+    """Assign estimates to the truth one to one with the least sum of distances.
 
-    Estimates of kinds that the truth has none of are not judged; "point" and "cylinder" name the same
-    thing, without and with its size, and stand for one another where the truth has one of them.
+    Estimates of kinds that do not occur in the truth are ignored. "point" and "cylinder" are the same
+    object, without and with its size, and are equivalent if the truth contains only one of them.
     """
     kinds = {true.kind for true in truth}
-    estimates = [mark for mark in estimates if judged_as(mark.kind, kinds) in kinds]
+    estimates = [mark for mark in estimates if true_kind(mark.kind, kinds) in kinds]
     from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  0.2 s, only for this
 
-    cost = np.array(
-        [[_apart(mark, judged_as(mark.kind, kinds), true) for mark in estimates] for true in truth]
-    )
+    cost = np.array([
+        [_distance(mark, true_kind(mark.kind, kinds), true) for mark in estimates]
+        for true in truth
+    ])  # fmt: skip
     cost = cost.reshape(len(truth), len(estimates))
     near = cost <= gate
-    # Outside the gate every pair costs the same and more than all pairs inside could save.
+    # Pairs outside the gate have a constant cost, larger than any saving by pairs inside it.
     worst = 2.0 * gate * (1 + min(cost.shape))
     pairs = zip(*linear_sum_assignment(np.where(near, cost, worst)), strict=True)
     chosen = {int(i): int(j) for i, j in pairs if near[i, j]}
@@ -82,23 +83,23 @@ def score_landmarks(
 
 
 def corners(truth: Sequence[TrueLandmark]) -> list[TrueLandmark]:
-    """Return where two true walls meet, as landmarks of the kind corner."""
+    """Return the common end points of true walls, as landmarks of kind corner."""
     walls = [wall for wall in truth if wall.end_points is not None]
     found = []
     for one, other in combinations(walls, 2):
         assert one.end_points is not None
         assert other.end_points is not None
-        for place in one.end_points:
-            if any(np.allclose(place, end, atol=1e-6) for end in other.end_points):
+        for point in one.end_points:
+            if any(np.allclose(point, end, atol=1e-6) for end in other.end_points):
                 name = f"corner of {one.name} and {other.name}"
-                values = {"x": float(place[0]), "y": float(place[1])}
-                found.append(TrueLandmark(name, "corner", place, values))
+                values = {"x": float(point[0]), "y": float(point[1])}
+                found.append(TrueLandmark(name, "corner", point, values))
     return found
 
 
-def judged_as(kind: str, true_kinds: Collection[str]) -> str:
-    """Return the kind of true landmarks that an estimated kind is compared with."""
-    return kind if kind in true_kinds else SAME.get(kind, kind)
+def true_kind(kind: str, true_kinds: Collection[str]) -> str:
+    """Return the kind of true landmarks with which an estimated kind is compared."""
+    return kind if kind in true_kinds else EQUIVALENT_KINDS.get(kind, kind)
 
 
 def true_wall(name: str, ends: Array, kind: str = "wall") -> TrueLandmark:
@@ -112,8 +113,8 @@ def true_wall(name: str, ends: Array, kind: str = "wall") -> TrueLandmark:
     return TrueLandmark(name, kind, r * normal, values, ends)
 
 
-def moved(T_a_b: Array, truth: Iterable[TrueLandmark]) -> list[TrueLandmark]:
-    """Return true landmarks given in frame b as those of frame a."""
+def transform_landmarks(T_a_b: Array, truth: Iterable[TrueLandmark]) -> list[TrueLandmark]:
+    """Transform true landmarks from frame b to frame a."""
     return [_moved(T_a_b, true) for true in truth]
 
 
@@ -126,19 +127,19 @@ def _moved(T_a_b: Array, true: TrueLandmark) -> TrueLandmark:
 
 
 def landmark_errors(mark: Landmark, true: TrueLandmark) -> Array:
-    """Return the error (2,) that the landmark's covariance speaks of: of x, y, or of r, alpha."""
+    """Return the error (2,) described by the landmark's covariance: of x, y, or of r, alpha."""
     if true.end_points is None:
         return mark.position - true.position
     r, alpha = mark.parameters["r"], mark.parameters["alpha"]
     off = wrap(alpha - true.parameters["alpha"])
     if abs(off) <= 0.5 * math.pi:
         return np.array([r - true.parameters["r"], off])
-    # A wall that passes the origin closely may do so on its other side, and r has no sign.
+    # The estimate of a wall close to the origin may be on its other side, and r has no sign.
     return np.array([r + true.parameters["r"], wrap(off + math.pi)])
 
 
-def _apart(mark: Landmark, kind: str, true: TrueLandmark) -> float:
-    """Return how far apart two landmarks are, m; infinite if they cannot be the same."""
+def _distance(mark: Landmark, kind: str, true: TrueLandmark) -> float:
+    """Return the distance of two landmarks, m; infinite if they cannot be the same."""
     if kind != true.kind:
         return math.inf
     if mark.end_points is None or true.end_points is None:

@@ -1,10 +1,10 @@
-"""How runs may be compared: apart from what compares them, since the command line offers it."""
+"""Options of comparisons, in a module of their own for the command line."""
 
 from __future__ import annotations
 
 from typing import Literal, TypeAlias
 
 Alignment: TypeAlias = Literal["fit", "start", "none"]
-"""Where errors are taken: the path fitted to the truth, laid on its start, or as it is given."""
+"""Alignment of the path: fitted to the truth, aligned at the start, or none."""
 GATE = 0.5
-"""m: an estimate further off than this is of something else ; landmarks are farther apart."""
+"""m: maximum distance of an estimate from its true landmark; landmarks are farther apart."""

@@ -1,4 +1,4 @@
-"""A track over the picture that it was seen in, and how sure it is (thesis Fig. 23)."""
+"""Plot of an overhead track on the camera picture, with its uncertainty (thesis Fig. 23)."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from impslam.overhead.setup import Setup
 from impslam.overhead.track import Tracked
 from impslam.types import Array
 
-GRID = 33, 19  # places across and down at which the error is computed for its contours
+GRID = 33, 19  # points across and down at which the error is computed for its contours
 
 
 def draw_track(tracked: Tracked, setup: Setup) -> Figure:
-    """Return the picture: the track, the cylinders, contours of the error; below, the error in time."""
+    """Return a figure of track, cylinders and error contours; below, the error over time."""
     figure = new_figure(9.0, 7.4)
     above, below = figure.subplots(2, 1, height_ratios=(3.2, 1.0))
     camera, height = tracked.calibration.camera, setup.marker.height
@@ -27,53 +27,53 @@ def draw_track(tracked: Tracked, setup: Setup) -> Figure:
     above.set_ylim(camera.height - 0.5, -0.5)
     above.set_axis_off()
     _contours(above, tracked, setup)
-    places = np.column_stack([tracked.found.poses[:, :2], np.full(len(tracked.stamps), height)])
-    pixels = camera.project(places)
+    points = np.column_stack([tracked.found.poses[:, :2], np.full(len(tracked.stamps), height)])
+    pixels = camera.project(points)
     gaps = np.flatnonzero(_gaps(tracked)) + 1
     for part in np.split(pixels, gaps):
         above.plot(*part.T, color=PATH, lw=1.6)
     above.plot(*pixels[[0, -1]].T, ".", color=PATH, ms=10)
     for cylinder in tracked.cylinders:
         assert setup.discs is not None
-        seen = camera.project(np.array([[*cylinder.centre, setup.discs.height]]))[0]
-        above.plot(*seen, "+", color=POINT, ms=14, mew=2)
-    _spread(below, tracked)
+        pixel = camera.project(np.array([[*cylinder.centre, setup.discs.height]]))[0]
+        above.plot(*pixel, "+", color=POINT, ms=14, mew=2)
+    _draw_sigmas(below, tracked)
     return figure
 
 
 def _gaps(tracked: Tracked) -> Any:
-    """Return between which poses (n - 1,) there are pictures without one."""
+    """Return (n - 1,) whether there are pictures without a pose between consecutive poses."""
     missing = np.sort(np.concatenate([tracked.hidden, tracked.unfit]))
     before, after = tracked.stamps[:-1], tracked.stamps[1:]
     return np.searchsorted(missing, after) > np.searchsorted(missing, before)
 
 
 def _contours(axes: Any, tracked: Tracked, setup: Setup) -> None:
-    """Draw lines of equal standard deviation of a marker's place, in mm."""
+    """Draw lines of equal standard deviation of a marker's position, in mm."""
     camera, marker = tracked.calibration.camera, setup.marker
     u, v = np.meshgrid(
         np.linspace(0, camera.width - 1, GRID[0]), np.linspace(0, camera.height - 1, GRID[1])
     )
-    laid = camera.on_plane(np.column_stack([u.ravel(), v.ravel()]), marker.height)
-    poses = np.column_stack([laid, np.zeros(len(laid))])
+    points = camera.on_plane(np.column_stack([u.ravel(), v.ravel()]), marker.height)
+    poses = np.column_stack([points, np.zeros(len(points))])
     corners = corners_in_base(marker.size, np.array(marker.mount))
     noise, shared = covariances_at(
         camera, poses, corners, marker.height, marker.height_sigma, tracked.found.sigma
     )
-    sigma = 1e3 * _place_sigma(noise + shared).reshape(u.shape)
+    sigma = 1e3 * _position_sigma(noise + shared).reshape(u.shape)
     lines = axes.contour(u, v, sigma, 6, colors=INK, linewidths=0.7, alpha=0.7)
     axes.clabel(lines, fmt="%g mm", fontsize=8)
 
 
-def _place_sigma(covariances: Array) -> Array:
-    """Return the standard deviation (n,) m of places, the root of both variances' sum."""
+def _position_sigma(covariances: Array) -> Array:
+    """Return the standard deviations (n,) m of positions, the root of the sum of both variances."""
     return np.asarray(np.sqrt(np.trace(covariances[:, :2, :2], axis1=1, axis2=2)))
 
 
-def _spread(axes: Any, tracked: Tracked) -> None:
-    """Draw standard deviations over time, and when there is no pose."""
+def _draw_sigmas(axes: Any, tracked: Tracked) -> None:
+    """Draw standard deviations over time, and mark times without a pose."""
     times = tracked.stamps - tracked.stamps[0]
-    sigma = 1e3 * _place_sigma(tracked.found.covariances)
+    sigma = 1e3 * _position_sigma(tracked.found.covariances)
     axes.plot(times, sigma, color=PATH, label="place, mm")
     heading = np.degrees(np.sqrt(tracked.found.covariances[:, 2, 2]))
     axes.plot(times, 10.0 * heading, color=TRUTH, label="heading, 0.1 deg")

@@ -1,7 +1,7 @@
-"""Looks that the figures share.
+"""Shared style of figures.
 
-Importing this module imports matplotlib (0.4 s); import it where a figure is drawn. Figures are drawn
-on their own canvas, without pyplot and its global state.
+Importing this module imports matplotlib (0.4 s); import it only to draw. Figures are drawn on their own
+canvas, without pyplot and its global state.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from matplotlib.figure import Figure
 from impslam.evaluation.colours import INK, PALE
 
 TIGHT: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.12}
-"""How a picture is cut to what is drawn."""
+"""Options of `savefig` that crop a picture to its content."""
 
 
 def new_figure(width: float, height: float, **options: Any) -> Figure:
-    """Return an empty figure of so many inches on its own canvas; `options` are `Figure`'s."""
+    """Return an empty figure on its own canvas, size in inches; `options` are passed to `Figure`."""
     figure = Figure(figsize=(width, height), **{"layout": "constrained", **options})
     FigureCanvasAgg(figure)
     return figure
 
 
 def as_png(figure: Figure, **options: Any) -> bytes:
-    """Return a figure as a PNG, the same bytes for the same picture; `options` are `savefig`'s."""
+    """Return a figure as a reproducible PNG; `options` are passed to `savefig`."""
     stream = io.BytesIO()
     plain = {"Software": None}  # no version in the file
     figure.savefig(stream, format="png", metadata=plain, **options)
@@ -35,7 +35,7 @@ def as_png(figure: Figure, **options: Any) -> bytes:
 
 
 def as_svg(figure: Figure, **options: Any) -> bytes:
-    """Return a figure as an SVG, the same bytes for the same picture; see `as_png`."""
+    """Return a figure as a reproducible SVG; see `as_png`."""
     stream = io.BytesIO()
     with rc_context({"svg.hashsalt": "impslam", "svg.fonttype": "none"}):
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None}, **options)
@@ -43,14 +43,14 @@ def as_svg(figure: Figure, **options: Any) -> bytes:
 
 
 def style(axes: Any) -> None:
-    """Give axes of a map their labels and quiet colours."""
+    """Set the labels and quiet colours of the axes of a map."""
     axes.set_xlabel("x in m")
     axes.set_ylabel("y in m")
     quiet(axes)
 
 
 def quiet(axes: Any) -> None:
-    """Give axes quiet colours and a faint grid."""
+    """Set quiet colours and a faint grid."""
     for label in (axes.xaxis.label, axes.yaxis.label):
         label.set_color(INK)
     axes.tick_params(colors=PALE, labelcolor=INK, labelsize=9)

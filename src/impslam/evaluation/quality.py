@@ -1,20 +1,20 @@
-"""Map quality without truth: how well scans of the same place agree on the map.
+"""Map quality without truth: how well scans of the same place agree.
 
-Pairs of keyframes that look at the same place are compared both ways. A surface point of one scan
-matches a surface of the other that faces the same way; its error is the distance to that surface
-along the normal. It is contradicted where the other scan saw through its place: its error is then
-the distance to the nearest surface that faces the same way (a doubled wall), or `FARTHEST` where
-there is none. What is hidden from the other scan says nothing.
+Pairs of keyframes that show the same place are compared in both directions. A surface point of one scan
+matches a surface of the other with a similar normal; its error is the distance to that surface along the
+normal. It is contradicted if beams of the other scan pass through its position: its error is then the
+distance to the nearest surface with a similar normal (a doubled wall), or `MAX_ERROR` if there is none.
+Points hidden from the other scan do not count.
 
-Measures of the point cloud alone, such as mean map entropy and mean plane variance (Razlaw et al.
-2015), do not see free space: a wall that stands twice is two thin walls to them, and MOM
-(Kornilova & Ferrer 2021) shares this. Counts of cells, corners and enclosed areas (Filatov et al.
-2017) grow with the area that was seen. What one scan saw free contradicts the second wall at once
-(for point clouds: Bogoslavskyi & Stachniss 2017).
+Measures of the point cloud alone, such as mean map entropy and mean plane variance (Razlaw et al. 2015), do
+not use free space: to them a doubled wall is two thin walls; the same is true for MOM (Kornilova & Ferrer
+2021). Counts of cells, corners and enclosed areas (Filatov et al. 2017) grow with the observed area. Free
+space observed by one scan contradicts a doubled wall directly (for point clouds: Bogoslavskyi & Stachniss
+2017).
 
-Neither the number of keyframes nor that of beams, nor how often a place was passed, weighs: keyframes
-and points are thinned to a fixed spacing, and the errors are averaged by the place they were seen
-from. A map that is bent as a whole, and whose scans still agree, is not told from a straight one.
+The result does not depend on the number of keyframes, of beams, or of visits to a place: keyframes and
+points are thinned to a fixed spacing, and errors are averaged by the place they were observed from. A map
+that is bent as a whole, but whose scans agree, cannot be distinguished from a straight one.
 """
 
 from __future__ import annotations
@@ -34,30 +34,32 @@ from impslam.maps.grid import PlacedScans
 from impslam.surfaces.features import Features, find_features
 from impslam.types import Array, Ints, Mask
 
-FARTHEST = 0.6  # m: surfaces farther apart are two walls, not one that stands twice
-NEAR = 0.1  # m: three sigma of a point, whose noise is 1 to 3 cm
-BEFORE = 0.15  # m before the end of a beam and more, a place was seen through: NEAR at 45 degrees
-FACING = 0.7  # cosine of 45 degrees: normals farther apart belong to two surfaces
-STEP = 0.4  # m of way, or rad, between keyframes: nearer ones see the same
-THIN = 0.1  # m between points: beams close to a wall repeat its errors
-PLACE = 1.0  # m, side of the cells that weigh alike, however often they were passed
-PASS = 8.0  # m of way between two passes of a place: a room and back
-_BESIDE = 2  # bearings of half a degree: a thin thing between two beams is not seen through
-_BLIND = 0.3  # m around a lidar, where bearings mean nothing
+MAX_ERROR = 0.6  # m: surfaces farther apart are two walls, not one doubled wall
+MATCH_DISTANCE = 0.1  # m: three sigma of a point with a noise of 1 to 3 cm
+FREE_MARGIN = (
+    0.15  # m before the end of a beam up to which space is free: MATCH_DISTANCE at 45 degrees
+)
+MIN_FACING = 0.7  # cosine of 45 degrees: normals farther apart belong to two surfaces
+KEYFRAME_SPACING = 0.4  # m, or rad, between keyframes: closer ones show the same
+POINT_SPACING = 0.1  # m between points: dense beams close to a wall repeat its errors
+CELL = 1.0  # m, side of the cells with equal weight, however often they were visited
+PASS_DISTANCE = 8.0  # m driven between two passes of a place: a room and back
+_NEIGHBOURS = 2  # bearings of half a degree: a thin object between two beams is not seen through
+_MIN_RANGE = 0.3  # m around a lidar within which bearings are meaningless
 
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """How well the scans of a map agree; the less, the better. NaN where nothing tells.
+    """Agreement of the scans of a map; lower is better. NaN if unknown.
 
     Attributes
     ----------
     disagreement : m, the mean of the following two, or the one that is known
     within, between : m, mean error of a point seen in the same pass of a place, and in another one
     thickness : m, RMS distance of matched points from their surface
-    contradicted : share of points, of those that tell, that lie where the other scan saw through
-    doubled : share of points that are so, with a surface beside them that faces the same way
-    revisited : share of the places, by area, that were seen in two passes
+    contradicted : share of compared points that the other scan saw through
+    doubled : share of compared points that are contradicted and have a parallel surface nearby
+    revisited : share of the area that was seen in two passes
     """
 
     disagreement: float
@@ -69,7 +71,7 @@ class Quality:
     revisited: float
 
     def figures(self) -> dict[str, float]:
-        """Return the values by their names in JSON files, which tell the unit; shares have none."""
+        """Return the values by their names in JSON files, with units; shares have none."""
         lengths = ("disagreement", "within", "between", "thickness")
         shares = ("contradicted", "doubled", "revisited")
         metres = {f"{name}_m": getattr(self, name) for name in lengths}
@@ -87,23 +89,23 @@ class _Counts(NamedTuple):
 
 
 def quality(known: Map) -> Quality:
-    """Return how well the scans of a map agree with each other, see the top of this file."""
-    keyframes = _spread(known.keyframes)
+    """Return how well the scans of a map agree with each other; see the module docstring."""
+    keyframes = _spaced(known.keyframes)
     lasers = profile(keyframes)
     poses = keyframes.poses
-    pairs = overlaps(lasers.lasers, Nearness(turn=math.pi, pass_way=PASS))
+    pairs = overlaps(lasers.lasers, Nearness(turn=math.pi, pass_way=PASS_DISTANCE))
     step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    way = np.concatenate([np.zeros(1), np.cumsum(step)])
-    again = np.abs(way[pairs[:, 0]] - way[pairs[:, 1]]) >= PASS
+    travel = np.concatenate([np.zeros(1), np.cumsum(step)])
+    again = np.abs(travel[pairs[:, 0]] - travel[pairs[:, 1]]) >= PASS_DISTANCE
     both = np.ascontiguousarray(np.concatenate([pairs, pairs[:, ::-1]]))
     counts = _Counts(*np.zeros((5, len(both))))
     if len(both):
         _compare(_fans(keyframes), lasers, poses, both, counts)
-    return _summary(counts, _places(poses[both[:, 1]]), np.concatenate([again, again]))
+    return _summary(counts, _cells(poses[both[:, 1]]), np.concatenate([again, again]))
 
 
-def _spread(keyframes: Keyframes) -> PlacedScans:
-    """Return the placed keyframes that have points, at least about `STEP` apart along the drive."""
+def _spaced(keyframes: Keyframes) -> PlacedScans:
+    """Return the placed keyframes with points, about `KEYFRAME_SPACING` apart along the path."""
     counts = np.diff(keyframes.starts)
     usable = keyframes.placed & (counts > 0) & np.isfinite(keyframes.poses).all(axis=1)
     rows = np.flatnonzero(usable)
@@ -111,7 +113,7 @@ def _spread(keyframes: Keyframes) -> PlacedScans:
     moved = np.abs(np.diff(poses, axis=0))
     moved[:, 2] = np.minimum(moved[:, 2], np.abs(2.0 * math.pi - moved[:, 2]))
     length = np.concatenate([np.zeros(min(1, len(rows))), np.cumsum(moved.sum(axis=1))])
-    rows = rows[np.unique(np.floor(length / STEP), return_index=True)[1]]
+    rows = rows[np.unique(np.floor(length / KEYFRAME_SPACING), return_index=True)[1]]
     starts = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts[rows])])
     used = np.zeros(len(counts), np.bool_)
     used[rows] = True
@@ -139,7 +141,7 @@ def _find(scans: PlacedScans, out: Features) -> Ints:
         turns = np.abs(np.diff(np.arctan2(offsets[:, 1], offsets[:, 0])))
         spacing = np.median(turns) if len(turns) else 0.0
         rest = out[starts[k] :]
-        count = find_features(points, ranges > 0.0, ranges, origins, spacing, THIN, rest)
+        count = find_features(points, ranges > 0.0, ranges, origins, spacing, POINT_SPACING, rest)
         starts[k + 1] = starts[k] + count
     return starts
 
@@ -162,12 +164,12 @@ def _compare(fans: Fans, seen: Profile, poses: Array, pairs: Ints, counts: _Coun
             nx = c * features[p, 2] - s * features[p, 3]
             ny = s * features[p, 2] + c * features[p, 3]
             distance = _distance(fans, i, (x, y, nx, ny))
-            if distance < NEAR:
+            if distance < MATCH_DISTANCE:
                 counts.matched[q] += 1.0
                 counts.square[q] += distance * distance
             elif _seen_through(seen, fans, i, (x, y, nx, ny)):
                 counts.contradicted[q] += 1.0
-                counts.doubled[q] += distance < FARTHEST
+                counts.doubled[q] += distance < MAX_ERROR
             else:
                 continue
             counts.error[q] += distance
@@ -175,12 +177,12 @@ def _compare(fans: Fans, seen: Profile, poses: Array, pairs: Ints, counts: _Coun
 
 @kernel
 def _distance(fans: Fans, i: int, point: tuple[float, float, float, float]) -> float:
-    """Return the distance of a point with its normal from the surface of scan i that faces its way."""
+    """Return the distance of a point from the surface of scan i with a similar normal."""
     x, y, nx, ny = point
     features = fans.scans.features
-    k = nearest_feature(fans, i, x, y, FARTHEST)
-    if k < 0 or features[k, 4] == 0.0 or nx * features[k, 2] + ny * features[k, 3] < FACING:
-        return FARTHEST
+    k = nearest_feature(fans, i, x, y, MAX_ERROR)
+    if k < 0 or features[k, 4] == 0.0 or nx * features[k, 2] + ny * features[k, 3] < MIN_FACING:
+        return MAX_ERROR
     across: float = abs(
         features[k, 2] * (x - features[k, 0]) + features[k, 3] * (y - features[k, 1])
     )
@@ -191,37 +193,37 @@ def _distance(fans: Fans, i: int, point: tuple[float, float, float, float]) -> f
 def _seen_through(
     seen: Profile, fans: Fans, i: int, point: tuple[float, float, float, float]
 ) -> bool:
-    """Tell whether the beams of scan i on both sides of a point, from its front, end behind it."""
+    """Return whether beams of scan i on both sides of a point pass it from its front."""
     x, y, nx, ny = point
     dx, dy = x - fans.scans.lasers[i, 0], y - fans.scans.lasers[i, 1]
     distance = math.sqrt(dx * dx + dy * dy)
-    if distance < _BLIND or nx * dx + ny * dy >= 0.0:
+    if distance < _MIN_RANGE or nx * dx + ny * dy >= 0.0:
         return False
     middle = int((math.atan2(dy, dx) / (2.0 * math.pi) + 1.0) * BEARINGS)
     beams = 0
-    for b in range(middle - _BESIDE, middle + _BESIDE + 1):
+    for b in range(middle - _NEIGHBOURS, middle + _NEIGHBOURS + 1):
         end = seen.nearest[i, b % BEARINGS]
         beams += end > 0.0
-        if 0.0 < end < distance + BEFORE:
+        if 0.0 < end < distance + FREE_MARGIN:
             return False
     return beams > 1
 
 
-def _places(poses: Array) -> Ints:
-    """Return a number (m,) of the cell of each pose, from 0 on without gaps."""
-    cells = np.floor(poses[:, :2] / PLACE)
+def _cells(poses: Array) -> Ints:
+    """Return the number (m,) of the cell of each pose, counted from 0 without gaps."""
+    cells = np.floor(poses[:, :2] / CELL)
     return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
 
 
-def _summary(counts: _Counts, places: Ints, again: Mask) -> Quality:
-    """Return the means over places, of the pairs that are of one pass and of the others."""
-    told = counts.matched + counts.contradicted
-    everything = np.ones(len(told), np.bool_)
-    within, _ = _mean(counts.error, told, places, ~again)
-    between, twice = _mean(counts.error, told, places, again)
-    square, _ = _mean(counts.square, counts.matched, places, everything)
-    contradicted, all_places = _mean(counts.contradicted, told, places, everything)
-    doubled, _ = _mean(counts.doubled, told, places, everything)
+def _summary(counts: _Counts, cells: Ints, again: Mask) -> Quality:
+    """Return the means over cells, separately for pairs of one pass and of different passes."""
+    compared = counts.matched + counts.contradicted
+    everything = np.ones(len(compared), np.bool_)
+    within, _ = _mean(counts.error, compared, cells, ~again)
+    between, revisited = _mean(counts.error, compared, cells, again)
+    square, _ = _mean(counts.square, counts.matched, cells, everything)
+    contradicted, all_cells = _mean(counts.contradicted, compared, cells, everything)
+    doubled, _ = _mean(counts.doubled, compared, cells, everything)
     known = [part for part in (within, between) if not math.isnan(part)]
     return Quality(
         disagreement=sum(known) / len(known) if known else math.nan,
@@ -230,14 +232,17 @@ def _summary(counts: _Counts, places: Ints, again: Mask) -> Quality:
         thickness=math.sqrt(square),
         contradicted=contradicted,
         doubled=doubled,
-        revisited=twice / all_places if all_places else math.nan,
+        revisited=revisited / all_cells if all_cells else math.nan,
     )
 
 
-def _mean(values: Array, weights: Array, places: Ints, chosen: Mask) -> tuple[float, int]:
-    """Return the mean over places of sums of values by weights, NaN of none, and how many places."""
-    total = np.bincount(places, values * chosen)
-    weight = np.bincount(places, weights * chosen)
-    told = weight > 0.0
-    count = int(told.sum())
-    return (float((total[told] / weight[told]).mean()) if count else math.nan), count
+def _mean(values: Array, weights: Array, cells: Ints, chosen: Mask) -> tuple[float, int]:
+    """Return the mean over cells of the ratio of summed values and weights, and the number of cells.
+
+    The mean of no cells is NaN.
+    """
+    total = np.bincount(cells, values * chosen)
+    weight = np.bincount(cells, weights * chosen)
+    used = weight > 0.0
+    count = int(used.sum())
+    return (float((total[used] / weight[used]).mean()) if count else math.nan), count

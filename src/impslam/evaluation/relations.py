@@ -1,7 +1,7 @@
-"""Relation errors: how well an estimate keeps the relations between poses that people measured.
+"""Relation errors: an estimate against manually verified relations between poses.
 
-Kümmerle et al. 2009, "On measuring the accuracy of SLAM algorithms", Eq. 5: the errors of relative
-poses, so that no alignment is needed and an early error does not spoil the rest.
+Kümmerle et al. 2009, "On measuring the accuracy of SLAM algorithms", Eq. 5: errors of relative poses need
+no alignment, and an early error does not affect the rest.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ class RelationErrors:
 
     @property
     def metres(self) -> Statistics:
-        """Of the translation errors, m."""
+        """Statistics of the translation errors, m."""
         return statistics(self.translation)
 
     @property
     def radians(self) -> Statistics:
-        """Of the rotation errors, rad."""
+        """Statistics of the rotation errors, rad."""
         return statistics(self.rotation)
 
 
@@ -46,15 +46,15 @@ def read_relations(path: Path) -> Array:
     """
     rows = np.array(list(read_numbers(path, 8, "stamp1 stamp2 x y z roll pitch yaw")))
     if len(rows) == 0:
-        raise ImpError(f"{path}: holds no relation; check that it is a .relations file")
+        raise ImpError(f"{path}: contains no relation; check that it is a .relations file")
     return rows[:, [0, 1, 2, 3, 7]]
 
 
 def relation_errors(trajectory: Array, relations: Array, slack: float = 0.3) -> RelationErrors:
     """Compare a trajectory (n, 4) with relations (k, 5).
 
-    `slack`, in s, is how far the nearest pose may be from a relation's stamp. The default is more
-    than the period of the lidars in the suite, whose relations name single scans.
+    `slack` is the maximum time between a relation's stamp and the nearest pose, s. The default is more than
+    the period of the lidars in the suite, whose relations refer to single scans.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def relation_errors(trajectory: Array, relations: Array, slack: float = 0.3) -> 
     found = (gap_first <= slack) & (gap_second <= slack)
     if not found.any():
         raise ImpError(
-            "no relation lies within the trajectory's time; check that logs are the same"
+            "no relation is within the trajectory's time; check that both are of the same log"
         )
     estimate = relative(rows[first[found], 1:], rows[second[found], 1:])
     error = relative(relations[found, 2:], estimate)

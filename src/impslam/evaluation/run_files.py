@@ -1,4 +1,4 @@
-"""Reads what there is to score: the folder of a run, or a bare trajectory of any program."""
+"""Read runs to score: the folder of a run, or a trajectory file of any program."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedRun:
-    """A run as read from its files; what they do not hold is None.
+    """A run as read from its files; None for missing parts.
 
-    `path` (n, 4) is stamp, x, y, theta; `covariances` (n, 3, 3) those of its poses; `truth` (m, 4)
-    and `true_landmarks` are in the log's own frame, all else is in map. `known` is the whole map.
+    `path` (n, 4) is stamp, x, y, theta; `covariances` (n, 3, 3) are those of its poses; `truth` (m, 4) and
+    `true_landmarks` are in the log's own frame, the rest is in map. `known` is the whole map.
     """
 
     path: Array
@@ -49,13 +49,13 @@ def read_run(place: Path) -> RecordedRun:
     if not place.is_dir():
         return RecordedRun(read_tum(place))
     if not (place / "trajectory.tum").is_file():
-        raise ImpError(f"{place}: holds no trajectory.tum; give the folder of a run")
+        raise ImpError(f"{place}: contains no trajectory.tum; give the folder of a run")
     path = read_tum(place / "trajectory.tum")
     table, marks = place / "trajectory.csv", place / "landmarks.csv"
     truth, true_marks = place / TRUTH, place / TRUE_LANDMARKS
     known = Map.load(place / "map.imp") if (place / "map.imp").is_file() else None
     if known is not None and (partial := known.about.get("partial")):
-        log.warning("%s: is the run of a part of its log: %s", place, partial)
+        log.warning("%s: the run covers only a part of its log: %s", place, partial)
     return RecordedRun(
         path,
         _covariances(table, path) if table.is_file() else None,
@@ -69,8 +69,8 @@ def read_run(place: Path) -> RecordedRun:
 def _covariances(table: Path, path: Array) -> Array:
     """Return the covariances (n, 3, 3) of the poses of a path (n, 4)."""
     with table.open(encoding="utf-8", errors="replace") as stream:
-        told = stream.readline().rstrip().endswith(f",{HEALTH_COLUMN}")
-    head, n = (f"{PATH_COLUMNS},{HEALTH_COLUMN}", 11) if told else (PATH_COLUMNS, 10)
+        has_health = stream.readline().rstrip().endswith(f",{HEALTH_COLUMN}")
+    head, n = (f"{PATH_COLUMNS},{HEALTH_COLUMN}", 11) if has_health else (PATH_COLUMNS, 10)
     rows = np.array(list(read_numbers(table, n, head, head=head))).reshape(-1, n)
     if not np.array_equal(rows[:, 0], path[:, 0]):
         raise ImpError(f"{table}: has other stamps than trajectory.tum; run the log again")

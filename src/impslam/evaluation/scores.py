@@ -1,9 +1,9 @@
-"""How good a run is: its path, what it says of its own errors, and its landmarks.
+"""Scores of a run: its path, its consistency, and its landmarks.
 
-The truth has a frame of its own (motion capture, GPS), and `T_truth_map` leads there. Errors are taken
-where the path fits the truth best, unless one asks for another frame. What the filter says of its
-errors, though, counts from the start, which is the map's origin by definition: normalised errors are
-taken with the estimate laid on the true pose at the start.
+The truth has its own frame (motion capture, GPS); `T_truth_map` is the transform to it. By default, errors
+are computed after fitting the path to the truth. The filter's covariances, however, are relative to the
+start, which defines the map's origin: normalised errors are computed with the estimate aligned with the
+true pose at the start.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from impslam.evaluation.consistency import (
 )
 from impslam.evaluation.landmarks import (
     LandmarkScore,
-    judged_as,
     landmark_errors,
-    moved,
     score_landmarks,
+    transform_landmarks,
+    true_kind,
 )
 from impslam.evaluation.options import GATE, Alignment
 from impslam.evaluation.run_files import RecordedRun
@@ -46,17 +46,17 @@ from impslam.evaluation.trajectory import (
 from impslam.geometry.se2 import inverse
 from impslam.types import Array, Landmark, Mask, TrueLandmark
 
-STILL = 1e-3
-"""m: before it has moved so far a run is at its start, whose covariance is a formality."""
+START_RADIUS = 1e-3
+"""m from the start within which poses do not count: their covariance is meaningless."""
 
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """Normalised error squared of one run's poses, whose steps are not independent.
+    """Normalised error squared of one run's poses, which are correlated in time.
 
-    `dof` is 3, or 2 where only positions are known: what `mean` ideally is. For a consistent filter it
-    lies between `low` and `high` in 95 % of runs, as the steps are correlated. `within` is the share of
-    the `count` poses inside the 95 % interval of the chi-square distribution.
+    `dof`, the ideal value of `mean`, is 3, or 2 if only positions are known. For a consistent filter `mean`
+    is between `low` and `high` in 95 % of runs, with the correlation taken into account. `within` is the
+    share of the `count` poses inside the 95 % interval of the chi-square distribution.
     """
 
     dof: int
@@ -69,13 +69,13 @@ class Consistency:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathScore:
-    """How far a path is from the truth.
+    """Errors of a path.
 
     Attributes
     ----------
     pairs : estimate and truth in the truth's frame, as aligned
     T_truth_map : (3,), the alignment
-    T_truth_start : (3,), that of the true pose at the start, in which covariances count; or None
+    T_truth_start : (3,), the alignment with the true pose at the start, used for covariances; or None
     given, aligned : m, absolute trajectory error as given, and after the alignment
     heading : rad
     rpe_metres, rpe_radians : relative pose error; None for a path shorter than the stretch
@@ -97,8 +97,8 @@ class PathScore:
 class KindScore:
     """Counts and errors of the true landmarks of one kind.
 
-    `distance` is in m (of walls: across, at the middle of the true wall), `angle` in rad between
-    walls. `nees` is the mean over landmarks, ideally 2; NaN if not known.
+    `distance` is in m (for walls: perpendicular, at the middle of the true wall), `angle` in rad between
+    walls. `nees` is the mean over landmarks, ideally 2; NaN if unknown.
     """
 
     kind: str
@@ -121,7 +121,7 @@ def score_path(run: RecordedRun, truth: Array, align_by: Alignment, delta: float
     Raises
     ------
     ImpError
-        If they share no time, or the true start is asked for and not known.
+        If they do not overlap in time, or the true start is requested but unknown.
     """
     pairs = associate(run.path, truth)
     start = np.zeros(3) if align_by == "none" else start_frame(pairs, float(run.path[0, 0]))
@@ -131,12 +131,12 @@ def score_path(run: RecordedRun, truth: Array, align_by: Alignment, delta: float
         raise ImpError("the truth has no heading at the start of the run; leave out --align start")
     else:
         T_truth_map = start
-    laid = pairs.moved(T_truth_map)
+    fitted = pairs.moved(T_truth_map)
     metres, radians = _relative(pairs, delta)
-    sure = None if start is None else _consistency(run, pairs, start)
-    given, aligned = ate(pairs, aligned=False), ate(laid, aligned=False)
-    turn = statistics(heading_errors(laid))
-    return PathScore(laid, T_truth_map, start, given, aligned, turn, metres, radians, sure)
+    consistency = None if start is None else _consistency(run, pairs, start)
+    given, aligned = ate(pairs, aligned=False), ate(fitted, aligned=False)
+    turn = statistics(heading_errors(fitted))
+    return PathScore(fitted, T_truth_map, start, given, aligned, turn, metres, radians, consistency)
 
 
 def _relative(pairs: Pairs, delta: float) -> tuple[Statistics, Statistics] | tuple[None, None]:
@@ -147,7 +147,7 @@ def _relative(pairs: Pairs, delta: float) -> tuple[Statistics, Statistics] | tup
 
 
 def _consistency(run: RecordedRun, pairs: Pairs, T_truth_map: Array) -> Consistency | None:
-    """Return the normalised errors of a run, the truth laid in map at its start."""
+    """Return the consistency of a run, with the truth aligned to the map at the start."""
     values, dof = normalised_errors(run, pairs, T_truth_map)
     if not len(values):
         return None
@@ -156,9 +156,9 @@ def _consistency(run: RecordedRun, pairs: Pairs, T_truth_map: Array) -> Consiste
 
 
 def normalised_errors(run: RecordedRun, pairs: Pairs, T_truth_map: Array) -> tuple[Array, int]:
-    """Return the normalised error squared (n,) of the poses since the run has moved, and its dof.
+    """Return the normalised error squared (n,) of the poses after leaving the start, and its dof.
 
-    There are 3, or 2 where the truth has no headings. n is 0 if no covariance can be divided by.
+    The dof are 3, or 2 if the truth has no headings. n is 0 if no covariance is invertible.
     """
     errors = pose_errors(pairs.estimate, move(inverse(T_truth_map), pairs.truth))
     dof = 3 if np.isfinite(errors).all() else 2
@@ -166,13 +166,13 @@ def normalised_errors(run: RecordedRun, pairs: Pairs, T_truth_map: Array) -> tup
         return np.empty(0), dof
     covariances = run.covariances[np.isin(run.path[:, 0], pairs.stamps)]
     errors, covariances = errors[:, :dof], covariances[:, :dof, :dof]
-    away = np.hypot(*(pairs.estimate[:, :2] - pairs.estimate[0, :2]).T) > STILL
+    away = np.hypot(*(pairs.estimate[:, :2] - pairs.estimate[0, :2]).T) > START_RADIUS
     used = np.maximum.accumulate(away) & _regular(covariances)
     return nees(errors[used], covariances[used]), dof
 
 
 def _regular(covariances: Array) -> Mask:
-    """Return which covariances (n, k, k) can be divided by."""
+    """Return (n,) which covariances (n, k, k) are invertible."""
     return np.asarray(np.linalg.eigvalsh(covariances)[:, 0] > 0.0)
 
 
@@ -184,16 +184,17 @@ def score_kinds(
 ) -> list[KindScore]:
     """Compare a map with true landmarks, kind by kind.
 
-    Both are compared in map, where the path's alignment lays the truth; without a path the truth is
-    taken to be in map already.
+    Both are compared in map, using the path's alignment; without a path, the truth must be in map already.
     """
-    here = truth if path is None else moved(inverse(path.T_truth_map), truth)
+    here = truth if path is None else transform_landmarks(inverse(path.T_truth_map), truth)
     start = np.zeros(3) if path is None else path.T_truth_start
-    counted = {} if start is None else {t.name: t for t in moved(inverse(start), truth)}
+    counted = (
+        {} if start is None else {t.name: t for t in transform_landmarks(inverse(start), truth)}
+    )
     kinds = sorted({true.kind for true in truth})
     scores = []
     for kind in kinds:
-        ours = [mark for mark in landmarks if judged_as(mark.kind, kinds) == kind]
+        ours = [mark for mark in landmarks if true_kind(mark.kind, kinds) == kind]
         theirs = [true for true in here if true.kind == kind]
         score = score_landmarks(ours, theirs, gate)
         marks = {mark.id: mark for mark in ours}
@@ -210,7 +211,7 @@ def _kind_score(kind: str, true: int, score: LandmarkScore, mean_nees: float) ->
 
 
 def _mean_nees(pairs: Sequence[tuple[Landmark, TrueLandmark]]) -> float:
-    """Return the mean normalised error squared of landmarks, NaN where none is known."""
+    """Return the mean normalised error squared of landmarks; NaN if unknown."""
     errors = np.array([landmark_errors(mark, true) for mark, true in pairs]).reshape(-1, 2)
     covariances = np.array([mark.covariance for mark, _ in pairs]).reshape(-1, 2, 2)
     used = _regular(covariances)

@@ -1,7 +1,7 @@
 """Trajectories against the truth: alignment, absolute and relative errors.
 
-A trajectory is rows (n, 4) of stamp, x, y, theta; theta is NaN where only the position is known, and
-errors that need it are then NaN. Errors are taken in the truth's frame.
+A trajectory has rows (n, 4) of stamp, x, y, theta; theta is NaN if only the position is known, and errors
+that need it are then NaN. Errors are computed in the truth's frame.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import between, compose, inverse, transform
 from impslam.types import Array
 
-AT_START = 1.0
-"""s: a heading that is first known so soon after the first pose is known at the start."""
-SAME_POSE = (0.05, math.radians(3.0))
-"""m and rad: two poses closer than this are given in one frame."""
+START_DURATION = 1.0
+"""s after the first pose within which a first known heading counts as the heading at the start."""
+POSE_TOLERANCE = (0.05, math.radians(3.0))
+"""m and rad: two poses closer than this are assumed to be in the same frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """Of absolute errors, in their own unit; NaN if there are none."""
+    """Statistics of absolute errors, in the unit of the errors; NaN if there are none."""
 
     count: int
     rmse: float
@@ -42,16 +42,16 @@ class Pairs:
     truth: Array
 
     def moved(self, T_truth_estimate: Array) -> Pairs:
-        """Return the pairs with the estimate in another frame."""
+        """Return the pairs with the estimate transformed into another frame."""
         return Pairs(self.stamps, move(T_truth_estimate, self.estimate), self.truth)
 
     def aligned(self) -> Pairs:
-        """Return the pairs with the estimate where it fits the truth best."""
+        """Return the pairs with the estimate fitted to the truth."""
         return self.moved(align(self.estimate[:, :2], self.truth[:, :2]))
 
 
 def statistics(errors: Array) -> Statistics:
-    """Return the statistics of errors (n,) by their absolute values; NaN, unknown, are left out."""
+    """Return the statistics of absolute errors (n,); NaN (unknown) values are left out."""
     e = np.abs(errors[~np.isnan(errors)])
     if len(e) == 0:
         return Statistics(0, math.nan, math.nan, math.nan, math.nan)
@@ -73,9 +73,9 @@ def relative(a: Array, b: Array) -> Array:
 
 
 def interpolate(trajectory: Array, stamps: Array) -> Array:
-    """Return poses (k, 3) at the stamps, linear in between and held at the ends.
+    """Return poses (k, 3) at the stamps, linearly interpolated and constant beyond the ends.
 
-    A heading between two of which one is not known is not known.
+    A heading is unknown if one of its two neighbours is unknown.
     """
     rows = trajectory[np.argsort(trajectory[:, 0], kind="stable")]
     t, x, y, heading = rows.T.copy()
@@ -91,13 +91,13 @@ def associate(estimate: Array, truth: Array, slack: float = 0.1, gap: float = 1.
 
     Parameters
     ----------
-    slack : s, how far before the first and after the last true pose a stamp may lie
-    gap : s, between true poses further apart than this nothing is known
+    slack : s, maximum time of a stamp before the first or after the last true pose
+    gap : s, maximum time between true poses for an interpolation
 
     Raises
     ------
     ImpError
-        If no stamp of the estimate lies within the truth.
+        If no stamp of the estimate is within the truth.
     """
     known = np.sort(truth[:, 0])
     stamps = estimate[:, 0]
@@ -117,8 +117,8 @@ def associate(estimate: Array, truth: Array, slack: float = 0.1, gap: float = 1.
 def align(points: Array, target: Array) -> Array:
     """Return the rigid motion (3,) that moves points (n, 2) closest to target (n, 2).
 
-    Umeyama 1991 without scale. In the plane the proper rotation has a closed form, so that no
-    reflection can come out; where all points are one, the rotation is zero.
+    Umeyama 1991 without scale. In the plane the rotation has a closed form, so the result is never a
+    reflection; if all points coincide, the rotation is zero.
     """
     centre, wanted = points.mean(axis=0), target.mean(axis=0)
     p, q = points - centre, target - wanted
@@ -130,32 +130,32 @@ def align(points: Array, target: Array) -> Array:
 
 
 def is_same_pose(a: Array, b: Array) -> bool:
-    """Tell whether two poses (3,) are so close that their frames are taken to be one; see `SAME_POSE`."""
+    """Return whether two poses (3,) agree within `POSE_TOLERANCE`."""
     x, y, turn = between(a, b)
-    return bool(math.hypot(x, y) < SAME_POSE[0] and abs(turn) < SAME_POSE[1])
+    return bool(math.hypot(x, y) < POSE_TOLERANCE[0] and abs(turn) < POSE_TOLERANCE[1])
 
 
 def start_frame(pairs: Pairs, begin: float) -> Array | None:
-    """Return `T_truth_map` (3,) that lays the estimate on the true pose at the start.
+    """Return `T_truth_map` (3,) that aligns the estimate with the true pose at the start.
 
-    That is where the covariance of a path counts from. `begin` is the stamp of the path's first pose;
-    if no true heading is known within `AT_START` of it, None is returned.
+    The covariance of a path is relative to its start. `begin` is the stamp of the path's first pose; if no
+    true heading is known within `START_DURATION` of it, return None.
     """
     known = np.flatnonzero(np.isfinite(pairs.truth[:, 2]) & np.isfinite(pairs.estimate[:, 2]))
-    if len(known) == 0 or abs(pairs.stamps[known[0]] - begin) > AT_START:
+    if len(known) == 0 or abs(pairs.stamps[known[0]] - begin) > START_DURATION:
         return None
     return compose(pairs.truth[known[0]], inverse(pairs.estimate[known[0]]))
 
 
 def position_errors(pairs: Pairs) -> Array:
-    """Return (n,) m, the distances to the truth: the absolute trajectory error of each pose."""
+    """Return the distances (n,) m to the truth: the absolute trajectory error of each pose."""
     x, y = (pairs.estimate[:, :2] - pairs.truth[:, :2]).T
     distances: Array = np.hypot(x, y)
     return distances
 
 
 def heading_errors(pairs: Pairs) -> Array:
-    """Return (n,) rad, signed; NaN where one of the headings is not known."""
+    """Return the signed heading errors (n,) rad; NaN if one of the headings is unknown."""
     return np.asarray(wrap(pairs.estimate[:, 2] - pairs.truth[:, 2]))
 
 
@@ -167,9 +167,9 @@ def ate(pairs: Pairs, aligned: bool = True) -> Statistics:
 def rpe(pairs: Pairs, delta: float, unit: str = "m") -> tuple[Statistics, Statistics]:
     """Return the relative pose error in m and in rad over a stretch (Sturm et al. 2012, Eq. 1-2).
 
-    `delta` is m of true path (unit "m") or s (unit "s"); every pose begins a stretch, which ends at
-    the first pose that is at least delta further on. Stretches that begin without a heading have no
-    error; where all do, the statistics are NaN.
+    `delta` is m of true path (unit "m") or s (unit "s"); a stretch begins at every pose and ends at the
+    first pose at least delta further on. Stretches that begin without a heading have no error; if all do,
+    the statistics are NaN.
 
     Raises
     ------

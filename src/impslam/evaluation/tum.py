@@ -1,7 +1,7 @@
 """Trajectories as files of the TUM RGB-D benchmark: `stamp x y z qx qy qz qw`, metres, seconds.
 
-A heading that is not known (GPS, some trackers) is NaN, and in files the quaternion `0 0 0 0`, which
-is no rotation.
+An unknown heading (GPS, some trackers) is NaN, and in files the quaternion `0 0 0 0`, which is not a
+rotation.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from impslam.errors import ImpError
 from impslam.types import Array
 
 TRUTH = "truth.tum"
-"""The true path in a run folder, where the log holds it, in the log's own frame."""
+"""The true path in a run folder, if the log has it, in the log's own frame."""
 PATH_COLUMNS = "stamp,x,y,theta,xx,xy,xt,yy,yt,tt"
 """Columns of trajectory.csv: m, rad, s; xx to tt are the pose covariance's distinct entries."""
 HEALTH_COLUMN = "health"
-"""The last column where a run is told of: 0 TRACKING, 1 DEGRADED, 2 LOST."""
+"""Optional last column: 0 TRACKING, 1 DEGRADED, 2 LOST."""
 
 
 _ROW = "%.9f %.9f %.9f 0 0 0 %.12f %.12f\n"
@@ -29,7 +29,7 @@ _ROW = "%.9f %.9f %.9f 0 0 0 %.12f %.12f\n"
 def tum_rows(stamps: Array, poses: Array) -> str:
     """Return the lines of planar poses (n, 3) at stamps (n,), s.
 
-    They hold nanoseconds and nanometres, so nothing is lost.
+    The resolution is nanoseconds and nanometres.
     """
     half = 0.5 * poses[:, 2]
     columns = np.column_stack((stamps, poses[:, :2], np.sin(half), np.cos(half)))
@@ -42,9 +42,7 @@ def tum_rows(stamps: Array, poses: Array) -> str:
 def write_tum(path: Path, trajectory: Array) -> None:
     """Write rows (n, 4) of stamp, x, y, theta."""
     with path.open("w", encoding="utf-8") as stream:
-        for begin in range(
-            0, len(trajectory), 1000
-        ):  # text takes three times the memory of numbers
+        for begin in range(0, len(trajectory), 1000):  # text needs three times the memory
             rows = trajectory[begin : begin + 1000]
             stream.write(tum_rows(rows[:, 0], rows[:, 1:]))
 
@@ -52,17 +50,17 @@ def write_tum(path: Path, trajectory: Array) -> None:
 def read_tum(path: Path) -> Array:
     """Return rows (n, 4) of stamp, x, y, yaw in the order of the file.
 
-    The yaw is NaN where the quaternion is all zero or not finite.
+    The yaw is NaN if the quaternion is zero or not finite.
 
     Raises
     ------
     ImpError
-        If the file is missing, holds no pose, or a line is not one.
+        If the file is missing, contains no pose, or a line is not a pose.
     """
     names = "stamp x y z qx qy qz qw"
     rows = np.array(list(read_numbers(path, 8, names, finite=4))).reshape(-1, 8)
     if len(rows) == 0:
-        raise ImpError(f"{path}: holds no pose; a trajectory needs rows of {names}")
+        raise ImpError(f"{path}: contains no pose; a trajectory needs rows of {names}")
     return np.column_stack((rows[:, :3], _yaw(rows[:, 4:], path)))
 
 
@@ -83,13 +81,13 @@ def read_numbers(
 ) -> Iterator[list[float]]:
     """Yield the rows of a text file of numbers; '#' begins a comment.
 
-    `head` is the line that the file has to begin with, if any; the first `finite` numbers of a row,
-    or all, must not be NaN or infinite.
+    `head` is the required first line of the file, if any; the first `finite` numbers of a row, by default
+    all, must be finite.
 
     Raises
     ------
     ImpError
-        If the file cannot be read, or a row has not `columns` such numbers.
+        If the file cannot be read, or a row does not have `columns` such numbers.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()

@@ -11,7 +11,7 @@ import numpy as np
 
 from impslam.errors import ImpError
 from impslam.evaluation.consistency import chi2_bounds, nees, pose_errors
-from impslam.evaluation.landmarks import LandmarkScore, moved, score_landmarks
+from impslam.evaluation.landmarks import LandmarkScore, score_landmarks, transform_landmarks
 from impslam.evaluation.trajectory import (
     Pairs,
     align,
@@ -88,7 +88,7 @@ def section_of(
     note = "The truth comes from the log or the simulated world; the filter never sees it."
     if laid is not None:
         note += " " + NOTES[laid.how]
-        known = moved(laid.T_map_truth, known)
+        known = transform_landmarks(laid.T_map_truth, known)
         if len(laid.pairs.stamps) > 1:
             parts += [_figures(laid, history), _charts(laid, history)]
     if known:

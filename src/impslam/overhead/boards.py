@@ -11,18 +11,18 @@ import numpy as np
 from impslam.overhead.calibration import View
 from impslam.overhead.setup import Board, dictionary
 
-FEWEST = 8  # corners of a ChArUco board that are worth a view
+MIN_CORNERS = 8  # of a ChArUco board in a view
 
 
 def find_boards(pictures: Iterable[Any], board: Board) -> list[View]:
-    """Return the views of a board in the pictures that show it; the others are left out."""
+    """Return the views of a board in the pictures that show it."""
     find = _charuco(board) if board.kind == "charuco" else _chessboard(board)
     views = (find(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)) for picture in pictures)
     return [view for view in views if view is not None]
 
 
 def _chessboard(board: Board) -> Callable[[Any], View | None]:
-    """Return what finds the inner corners of a chessboard, all or none."""
+    """Return a function that finds the inner corners of a chessboard, all or none."""
     size = (board.columns - 1, board.rows - 1)
     across, down = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
     points = np.column_stack([across.ravel(), down.ravel(), np.zeros(across.size)])
@@ -36,7 +36,7 @@ def _chessboard(board: Board) -> Callable[[Any], View | None]:
 
 
 def _charuco(board: Board) -> Callable[[Any], View | None]:
-    """Return what finds those corners of a ChArUco board that are seen."""
+    """Return a function that finds the visible corners of a ChArUco board."""
     printed = cv2.aruco.CharucoBoard(
         (board.columns, board.rows),
         board.square,
@@ -48,7 +48,7 @@ def _charuco(board: Board) -> Callable[[Any], View | None]:
 
     def find(grey: Any) -> View | None:
         corners, numbers, *_ = detector.detectBoard(grey)
-        if numbers is None or len(numbers) < FEWEST:
+        if numbers is None or len(numbers) < MIN_CORNERS:
             return None
         return View(points[np.ravel(numbers)], corners.reshape(-1, 2).astype(np.float64))
 

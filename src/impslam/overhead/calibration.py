@@ -1,9 +1,9 @@
-"""Lens and floor from a board and from measured points: one weighted least squares problem.
+"""Calibration of lens and camera pose from a board and measured points, by weighted least squares.
 
-Views of a board tell the lens, measured points tell how the camera stands; both enter with what they
-are worth, beside what any camera is likely to be, and the covariance of all is the inverse of the
-information (Triggs et al. 2000). Without a board the lens is as uncertain as the points leave it, and
-so are then all poses: that is told, not assumed away.
+Views of a board determine the lens, measured points determine the camera's pose. Both are weighted by
+their noise, together with a prior of typical cameras; the covariance is the inverse of the information
+(Triggs et al. 2000). Without a board, only the points and the prior determine the lens, and the
+covariances of all poses include its uncertainty.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from impslam.errors import ImpError
 from impslam.overhead.camera import EXTRINSIC, LENS, Camera, linearised, project
 from impslam.types import Array
 
-FIRST_SIGMA = 0.3  # px, of a board's corner, until the residuals have told
-ROUNDS = 3  # in which the corners' noise settles
-NARROW = 0.05  # of the points' extent along a line: nearer to it, they tell no pose
-FEWEST = 4  # points of a plane that determine a pose
+INITIAL_SIGMA = 0.3  # px, of a board's corner, before it is estimated from the residuals
+ROUNDS = 3  # until the estimate of the corners' noise has converged
+MIN_WIDTH_RATIO = 0.05  # of width to length of the points' extent: less does not determine a pose
+MIN_POINTS = 4  # of a plane that determine a pose
 
 
 class View(NamedTuple):
-    """Points (n, 3) m, in the board's frame or in map, and where they are seen (n, 2) px."""
+    """Points (n, 3) m, in the board's frame or in map, and their pixels (n, 2)."""
 
     points: Array
     pixels: Array
@@ -36,12 +36,12 @@ class View(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """A camera and how well it explains what it was calibrated with.
+    """A calibrated camera with its residuals.
 
     Attributes
     ----------
     camera : the camera, with the covariance of its parameters
-    board_rms, ground_rms : px, residuals of one coordinate; NaN without a board
+    board_rms, ground_rms : px, residuals per coordinate; NaN without a board
     views : number of views of the board
     """
 
@@ -54,26 +54,28 @@ class Calibration:
 def calibrate(
     size: tuple[int, int], boards: Sequence[View], ground: View, sigma: float, pixel_sigma: Array
 ) -> Calibration:
-    """Return the camera that explains views of a board and measured points best.
+    """Return the camera that fits views of a board and measured points best.
 
     Parameters
     ----------
     size : width and height of the picture, px
     sigma : m, standard deviation of a coordinate of a measured point
-    pixel_sigma : (n,) px, standard deviation of where each of these points is seen
+    pixel_sigma : (n,) px, standard deviations of the pixels of these points
 
     Raises
     ------
     ImpError
-        If the points do not determine how the camera stands.
+        If the points do not determine the camera's pose.
     """
-    if len(ground.points) < FEWEST:
-        raise ImpError(f"{len(ground.points)} measured points on the floor; give at least {FEWEST}")
-    spread = np.linalg.svd(ground.points - ground.points.mean(axis=0), compute_uv=False)
-    if spread[1] < NARROW * spread[0]:
-        raise ImpError("the measured points on the floor lie on one line; spread them out")
+    if len(ground.points) < MIN_POINTS:
+        raise ImpError(
+            f"{len(ground.points)} measured points on the floor; give at least {MIN_POINTS}"
+        )
+    extent = np.linalg.svd(ground.points - ground.points.mean(axis=0), compute_uv=False)
+    if extent[1] < MIN_WIDTH_RATIO * extent[0]:
+        raise ImpError("the measured points on the floor are on one line; spread them out")
     problem = _Problem(size, boards, ground, sigma, pixel_sigma)
-    x, corner = problem.start(), FIRST_SIGMA
+    x, corner = problem.start(), INITIAL_SIGMA
     for _ in range(ROUNDS):
         fit = least_squares(
             problem.residuals, x, problem.jacobian, x_scale="jac", method="lm", args=(corner,)
@@ -90,7 +92,7 @@ def calibrate(
 
 
 class _Problem:
-    """Unknown are the camera (15,) and the pose of each view of the board, (6,) each."""
+    """Least-squares problem; the unknowns are the camera (15,) and the pose (6,) of each board view."""
 
     def __init__(
         self,
@@ -103,18 +105,17 @@ class _Problem:
         self._boards, self._ground = boards, ground
         self._noise = sigma, pixel_sigma
         width, height = size
-        # What a lens is like before anything is seen: 30 to 90 degrees wide, its axis through the
-        # middle, square pixels, and no fish-eye.
+        # Prior of the lens: 30 to 90 degrees wide, axis through the middle, square pixels, no fish-eye.
         self._lens = np.array(
             [width, width, 0.5 * (width - 1), 0.5 * (height - 1), 0, 0, 0, 0, 0], dtype=np.float64
         )
-        self._spread = np.array(
+        self._prior_sigma = np.array(
             [0.5 * width, 0.5 * width, 0.03 * width, 0.03 * width, 0.3, 0.3, 0.01, 0.01, 0.3]
         )
         self._size = size
 
     def start(self) -> Array:
-        """Return a first solution, by OpenCV."""
+        """Return an initial solution by OpenCV."""
         lens = self._lens.copy()
         if len(self._boards) >= 3:
             points = [view.points.astype(np.float32) for view in self._boards]
@@ -125,11 +126,11 @@ class _Problem:
             )
             lens[:4] = matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
             lens[4:] = distortion.ravel()[:5]
-        poses = [_stand(view, lens) for view in (self._ground, *self._boards)]
+        poses = [_solve_pose(view, lens) for view in (self._ground, *self._boards)]
         return np.concatenate([poses[0], lens, *poses[1:]])
 
     def corner_noise(self, x: Array) -> float:
-        """Return the noise of a board's corners in px that their residuals tell."""
+        """Estimate the noise of a board's corners from their residuals, px."""
         residuals = [
             project(vector, view.points) - view.pixels
             for vector, view in zip(self._vectors(x), self._boards, strict=True)
@@ -139,11 +140,11 @@ class _Problem:
 
     def residuals(self, x: Array, corner: float) -> Array:
         """Return all residuals, in standard deviations."""
-        seen = project(x[:15], self._ground.points) - self._ground.pixels
-        parts = [(seen / self._ground_sigma(x)).ravel()]
+        ground = project(x[:15], self._ground.points) - self._ground.pixels
+        parts = [(ground / self._ground_sigma(x)).ravel()]
         for vector, view in zip(self._vectors(x), self._boards, strict=True):
             parts.append((project(vector, view.points) - view.pixels).ravel() / corner)
-        prior = (x[LENS] - self._lens) / self._spread
+        prior = (x[LENS] - self._lens) / self._prior_sigma
         square = (x[6] - x[7]) / (0.01 * self._size[0])
         return np.concatenate([*parts, prior, [square]])
 
@@ -160,28 +161,28 @@ class _Problem:
             block[:, 15 + 6 * k : 21 + 6 * k] = derived[:, EXTRINSIC]
             rows.append(block / corner)
         prior = np.zeros((10, len(x)))
-        prior[np.arange(9), np.arange(6, 15)] = 1.0 / self._spread
+        prior[np.arange(9), np.arange(6, 15)] = 1.0 / self._prior_sigma
         prior[9, [6, 7]] = np.array([1.0, -1.0]) / (0.01 * self._size[0])
         return np.vstack([*rows, prior])
 
     def _vectors(self, x: Array) -> list[Array]:
-        """Return the camera as each view of the board has it: the board's frame for map."""
+        """Return the camera vector of each board view, relative to the board's frame."""
         return [np.concatenate([x[begin : begin + 6], x[LENS]]) for begin in range(15, len(x), 6)]
 
     def _ground_sigma(self, x: Array) -> Array:
-        """Return the noise (n, 1) px of measured points: how they are seen, and measured."""
+        """Return the noise (n, 1) px of measured points, of their pixels and of the measurement."""
         rotation = cv2.Rodrigues(x[:3])[0]
         depth = self._ground.points @ rotation[2] + x[5]
         measured = self._noise[0] * x[6] / np.maximum(depth, 1e-3)
         return np.asarray(np.hypot(measured, self._noise[1])[:, None])
 
 
-def _stand(view: View, lens: Array) -> Array:
-    """Return the pose (6,) from which a lens (9,) sees a view so."""
+def _solve_pose(view: View, lens: Array) -> Array:
+    """Return the camera pose (6,) of a view with a lens (9,)."""
     matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1.0]])
     flat = np.ptp(view.points[:, 2]) < 1e-9 and abs(view.points[0, 2]) < 1e-9
     how = cv2.SOLVEPNP_IPPE if flat else cv2.SOLVEPNP_SQPNP
     good, rotation, shift = cv2.solvePnP(view.points, view.pixels, matrix, lens[4:], flags=how)
     if not good:
-        raise ImpError("the measured points do not tell how the camera stands; spread them out")
+        raise ImpError("the measured points do not determine the camera's pose; spread them out")
     return np.concatenate([rotation.ravel(), shift.ravel()])

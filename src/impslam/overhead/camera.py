@@ -1,11 +1,11 @@
-"""A fixed camera above the floor: how points in map are seen, and how sure that is.
+"""Model of a fixed camera above the floor, with its covariance.
 
-Pinhole with the distortion of Brown (1971), k1, k2, p1, p2, k3, as OpenCV has it. All that is not
-known exactly is one vector, so that its covariance goes wherever a pose is computed:
+Pinhole with the distortion of Brown (1971), k1, k2, p1, p2, k3, as in OpenCV. All uncertain parameters are
+in one vector, so that their covariance propagates to every pose:
 
     [rotation vector (3), translation (3) m of T_camera_map, fx, fy, cx, cy px, k1, k2, p1, p2, k3]
 
-in the order in which `cv2.projectPoints` gives its derivatives. The centre of the first pixel is 0, 0.
+This is the order of the derivatives of `cv2.projectPoints`. The centre of the first pixel is 0, 0.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ class Camera:
 
     @property
     def centre(self) -> Array:
-        """Where the lens is in map, (3,) m."""
+        """Position of the lens in map, (3,) m."""
         rotation = cv2.Rodrigues(self.vector[:3])[0]
         return np.asarray(-rotation.T @ self.vector[3:6])
 
     def project(self, points: Array) -> Array:
-        """Return where points (n, 3) m in map are seen, (n, 2) px."""
+        """Return the projections (n, 2) px of points (n, 3) m in map."""
         return project(self.vector, points)
 
     def rays(self, pixels: Array) -> Array:
-        """Return directions (n, 3) in map, not normalised, that pixels (n, 2) look in."""
+        """Return the viewing directions (n, 3) of pixels (n, 2) in map, not normalised."""
         matrix, distortion = _lens(self.vector)
         flat = cv2.undistortPoints(
             pixels.reshape(-1, 1, 2), matrix, distortion, criteria=_EXACT
@@ -56,12 +56,12 @@ class Camera:
         return np.asarray(np.column_stack([flat, np.ones(len(flat))]) @ rotation)
 
     def on_plane(self, pixels: Array, height: float) -> Array:
-        """Return the points (n, 2) m at a height above the floor that pixels (n, 2) see."""
+        """Return the points (n, 2) m at a height above the floor that project to pixels (n, 2)."""
         rays, centre = self.rays(pixels), self.centre
         return np.asarray(centre[:2] + rays[:, :2] * ((height - centre[2]) / rays[:, 2:]))
 
     def sees(self, pixels: Array) -> Array:
-        """Return which pixels (n, 2) are in the picture."""
+        """Return (n,) whether pixels (n, 2) are in the picture."""
         inside = (pixels > -0.5) & (pixels < np.array([self.width, self.height]) - 0.5)
         return np.asarray(inside.all(axis=1))
 
@@ -75,14 +75,14 @@ def _lens(vector: Array) -> tuple[Array, Array]:
 
 
 def project(vector: Array, points: Array) -> Array:
-    """Return where points (n, 3) m in map are seen by the camera of a vector (15,); (n, 2) px."""
+    """Return the projections (n, 2) px of points (n, 3) m in map, for a camera vector (15,)."""
     matrix, distortion = _lens(vector)
-    seen = cv2.projectPoints(points, vector[:3], vector[3:6], matrix, distortion)[0]
-    return np.asarray(seen.reshape(-1, 2))
+    pixels = cv2.projectPoints(points, vector[:3], vector[3:6], matrix, distortion)[0]
+    return np.asarray(pixels.reshape(-1, 2))
 
 
 def linearised(vector: Array, points: Array) -> tuple[Array, Array]:
     """Return projections (n, 2) px and their derivatives by the vector (2 n, 15)."""
     matrix, distortion = _lens(vector)
-    seen, jacobian = cv2.projectPoints(points, vector[:3], vector[3:6], matrix, distortion)
-    return np.asarray(seen.reshape(-1, 2), float), np.asarray(jacobian[:, :SIZE], float)
+    pixels, jacobian = cv2.projectPoints(points, vector[:3], vector[3:6], matrix, distortion)
+    return np.asarray(pixels.reshape(-1, 2), float), np.asarray(jacobian[:, :SIZE], float)

@@ -1,7 +1,7 @@
-"""Coloured discs on cylinders: where they stand, for the truth of a map.
+"""Locate coloured discs on cylinders, for the truth of a map.
 
-The disc's colour is sought in Lab, where light and shade change L alone; its outline is laid on the
-plane of the disc, and a circle through it; of another radius than any disc has, it is none.
+The colour is segmented in Lab, where light and shade affect only L. The outline is projected to the plane
+of the disc, and a circle is fitted to it; circles without the radius of a disc are rejected.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from impslam.overhead.camera import SIZE, Camera
 from impslam.overhead.setup import Discs
 from impslam.types import Array
 
-SLACK = 0.15  # of the radius: what is smaller or larger is no disc
-ROUND = 0.06  # of the radius: scatter of an outline about its circle
-SMALLEST = 40  # px of area
-OUTLINE = 0.1  # px, error of a disc's middle that light and shade at its rim leave
+RADIUS_TOLERANCE = 0.15  # share of the radius
+MAX_SCATTER = 0.06  # share of the radius, of an outline about its circle
+MIN_AREA = 40  # px
+OUTLINE_SIGMA = 0.1  # px, error of a disc's middle due to light and shade at its rim
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,12 +32,12 @@ class Cylinder:
 
 
 def find_cylinders(still: Any, camera: Camera, discs: Discs) -> list[Cylinder]:
-    """Return the cylinders in a picture of what stands still, in the order of their x in map."""
+    """Return the cylinders in a picture of the static scene, sorted by their x in map."""
     mask = _coloured(still, discs)
     outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     found = []
     for outline in outlines:
-        if cv2.contourArea(outline) < SMALLEST:
+        if cv2.contourArea(outline) < MIN_AREA:
             continue
         cylinder = _fit(outline.reshape(-1, 2).astype(np.float64), camera, discs)
         if cylinder is not None:
@@ -46,7 +46,7 @@ def find_cylinders(still: Any, camera: Camera, discs: Discs) -> list[Cylinder]:
 
 
 def _coloured(picture: Any, discs: Discs) -> Any:
-    """Return where a picture has the discs' colour: 255 there, else 0."""
+    """Return a mask of the discs' colour: 255 there, else 0."""
     rgb = [int(discs.colour[k : k + 2], 16) for k in (1, 3, 5)]
     wanted = _lab(np.array([[rgb[::-1]]], np.uint8))[0, 0, 1:]
     distance = np.linalg.norm(_lab(picture)[..., 1:] - wanted, axis=-1)
@@ -58,16 +58,19 @@ def _lab(picture: Any) -> Array:
 
 
 def _fit(outline: Array, camera: Camera, discs: Discs) -> Cylinder | None:
-    """Return the circle through an outline (n, 2) px laid on the plane of the discs, if it is one."""
-    laid = camera.on_plane(outline, discs.height)
-    centre, radius = _circle(laid)
-    scatter = np.linalg.norm(laid - centre, axis=1) - radius
-    # The outline runs through the middles of the outermost pixels.
+    """Fit a disc to an outline (n, 2) px; return None if it is not a disc."""
+    points = camera.on_plane(outline, discs.height)
+    centre, radius = _circle(points)
+    scatter = np.linalg.norm(points - centre, axis=1) - radius
+    # The outline passes through the middles of the outermost pixels.
     step = camera.on_plane(np.vstack([outline[0], outline[0] + [1, 0]]), discs.height)
     pixel = float(np.linalg.norm(step[1] - step[0]))
     radius += 0.5 * pixel
     nearest = min(discs.radii, key=lambda known: abs(known - radius))
-    if abs(radius / nearest - 1.0) > SLACK or scatter.std() > ROUND * nearest + pixel:
+    if (
+        abs(radius / nearest - 1.0) > RADIUS_TOLERANCE
+        or scatter.std() > MAX_SCATTER * nearest + pixel
+    ):
         return None
     seen = camera.project(np.array([[*centre, discs.height]]))
     return Cylinder(centre, _covariance(camera, seen, discs.height, pixel), radius)
@@ -76,7 +79,7 @@ def _fit(outline: Array, camera: Camera, discs: Discs) -> Cylinder | None:
 def _circle(points: Array) -> tuple[Array, float]:
     """Return centre (2,) and radius of the circle through points (n, 2), algebraic (Kasa 1976).
 
-    It is exact for an outline that is seen all around.
+    The fit is exact for a complete outline.
     """
     design = np.column_stack([points, np.ones(len(points))])
     a, b, c = np.linalg.lstsq(design, (points**2).sum(axis=1), rcond=None)[0]
@@ -85,7 +88,7 @@ def _circle(points: Array) -> tuple[Array, float]:
 
 
 def _covariance(camera: Camera, seen: Array, height: float, pixel: float) -> Array:
-    """Return the covariance (2, 2) of a point seen at a pixel (1, 2)."""
+    """Return the covariance (2, 2) of the point that projects to a pixel (1, 2)."""
     columns = []
     for k in range(SIZE):
         delta = np.zeros(SIZE)
@@ -97,5 +100,5 @@ def _covariance(camera: Camera, seen: Array, height: float, pixel: float) -> Arr
         change = ahead.on_plane(seen, height) - behind.on_plane(seen, height)
         columns.append(change[0] / (2 * delta[k]))
     by_camera = np.stack(columns, axis=-1)
-    spread: Array = by_camera @ camera.covariance @ by_camera.T
-    return spread + (OUTLINE * pixel) ** 2 * np.eye(2)
+    covariance: Array = by_camera @ camera.covariance @ by_camera.T
+    return covariance + (OUTLINE_SIGMA * pixel) ** 2 * np.eye(2)

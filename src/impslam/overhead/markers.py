@@ -1,4 +1,4 @@
-"""Markers in a picture: which there are, and where their corners are to a fraction of a pixel."""
+"""Find markers in a picture, with sub-pixel corners."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from impslam.overhead.edges import refine
 from impslam.overhead.setup import Dictionary, dictionary
 from impslam.types import Array
 
-MARGIN = 1.5  # of the marker's size, around where it was last seen
+SEARCH_MARGIN = 1.5  # of the marker's size, around its last position
 
 
 class MarkerFinder:
-    """Finds the markers of a dictionary; looks first where one was seen in the picture before."""
+    """Finds the markers of a dictionary, searching around the last position first."""
 
     def __init__(self, name: Dictionary) -> None:
         kind = dictionary(name)
@@ -29,7 +29,7 @@ class MarkerFinder:
 
     @property
     def number(self) -> int:
-        """How many markers the dictionary has."""
+        """Number of markers in the dictionary."""
         return self._size
 
     def all(self, picture: Any) -> list[tuple[int, Array]]:
@@ -37,20 +37,20 @@ class MarkerFinder:
         return self._within(_grey(picture), 0, 0)
 
     def one(self, picture: Any, wanted: int, last: Array | None) -> list[Array]:
-        """Return the corners (4, 2) px of every marker of a number: one, unless something is wrong.
+        """Return the corners (4, 2) px of every marker with a number; more than one is an error.
 
-        `last` are the corners in the picture before, where they are looked for first.
+        `last` are the corners in the previous picture; the search begins around them.
         """
         grey = _grey(picture)
         found = [] if last is None else self._near(grey, last)
-        mine = [corners for number, corners in found if number == wanted]
-        if not mine:
-            mine = [corners for number, corners in self._within(grey, 0, 0) if number == wanted]
-        return mine
+        matching = [corners for number, corners in found if number == wanted]
+        if not matching:
+            matching = [corners for number, corners in self._within(grey, 0, 0) if number == wanted]
+        return matching
 
     def _near(self, grey: Any, last: Array) -> list[tuple[int, Array]]:
         low, high = last.min(axis=0), last.max(axis=0)
-        margin = MARGIN * float((high - low).max())
+        margin = SEARCH_MARGIN * float((high - low).max())
         x0, y0 = np.maximum(low - margin, 0).astype(int)
         x1, y1 = (high + margin).astype(int) + 1
         return self._within(grey[y0:y1, x0:x1], int(x0), int(y0))
@@ -69,7 +69,7 @@ class MarkerFinder:
 
 
 def middle(corners: Array) -> Array:
-    """Return where the diagonals of a marker's corners (4, 2) cross: its middle in any perspective."""
+    """Return the intersection of the diagonals of a marker's corners (4, 2): its middle in perspective."""
     first, second = corners[2] - corners[0], corners[3] - corners[1]
     gap = corners[1] - corners[0]
     share = (gap[0] * second[1] - gap[1] * second[0]) / (

@@ -1,11 +1,10 @@
-"""The robot's pose from the four corners of its marker, and how sure it is.
+"""Robot poses from the four corners of a marker, with covariances.
 
-Least squares over eight coordinates, with the marker flat at its height above the floor: a marker that
-is 20 cm up appears where the line of sight meets the floor, decimetres further out. Unknown are the
-pose and, since blur rounds corners and makes a marker look smaller, its scale; four degrees of freedom
-are left and tell the noise of the corners. That noise differs from picture to picture; errors of the
-calibration and of the marker's height do not, and are a part of each covariance that no averaging
-removes.
+Least squares over eight coordinates, with the marker level at its height above the floor: without the
+height, a marker 20 cm up would appear decimetres further out. The unknowns are the pose and a scale,
+because blur rounds corners and makes a marker look smaller; the remaining four degrees of freedom give the
+noise of the corners. That noise differs between pictures. Errors of the calibration and of the marker's
+height do not: they are a common part of all covariances that averaging does not reduce.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ from impslam.geometry.se2 import rotation, transform
 from impslam.overhead.camera import SIZE, Camera, project
 from impslam.types import Array, Mask
 
-ALIASING = 0.03  # px, error of an edge that follows a row of pixels, which residuals do not show
-STEPS = 6  # of Gauss and Newton; from a start as near as this, three suffice
+ALIASING = 0.03  # px, error of an edge along a row of pixels, which is not visible in the residuals
+STEPS = 6  # of Gauss-Newton; from such a close start, three suffice
 CORNERS = 0.5 * np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
 """Corners of a marker of size 1 in its own frame, in OpenCV's order: x right, y up."""
 GATE = 25.5  # chi-square of 4 degrees of freedom, exceeded by chance in one picture of 25 000
@@ -35,8 +34,8 @@ class Poses:
     ----------
     poses : (n, 3) `T_map_base`
     covariances : (n, 3, 3), of which `shared` (n, 3, 3) is common to all pictures
-    good : (n,) which pictures fit a marker that lies flat at its height
-    sigma : px, noise of a corner's coordinate, as the residuals tell it
+    good : (n,) which pictures fit a level marker at its height
+    sigma : px, noise of a corner's coordinate, estimated from the residuals
     """
 
     poses: Array
@@ -46,7 +45,7 @@ class Poses:
     sigma: float
 
     def only(self, chosen: Mask) -> Poses:
-        """Return those of some pictures (n,)."""
+        """Return the poses of some pictures (n,)."""
         return Poses(
             self.poses[chosen], self.covariances[chosen], self.shared[chosen], self.good[chosen], self.sigma
         )  # fmt: skip
@@ -60,88 +59,87 @@ def corners_in_base(size: float, mount: Array) -> Array:
 def find_poses(
     camera: Camera, pixels: Array, corners: Array, height: float, height_sigma: float
 ) -> Poses:
-    """Return the poses in which corners (4, 2) m in base_link are seen at pixels (n, 4, 2)."""
+    """Return the poses for which corners (4, 2) m in base_link project to pixels (n, 4, 2)."""
     x = _start(camera, pixels, corners, height)
     for _ in range(STEPS):
-        residuals = pixels.reshape(-1, 8) - _seen(camera.vector, x, corners, height)
+        residuals = pixels.reshape(-1, 8) - _project_corners(camera.vector, x, corners, height)
         J = _by_unknowns(camera.vector, x, corners, height)
         gradient = J.transpose(0, 2, 1) @ residuals[..., None]
         x = x + np.linalg.solve(J.transpose(0, 2, 1) @ J, gradient)[..., 0]
-    left = np.sum(residuals**2, axis=1)
-    sigma = math.hypot(_noise(left), ALIASING)
+    squares = np.sum(residuals**2, axis=1)
+    sigma = math.hypot(_noise(squares), ALIASING)
     poses = np.column_stack([x[:, :2], wrap(x[:, 2])])
     noise, shared = covariances_at(camera, poses, corners, height, height_sigma, sigma)
-    return Poses(poses, noise + shared, shared, left <= GATE * sigma**2, sigma)
+    return Poses(poses, noise + shared, shared, squares <= GATE * sigma**2, sigma)
 
 
 def covariances_at(
     camera: Camera, poses: Array, corners: Array, height: float, height_sigma: float, sigma: float
 ) -> tuple[Array, Array]:
-    """Return the covariances (n, 3, 3) of poses (n, 3) by noise of so many px, and by calibration."""
+    """Return the covariances (n, 3, 3) of poses (n, 3) due to noise of `sigma` px, and to calibration."""
     x = np.column_stack([poses, np.ones(len(poses))])
     J = _by_unknowns(camera.vector, x, corners, height)
     inverse = np.linalg.inv(J.transpose(0, 2, 1) @ J)[:, :3]
     by_shared = inverse @ J.transpose(0, 2, 1) @ _by_shared(camera.vector, x, corners, height)
-    spread = np.zeros((SIZE + 1, SIZE + 1))
-    spread[:SIZE, :SIZE], spread[SIZE, SIZE] = camera.covariance, height_sigma**2
-    return np.asarray(
-        sigma**2 * inverse[:, :, :3], float
-    ), by_shared @ spread @ by_shared.transpose(0, 2, 1)
+    P = np.zeros((SIZE + 1, SIZE + 1))
+    P[:SIZE, :SIZE], P[SIZE, SIZE] = camera.covariance, height_sigma**2
+    noise = np.asarray(sigma**2 * inverse[:, :, :3], float)
+    return noise, by_shared @ P @ by_shared.transpose(0, 2, 1)
 
 
-def _noise(left: Array) -> float:
+def _noise(squares: Array) -> float:
     """Return the noise of a corner's coordinate in px from sums of squared residuals (n,).
 
-    Of four degrees of freedom each. The median of chi-square (4) is 3.357; a few pictures that show
-    something else do not move it.
+    Each has four degrees of freedom. The median of chi-square (4) is 3.357; it is robust against a few
+    pictures of something else.
     """
-    return math.sqrt(float(np.median(left)) / 3.3567) if len(left) else math.nan
+    return math.sqrt(float(np.median(squares)) / 3.3567) if len(squares) else math.nan
 
 
 def _start(camera: Camera, pixels: Array, corners: Array, height: float) -> Array:
-    """Return poses and scales (n, 4) from the corners laid on the plane of the marker."""
-    laid = camera.on_plane(pixels.reshape(-1, 2), height).reshape(-1, 4, 2)
-    centred, wanted = corners - corners.mean(axis=0), laid - laid.mean(axis=1, keepdims=True)
+    """Return poses and scales (n, 4) from the corners projected to the plane of the marker."""
+    points = camera.on_plane(pixels.reshape(-1, 2), height).reshape(-1, 4, 2)
+    centred, wanted = corners - corners.mean(axis=0), points - points.mean(axis=1, keepdims=True)
     dot = np.sum(centred * wanted, axis=(1, 2))
     cross = np.sum(centred[:, 0] * wanted[..., 1] - centred[:, 1] * wanted[..., 0], axis=1)
     theta = np.arctan2(cross, dot)
     middle = np.einsum("nij,j->ni", _rotations(theta), corners.mean(axis=0))
-    return np.column_stack([laid.mean(axis=1) - middle, theta, np.ones(len(theta))])
+    return np.column_stack([points.mean(axis=1) - middle, theta, np.ones(len(theta))])
 
 
 def _rotations(theta: Array) -> Array:
     return np.array([rotation(float(angle)) for angle in theta]).reshape(-1, 2, 2)
 
 
-def _seen(vector: Array, x: Array, corners: Array, height: float) -> Array:
-    """Return where corners at poses and scales (n, 4) are seen, (n, 8) px."""
+def _project_corners(vector: Array, x: Array, corners: Array, height: float) -> Array:
+    """Return the projections (n, 8) px of corners at poses and scales (n, 4)."""
     middle = corners.mean(axis=0)
     along, across = np.moveaxis(middle + x[:, 3, None, None] * (corners - middle), -1, 0)
     c, s = np.cos(x[:, 2, None]), np.sin(x[:, 2, None])
-    there = x[:, 0, None] + c * along - s * across, x[:, 1, None] + s * along + c * across
-    points = np.column_stack([*(part.ravel() for part in there), np.full(4 * len(x), height)])
+    in_map = x[:, 0, None] + c * along - s * across, x[:, 1, None] + s * along + c * across
+    points = np.column_stack([*(part.ravel() for part in in_map), np.full(4 * len(x), height)])
     return project(vector, points).reshape(-1, 8)
 
 
 def _by_unknowns(vector: Array, x: Array, corners: Array, height: float) -> Array:
-    """Return the derivatives (n, 8, 4) of what is seen, by central differences."""
+    """Return the derivatives (n, 8, 4) of the projections by `x`, by central differences."""
     step = 1e-5
     columns = []
     for delta in step * np.eye(4):
-        ahead = _seen(vector, x + delta, corners, height)
-        behind = _seen(vector, x - delta, corners, height)
+        ahead = _project_corners(vector, x + delta, corners, height)
+        behind = _project_corners(vector, x - delta, corners, height)
         columns.append((ahead - behind) / (2 * step))
     return np.stack(columns, axis=-1)
 
 
 def _by_shared(vector: Array, x: Array, corners: Array, height: float) -> Array:
-    """Return the derivatives (n, 8, 16) by the camera's vector and the marker's height."""
+    """Return the derivatives (n, 8, 16) of the projections by camera vector and marker height."""
     columns = []
     for k in range(SIZE):
         delta = np.zeros(SIZE)
         delta[k] = 1e-6 * max(1.0, abs(vector[k]))
-        ahead = _seen(vector + delta, x, corners, height)
-        behind = _seen(vector - delta, x, corners, height)
+        ahead = _project_corners(vector + delta, x, corners, height)
+        behind = _project_corners(vector - delta, x, corners, height)
         columns.append((ahead - behind) / (2 * delta[k]))
-    ahead, behind = (_seen(vector, x, corners, height + sign * 1e-5) for sign in (1, -1))
+    ahead, behind = (_project_corners(vector, x, corners, height + sign * 1e-5) for sign in (1, -1))
     return np.stack([*columns, (ahead - behind) / 2e-5], axis=-1)

@@ -1,4 +1,4 @@
-"""What was measured before the video: a TOML file that says how to read it.
+"""Setup of overhead tracking: a TOML file with measurements of the scene.
 
 start = 1000.0                                   # stamp of the first picture, s
 board = {columns = 10, rows = 7, square = 0.05, views = "board"}
@@ -25,11 +25,11 @@ from impslam.parameters import Parameters, parameter
 Dictionary = Literal[
     "APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h11", "4X4_50", "5X5_100", "6X6_250", "ARUCO_ORIGINAL"
 ]  # fmt: skip
-CORNER = 0.25  # px, of where a marker on the floor is seen
+MARKER_SIGMA = 0.25  # px, of the middle of a marker on the floor
 
 
 class Board(Parameters):
-    """A board that tells the lens, in views from many sides."""
+    """A board for the calibration of the lens, in views from many sides."""
 
     kind: Literal["chessboard", "charuco"] = parameter("chessboard", "", "what is printed on it")
     columns: int = parameter(10, "1", "squares across", ge=3, le=100)
@@ -41,7 +41,7 @@ class Board(Parameters):
 
 
 class FloorPoint(Parameters):
-    """A point whose place was measured, and how it is found in the video."""
+    """A point with a measured position, and its pixel or marker in the video."""
 
     x: float = parameter(..., "m", "in map")
     y: float = parameter(..., "m", "in map")
@@ -57,7 +57,7 @@ class FloorPoint(Parameters):
 
 
 class Floor(Parameters):
-    """Points that tell how the camera stands over the floor; their frame becomes map."""
+    """Points that determine the camera's pose above the floor; their frame becomes map."""
 
     points: tuple[FloorPoint, ...] = parameter(..., "", "four or more, spread out", min_length=4)
     sigma: float = parameter(0.002, "m", "of a measured coordinate: a tape's", ge=0.0)
@@ -78,7 +78,7 @@ class Marker(Parameters):
 
 
 class Discs(Parameters):
-    """Coloured discs on top of cylinders, which are measured for the map's truth."""
+    """Coloured discs on top of cylinders, located for the map's truth."""
 
     colour: str = parameter("#e86e28", "", "red, green, blue", pattern="^#[0-9a-fA-F]{6}$")
     tolerance: float = parameter(25.0, "1", "of the colour, in CIE Lab a and b", gt=0.0)
@@ -89,7 +89,7 @@ class Discs(Parameters):
 
 
 class Setup(Parameters):
-    """All of it."""
+    """The whole setup."""
 
     start: float = parameter(0.0, "s", "stamp of the first picture on the robot's clock")
     board: Board | None = None
@@ -104,7 +104,7 @@ def load_setup(path: Path) -> Setup:
     Raises
     ------
     ConfigError
-        One line that names the file and the key.
+        If the file cannot be read or is invalid, with one line that names the file and the key.
     """
     try:
         text = path.read_text("utf-8")
@@ -118,5 +118,5 @@ def load_setup(path: Path) -> Setup:
 
 
 def dictionary(name: Dictionary) -> cv2.aruco.Dictionary:
-    """Return a dictionary of markers."""
+    """Return OpenCV's dictionary of markers."""
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))

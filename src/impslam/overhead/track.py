@@ -1,4 +1,4 @@
-"""From a video to the robot's path: calibrate, follow the marker, solve."""
+"""Track a robot in a video: calibrate the camera, find the marker, solve for the poses."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ import numpy as np
 
 from impslam.errors import ImpError
 from impslam.overhead.boards import find_boards
-from impslam.overhead.calibration import FEWEST, Calibration, View, calibrate
+from impslam.overhead.calibration import MIN_POINTS, Calibration, View, calibrate
 from impslam.overhead.discs import Cylinder, find_cylinders
 from impslam.overhead.markers import MarkerFinder, middle
 from impslam.overhead.poses import Poses, corners_in_base, find_poses
-from impslam.overhead.setup import CORNER, Setup
-from impslam.overhead.video import Video, pictures_of
+from impslam.overhead.setup import MARKER_SIGMA, Setup
+from impslam.overhead.video import Video, read_pictures
 from impslam.types import Array
 
-VIEWS = 40  # of the board, at most
-STILLS = 15  # pictures over whose median nothing moves
+MAX_VIEWS = 40  # of the board
+STILLS = 15  # pictures whose median shows the scene without moving objects
 
 Progress = Callable[[str, int, int], None]
-"""Is called with the name of a stage, how much of it is done, and how much there is."""
+"""Called with the name of a stage, the finished and the total number of its parts."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracked:
-    """What a video tells.
+    """The result of tracking a video.
 
     Attributes
     ----------
     stamps : (n,) s, of the pictures with a pose
     found : the poses in them
     hidden : (h,) s, stamps of pictures without the marker
-    unfit : (u,) s, stamps of pictures whose corners fit no marker that lies flat, or that show two
+    unfit : (u,) s, stamps of pictures with corners that fit no level marker, or with two markers
     calibration : of the camera
     unseen : numbers of markers on the floor that were not found
     cylinders : those with discs
-    still : the scene without what moves, (height, width, 3)
+    still : the scene without moving objects, (height, width, 3)
     """
 
     stamps: Array
@@ -53,22 +53,22 @@ class Tracked:
 
 
 def track(path: Path, setup: Setup, beside: Path, progress: Progress) -> Tracked:
-    """Return the path of the robot in a video.
+    """Track the robot in a video.
 
     Parameters
     ----------
-    setup : what was measured beforehand
-    beside : folder that paths in the setup are relative to
+    setup : measurements of the scene
+    beside : folder to which paths in the setup are relative
 
     Raises
     ------
     ImpError
-        If the video or the board cannot be read, the camera cannot be calibrated, or the marker is in
-        no picture.
+        If the video or the board cannot be read, the camera cannot be calibrated, or no picture shows the
+        marker.
     """
     with Video(path) as video:
         boards = _boards(setup, beside, progress)
-        stills = video.some(STILLS)
+        stills = video.sample(STILLS)
         ground, sigma, unseen = _ground(stills, setup)
         size = video.width, video.height
         calibration = calibrate(size, boards, ground, setup.floor.sigma, sigma)
@@ -95,7 +95,7 @@ def _boards(setup: Setup, beside: Path, progress: Progress) -> list[View]:
     if setup.board is None:
         return []
     place = beside / setup.board.views
-    pictures = pictures_of(place, VIEWS)
+    pictures = read_pictures(place, MAX_VIEWS)
     progress("board", 0, len(pictures))
     views = []
     for number, picture in enumerate(pictures, 1):
@@ -110,8 +110,8 @@ def _boards(setup: Setup, beside: Path, progress: Progress) -> list[View]:
 
 
 def _ground(stills: list[Any], setup: Setup) -> tuple[View, Array, list[int]]:
-    """Return the measured points, the noise (n,) px of each, and the markers that were not seen."""
-    floor, seen = setup.floor, _seen(stills, setup)
+    """Return the measured points, their noise (n,) px, and the markers that were not found."""
+    floor, seen = setup.floor, _still_markers(stills, setup)
     points, pixels, sigmas, unseen = [], [], [], []
     for point in floor.points:
         if point.marker is not None and point.marker not in seen:
@@ -119,24 +119,24 @@ def _ground(stills: list[Any], setup: Setup) -> tuple[View, Array, list[int]]:
             continue
         points.append((point.x, point.y, point.z))
         pixels.append(point.pixel if point.marker is None else seen[point.marker])
-        sigmas.append(floor.pixel_sigma if point.marker is None else CORNER)
-    if len(points) < FEWEST:
+        sigmas.append(floor.pixel_sigma if point.marker is None else MARKER_SIGMA)
+    if len(points) < MIN_POINTS:
         raise ImpError(
-            f"floor.points: {len(points)} of {len(floor.points)} are seen in the video, and {FEWEST} "
-            f"are needed; marker {', '.join(map(str, unseen))} of {setup.marker.dictionary} is not"
+            f"floor.points: {len(points)} of {len(floor.points)} are found in the video, and {MIN_POINTS} "
+            f"are needed; marker {', '.join(map(str, unseen))} of {setup.marker.dictionary} is not found"
         )
     view = View(np.array(points, dtype=np.float64), np.array(pixels, dtype=np.float64))
     return view, np.array(sigmas), unseen
 
 
-def _seen(stills: list[Any], setup: Setup) -> dict[int, Array]:
-    """Return the middles (2,) px of the markers that lie still."""
+def _still_markers(stills: list[Any], setup: Setup) -> dict[int, Array]:
+    """Return the median positions (2,) px of the middles of all markers."""
     finder = MarkerFinder(setup.marker.dictionary)
-    places: dict[int, list[Array]] = {}
+    pixels: dict[int, list[Array]] = {}
     for picture in stills:
         for number, corners in finder.all(picture):
-            places.setdefault(number, []).append(middle(corners))
-    return {number: np.median(found, axis=0) for number, found in places.items()}
+            pixels.setdefault(number, []).append(middle(corners))
+    return {number: np.median(found, axis=0) for number, found in pixels.items()}
 
 
 def _follow(video: Video, setup: Setup, progress: Progress) -> tuple[Array, Array, Array, Array]:

@@ -1,4 +1,4 @@
-"""Pictures of a video with their times, or of a folder."""
+"""Read pictures, with their times, from a video, or pictures from a folder."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Video:
     Attributes
     ----------
     width, height : px
-    pictures : how many there are, as its header says
+    pictures : number of pictures according to the header
     rate : pictures per second
     """
 
@@ -33,16 +33,16 @@ class Video:
         self._capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
         if not self._capture.isOpened():
             raise ImpError(
-                f"{path}: is no video that can be read; convert it, e.g. with ffmpeg -i IN OUT.mp4"
+                f"{path}: is not a readable video; convert it, e.g. with ffmpeg -i IN OUT.mp4"
             )
-        # A phone held on end writes so into the header: pixels are counted as they are shown.
+        # Phones store their orientation in the header; use pixels as displayed.
         self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
         self.pictures = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
         self.rate = float(self._capture.get(cv2.CAP_PROP_FPS))
         self.width = int(self._capture.get(cv2.CAP_PROP_FRAME_WIDTH))
         self.height = int(self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
         if not (self.width and self.height):
-            raise ImpError(f"{path}: holds no picture; record it again")
+            raise ImpError(f"{path}: contains no picture; record it again")
 
     def __enter__(self) -> Self:
         return self
@@ -51,7 +51,7 @@ class Video:
         self._capture.release()
 
     def __iter__(self) -> Iterator[tuple[float, Any]]:
-        """Yield times in s from the first picture on, and pictures (height, width, 3)."""
+        """Yield times since the first picture, s, and pictures (height, width, 3)."""
         first, last, number = 0.0, -np.inf, 0
         while True:
             good, picture = self._capture.read()
@@ -60,16 +60,16 @@ class Video:
             time = 1e-3 * float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
             if number == 0:
                 first = time
-            elif time - first <= last:  # some files hold no times
+            elif time - first <= last:  # some files have no times
                 time = first + number / (self.rate or 1.0)
             last = time - first
             number += 1
             yield last, picture
         if number == 0:
-            raise ImpError(f"{self._path}: holds no picture; record it again")
+            raise ImpError(f"{self._path}: contains no picture; record it again")
 
-    def some(self, number: int) -> list[Any]:
-        """Return so many pictures, spread evenly over the video."""
+    def sample(self, number: int) -> list[Any]:
+        """Return a number of pictures, evenly spread over the video."""
         wanted = set(np.linspace(0, max(self.pictures - 1, 0), number).round().astype(int).tolist())
         chosen = []
         for k in range(self.pictures):
@@ -79,28 +79,28 @@ class Video:
                 chosen.append(self._capture.retrieve()[1])
         self._capture.set(cv2.CAP_PROP_POS_FRAMES, 0)
         if not chosen:
-            raise ImpError(f"{self._path}: holds no picture; record it again")
+            raise ImpError(f"{self._path}: contains no picture; record it again")
         return chosen
 
 
-def pictures_of(place: Path, most: int) -> list[Any]:
-    """Return pictures from a folder, or of a video spread evenly.
+def read_pictures(path: Path, max_count: int) -> list[Any]:
+    """Return pictures of a folder, or pictures evenly spread over a video.
 
     Raises
     ------
     ImpError
         If there are none, or one cannot be read.
     """
-    if not place.is_dir():
-        with Video(place) as video:
-            return video.some(most)
-    files = sorted(file for file in place.iterdir() if file.suffix.lower() in PICTURES)
+    if not path.is_dir():
+        with Video(path) as video:
+            return video.sample(max_count)
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES)
     if not files:
-        raise ImpError(f"{place}: holds no picture (.png, .jpg, ...); check the path")
+        raise ImpError(f"{path}: contains no picture (.png, .jpg, ...); check the path")
     pictures = []
-    for file in files[:most]:
+    for file in files[:max_count]:
         picture = cv2.imread(str(file))
         if picture is None:
-            raise ImpError(f"{file}: is no picture that can be read; remove it")
+            raise ImpError(f"{file}: is not a readable picture; remove it")
         pictures.append(picture)
     return pictures

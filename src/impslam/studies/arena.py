@@ -21,9 +21,9 @@ from impslam.sweeps.job import Job
 from impslam.sweeps.rows import by_variant, failures, median_row
 
 SEEDS = 20
-"""Enough for a first look; the claims are for 100."""
+"""Default, for a quick look; published results use 100."""
 INTERPRETATION_SEEDS = 5
-"""Seeds for each other interpretation of the thesis's text: enough to see what fails."""
+"""Seeds for each other interpretation of the thesis's text: enough to see which ones fail."""
 
 
 def points(job: Job) -> Section:
@@ -67,7 +67,7 @@ def _run(job: Job, experiment: Experiment) -> Section:
 
 
 def _text(experiment: Experiment, seeds: Sequence[int]) -> str:
-    """Return what was run, and why the results differ from the print."""
+    """Return a description of the runs, and of the differences from the thesis."""
     about = TEXT["about"].format(
         section=experiment.text["section"],
         count=len(seeds),

@@ -1,4 +1,4 @@
-"""The arena of the thesis: the controlled experiments, and what their runs are measured by."""
+"""The controlled experiments in the arena of the thesis, and the metrics of their runs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from impslam.sweeps.statistics import Quantiles
 from impslam.types import TrueLandmark
 
 GATE = 0.5
-"""m: an estimate further from a landmark is of something else."""
+"""m: maximum distance of an estimate from its landmark."""
 END = "end position"
 THESIS, PRINTED_GATE, DEFAULT = "thesis", "2 m gate", "default"
 """Names of the variants in tables and figures."""
@@ -28,7 +28,7 @@ TEXT = load_text("arena")
 
 @functools.cache
 def true_landmarks() -> tuple[TrueLandmark, ...]:
-    """Return walls and cylinders as the world names them, and the corners that the walls make."""
+    """Return the named walls and cylinders of the world, and the corners of the walls."""
     named = load_world("arena").landmarks()
     return (*named, *corners(named))
 
@@ -43,10 +43,10 @@ class Experiment:
 
     Attributes
     ----------
-    names : the landmarks that it is about
-    printed : what the thesis prints: centres and feet of normals (2,) by landmark, m, in map
-    variants : ways to map: the thesis's, with the gate as printed where that matters, the default
-    interpretations : other readings of what the thesis's text leaves open
+    names : the landmarks of the experiment
+    printed : values in the thesis: centres and feet of normals (2,) by landmark, m, in map
+    variants : the thesis's, with the printed gate if that matters, and the default
+    interpretations : other interpretations of ambiguous text in the thesis
     """
 
     name: str
@@ -68,16 +68,16 @@ class Experiment:
         return cls(name, text, tuple(names), text["printed"], variants, others)
 
     def expected(self, variant: str) -> tuple[str, ...]:
-        """Return the landmarks that a variant is to find."""
+        """Return the landmarks that a variant should find."""
         return NAMED if variant == DEFAULT else self.names
 
 
 def landmark_metrics(run: Run) -> Row:
-    """Return what became of the arena's landmarks.
+    """Return the errors of the arena's landmarks.
 
-    `missing` are names, `false` and `doubles` ids. `distance NAME` (m) is that of points, and across
-    walls at their middles; `foot NAME` is between the feet of walls' normals, as the thesis scores
-    them. Both are infinite for a landmark that is missing.
+    `missing` are names, `false` and `doubles` ids. `distance NAME` (m) is that of points, and perpendicular
+    to walls at their middles; `foot NAME` is between the feet of walls' normals, as in the thesis. Both are
+    infinite for a missing landmark.
     """
     score = score_landmarks(run.landmarks, true_landmarks(), GATE)
     found = {error.name: error for error in score.found}
@@ -89,10 +89,10 @@ def landmark_metrics(run: Run) -> Row:
 
 
 def summary(rows: Sequence[Row], names: Sequence[str]) -> dict[str, Any]:
-    """Return the numbers of one variant, which is to find the named landmarks."""
+    """Return the numbers of one variant that should find the named landmarks."""
 
     def seeds(metric: str, among: Sequence[str] | None = None) -> list[int]:
-        """Return the seeds whose metric, a list, holds anything, or anything of some names."""
+        """Return the seeds with a non-empty metric, optionally restricted to some names."""
         wanted = (set(r[metric]) & set(among) if among else r[metric] for r in rows)
         return [row["seed"] for row, some in zip(rows, wanted, strict=True) if some]
 

@@ -1,4 +1,4 @@
-"""The seeds of the arena whose dead reckoning drifts: without drift no run shows what a map is worth."""
+"""Seeds of the arena with enough drift of dead reckoning: without drift, a map makes no difference."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from impslam.sweeps.job import Job
 from impslam.types import TruePose
 
 MIN_DRIFT = 0.3
-"""m: only runs whose dead reckoning ends this far from the truth show what the map is worth."""
+"""m: minimum error of dead reckoning at the end of a run that is used."""
 
 
 def dead_reckoning_error(seed: int) -> float:
-    """Return how far the wheels alone end from the truth, m; nothing is estimated for it."""
+    """Return the error of dead reckoning at the end of the drive, m; no SLAM is run for it."""
     world, robot = load_world("arena"), SimulatedRobot(lidar=None, imu=None, truth_rate=1.0)
     config = Variant(DEFAULT).config(world, seed)
     blind, truth = config.make_robot(), np.zeros(3)
@@ -35,11 +35,11 @@ def dead_reckoning_error(seed: int) -> float:
 
 
 _DRIFT: dict[int, float] = {}
-"""Dead reckoning's error by seed, m: the three experiments use the same seeds."""
+"""Cache of dead reckoning's error by seed, m: the three experiments use the same seeds."""
 
 
 def drifting_seeds(job: Job, number: int) -> list[int]:
-    """Return the first seeds 0, 1, ... whose dead reckoning ends `MIN_DRIFT` or more off."""
+    """Return the first seeds 0, 1, ... with a drift of `MIN_DRIFT` or more."""
     found: list[int] = []
     begin = 0
     while len(found) < number:

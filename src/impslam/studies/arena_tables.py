@@ -1,7 +1,7 @@
-"""The tables of the controlled experiments: like the thesis's Tables 1 to 3, and beyond.
+"""Tables of the controlled experiments: those of the thesis (1 to 3), and further ones.
 
-The column "Error (m)" of the thesis's tables is the squared distance between the two positions of its
-row, to the last digit; here distances are computed from the positions.
+The column "Error (m)" of the thesis's tables is the squared distance between the two positions of its row,
+to the last digit; here distances are computed from the positions.
 """
 
 from __future__ import annotations
@@ -48,28 +48,28 @@ def tables(
 
 
 def actual(name: str) -> Array:
-    """Return the true place (2,) of a landmark or of the end of the drive, m, in map."""
+    """Return the true position (2,) of a landmark or of the end of the drive, m, in map."""
     return END_POSITION if name == END else TRUE[name].position
 
 
 def turned(printed: Sequence[float], actual: Array) -> float:
-    """Return by which angle (rad) the print is turned about the start, counter-clockwise."""
+    """Return the rotation of the printed position about the start, rad, counter-clockwise."""
     return float(wrap(math.atan2(printed[1], printed[0]) - math.atan2(actual[1], actual[0])))
 
 
 def too_far(printed: Sequence[float], actual: Array) -> float:
-    """Return how much too far from the start the print is, m."""
+    """Return the excess distance of the printed position from the start, m."""
     return math.hypot(*printed) - math.hypot(*actual)
 
 
 def off_middle(printed: Sequence[float], wall: TrueLandmark) -> float:
-    """Return how far the printed wall is from the middle of the true one, m."""
+    """Return the distance of the printed wall from the middle of the true one, m."""
     assert wall.end_points is not None
     r = math.hypot(*printed)
     return float(abs(np.dot(printed, wall.end_points.mean(axis=0)) / r - r))
 
 
-def _place(at: Sequence[float] | Array) -> str:
+def _format(at: Sequence[float] | Array) -> str:
     return f"({at[0]:z.3f}, {at[1]:z.3f})"
 
 
@@ -83,19 +83,19 @@ def _errors(metric: str, runs: Groups) -> dict[str, Callable[[str], str]]:
 
 
 def distance_table(experiment: Experiment, runs: Groups) -> ResultTable:
-    """Return the table of the thesis: distances as it scores them, walls by their feet."""
+    """Return the table of the thesis: distances computed as there, walls by their feet."""
     printed = experiment.printed
     columns: dict[str, Callable[[str], str]] = {
         "print": lambda name: f"{math.dist(printed[name], actual(name)):.3f}",
         **_errors("foot", runs),
     }
-    labels = {(name, _place(actual(name))): name for name in (*experiment.names, END)}
+    labels = {(name, _format(actual(name))): name for name in (*experiment.names, END)}
     title = f"Distance from the truth in m, as thesis {experiment.text['table']} has it"
     return make_table(title, labels, columns, NOTES["distance"], ("", "actual x, y in m"))
 
 
 def wall_table(experiment: Experiment, runs: Groups) -> ResultTable:
-    """Return how far walls are from the true ones where these are: across, at their middles."""
+    """Return the perpendicular distances of walls at the middles of the true ones."""
     printed = experiment.printed
     columns: dict[str, Callable[[str], str]] = {
         "print": lambda name: f"{off_middle(printed[name], TRUE[name]):.3f}",
@@ -116,7 +116,7 @@ def _nees(rows: Rows) -> str:
 
 
 def map_table(experiment: Experiment, runs: Groups) -> ResultTable:
-    """Return what is missing and false, and whether the estimate knows how good it is."""
+    """Return missing and false landmarks, and the consistency of the estimate."""
     first = next(iter(runs.values()))
     columns: dict[str, Callable[[tuple[str, Rows]], str]] = {
         f"end in m, {MEDIAN_95}": lambda group: quantiles_of("end")(group[1]),
@@ -133,18 +133,18 @@ def map_table(experiment: Experiment, runs: Groups) -> ResultTable:
 
 
 def position_table(experiment: Experiment, shown: Mapping[str, Run]) -> ResultTable:
-    """Return actual and detected positions of the runs that the picture shows."""
+    """Return actual and detected positions of the runs in the picture."""
 
     def detected(run: Run) -> Callable[[str], str]:
         marks = {mark.id: mark.position for mark in run.landmarks}
         found = score_landmarks(run.landmarks, list(TRUE.values())).found
-        places = {error.name: marks[error.id] for error in found}
-        places[END] = run.path[-1, :2] - run.truth[-1, :2] + END_POSITION
-        return lambda name: _place(places[name]) if name in places else "missing"
+        positions = {error.name: marks[error.id] for error in found}
+        positions[END] = run.path[-1, :2] - run.truth[-1, :2] + END_POSITION
+        return lambda name: _format(positions[name]) if name in positions else "missing"
 
     columns: dict[str, Callable[[str], str]] = {
-        "actual": lambda name: _place(actual(name)),
-        "print": lambda name: _place(experiment.printed[name]),
+        "actual": lambda name: _format(actual(name)),
+        "print": lambda name: _format(experiment.printed[name]),
         **{variant: detected(run) for variant, run in shown.items()},
     }
     seed = next(iter(shown.values())).seed
@@ -153,14 +153,16 @@ def position_table(experiment: Experiment, shown: Mapping[str, Run]) -> ResultTa
 
 
 def print_table(experiment: Experiment) -> ResultTable:
-    """Return how the printed positions are turned about the start and too far from it."""
-    places = {name: (at, actual(name)) for name, at in experiment.printed.items()}
+    """Return rotation about the start and excess distance of the printed positions."""
+    positions = {name: (at, actual(name)) for name, at in experiment.printed.items()}
     columns: dict[str, Callable[[tuple[Sequence[float], Array]], str]] = {
         "turned about the start, deg": lambda both: f"{math.degrees(turned(*both)):+.1f}",
         "too far from it, m": lambda both: f"{too_far(*both):+.3f}",
         "of its distance, %": lambda both: f"{100 * too_far(*both) / math.hypot(*both[1]):+.1f}",
     }
-    return make_table("What the printed positions have in common", places, columns, NOTES["print"])
+    return make_table(
+        "What the printed positions have in common", positions, columns, NOTES["print"]
+    )
 
 
 def interpretation_table(experiment: Experiment, readings: Groups) -> ResultTable:

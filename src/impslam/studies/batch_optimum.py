@@ -1,12 +1,12 @@
 """The batch optimum: the most likely path and map given all data up to a step.
 
 A filter's efficiency is measured against it: no estimator does better with the same data and Gaussian
-noise. All poses and landmarks are estimated at once by Gauss-Newton (Dellaert & Kaess 2006), from the
-residuals of odometry and of the measurements, each over its standard deviation. Poses [x, y, theta]
-and landmarks [x, y] are perturbed by addition.
+noise. All poses and landmarks are estimated jointly by Gauss-Newton (Dellaert & Kaess 2006) from the
+normalised residuals of odometry and measurements. Poses [x, y, theta] and landmarks [x, y] are perturbed
+by addition.
 
-The poses' part A of the normal equations is block tridiagonal, so that a banded Cholesky factorisation
-and the Schur complement on the few landmarks solve 400 poses in milliseconds:
+The poses' part A of the normal equations is block tridiagonal, so a banded Cholesky factorisation and the
+Schur complement on the few landmarks solve 400 poses in milliseconds:
 
     [A  B ] [dx]   [a]
     [B^T C] [dm] = [b],    (C - B^T A^-1 B) dm = b - B^T A^-1 a.
@@ -26,13 +26,13 @@ from impslam.studies.circle_simulation import START_SIGMA, Setting, Trial
 from impslam.types import Array, Ints
 
 LATERAL_SIGMA = 1e-5
-"""m per step: stands for the 0 across the robot, which would make the weights infinite."""
+"""m per step: replaces the 0 across the robot, which would make the weights infinite."""
 _CONVERGED = 1e-7  # m and rad
 _ITERATIONS = 20
 
 
 class Optimum(NamedTuple):
-    """The newest pose (3,) of the most likely path up to a step, and its covariance (3, 3)."""
+    """The last pose (3,) of the most likely path up to a step, and its covariance (3, 3)."""
 
     step: int
     pose: Array
@@ -40,26 +40,26 @@ class Optimum(NamedTuple):
 
 
 def optima(setting: Setting, trial: Trial, steps: Sequence[int]) -> Iterator[Optimum]:
-    """Yield the batch optimum of the data up to each of some ascending steps."""
+    """Yield the batch optimum of the data up to each of the steps, in ascending order."""
     poses = trial.truth[:1].copy()
-    places = np.full((setting.landmarks, 2), np.nan)
+    landmarks = np.full((setting.landmarks, 2), np.nan)
     for step in steps:
         for k in range(len(poses), step + 1):
             poses = np.vstack([poses, compose(poses[-1], trial.odometry[k - 1])])
-            new = trial.in_range[k - 1] & np.isnan(places[:, 0])
-            places[new] = transform(poses[-1], trial.measurements[k - 1, new])
-        covariance = _minimise(_Problem(setting, trial, step), poses, places)
+            new = trial.in_range[k - 1] & np.isnan(landmarks[:, 0])
+            landmarks[new] = transform(poses[-1], trial.measurements[k - 1, new])
+        covariance = _minimise(_Problem(setting, trial, step), poses, landmarks)
         yield Optimum(step, poses[-1].copy(), covariance)
 
 
-def _minimise(problem: _Problem, poses: Array, places: Array) -> Array:
-    """Move poses and places to the optimum, in place; return the newest pose's covariance."""
+def _minimise(problem: _Problem, poses: Array, landmarks: Array) -> Array:
+    """Move poses and landmarks to the optimum, in place; return the last pose's covariance."""
     for _ in range(_ITERATIONS):
-        d_pose, d_place, covariance = problem.solve(poses, places)
+        d_pose, d_landmark, covariance = problem.solve(poses, landmarks)
         poses += d_pose
         poses[:, 2] = wrap(poses[:, 2])
-        places[problem.known] += d_place
-        if max(np.abs(d_pose).max(), np.abs(d_place).max()) < _CONVERGED:
+        landmarks[problem.known] += d_landmark
+        if max(np.abs(d_pose).max(), np.abs(d_landmark).max()) < _CONVERGED:
             break
     return covariance
 
@@ -77,10 +77,10 @@ class _Problem:
         self.known: Ints = np.unique(which)
         self.which: Ints = np.searchsorted(self.known, which)
 
-    def solve(self, poses: Array, places: Array) -> tuple[Array, Array, Array]:
-        """Return the Gauss-Newton step of poses and known places, and the last pose's covariance."""
+    def solve(self, poses: Array, landmarks: Array) -> tuple[Array, Array, Array]:
+        """Return the Gauss-Newton step of poses and known landmarks, and the last pose's covariance."""
         diagonal, below, a = self._motion(poses)
-        B, C, b = self._measurements(poses, places[self.known], diagonal, a)
+        B, C, b = self._measurements(poses, landmarks[self.known], diagonal, a)
         factor = cholesky_banded(_banded(diagonal, below), lower=True)
         last = np.eye(len(a), 3, -(len(a) - 3))
         A_inv = cho_solve_banded((factor, True), np.column_stack([a, last, B]))
@@ -114,12 +114,12 @@ class _Problem:
         return diagonal, second_W @ by_first, a.ravel()
 
     def _measurements(
-        self, poses: Array, places: Array, diagonal: Array, a: Array
+        self, poses: Array, landmarks: Array, diagonal: Array, a: Array
     ) -> tuple[Array, Array, Array]:
         """Add the measurements to the poses' blocks and right-hand side; return B, C and b."""
         at, which, w = self.at, self.which, self.weight
         c, s = np.cos(poses[at, 2]), np.sin(poses[at, 2])
-        d = places[which] - poses[at, :2]
+        d = landmarks[which] - poses[at, :2]
         z = np.stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]], axis=1)
         residual = self.measured - z
         by_place = np.stack([np.stack([c, s], 1), np.stack([-s, c], 1)], axis=1)
@@ -127,7 +127,7 @@ class _Problem:
         pose_T, place_T = (w * J.transpose(0, 2, 1) for J in (by_pose, by_place))
         np.add.at(diagonal, at, pose_T @ by_pose)
         np.add.at(a.reshape(-1, 3), at, np.einsum("nij,nj->ni", pose_T, residual))
-        k = len(places)
+        k = len(landmarks)
         B, C, b = np.zeros((len(poses), 3, k, 2)), np.zeros((k, 2, k, 2)), np.zeros((k, 2))
         B[at, :, which] = pose_T @ by_place
         np.add.at(b, which, np.einsum("nij,nj->ni", place_T, residual))

@@ -1,12 +1,12 @@
-"""The least covariance that any unbiased extractor can have: Cramér-Rao bounds.
+"""Cramér-Rao bounds: the smallest possible covariance of an unbiased extractor.
 
-With it known which beams hit a landmark, ranges r_i with independent Gaussian noise sigma_i carry
-the Fisher information sum_i J_i^T J_i / sigma_i^2 about its parameters, J_i being the derivative of
-r_i by them (Kay 1993, Eq. 3.31). That sigma_i itself changes with the range adds 2 (d sigma / d r)^2,
-for a lidar whose noise grows by 3 mm per metre 2e-5 of it; this is left out. An error b ~ N(0, bias^2)
-that all beams share is one more parameter, known beforehand to bias, and is marginalised.
+If the beams that hit a landmark are known, ranges r_i with independent Gaussian noise sigma_i have the
+Fisher information sum_i J_i^T J_i / sigma_i^2 about its parameters, with J_i the derivative of r_i by them
+(Kay 1993, Eq. 3.31). The dependence of sigma_i on the range would add 2 (d sigma / d r)^2, a share of 2e-5
+for a noise that grows by 3 mm per metre; this is neglected. A common error b ~ N(0, bias^2) of all beams
+is a further parameter with a prior, and is marginalised.
 
-What is perturbed, by addition, is [rho, alpha] of a wall and [x, y, radius] of a cylinder, in the
+The parameters are [rho, alpha] of a wall and [x, y, radius] of a cylinder, perturbed by addition, in the
 frame of the beams' origins (base_link).
 """
 
@@ -22,7 +22,7 @@ def wall_ranges(z: Array, origins: Array, directions: Array) -> Array:
 
     Parameters
     ----------
-    z : (2,) m and rad; rho' is rho counted from the beam's origin
+    z : (2,) m and rad; rho' is rho relative to the beam's origin
     origins, directions : (n, 2) m and (n,) rad
     """
     normal = np.array([np.cos(z[1]), np.sin(z[1])])
@@ -33,13 +33,13 @@ def wall_ranges(z: Array, origins: Array, directions: Array) -> Array:
 def wall_jacobian(z: Array, origins: Array, directions: Array) -> Array:
     """Return (n, 2), the derivative of `wall_ranges` by [rho, alpha]."""
     cosines = np.cos(directions - z[1])
-    places = _places(wall_ranges(z, origins, directions), origins, directions)
-    lever = places @ np.array([-np.sin(z[1]), np.cos(z[1])])
+    points = _end_points(wall_ranges(z, origins, directions), origins, directions)
+    lever = points @ np.array([-np.sin(z[1]), np.cos(z[1])])
     return np.asarray(np.column_stack((np.ones(len(lever)), -lever)) / cosines[:, None])
 
 
 def circle_ranges(circle: Array, origins: Array, directions: Array) -> Array:
-    """Return the ranges (n,) at which beams meet the circle [x, y, radius]; NaN where they miss."""
+    """Return the ranges (n,) at which beams hit the circle [x, y, radius]; NaN if they miss."""
     to_centre = circle[:2] - origins
     c, s = np.cos(directions), np.sin(directions)
     across = to_centre[:, 0] * s - to_centre[:, 1] * c
@@ -51,24 +51,24 @@ def circle_ranges(circle: Array, origins: Array, directions: Array) -> Array:
 def circle_jacobian(circle: Array, origins: Array, directions: Array) -> Array:
     """Return (n, 3), the derivative of `circle_ranges` by [x, y, radius].
 
-    From |o + r u - c| = radius, with the outward normal n where the beam meets the circle:
+    From |o + r u - c| = radius, with the outward normal n at the point hit by the beam:
     n . (u dr - dc) = d radius.
     """
-    places = _places(circle_ranges(circle, origins, directions), origins, directions)
-    normals = (places - circle[:2]) / circle[2]
+    points = _end_points(circle_ranges(circle, origins, directions), origins, directions)
+    normals = (points - circle[:2]) / circle[2]
     cosines = normals[:, 0] * np.cos(directions) + normals[:, 1] * np.sin(directions)
     return np.asarray(np.column_stack((normals, np.ones(len(normals)))) / cosines[:, None])
 
 
 def bound(jacobian: Array, sigmas: Array, bias: float = 0.0) -> Array:
-    """Return the Cramér-Rao bound (k, k) of parameters by which ranges have this Jacobian (n, k).
+    """Return the Cramér-Rao bound (k, k) of parameters, for the Jacobian (n, k) of the ranges.
 
-    Infinite on its diagonal where the ranges do not define the parameters.
+    The diagonal is infinite if the ranges do not determine the parameters.
 
     Parameters
     ----------
     sigmas : (n,) m > 0, noise of each range
-    bias : m, standard deviation of the error that all ranges share
+    bias : m, standard deviation of the common error of all ranges
     """
     k = jacobian.shape[1]
     scaled = jacobian / sigmas[:, None]
@@ -82,7 +82,7 @@ def bound(jacobian: Array, sigmas: Array, bias: float = 0.0) -> Array:
     return np.asarray(np.linalg.inv(information))
 
 
-def _places(ranges: Array, origins: Array, directions: Array) -> Array:
-    """Return where beams of these ranges end, (n, 2)."""
+def _end_points(ranges: Array, origins: Array, directions: Array) -> Array:
+    """Return the end points (n, 2) of beams."""
     beams = np.column_stack((np.cos(directions), np.sin(directions)))
     return np.asarray(origins + ranges[:, None] * beams)

@@ -1,4 +1,4 @@
-"""The figures of the thesis's Chapter IV, from simulated scans that are chosen by rule."""
+"""Figures of the thesis's Chapter IV, from simulated scans that are selected by rules."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from impslam.studies.chapter4_scans import (
     CLEAR,
     CORRIDOR,
     LONG,
+    MAX_DISTANCE,
     PEOPLE,
-    SAME,
     Detections,
     FoundByExtractor,
     ThesisExtractors,
@@ -40,13 +40,13 @@ TEXT = load_text("chapter4")
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """A scan that is drawn, and whether it obeys the rule by which it was chosen."""
+    """A scan to draw, and whether it satisfies the rule by which it was selected."""
 
     detections: Detections
     occurs: bool = True
 
     def counts(self) -> dict[str, float]:
-        """Return what is to be counted in it."""
+        """Return counts of the scan for the report."""
         detections, snapshot = self.detections, self.detections.snapshot
         return {
             "scan": snapshot.number,
@@ -61,13 +61,13 @@ class Chosen:
 
 
 def figures(job: Job) -> Section:
-    """Draw the figures of Chapter IV; `job.seeds` does not matter: it is one run of seed 0."""
+    """Draw the figures of Chapter IV from one run of seed 0; `job.seeds` is ignored."""
     thesis = ThesisExtractors.presets()
 
     def extract(world: str) -> FoundByExtractor:
         return thesis.detect(list(snapshots(world_of(world), SEED)))
 
-    # A few seconds in all: processes of their own would hardly have started by then.
+    # A few seconds in total: starting processes would take as long.
     made = replace(job, processes=1).map(extract, WORLDS, "scans of three worlds")
     found = dict(zip(WORLDS, made, strict=True))
     chosen = choose(found)
@@ -163,7 +163,7 @@ def _caption(
     found: Mapping[str, FoundByExtractor],
     thesis: ThesisExtractors,
 ) -> str:
-    """Return a figure's caption with its facts filled in."""
+    """Return a figure's caption with its values filled in."""
     shown, snapshot = chosen.detections, chosen.detections.snapshot
     world = snapshot.scene.world.name
     facts: dict[str, Any] = {
@@ -203,5 +203,5 @@ def _text(runs: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
 
     corridor = {name: f"{rate['spurious_per_scan']:.2f}" for name, rate in runs[CORRIDOR].items()}
     facts = corridor | {name: lines(name) for name in ("ransac", "hough")}
-    text: str = TEXT["text"].format(seed=SEED, same=SAME, long=LONG, **facts)
+    text: str = TEXT["text"].format(seed=SEED, same=MAX_DISTANCE, long=LONG, **facts)
     return text

@@ -1,6 +1,6 @@
-"""The Hough transform as Chapter IV explains it: the image, the accumulator, and its peaks drawn.
+"""Figure of the Hough transform of Chapter IV: image, accumulator, and peaks.
 
-Importing this module imports matplotlib (0.3 s); import it where a picture is drawn.
+Importing this module imports matplotlib (0.3 s); import it only to draw.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from impslam.types import Array, Observation
 
 BOW = "#f2a03d"
 POOL = 4
-"""Cells of the accumulator drawn as one: single ones would be thinner than a dot."""
+"""Cells of the accumulator drawn as one: single cells would be thinner than a pixel."""
 
 
 def pixels(scan_points: Array, hough: Hough) -> Array:
@@ -53,7 +53,7 @@ def accumulator(white: Array, hough: Hough) -> tuple[Array, Array, Array]:
 
 
 def peak(finding: Observation, hough: Hough) -> tuple[float, float]:
-    """Return angle in [0, pi) and distance in px, in the image, of a wall in base_link."""
+    """Return the angle in [0, pi) and the distance in px, in the image, of a wall in base_link."""
     rho, alpha = (float(v) for v in finding.z)
     middle = hough.size // 2
     distance = rho / hough.resolution + middle * (math.cos(alpha) - math.sin(alpha))
@@ -62,13 +62,13 @@ def peak(finding: Observation, hough: Hough) -> tuple[float, float]:
 
 
 def hough_figure(detections: Detections, hough: Hough) -> Figure:
-    """Draw the binary image with the lines found, and the accumulator with their cells."""
+    """Draw the binary image with the detected lines, and the accumulator with their cells."""
     figure = new_figure(WIDTH + 1.2, 4.6)
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.02))
     white = pixels(detections.snapshot.scan.points[usable(detections.snapshot.scan)], hough)
     left.set_facecolor("black")
     left.plot(*white.T, "s", ms=1.6, mew=0, color="white")
-    middle = hough.size // 2  # it looks down: Eq. 4.13 turns x forward into rows
+    middle = hough.size // 2  # the robot faces down: Eq. 4.13 maps x forward to rows
     left.plot(middle, middle, marker=(3, 0, 180), ms=9, color=BOW, ls="")
     left.set(xlim=(0, hough.size), ylim=(hough.size, 0), aspect="equal")
     left.set(xlabel="column in pixels", ylabel="row in pixels")
@@ -78,7 +78,7 @@ def hough_figure(detections: Detections, hough: Hough) -> Figure:
 
 
 def _cells(figure: Figure, axes: Axes, white: Array, hough: Hough) -> None:
-    """Draw the accumulator; a drawn cell shows the strongest of `POOL` distances."""
+    """Draw the accumulator; each drawn cell is the maximum over `POOL` distances."""
     votes, thetas, distances = accumulator(white, hough)
     seen = np.flatnonzero(votes.any(axis=0))
     first, rows = int(seen[0]), -(-len(range(seen[0], seen[-1] + 1)) // POOL)
@@ -102,7 +102,7 @@ def _cells(figure: Figure, axes: Axes, white: Array, hough: Hough) -> None:
 
 
 def _mark(image: Axes, cells: Axes, detections: Detections, hough: Hough) -> None:
-    """Draw each wall as a line across the image and a ring about its cell."""
+    """Draw each wall as a line across the image and a ring around its cell."""
     keys = [
         Line2D([], [], marker="s", ls="", ms=6, mfc="white", mec="black", label="reading"),
         Line2D([], [], marker=(3, 0, 180), ls="", ms=9, color=BOW, label="robot"),

@@ -1,7 +1,6 @@
-"""The drawings of Chapter IV: ranges and their derivative, scans from above.
+"""Figures of Chapter IV: ranges and their derivative, scans from above.
 
-Importing this module imports matplotlib (0.3 s); import it where a picture is drawn. Figures are
-drawn on their own canvas, without pyplot and its global state.
+Importing this module imports matplotlib (0.3 s); import it only to draw.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ LEG, FIELD = "#f2c38d", "#eef4fb"
 READING = "#5b6671"
 LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 9, "columnspacing": 1.2}
 WIDTH = 8.6  # in
-MARGIN = 0.35  # m round what is shown
+MARGIN = 0.35  # m around the readings
 PNG: dict[str, Any] = {"dpi": 150, "bbox_inches": "tight", "pad_inches": 0.1}
 ROBOT = 0.25  # m, radius of the robot's outline
 
@@ -62,7 +61,7 @@ def jumps_figure(detections: Detections, seen: Jumps, threshold: float, radius: 
 
 
 def _objects(ranges: Axes, slopes: Axes, detections: Detections, seen: Jumps) -> None:
-    """Shade the objects: those that became cylinders, and the rest."""
+    """Shade the objects that were accepted as cylinders, and the rejected ones."""
     begins = {int(o.beams[0]) for o in (*detections.true, *detections.spurious)}
     labels = {True: "taken for a cylinder", False: "dropped: no range in the middle"}
     for begin, end in seen.objects:
@@ -94,9 +93,9 @@ def _slopes(axes: Axes, seen: Jumps, threshold: float) -> None:
 
 
 def scan_figure(detections: Detections, radius: float = 0.0) -> Figure:
-    """Draw a scan from above: the truth pale, the readings, true and spurious findings.
+    """Draw a scan from above: the truth in pale colours, readings, true and spurious detections.
 
-    `radius` (m) is that of the cylinders found.
+    `radius` (m) is that of the detected cylinders.
     """
     box = _bounds(detections.snapshot)
     figure = new_figure(*_size(box, WIDTH, 7.4))
@@ -106,7 +105,7 @@ def scan_figure(detections: Detections, radius: float = 0.0) -> Figure:
 
 
 def people_figure(detections: Detections) -> Figure:
-    """Draw the truth with its people beside (or above) the walls that were found (Figs. 18, 19)."""
+    """Draw the true scene with people beside (or above) the detected walls (Figs. 18, 19)."""
     box = _bounds(detections.snapshot)
     wide = _is_wide(box)
     width, height = _size(box, WIDTH if wide else WIDTH / 2, 6.4)
@@ -171,7 +170,7 @@ def _field(axes: Axes, snapshot: Snapshot) -> None:
 
 
 def _world(axes: Axes, snapshot: Snapshot) -> None:
-    """Draw the truth: what is straight, what is round, legs."""
+    """Draw the true scene: straight things, round things, and legs."""
     draw_scene(axes, snapshot.scene, snapshot.leaves, 4.0)
     for x, y, radius in snapshot.legs:
         axes.add_patch(Circle((x, y), radius, fc=LEG, ec="#c97a1c", lw=1.0, zorder=2))
@@ -200,7 +199,7 @@ def _findings(
 
 
 def _keys(detections: Detections) -> list[Any]:
-    """Return the legend's entries for what is there."""
+    """Return the legend entries of the true scene."""
     snapshot, found = detections.snapshot, (*detections.true, *detections.spurious)
     kind = found[0].kind if found else ""
     bad: dict[str, Any] = {"color": SPURIOUS, "lw": 2.2, "ls": (0, (3, 1.2))}
@@ -227,7 +226,7 @@ def _dot(label: str, face: str, edge: str) -> Line2D:
 
 
 def camera_figure(shown: Detections) -> Figure:
-    """Return what the camera on the robot sees where the scan was taken."""
+    """Return the view of the robot's camera at the pose of the scan."""
     snapshot = shown.snapshot
     picture = SceneCamera(snapshot.scene).picture(snapshot.pose, snapshot.time)
     figure = new_figure(WIDTH, WIDTH * picture.shape[0] / picture.shape[1])

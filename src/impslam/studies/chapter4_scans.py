@@ -1,4 +1,4 @@
-"""Simulated scans with the truth beside them: what an extractor finds, and which of it is there."""
+"""Simulated scans with ground truth, and the true and spurious detections of extractors."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ from impslam.types import Array, Ints, LaserScan, Observation, Scan
 
 RATE = 1.0
 """Hz: every tenth scan of the lidar; the scene hardly changes in between."""
-SAME = 0.15
-"""m: a finding further than this from everything true is spurious: the radius of a cylinder."""
-SAME_ANGLE = math.radians(10.0)
-"""rad: likewise for the direction of walls: the bin of the thesis's Hough transform (5.2.2)."""
-SURFACE = 0.5
-"""m: a flat thing shorter than this (jambs of doors) is no wall."""
-DOORWAY = 0.45
-"""m: half a doorway: a line across an open door belongs to the wall on either side."""
-ON_LEG = 0.05
-"""m: readings nearer than this to a leg's surface are of it: five times the range noise at 2 m."""
+MAX_DISTANCE = 0.15
+"""m: a detection further from all true things is spurious: the radius of a cylinder."""
+MAX_TURN = math.radians(10.0)
+"""rad: the same for the direction of walls: the bin of the thesis's Hough transform (5.2.2)."""
+MIN_WALL = 0.5
+"""m: shorter flat things (jambs of doors) are not walls."""
+HALF_DOORWAY = 0.45
+"""m: walls are extended by this, so that a line across an open door belongs to the wall beside it."""
+LEG_DISTANCE = 0.05
+"""m: readings closer to a leg's surface are of it: five times the range noise at 2 m."""
 CLEAR = 1.0
-"""m: someone nearer to the robot than this would hide all else."""
+"""m: a person closer to the robot would hide everything else."""
 LONG = 1.0
-"""m: a spurious wall of this length runs along several things: boxes and cylinders are shorter."""
+"""m: a longer spurious wall joins several things: boxes and cylinders are shorter."""
 
 ARENA, CORRIDOR, PEOPLE = "arena", "corridor", "arena with people"
 WALKERS = (
@@ -56,11 +56,11 @@ WALKERS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """A scan and how things truly were in its middle.
+    """A scan and the true scene at its middle.
 
-    `pose` (3,) is `T_map_base`. In map: `surfaces` (s, 4) m are the flat things that count as walls
-    (walls, doors and the walls of rooms behind them, but no boxes; see `walls_among`), `leaves` (l, 4) m
-    those of the doors that ever open, `legs` (k, 3) m x, y and radius, two of each person.
+    `pose` (3,) is `T_map_base`. In map: `surfaces` (s, 4) m are the flat things that count as walls (walls,
+    doors and the walls of rooms behind them, but not boxes; see `select_walls`), `leaves` (l, 4) m those of
+    opening doors, `legs` (k, 3) m x, y and radius, two for each person.
     """
 
     number: int
@@ -74,20 +74,20 @@ class Snapshot:
 
     @property
     def on_legs(self) -> int:
-        """How many readings are on people's legs."""
+        """Number of readings on people's legs."""
         points = transform(self.pose, self.scan.points[usable(self.scan)])
-        apart = np.hypot(*(points[:, None] - self.legs[None, :, :2]).T) - self.legs[:, 2, None]
-        return int((np.abs(apart) <= ON_LEG).any(axis=0).sum())
+        gaps = np.hypot(*(points[:, None] - self.legs[None, :, :2]).T) - self.legs[:, 2, None]
+        return int((np.abs(gaps) <= LEG_DISTANCE).any(axis=0).sum())
 
     @property
     def is_clear(self) -> bool:
-        """Whether nobody is nearer to the robot than `CLEAR`."""
+        """Whether no person is closer to the robot than `CLEAR`."""
         return bool((np.hypot(*(self.legs[:, :2] - self.pose[:2]).T) >= CLEAR).all())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detections:
-    """What an extractor finds in a scan: what is there, and what is not."""
+    """The true and the spurious detections of an extractor in a scan."""
 
     snapshot: Snapshot
     true: tuple[Observation, ...]
@@ -96,10 +96,10 @@ class Detections:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Jumps:
-    """Range and derivative as `jump` sees them, and where an object begins and ends.
+    """Ranges, their derivative, and candidate objects of the jump extractor.
 
-    `angles`, `ranges` (n,) rad and m, 0 where nothing came back; `slopes` (n - 1,) m/rad, each at
-    `between` (n - 1,) rad; `objects` (m, 2) are the first and last beam of each object.
+    `angles`, `ranges` (n,) rad and m, 0 without an echo; `slopes` (n - 1,) m/rad, at the angles `between`
+    (n - 1,) rad; `objects` (m, 2) are the first and last beam of each object.
     """
 
     angles: Array
@@ -110,17 +110,17 @@ class Jumps:
 
     @property
     def falls(self) -> Ints:
-        """Indices (m,) of the slopes by which the objects begin."""
+        """Indices (m,) of the slopes at which the objects begin."""
         return self.objects[:, 0] - 1
 
     @property
     def rises(self) -> Ints:
-        """Indices (m,) of the slopes by which they end."""
+        """Indices (m,) of the slopes at which the objects end."""
         return self.objects[:, 1]
 
 
 def jumps(scan: Scan, threshold: float) -> Jumps:
-    """Return what the jump extractor (thesis 4.1.2) makes of a scan before it judges objects."""
+    """Return the candidates of the jump extractor (thesis 4.1.2) in a scan, before any selection."""
     ranges = np.where(usable(scan), scan.ranges, 0.0)
     slopes = derivative(scan.angles, ranges)
     objects = np.array(candidates(slopes, threshold), dtype=np.int64).reshape(-1, 2)
@@ -136,13 +136,13 @@ def world_of(name: str) -> World:
 
 
 def snapshots(world: World, seed: int = 0) -> Iterator[Snapshot]:
-    """Yield the scans of a run at `RATE`, through the thesis's sensor, de-skewed by true motion."""
+    """Yield the scans of a run at `RATE` from the thesis's sensor, de-skewed with the true motion."""
     sensor = load("thesis-points").make_robot().sensors["lidar"]
     robot = SimulatedRobot(lidar=Lidar(rate=RATE))
     assert robot.lidar is not None
     trajectory, scene = drive(world.robot), Scene(world)
-    bare = Scene(world.model_copy(update={"boxes": ()}))
-    standing = walls_among(bare.segments)
+    without_boxes = Scene(world.model_copy(update={"boxes": ()}))
+    walls = select_walls(without_boxes.segments)
     lidar = LidarSimulator(robot.lidar, scene, trajectory, np.random.default_rng(seed))
     for number, time in enumerate(sweep_times(robot, trajectory).tolist()):
         message = LaserScan(time, lidar.angles, lidar.ranges(time), lidar.time_offsets)
@@ -154,20 +154,20 @@ def snapshots(world: World, seed: int = 0) -> Iterator[Snapshot]:
         middle = time + 0.5 * lidar.duration
         pose = trajectory.at(np.array([middle]))[0]
         leaves, legs = scene.leaves(middle), scene.legs(middle)
-        surfaces = np.vstack([standing, walls_among(leaves)])
+        surfaces = np.vstack([walls, select_walls(leaves)])
         yield Snapshot(number, time, scan, pose, scene, surfaces, leaves, legs)
 
 
-def walls_among(segments: Array) -> Array:
-    """Return the segments (s, 4) m that are long enough for a wall, longer by half a doorway."""
+def select_walls(segments: Array) -> Array:
+    """Return the segments (s, 4) m that are long enough for a wall, extended by half a doorway."""
     along = segments[:, 2:] - segments[:, :2]
     lengths = np.hypot(*along.T)
-    more = DOORWAY * along / lengths[:, None]
-    return np.asarray((segments + np.hstack([-more, more]))[lengths >= SURFACE])
+    extension = HALF_DOORWAY * along / lengths[:, None]
+    return np.asarray((segments + np.hstack([-extension, extension]))[lengths >= MIN_WALL])
 
 
 def extractor(preset: str, kind: str, *settings: str) -> Extractor:
-    """Return an extractor of a preset's lidar ("walls", "cylinders"), with settings of its own."""
+    """Return an extractor ("walls", "cylinders") of a preset's lidar, with additional settings."""
     where = f"sensors.lidar.extractors.{kind}"
     config = load(preset, [f"{where}.{setting}" for setting in settings])
     made: Extractor = build("extractor", config.sensors["lidar"]["extractors"][kind])
@@ -175,7 +175,7 @@ def extractor(preset: str, kind: str, *settings: str) -> Extractor:
 
 
 def detect(snapshot: Snapshot, extractor: Extractor, seed: int = 0) -> Detections:
-    """Return what the extractor finds; its random draws depend on the seed and the scan alone."""
+    """Run an extractor on a scan; its random draws depend only on the seed and the scan's number."""
     found = extractor.extract(snapshot.scan, np.random.default_rng([seed, snapshot.number]))
     true = [true_thing(snapshot, finding) >= 0 for finding in found]
     return Detections(
@@ -184,7 +184,7 @@ def detect(snapshot: Snapshot, extractor: Extractor, seed: int = 0) -> Detection
 
 
 FoundByExtractor: TypeAlias = Mapping[str, list[Detections]]
-"""What each extractor finds, by its field in `ThesisExtractors`, in the scans of a run."""
+"""Detections in the scans of a run, by the extractor's field in `ThesisExtractors`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +202,7 @@ class ThesisExtractors:
 
     @classmethod
     def presets(cls) -> ThesisExtractors:
-        """Read them off `thesis-points` and `thesis-lines`."""
+        """Return the extractors of the presets `thesis-points` and `thesis-lines`."""
         jump = extractor("thesis-points", "cylinders", "kind=jump")
         filtered = extractor("thesis-points", "cylinders")
         hough = extractor("thesis-lines", "walls")
@@ -213,7 +213,7 @@ class ThesisExtractors:
         return cls(jump, low, filtered, extractor("thesis-lines", "walls", "kind=ransac"), hough)
 
     def detect(self, scans: list[Snapshot]) -> FoundByExtractor:
-        """Return what each of them finds in some scans."""
+        """Return the detections of each extractor in the scans."""
         return {
             name: [detect(snapshot, extractor) for snapshot in scans]
             for name, extractor in self.by_name().items()
@@ -225,12 +225,11 @@ class ThesisExtractors:
 
 
 def true_thing(snapshot: Snapshot, finding: Observation) -> int:
-    """Return which true thing a finding is of, -1 if of none.
+    """Return the index of the true thing that a detection is of, -1 if there is none.
 
-    A cylinder is of the standing one (of `scene.circles`) whose axis lies within `SAME` of its
-    centre. A wall is of the flat surface (of `Snapshot.surfaces`) that comes within `SAME` of the middle
-    of its readings, brought to its line, and within `SAME_ANGLE` of its direction. The nearest is
-    taken.
+    For a cylinder it is the nearest one of `scene.circles` within `MAX_DISTANCE` of its centre. For a wall
+    it is the nearest one of `Snapshot.surfaces` within `MAX_DISTANCE` of the middle of its readings,
+    projected to its line, and within `MAX_TURN` of its direction.
     """
     if finding.end_points is None:
         centre = transform(snapshot.pose, finding.z[None])[0]
@@ -244,18 +243,18 @@ def true_thing(snapshot: Snapshot, finding: Observation) -> int:
     )
     along = snapshot.surfaces[:, 2:] - snapshot.surfaces[:, :2]
     turn = np.arctan2(along[:, 1], along[:, 0]) - heading
-    apart = distance_to_segments(middle, snapshot.surfaces)
-    return _nearest(np.where(np.abs(np.sin(turn)) <= math.sin(SAME_ANGLE), apart, np.inf))
+    distances = distance_to_segments(middle, snapshot.surfaces)
+    return _nearest(np.where(np.abs(np.sin(turn)) <= math.sin(MAX_TURN), distances, np.inf))
 
 
-def _nearest(apart: Array) -> int:
-    if len(apart) == 0 or apart.min() > SAME:
+def _nearest(distances: Array) -> int:
+    if len(distances) == 0 or distances.min() > MAX_DISTANCE:
         return -1
-    return int(apart.argmin())
+    return int(distances.argmin())
 
 
 def doubles(detections: Detections) -> int:
-    """Return how many of the true findings are of something that another one is of, too."""
+    """Return the number of true detections of things that were detected before."""
     things = [true_thing(detections.snapshot, finding) for finding in detections.true]
     return len(things) - len(set(things))
 
@@ -265,7 +264,7 @@ def first_or_nearest(
     rule: Callable[[Detections], bool],
     nearest: Callable[[Detections], float],
 ) -> tuple[Detections, bool]:
-    """Return the first that obeys the rule and True, else the one with the most of `nearest`."""
+    """Return the first element that satisfies the rule and True, else the one with maximal `nearest`."""
     for detections in found:
         if rule(detections):
             return detections, True
@@ -273,28 +272,28 @@ def first_or_nearest(
 
 
 def rates(found: Iterable[Detections]) -> dict[str, float]:
-    """Return how many scans, and true, spurious and long spurious findings per scan."""
-    seen = list(found)
+    """Return the number of scans, and of true, spurious and long spurious detections per scan."""
+    scans = list(found)
     return {
-        "scans": len(seen),
-        "true_per_scan": sum(len(s.true) for s in seen) / len(seen),
-        "spurious_per_scan": sum(len(s.spurious) for s in seen) / len(seen),
-        "long_spurious_per_scan": sum(len(long_ones(s)) for s in seen) / len(seen),
+        "scans": len(scans),
+        "true_per_scan": sum(len(s.true) for s in scans) / len(scans),
+        "spurious_per_scan": sum(len(s.spurious) for s in scans) / len(scans),
+        "long_spurious_per_scan": sum(len(long_ones(s)) for s in scans) / len(scans),
     }
 
 
 def long_ones(detections: Detections) -> list[Observation]:
-    """Return the spurious walls of `LONG` or more."""
+    """Return the spurious walls of length `LONG` or more."""
     walls = [(o, o.end_points) for o in detections.spurious]
     return [o for o, ends in walls if ends is not None and math.dist(*ends) >= LONG]
 
 
 def on_people(detections: Detections) -> int:
-    """Return how many spurious cylinders have a leg within `SAME` of their centre."""
+    """Return the number of spurious cylinders with a leg within `MAX_DISTANCE` of their centre."""
     legs = detections.snapshot.legs[:, :2]
     centres = [
         transform(detections.snapshot.pose, o.z[None])[0]
         for o in detections.spurious
         if o.end_points is None
     ]
-    return sum(bool((np.hypot(*(legs - centre).T) <= SAME).any()) for centre in centres)
+    return sum(bool((np.hypot(*(legs - centre).T) <= MAX_DISTANCE).any()) for centre in centres)

@@ -1,16 +1,16 @@
-"""The setting in which filters are judged by Monte Carlo: a circle among landmarks, and its noise.
+"""Monte Carlo simulation for the comparison of filters: a circle among landmarks, with noise.
 
-It repeats that of Huang, Mourikis & Roumeliotis 2010 ("Observability-based rules for designing consistent
-EKF SLAM estimators", simulations) in the size that public comparisons of invariant filters took over:
-a robot drives a circle of radius v/omega several times round, measures its speed and turn rate with
-noise, and the places of landmarks in range in its own frame. Which landmark is which is known.
+It reproduces Huang, Mourikis & Roumeliotis 2010 ("Observability-based rules for designing consistent EKF
+SLAM estimators", simulations) in the size used by public comparisons of invariant filters: a robot drives
+several rounds of a circle of radius v/omega and measures, with noise, its speed and turn rate and the
+positions of landmarks in range in its own frame. Data association is known.
 
-It moves one step before its first measurement. The heading error of that step turns the whole map, no
-later measurement corrects it, and a filter that grows more certain of it is overconfident. It causes
-most of the position error, too, so that filters differ little in their mean position error.
+The robot moves one step before its first measurement. The heading error of that step rotates the whole map
+and cannot be corrected by later measurements; a filter that becomes more certain of it is overconfident.
+It also causes most of the position error, so filters differ little in their mean position error.
 
-`LONG_LOOP` is the same robot on a longer circle: it measures landmarks near it only, and those of the
-start again only when it returns, with an error of metres that nothing has corrected in between.
+`LONG_LOOP` is the same robot on a longer circle: it measures only nearby landmarks, and observes those of
+the start again only when it returns, with an uncorrected error of metres.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from impslam.geometry.se2 import compose, inverse, transform
 from impslam.types import Array, Mask
 
 START_SIGMA = 1e-4
-"""m and rad: the start is the map's origin by definition."""
+"""m and rad: the start defines the map's origin."""
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """The robot, its noise, and the ring of landmarks round its circle.
+    """The robot, its noise, and the ring of landmarks around its circle.
 
-    `wheel_sigma` is that of either wheel's speed; a wheelbase apart, the two make the noise of the
-    robot's speed, `wheel_sigma / sqrt(2)`, and of its turn rate, `sqrt(2) wheel_sigma / wheelbase`.
+    `wheel_sigma` is the noise of the speed of each wheel. It causes noise of the robot's speed,
+    `wheel_sigma / sqrt(2)`, and of its turn rate, `sqrt(2) wheel_sigma / wheelbase`.
     """
 
     speed: float = 0.25  # m/s
@@ -43,7 +43,7 @@ class Setting:
     wheelbase: float = 0.5  # m
     landmarks: int = 15
     clearance: float = 2.5  # m, from the robot's circle out to the ring of landmarks
-    sigma: float = 0.1  # m, of a landmark's place, each axis
+    sigma: float = 0.1  # m, of a landmark's position, each axis
     min_range: float = 0.5  # m
     max_range: float = 5.0  # m
 
@@ -55,7 +55,7 @@ class Setting:
         return self.dt * np.array([speed, 0.0, turn_rate])
 
     def path(self) -> Array:
-        """Return the true poses (steps, 3); each step goes straight, then turns."""
+        """Return the true poses (steps, 3); each step is a straight motion followed by a turn."""
         d = self.dt * np.array([self.speed, 0.0, self.turn_rate])
         poses = np.zeros((self.steps, 3))
         for k in range(1, self.steps):
@@ -63,7 +63,7 @@ class Setting:
         return poses
 
     def ring(self) -> Array:
-        """Return the landmarks (landmarks, 2), evenly round the circle's centre."""
+        """Return the landmarks (landmarks, 2), evenly spaced around the circle's centre."""
         radius = self.speed / self.turn_rate
         angles = 2.0 * np.pi * np.arange(1, self.landmarks + 1) / self.landmarks
         ring = (radius + self.clearance) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -84,8 +84,8 @@ class Trial:
     ----------
     truth : (steps, 3) true poses
     odometry : (steps - 1, 3) measured motion of each step, in the robot's frame
-    measurements : (steps - 1, n, 2) m, places of the n landmarks in the robot's frame after each step
-    in_range : (steps - 1, n), which of them are measured
+    measurements : (steps - 1, n, 2) m, positions of n landmarks in the robot's frame after each step
+    in_range : (steps - 1, n), whether they are measured
     """
 
     truth: Array
@@ -100,11 +100,11 @@ class Trial:
 
 
 def simulate(setting: Setting, rng: np.random.Generator) -> Trial:
-    """Return a run: the true path is always the same, the noise is not."""
-    truth, places = setting.path(), setting.ring()
+    """Return a run with random noise; the true path is fixed."""
+    truth, landmarks = setting.path(), setting.ring()
     odometry = setting.dt * np.array([setting.speed, 0.0, setting.turn_rate])
     odometry = odometry + setting.motion_sigmas * rng.standard_normal((setting.steps - 1, 3))
-    exact = np.array([transform(inverse(pose), places) for pose in truth[1:]])
+    exact = np.array([transform(inverse(pose), landmarks) for pose in truth[1:]])
     distance = np.hypot(exact[..., 0], exact[..., 1])
     in_range = (distance > setting.min_range) & (distance < setting.max_range)
     measurements = exact + setting.sigma * rng.standard_normal(exact.shape)

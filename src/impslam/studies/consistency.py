@@ -26,9 +26,9 @@ from impslam.sweeps.rows import failures
 
 FILTERS = ("ekf", "ukf", "fej", "oc", "riekf")
 RUNS = 100
-"""The circle's, by default; the bootstrap then knows the EKF's mean NEES to about 0.5."""
-RUNS_LOOP, RUNS_ARENA = 20, 20
-"""At most, whatever is asked for: a run of them takes two and five times as long."""
+"""Default for the circle: the bootstrap interval of the EKF's mean NEES is then about 0.5."""
+MAX_RUNS_LOOP, MAX_RUNS_ARENA = 20, 20
+"""Upper bounds: these runs take two and five times as long."""
 TEXT = load_text("consistency")
 NOTES, PUBLISHED = TEXT["notes"], TEXT["published"]
 
@@ -37,9 +37,9 @@ def consistency(job: Job) -> Section:
     """Score the filters by Monte Carlo; `job.seeds` is the number of runs on the circle."""
     runs = job.seeds or RUNS
     circle = consistency_study(FILTERS, runs, setting=HUANG, job=job, stage="circle")
-    few = min(runs, RUNS_LOOP)
+    few = min(runs, MAX_RUNS_LOOP)
     loop = consistency_study(FILTERS, few, setting=LONG_LOOP, job=job, stage="long loop")
-    arena, rows = arena_consistency(job, min(runs, RUNS_ARENA))
+    arena, rows = arena_consistency(job, min(runs, MAX_RUNS_ARENA))
     numbers = {
         "circle": study_numbers(circle),
         "circle_published": PUBLISHED,
@@ -76,7 +76,7 @@ IDEAL = ("ideal", "3", "", "95", "2", "1", "", "", "1", "1")
 
 
 def _study_table(title: str, study: FilterStudy, note: str) -> ResultTable:
-    """Return the filters' table; the optimum has poses at check points only."""
+    """Return the table of filters; the optimum has poses at check points only."""
     made = make_table(title, {row.name: row for row in study.rows}, COLUMNS, labels=("estimator",))
     low, high = chi2_bounds(3, study.runs)
     scatter = math.sqrt(2.0 / study.runs)
@@ -85,7 +85,7 @@ def _study_table(title: str, study: FilterStudy, note: str) -> ResultTable:
 
 
 def circle_table(circle: FilterStudy) -> ResultTable:
-    """Return the published setting's table, print beside it."""
+    """Return the table of the published setting, with the published results."""
     ekf = circle.rows[0]
     low, high = ekf.spread.nees
     error = (high - low) / 3.92
@@ -107,10 +107,10 @@ def circle_table(circle: FilterStudy) -> ResultTable:
 
 
 def loop_table(loop: FilterStudy) -> ResultTable:
-    """Return the long loop's table."""
+    """Return the table of the long loop."""
     s = loop.setting
-    way = 2.0 * math.pi * s.speed / s.turn_rate
-    note = NOTES["loop"].format(way=way, landmarks=s.landmarks, reach=s.max_range)
+    length = 2.0 * math.pi * s.speed / s.turn_rate
+    note = NOTES["loop"].format(way=length, landmarks=s.landmarks, reach=s.max_range)
     return _study_table(f"Long loop, {loop.runs} runs", loop, note)
 
 
@@ -125,7 +125,7 @@ def _kind_columns() -> dict[str, Callable[[ArenaConsistency], str]]:
 
 
 def arena_table(results: Sequence[ArenaConsistency]) -> ResultTable:
-    """Return the whole system's table."""
+    """Return the table of the whole system."""
     columns: dict[str, Callable[[ArenaConsistency], str]] = {
         "runs": lambda result: str(result.runs),
         "pose NEES": lambda result: f"{result.mean:.2f}",

@@ -1,8 +1,8 @@
 """Consistency of the whole system: the simulated arena, mapped from its raw readings.
 
-The noise here is not the filter's: ranges share an error, edges mix, wheels slip. The preset allows for
-that with more noise than a simulated room has. To show what each allowance contributes, a fault is
-switched off in the simulation and its allowance in the preset.
+The noise differs from the filter's model: ranges have a common error, pixels at edges mix ranges, wheels
+slip. The preset compensates with more noise than a simulated room has. To show the effect of each
+compensation, an error is switched off in the simulation together with its compensation in the preset.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from impslam.types import Array, Landmark, Match, Observation, TrueLandmark
 FILTERS = ("ekf", "riekf")
 KINDS = ("cylinder", "wall", "corner")
 SETTLED = 2.0
-"""s; until the robot has left the start its errors are 0 by definition."""
+"""s until the robot has left the start; before, errors are 0 by definition."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """The simulated robot, the settings that go with it, and the filters that run."""
+    """A simulated robot with its settings and filters."""
 
     name: str
     robot: SimulatedRobot = ROBOT
@@ -78,9 +78,9 @@ CASES = (
 class ArenaConsistency:
     """Means over the runs of a case and a filter.
 
-    `times` (n,) s and mean pose NEES (n,) by scan. By kind of landmark `nis`, the mean NIS over its
-    dimension of single observations, and `landmarks`, the mean NEES of landmarks at the end of a run in
-    the form that is reported of them; NaN for a kind never seen.
+    `times` (n,) s and mean pose NEES (n,) are by scan. By kind of landmark, `nis` is the mean NIS of single
+    observations over their dimension, and `landmarks` the mean NEES of the reported landmarks at the end of
+    a run; NaN for a kind that was never observed.
     """
 
     case: str
@@ -170,6 +170,6 @@ def _means(case: str, name: str, rows: Sequence[Row]) -> ArenaConsistency:
 
 
 def _mean(rows: Sequence[Row], metric: str) -> float:
-    """Return the mean over the runs that know the metric; NaN if none does."""
+    """Return the mean over the runs with a finite metric; NaN if there are none."""
     known = [row[metric] for row in rows if np.isfinite(row[metric])]
     return float(np.mean(known)) if known else float("nan")

@@ -1,6 +1,6 @@
-"""Pictures of consistency: NEES against its band, errors beside the batch optimum's.
+"""Figures of consistency: NEES with its band, and errors compared with the batch optimum.
 
-Importing this module imports matplotlib (0.3 s); import it where a picture is drawn.
+Importing this module imports matplotlib (0.3 s); import it only to draw.
 """
 
 from __future__ import annotations
@@ -76,13 +76,13 @@ def _panels(height: float, ratios: tuple[float, ...]) -> tuple[Figure, list[Axes
 
 
 def _band(axes: Axes, runs: int) -> None:
-    """Draw where a consistent filter's mean lies."""
+    """Draw the interval of a consistent filter's mean."""
     axes.axhspan(*chi2_bounds(3, runs), color=BAND, lw=0, label="consistent, 95 %")
     axes.axhline(IDEAL, color="white", lw=1.0)
 
 
 def _finish_nees(axes: Axes, label: str) -> None:
-    """Name the axis, logarithmic for what is too sure by far, with room for the legend."""
+    """Label the axis, logarithmic for very overconfident filters, with room for the legend."""
     drawn = [np.asarray(line.get_ydata(), dtype=np.float64) for line in axes.lines]
     highest = max(float(np.max(values, initial=IDEAL)) for values in drawn)
     axes.set_yscale("log")
@@ -99,7 +99,7 @@ def _shown(curves: Curves) -> tuple[Array, Array, Array]:
 
 
 def _line(axes: Axes, name: str, values: Array, colour: str) -> None:
-    """Draw a curve, or dots where it is known at check points only."""
+    """Draw a curve, or dots if it is known at check points only."""
     steps = np.flatnonzero(np.isfinite(values))
     style = "o" if name == BATCH else "-"
     axes.plot(steps, values[steps], style, color=colour, label=name, markersize=4, linewidth=1.2)

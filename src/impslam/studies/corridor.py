@@ -11,11 +11,11 @@ from impslam.studies.corridor_metrics import (
     DEFAULT,
     FROM_ROBOT,
     HOUGH,
+    MAX_DRIFT,
     RANSAC,
     READINGS,
     TEXT,
     VARIANTS,
-    WITHIN,
     corridor_metrics,
 )
 from impslam.studies.corridor_truth import corridor_truth, corridor_world, false_landmarks
@@ -27,23 +27,23 @@ from impslam.sweeps.rows import Row, by_variant, failures, median_row
 from impslam.sweeps.statistics import MEDIAN_95, Quantiles, Rows, mean_of, number, quantiles_of
 
 SEEDS = 6
-"""Enough for a first look, in a few minutes; the claims are for 100."""
-EVERY_VARIANT = 20
-"""Seeds for the thesis's variants: they are lost in every one, or in none. The others are the default's."""
+"""Default, for a quick look in a few minutes; published results use 100."""
+THESIS_SEEDS = 20
+"""Maximum for the thesis's variants, which are lost in all seeds or in none; more run the default only."""
 READING_SEEDS = 6
-"""Seeds for each other reading of the text: it fails, or it does not."""
+"""Seeds for each other interpretation of the text: enough to see which ones fail."""
 NOTES = TEXT["notes"]
 Groups = Mapping[str, Sequence[Row]]
 
 
 def corridor(job: Job) -> Section:
-    """Map the corridor by the default, and by the thesis's lines with each of its extractors."""
+    """Map the corridor with the default, and with the thesis's lines and each of its extractors."""
     world, seeds = [corridor_world()], range(job.seeds or SEEDS)
     rows = sweep(
-        VARIANTS, seeds[:EVERY_VARIANT], world, corridor_metrics, job, "map the corridor, every way"
+        VARIANTS, seeds[:THESIS_SEEDS], world, corridor_metrics, job, "map the corridor, every way"
     )
     default = [variant for variant in VARIANTS if variant.name == DEFAULT]
-    rest = seeds[EVERY_VARIANT:]
+    rest = seeds[THESIS_SEEDS:]
     if rest:
         rows += sweep(default, rest, world, corridor_metrics, job, "map the corridor, the default")
     few = seeds[:READING_SEEDS]
@@ -74,27 +74,28 @@ def _pictures(seed: int) -> list[Picture]:
 
 
 def _title(run: Run) -> str:
-    way, end = run.travelled[-1], run.errors[-1]
-    return f"{run.variant.name}: ends {end:.2f} m off, {100.0 * end / way:.2f} % of {way:.0f} m"
+    length, end = run.travelled[-1], run.errors[-1]
+    share = 100.0 * end / length
+    return f"{run.variant.name}: ends {end:.2f} m off, {share:.2f} % of {length:.0f} m"
 
 
 def _percent(metric: str) -> Callable[[Rows], str]:
-    """Return a cell: the quantiles of a length over the distance travelled, %."""
+    """Return a function for a table cell: quantiles of a length over the distance travelled, %."""
     return lambda rows: str(Quantiles.of(100.0 * row[metric] / row["travelled"] for row in rows))
 
 
 def _within(metric: str) -> Callable[[Rows], str]:
-    """Return a cell: in how many runs a length is within `WITHIN` of the distance travelled."""
+    """Return a cell: in how many runs a length is within `MAX_DRIFT` of the distance travelled."""
     return lambda rows: f"{_count_within(rows, metric)} of {len(rows)}"
 
 
 def _count_within(rows: Rows, metric: str = "end") -> int:
-    return sum(row[metric] <= WITHIN * row["travelled"] for row in rows)
+    return sum(row[metric] <= MAX_DRIFT * row["travelled"] for row in rows)
 
 
 PATH: dict[str, Callable[[Rows], str]] = {
     f"end, % of way, {MEDIAN_95}": _percent("end"),
-    f"within {100.0 * WITHIN} %": _within("end"),
+    f"within {100.0 * MAX_DRIFT} %": _within("end"),
     f"path RMS in m, {MEDIAN_95}": quantiles_of("ate"),
     "holds for m, median": lambda rows: f"{np.median([row['holds'] for row in rows]):.0f}",
 }
@@ -106,7 +107,7 @@ def _seeds(rows: Rows) -> str:
 
 
 def path_table(runs: Groups) -> ResultTable:
-    """Return how far off the path of every variant is."""
+    """Return the table of path errors of every variant."""
     first = next(iter(runs.values()))
     title = f"The path, {_seeds(first)} of {first[0]['travelled']:.0f} m"
     made = make_table(title, runs, PATH)
@@ -116,7 +117,7 @@ def path_table(runs: Groups) -> ResultTable:
 
 
 def map_table(runs: Groups) -> ResultTable:
-    """Return what is in the map of every variant, and how much of it is not there."""
+    """Return the table of true and false landmarks in the map of every variant."""
     counts = total_counts(runs[DEFAULT])
 
     def spurious(rows: Rows) -> str:
@@ -135,7 +136,7 @@ def map_table(runs: Groups) -> ResultTable:
 
 
 def extractor_table(runs: Groups) -> ResultTable:
-    """Return spurious walls per scan of each extractor, all on the same scans."""
+    """Return the table of spurious walls per scan of each extractor, all on the same scans."""
     counts = total_counts(runs[DEFAULT])
     scans = next(iter(counts.values()))["scans"]
     columns: dict[str, Callable[[dict[str, int]], str]] = {
@@ -150,7 +151,7 @@ def extractor_table(runs: Groups) -> ResultTable:
 
 
 def reading_table(readings: Groups) -> ResultTable:
-    """Return the errors of other readings of the thesis."""
+    """Return the table of errors of other interpretations of the thesis."""
     many = _seeds(next(iter(readings.values())))
     columns = PATH | {"landmarks ever": mean_of("landmarks_ever", ".0f")}
     title = f"Other readings of the thesis's lines by Hough, {many}"
@@ -171,7 +172,7 @@ def numbers(runs: Groups, readings: Groups) -> dict[str, Any]:
 
 
 def _numbers(rows: Rows) -> dict[str, Any]:
-    """Return the numbers of one variant, a list over the seeds each."""
+    """Return the numbers of one variant, each as a list over the seeds."""
     counts = ("landmarks_ever", "people_ever", "touched_by_people", "false_at_birth")
     return {
         "end": [row["end"] for row in rows],

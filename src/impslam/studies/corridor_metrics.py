@@ -27,24 +27,23 @@ VARIANTS = [
     for name, table in TEXT["variants"].items()
 ]
 READINGS = grid(["thesis-lines"], TEXT["readings"])
-WITHIN = 0.005
-"""Of the distance travelled: the end is to be this near."""
+MAX_DRIFT = 0.005
+"""Target error of the end, as a share of the distance travelled."""
 
 
 def corridor_metrics(run: Run) -> Row:
-    """Return what is measured of a run, beyond the errors of its path.
+    """Return the metrics of a run beyond the errors of its path.
 
-    `holds` is the distance driven before the path was `WITHIN` of the whole off for the first time, m.
-    Of all landmarks that ever were in
-    the map: `landmarks_ever`, `people_ever`, `touched_by_people` and `false_at_birth`, as they were when
-    they entered. `false_at_the_end` are ids of the final map's landmarks, `missing` names of true ones,
-    of the kinds that the map is made of. The default's rows also hold the extractors' counts, as
-    `NAME: COUNT`.
+    `holds` is the distance driven before the error of the path first exceeds `MAX_DRIFT` of the whole, m.
+    `landmarks_ever`, `people_ever`, `touched_by_people` and `false_at_birth` count all landmarks that were
+    ever in the map, as they were when they entered. `false_at_the_end` are ids of landmarks of the final
+    map, `missing` names of true ones, of the kinds in the map. The default's rows also contain the
+    extractors' counts, as `NAME: COUNT`.
     """
     verdicts = [_at_birth(run, number) for number in range(len(run.promotions))]
     kinds = {promotion.observation.kind for promotion in run.promotions}
     row = {
-        "holds": distance_held(run, WITHIN * float(run.travelled[-1])),
+        "holds": distance_held(run, MAX_DRIFT * float(run.travelled[-1])),
         "landmarks_ever": len(verdicts),
         "people_ever": sum(verdict.person for verdict in verdicts),
         "touched_by_people": sum(verdict.touched for verdict in verdicts),
@@ -59,13 +58,13 @@ def corridor_metrics(run: Run) -> Row:
 
 
 def distance_held(run: Run, off: float) -> float:
-    """Return how far the robot drove before the path was so far off for the first time, m."""
+    """Return the distance driven before the error of the path first exceeds `off`, m."""
     lost = np.flatnonzero(run.errors > off)
     return float(run.travelled[lost[0] if len(lost) else -1])
 
 
 def _at_birth(run: Run, number: int) -> Verdict:
-    """Return what a landmark was when it entered the map."""
+    """Classify a landmark at the time when it entered the map."""
     _, stamp, observation = run.promotions[number]
     truth = corridor_truth()
     return judge(truth.sweep(stamp - run.messages[0].stamp), observation)

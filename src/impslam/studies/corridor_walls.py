@@ -1,4 +1,4 @@
-"""The walls that extractors find along the corridor, and how many of them are spurious."""
+"""Count the walls that extractors find along the corridor, and the spurious ones among them."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from impslam.types import LaserScan, Message
 
 EXTRACTORS: Mapping[str, Mapping[str, Any]] = load_text("corridor")["extractors"]
 EVERY = 10
-"""Of so many scans one is given to the extractors alone: a second, 0.6 m of the drive."""
+"""Every n-th scan is given to the extractors: one per second, or 0.6 m of the drive."""
 COUNTS = ("scans", "walls", "spurious", "of_people", "scans_with_spurious")
-"""What is counted of each extractor: scans looked at, walls seen in them, those that are none (see
-`corridor_truth.is_wall`), of these the ones that rest on people, and scans with a spurious wall."""
+"""Counts for each extractor: scans, walls in them, spurious ones (see `corridor_truth.is_wall`), those of
+people among these, and scans with a spurious wall."""
 
 
 def count_walls(
     messages: Sequence[Message], seed: int, every: int = EVERY
 ) -> dict[str, Counter[str]]:
-    """Return `COUNTS` of every extractor on one of so many scans, de-skewed with the true motion."""
+    """Return `COUNTS` of every extractor on every n-th scan, de-skewed with the true motion."""
     extractors: dict[str, Extractor] = {
         name: build("extractor", table) for name, table in EXTRACTORS.items()
     }
@@ -57,7 +57,7 @@ def tally(walls: Sequence[Verdict]) -> dict[str, int]:
 
 
 def total_counts(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
-    """Return `COUNTS` of every extractor over all rows that hold them."""
+    """Return the sums of `COUNTS` of every extractor over all rows that contain them."""
     counted = [row for row in rows if f"{next(iter(EXTRACTORS))}: {COUNTS[0]}" in row]
     return {
         name: {what: sum(row[f"{name}: {what}"] for row in counted) for what in COUNTS}

@@ -1,4 +1,4 @@
-"""The thesis's drawings: system, motion model, wall, arena, corridor (Fig. 4, 9, 10, 20 to 28)."""
+"""Drawings of the thesis: system, motion model, wall, arena, corridor (Fig. 4, 9, 10, 20 to 28)."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from impslam.sweeps.job import Job
 from impslam.types import Array
 
 HEIGHT = 0.6  # m, of the arena's walls
-REACH, FIELD = 5.6, 240.0  # m, deg: the lidar's
-STAMP = 20.0  # s: some people are then in the part of the corridor that is drawn
+MAX_RANGE, FIELD = 5.6, 240.0  # m, deg, of the lidar
+STAMP = 20.0  # s: time with some people in the drawn part of the corridor
 Point = tuple[float, float]
 
 
 def drawings(job: Job) -> Section:
-    """Draw them all; `job.seeds` does not matter."""
+    """Draw all figures; `job.seeds` is ignored."""
     text = load_text("drawings")
     made = replace(job, processes=1).map(_draw, list(DRAWINGS), "draw")
     pictures = [
@@ -86,7 +86,7 @@ WIDE, HIGH = 2.1, 0.66
 
 
 def system() -> Figure:
-    """Draw who talks to whom on the robot."""
+    """Draw the devices of the robot and their links."""
     figure, axes = _plain(9.0, 3.4)
     for (x, y), name, aboard in BOXES.values():
         line: dict[str, Any] = {
@@ -105,7 +105,7 @@ def system() -> Figure:
 
 
 def _edges(a: Point, b: Point) -> tuple[Point, Point]:
-    """Return where the line between the middles of two boxes leaves the one and meets the other."""
+    """Return the points where the line between the middles of two boxes crosses their edges."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     share = min(
         0.5 * WIDE / abs(dx) if dx else math.inf, (0.5 * HIGH + 0.02) / abs(dy) if dy else math.inf
@@ -135,28 +135,28 @@ def motion() -> Figure:
     return figure
 
 
-def _robot(axes: Any, place: Point, heading: float, width: float) -> None:
-    """Draw a robot: its axle, two wheels and where it looks."""
+def _robot(axes: Any, position: Point, heading: float, width: float) -> None:
+    """Draw a robot: its axle, two wheels and heading."""
     c, s = math.cos(heading), math.sin(heading)
     for side in (-0.5 * width, 0.5 * width):
-        x, y = place[0] - side * s, place[1] + side * c
+        x, y = position[0] - side * s, position[1] + side * c
         axes.plot([x - 0.18 * c, x + 0.18 * c], [y - 0.18 * s, y + 0.18 * s], color=INK, lw=5)
-    across = np.array([[-s, c]]) * np.array([[-0.5 * width], [0.5 * width]]) + np.array(place)
+    across = np.array([[-s, c]]) * np.array([[-0.5 * width], [0.5 * width]]) + np.array(position)
     axes.plot(*across.T, color=INK, lw=1.2)
-    _arrow(axes, place, (place[0] + 0.5 * c, place[1] + 0.5 * s))
+    _arrow(axes, position, (position[0] + 0.5 * c, position[1] + 0.5 * s))
 
 
 def arena() -> Figure:
-    """Draw the arena from aside and from above."""
+    """Draw the arena in perspective and from above."""
     figure = new_figure(8.0, 6.0)
     world, scene = load_world("arena"), Scene(load_world("arena"))
-    aside = figure.add_subplot(1, 2, 1, projection="3d")
-    _extrude(aside, scene)
+    perspective = figure.add_subplot(1, 2, 1, projection="3d")
+    _extrude(perspective, scene)
     above = figure.add_subplot(1, 2, 2)
     draw_scene(above, scene, scene.leaves(0.0), 4.0)
     x, y, heading = world.robot.start
     begin = math.degrees(heading) - 0.5 * FIELD
-    reach = Wedge((x, y), REACH, begin, begin + FIELD, fc=WALL, alpha=0.07, ec=WALL, lw=1)
+    reach = Wedge((x, y), MAX_RANGE, begin, begin + FIELD, fc=WALL, alpha=0.07, ec=WALL, lw=1)
     above.add_patch(reach)
     _robot(above, (x, y), heading, 0.4)
     above.set(xlim=(-2.1, 0.8), ylim=(-0.7, 6.5), aspect="equal")
@@ -165,7 +165,7 @@ def arena() -> Figure:
 
 
 def _extrude(axes: Any, scene: Scene) -> None:
-    """Draw what stands as walls and cylinders of some height."""
+    """Draw walls and cylinders with a height."""
     faces = [_upright(row.reshape(2, 2)) for row in scene.segments]
     walls: dict[str, Any] = {"facecolor": "#bec5cd", "edgecolor": INK, "alpha": 0.35, "lw": 0.6}
     axes.add_collection3d(Poly3DCollection(faces, **walls))
@@ -181,7 +181,7 @@ def _extrude(axes: Any, scene: Scene) -> None:
 
 
 def _upright(ends: Array) -> Array:
-    """Return the rectangle (4, 3) that stands on a line (2, 2)."""
+    """Return the upright rectangle (4, 3) above a line (2, 2)."""
     low, high = np.zeros((2, 1)), np.full((2, 1), HEIGHT)
     return np.vstack([np.hstack([ends, low]), np.hstack([ends, high])[::-1]])
 
@@ -241,13 +241,13 @@ def _wall(axes: Any, foot: Array, alpha: float, extent: tuple[float, float]) -> 
     axes.plot(*(foot + np.outer(extent, along)).T, color=WALL, lw=3, solid_capstyle="round")
 
 
-def arena_way() -> Figure:
-    """Draw the arena and the way that the robot drives in it."""
+def arena_path() -> Figure:
+    """Draw the arena and the robot's path in it."""
     figure = new_figure(3.6, 6.6)
     axes, world = figure.subplots(), load_world("arena")
     scene = Scene(world)
     draw_scene(axes, scene, scene.leaves(0.0), 5.0)
-    _way(axes, world)
+    _path(axes, world)
     for circle, mark in zip(scene.circles, world.cylinders, strict=True):
         axes.text(circle[0], circle[1] - 0.3, mark.name, fontsize=7, color=INK, ha="center")
     axes.set(xlim=(-2.0, 0.8), ylim=(-0.7, 6.5), aspect="equal")
@@ -255,8 +255,8 @@ def arena_way() -> Figure:
     return figure
 
 
-def _way(axes: Any, world: World) -> None:
-    """Draw the robot's drive, with its start and end."""
+def _path(axes: Any, world: World) -> None:
+    """Draw the robot's path, with its start and end."""
     driven = drive(world.robot)
     path = driven.at(np.arange(0.0, driven.duration, 0.2))
     axes.plot(*path[:, :2].T, color=TRUTH, lw=1.2)
@@ -265,21 +265,21 @@ def _way(axes: Any, world: World) -> None:
 
 
 def passages() -> Figure:
-    """Draw the corridor with its doors and the ways of people."""
+    """Draw the corridor with its doors and the paths of people."""
     figure = new_figure(10.0, 4.6)
     axes, world = figure.subplots(), load_world("corridor")
     scene = Scene(world)
     draw_scene(axes, scene, scene.leaves(0.0), 2.4)
     for person in world.people:
         axes.plot(*np.array(person.waypoints).T, color=WALKERS, lw=1.0, ls=(0, (1, 1.5)))
-    _way(axes, world)
+    _path(axes, world)
     axes.set(xlim=(-6.0, 56.0), ylim=(-8.0, 19.0), aspect="equal")
     style(axes)
     return figure
 
 
 def obstacles() -> Figure:
-    """Draw a part of the corridor with what stands and walks in it."""
+    """Draw a part of the corridor with its obstacles and people."""
     figure = new_figure(9.0, 3.6)
     axes, world = figure.subplots(), load_world("corridor")
     scene = Scene(world)
@@ -304,7 +304,7 @@ DRAWINGS: dict[str, Callable[[], Figure]] = {
     "fig10-arena": arena,
     "fig20-normal-form": normal_form,
     "fig21-frames": frames,
-    "fig23-arena": arena_way,
+    "fig23-arena": arena_path,
     "fig27-passages": passages,
     "fig28-obstacles": obstacles,
 }

@@ -1,7 +1,7 @@
-"""Drives to put faults into: odometry and scans of a few minutes as columns, and where the robot was.
+"""Drives for fault injection: a few minutes of odometry and scans as columns, with the truth.
 
-A drive is simulated, with the truth, or is the beginning of a log. It is mapped as `imp run` maps a log: it
-poses as a source.
+A drive is simulated, with the truth, or it is the beginning of a log. It is mapped in the same way as a log
+by `imp run`, through a source.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from impslam.sources.parts import Piece
 from impslam.types import Array, Ints, LaserScan, Mask, Message, TruePose
 
 SECONDS = 150.0
-"""s of a log that are used: some 40 m of way, and loops in each of the logs."""
+"""s of a log that are used: some 40 m of driving, with loops in each of the logs."""
 
 
 class Drive(NamedTuple):
-    """What a robot recorded.
+    """The recording of a drive.
 
     Attributes
     ----------
-    path : the log's file, or the world's
-    config : how it is mapped
+    path : file of the log, or of the world
+    config : config for mapping
     odometry, scans : m rows and n rows; a row's `order` is its place in the log. Without odometry m is 0
-    truth : (n, 3) `T_map_base` at each row of scans, NaN where it is not known
+    truth : (n, 3) `T_map_base` at each row of scans, NaN if unknown
     """
 
     path: Path
@@ -50,27 +50,27 @@ class Drive(NamedTuple):
 
     @property
     def period(self) -> float:
-        """Time in s from scan to scan; the median, since stamps may jump."""
+        """Median time between scans, s; stamps may jump."""
         return float(np.median(np.abs(np.diff(self.scans.stamps))))
 
     def rows(self, seconds: float) -> int:
-        """Return the number of scans in so many s, at least one."""
+        """Return the number of scans in a time in s, at least one."""
         return max(1, round(seconds / self.period))
 
     def after(self, row: int) -> Mask:
-        """Tell which rows of odometry (m,) come after a row of scans."""
+        """Return (m,) which rows of odometry come after a row of scans."""
         last = self.scans.order[-1] + 1 if row >= len(self.scans) else self.scans.order[row]
         return np.asarray(self.odometry.order >= last)
 
     def keep(self, scans: Mask | Ints | slice, odometry: Mask | Ints | slice) -> Drive:
-        """Return some of the rows."""
+        """Return the drive with some of the rows."""
         return self._replace(
             odometry=self.odometry.take(odometry),
             scans=self.scans.take(scans),
             truth=self.truth[scans],
         )
 
-    def showing(self, **values: Array) -> Drive:
+    def with_scans(self, **values: Array) -> Drive:
         """Return the drive with other values of its scans, such as `ranges` (n, beams)."""
         return self._replace(scans=with_values(self.scans, **values))
 
@@ -81,25 +81,25 @@ def with_values(columns: Columns, **values: Array) -> Columns:
 
 
 def numbered(drive: Drive) -> Drive:
-    """Return the drive with each row at a place of its own; of rows at one place odometry is first."""
+    """Return the drive with unique orders of the rows; at equal orders, odometry comes first."""
     orders = np.concatenate((drive.odometry.order, drive.scans.order))
-    places = np.empty(len(orders), np.int64)
-    places[np.argsort(orders, kind="stable")] = np.arange(len(orders))
+    unique = np.empty(len(orders), np.int64)
+    unique[np.argsort(orders, kind="stable")] = np.arange(len(orders))
     m = len(drive.odometry)
-    odometry, scans = places[:m], places[m:]
+    odometry, scans = unique[:m], unique[m:]
     return drive._replace(
         odometry=replace(drive.odometry, order=odometry), scans=replace(drive.scans, order=scans)
     )
 
 
 class DriveSource(Source):
-    """Gives a drive as if it were read from a log."""
+    """A source that provides a drive like a log."""
 
     _drive: Drive = PrivateAttr()
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Tell that no file is one."""
+        """Return False: this source does not read files."""
         del path
         return False
 
@@ -112,7 +112,7 @@ class DriveSource(Source):
 
     @property
     def drive(self) -> Drive:
-        """The drive, with the place of each row in the log."""
+        """The drive, with unique orders of its rows."""
         return self._drive
 
     def __enter__(self) -> Self:
@@ -146,13 +146,13 @@ def simulated(world: str, seed: int, settings: Sequence[str] = ()) -> Drive:
     (batch,) = batches(((type(m).__name__, m) for m in recorded), rows=10**9)
     odometry, scans = batch[config.make_robot().odometry.consumes.__name__], batch["LaserScan"]
     truth = batch[TruePose.__name__]
-    places = np.searchsorted(truth.stamps, scans.stamps)
+    rows = np.searchsorted(truth.stamps, scans.stamps)
     path = Path(str(files("impslam.simulation.worlds") / f"{world}.toml"))
-    return Drive(path, config, odometry, scans, truth["pose"][places])
+    return Drive(path, config, odometry, scans, truth["pose"][rows])
 
 
 def recorded(log: Path, config: str | None = None, seconds: float = SECONDS) -> Drive:
-    """Read the first seconds of a log; the truth is not known."""
+    """Read the first seconds of a log; the truth is unknown."""
     chosen, source = open_log(log, config)
     consumed = chosen.make_robot().odometry.consumes
     found: dict[type[Message], list[Columns]] = {LaserScan: [], consumed: []}
@@ -170,6 +170,6 @@ def recorded(log: Path, config: str | None = None, seconds: float = SECONDS) -> 
 
 
 def metres_per_reading(odometry: Mapping[str, Any]) -> float:
-    """Return the way in m of a wheel whose reading grows by one, as a config's odometry has it."""
+    """Return the distance in m per unit of a wheel's reading, for the odometry table of a config."""
     radius, turn = odometry.get("wheel_radius", 1.0), odometry.get("per_turn", 2.0 * math.pi)
     return float(2.0 * math.pi * radius / turn)

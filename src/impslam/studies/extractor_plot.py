@@ -1,6 +1,6 @@
-"""The picture of the comparison of extractors.
+"""Figure of the comparison of extractors.
 
-Importing this module imports matplotlib (0.3 s); import it where a picture is drawn.
+Importing this module imports matplotlib (0.3 s); import it only to draw.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from impslam.studies.extractor_tables import OTHER, Scores
 COLOURS = ("#2563eb", "#d81b60", "#15803d", "#f2a03d", "#7c3aed", "#0891b2", "#8d6e63")
 GRID = "#e5e7ea"
 EDGES = {"wall": (10, 20, 40, 80, 160, 320, 683), "cylinder": (5, 8, 12, 20, 35, 60, 100)}
-LEAST = 8  # of a bin, to draw it
+MIN_BIN_COUNT = 8  # landmarks in a bin that is drawn
 DRAWS = 300  # bootstrap samples behind an error bar
 
 
 def draw(scores: Mapping[str, Scores], conditions: Sequence[str], known: str) -> bytes:
     """Return the picture as a PNG.
 
-    `conditions` are the names of those without faults, without people and with people; `known` is
-    the row that is no extractor.
+    `conditions` are the names of the conditions without faults, without people and with people; `known` is
+    the label of the fit with known association.
     """
     figure = new_figure(9.0, 8.6, dpi=130)
     rows = figure.subplots(3, 2, gridspec_kw={"height_ratios": (5, 2.6, 2.6)})
@@ -78,9 +78,9 @@ def _ratios(
 
 
 def _point(score: ExtractorScore, low: float, high: float) -> tuple[float, float, float, float]:
-    """Return middle, ratio and its 95 % interval of the landmarks with so many beams."""
+    """Return middle, ratio and its 95 % interval of the landmarks in a bin of beams."""
     excess = score.excess[(score.beams >= low) & (score.beams < high)]
-    if len(excess) < LEAST:
+    if len(excess) < MIN_BIN_COUNT:
         return np.nan, np.nan, np.nan, np.nan
     rng = np.random.default_rng(0)
     again = [typical_ratio(rng.choice(excess, len(excess))) for _ in range(DRAWS)]
@@ -92,28 +92,28 @@ def _point(score: ExtractorScore, low: float, high: float) -> tuple[float, float
 def _shares(
     axes: Axes, scores: Scores, conditions: Sequence[str], colours: Mapping[str, str]
 ) -> None:
-    """Draw the shares found, without people and with."""
-    for place, shade, score, colour in _places(axes, scores, conditions, colours):
+    """Draw the shares of found landmarks, without and with people."""
+    for height, shade, score, colour in _bars(axes, scores, conditions, colours):
         share, error = score.true_positives
-        axes.barh(place, 100.0 * share, 0.38, color=colour, alpha=shade)
-        axes.errorbar(100.0 * share, place, xerr=200.0 * error, fmt="none", ecolor=INK, lw=0.9)
+        axes.barh(height, 100.0 * share, 0.38, color=colour, alpha=shade)
+        axes.errorbar(100.0 * share, height, xerr=200.0 * error, fmt="none", ecolor=INK, lw=0.9)
     axes.set(xlim=(0.0, 100.0), xlabel="found, % of the visible; with people (light)")
 
 
 def _spurious(
     axes: Axes, scores: Scores, conditions: Sequence[str], colours: Mapping[str, str]
 ) -> None:
-    """Draw how many observations are false, or of other things, in a scan."""
-    for place, shade, score, colour in _places(axes, scores, conditions, colours):
+    """Draw the numbers of observations per scan that are false, or of other things."""
+    for height, shade, score, colour in _bars(axes, scores, conditions, colours):
         false, error = score.rate("false")
         other, _ = score.rate("other")
-        axes.barh(place, false, 0.38, color=colour, alpha=shade)
-        axes.barh(place, other, 0.34, left=false, fill=False, ec=colour, alpha=shade, lw=1.2)
-        axes.errorbar(false, place, xerr=2.0 * error, fmt="none", ecolor=INK, lw=0.9)
+        axes.barh(height, false, 0.38, color=colour, alpha=shade)
+        axes.barh(height, other, 0.34, left=false, fill=False, ec=colour, alpha=shade, lw=1.2)
+        axes.errorbar(false, height, xerr=2.0 * error, fmt="none", ecolor=INK, lw=0.9)
     axes.set_xlim(0.0, None)
 
 
-def _places(
+def _bars(
     axes: Axes, scores: Scores, conditions: Sequence[str], colours: Mapping[str, str]
 ) -> Iterator[tuple[float, float, ExtractorScore, str]]:
     """Yield height, shade, score and colour of each bar."""

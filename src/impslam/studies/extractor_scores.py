@@ -1,8 +1,8 @@
-"""Observations of labelled scans against the truth: found, found again, of something else, false; errors.
+"""Score observations of labelled scans: found, repeated, of other things, false, and their errors.
 
-An observation is of a thing if more than half of its beams hit it and it lies within the gates
-below, which are as wide as the coarsest extractor needs. Each landmark is found once, by the
-observation that rests on most of its beams.
+An observation is assigned to a thing if more than half of its beams hit it and it is within the gates
+below, which are as wide as the coarsest extractor needs. Each landmark is found once, by the observation
+with the most of its beams.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from impslam.studies.bounds import bound, circle_jacobian, wall_jacobian
 from impslam.studies.labelled_scans import LabelledScan, Seen
 from impslam.types import Array, Ints, Observation, Scan
 
-OFF = 0.1
-"""m, farthest that an observation may be from the thing (of a wall, at the middle of what is seen)."""
-TURNED = math.radians(10.0)
-"""rad, farthest that a wall may be turned: a bin of the thesis's Hough transform."""
-SAME_RADIUS = 0.01
-"""Relative difference up to which a radius that is taken for known is right."""
+MAX_DISTANCE = 0.1
+"""m from an observation to the thing (for a wall, at the middle of its visible part)."""
+MAX_TURN = math.radians(10.0)
+"""rad of a wall: a bin of the thesis's Hough transform."""
+RADIUS_TOLERANCE = 0.01
+"""Relative difference up to which an assumed radius is correct."""
 
 
 class Counts(NamedTuple):
-    """What came out of a scan.
+    """Counts of observations of a scan.
 
     Attributes
     ----------
-    visible : landmarks of which enough is seen
-    found : how many of these were observed
+    visible : landmarks of which enough is visible
+    found : number of these that were observed
     again : further observations of the same ones
-    other : observations of what is there, but is no landmark or hardly seen
-    false : observations of nothing that is there
-    whole, whole_found : of the visible, how many are seen from edge to edge; cylinders only
+    other : observations of existing things that are no landmarks or hardly visible
+    false : observations of nothing that exists
+    whole, whole_found : visible and found landmarks that are visible from edge to edge; cylinders only
     """
 
     visible: int
@@ -59,12 +59,12 @@ class Detection:
     Attributes
     ----------
     error : (2,) of z, observed less true
-    R, bound : (2, 2) as the extractor gives it, and the Cramér-Rao bound
-    radial : m, error of a centre along the line of sight; NaN of walls
-    radius_error, radius_bound : m and m^2; NaN of walls, and where the radius is taken for known
-    beams : how many truly hit it
-    used : share of these that the observation rests on
-    own_excess : squared error in the bound of those alone; NaN where they do not define it
+    R, bound : (2, 2) covariance by the extractor, and the Cramér-Rao bound
+    radial : m, error of a centre along the line of sight; NaN for walls
+    radius_error, radius_bound : m and m^2; NaN for walls, and if the radius is assumed
+    beams : number of beams that truly hit it
+    used : share of these in the observation
+    own_excess : squared error over the bound of those alone; NaN if they do not determine it
     """
 
     error: Array
@@ -84,10 +84,10 @@ def score_scan(
     observations: Sequence[Observation],
     radius: float | None = None,
 ) -> tuple[Counts, list[Detection]]:
-    """Return the counts of a scan, and the errors of what was found, of the observations of one kind.
+    """Return the counts of a scan, and the errors of found landmarks, for observations of one kind.
 
-    `radius` is what the extractor takes the radius of every cylinder for, None if it measures it.
-    A cylinder of another radius counts as found, but is left out of the errors.
+    `radius` is the radius that the extractor assumes for every cylinder, None if it measures it. A cylinder
+    of another radius counts as found, but is left out of the errors.
     """
     best: dict[int, tuple[int, Observation]] = {}
     again = other = false = 0
@@ -107,13 +107,13 @@ def score_scan(
     found = [
         detection_error(labelled, labelled.seen[which], o, radius)
         for which, (_, o) in best.items()
-        if radius is None or abs(labelled.seen[which].radius / radius - 1.0) <= SAME_RADIUS
+        if radius is None or abs(labelled.seen[which].radius / radius - 1.0) <= RADIUS_TOLERANCE
     ]
     return Counts(len(visible), len(best), again, other, false, *whole), found
 
 
 def _observed_thing(labelled: LabelledScan, o: Observation) -> int | None:
-    """Return what an observation is of: the thing nearest to it among those that it may be of."""
+    """Return the index of the nearest thing that an observation can be assigned to."""
     fitting = [
         (_distance(o, seen), which)
         for which, seen in enumerate(labelled.seen)
@@ -125,12 +125,12 @@ def _observed_thing(labelled: LabelledScan, o: Observation) -> int | None:
 def _is_of(o: Observation, seen: Seen) -> bool:
     if len(o.beams) and 2 * np.count_nonzero(np.isin(o.beams, seen.beams)) <= len(o.beams):
         return False
-    turned = o.kind == "wall" and abs(wrap(float(o.z[1] - seen.z[1]))) > TURNED
-    return _distance(o, seen) <= OFF and not turned
+    turned = o.kind == "wall" and abs(wrap(float(o.z[1] - seen.z[1]))) > MAX_TURN
+    return _distance(o, seen) <= MAX_DISTANCE and not turned
 
 
 def _distance(o: Observation, seen: Seen) -> float:
-    """Return how far an observation is from a thing, in m."""
+    """Return the distance of an observation from a thing, in m."""
     if o.kind != "wall":
         return float(np.hypot(*(o.z - seen.z)))
     normal = np.array([math.cos(o.z[1]), math.sin(o.z[1])])
@@ -140,7 +140,7 @@ def _distance(o: Observation, seen: Seen) -> float:
 def detection_error(
     labelled: LabelledScan, seen: Seen, o: Observation, radius: float | None
 ) -> Detection:
-    """Return an observation's error beside the bound of all beams that hit the landmark."""
+    """Return an observation's error, with the bound for all beams that hit the landmark."""
     error = o.z - seen.z
     if o.kind == "wall":
         error[1] = wrap(float(error[1]))
@@ -169,7 +169,7 @@ def detection_error(
 
 
 def _bound(labelled: LabelledScan, seen: Seen, beams: Ints, radius: float | None) -> Array:
-    """Return the bound that some beams set to z, and to the radius if it is not known."""
+    """Return the bound for z, and for the radius if it is unknown, from some beams."""
     rays, sigmas = (labelled.origins[beams], labelled.directions[beams]), labelled.sigmas[beams]
     if seen.kind == "wall":
         return bound(wall_jacobian(seen.z, *rays), sigmas, labelled.bias)
@@ -178,7 +178,7 @@ def _bound(labelled: LabelledScan, seen: Seen, beams: Ints, radius: float | None
 
 
 def known_association(labelled: LabelledScan, kind: str) -> list[Observation]:
-    """Return the fits to all beams that truly hit each visible landmark: what the bound allows."""
+    """Return the fits to all beams that truly hit each visible landmark: the best possible result."""
     shown = [seen for seen in labelled.seen if seen.visible and seen.kind == kind]
     fit = _line if kind == "wall" else _circle
     return [o for o in (fit(labelled.scan, seen) for seen in shown) if o is not None]

@@ -43,17 +43,17 @@ class ExtractorScore:
         return ExtractorScore(np.vstack((self.counts, other.counts)), [*self.found, *other.found])
 
     def rate(self, what: str) -> Estimate:
-        """Return how many of the `Counts` there are in a scan, and the standard error of it."""
+        """Return the mean of one of the `Counts` per scan, with its standard error."""
         return mean(self.counts[:, Counts._fields.index(what)])
 
     @property
     def true_positives(self) -> Estimate:
-        """Share of the visible landmarks that was found, and the standard error over scans."""
+        """Share of the visible landmarks that were found, with the standard error over scans."""
         return self._share("visible", "found")
 
     @property
     def whole_found(self) -> Estimate:
-        """Share of the landmarks seen from edge to edge that was found; NaN where there are none."""
+        """Share of the landmarks visible from edge to edge that were found; NaN without any."""
         return self._share("whole", "whole_found")
 
     def _share(self, of: str, what: str) -> Estimate:
@@ -77,31 +77,31 @@ class ExtractorScore:
 
     @cached_property
     def nees(self) -> Array:
-        """Squared errors in the covariances that the extractor itself gives, (m,); ideal mean 2."""
+        """Squared errors normalised by the extractor's own covariances, (m,); ideal mean 2."""
         return nees(self.errors, np.array([f.R for f in self.found]).reshape(-1, 2, 2))
 
     @cached_property
     def excess(self) -> Array:
-        """Squared errors in the Cramér-Rao bounds, (m,); at least 2 on average."""
+        """Squared errors normalised by the Cramér-Rao bounds, (m,); at least 2 on average."""
         return nees(self.errors, self.bounds)
 
     @property
     def beams(self) -> Ints:
-        """How many beams hit each landmark that was found, (m,)."""
+        """Number of beams that hit each found landmark, (m,)."""
         return np.array([f.beams for f in self.found], np.int64)
 
     def column(self, name: str) -> Array:
-        """Return one number of each landmark that was found, (m,), where it has one."""
+        """Return the finite values (m,) of a field of `Detection` for the found landmarks."""
         values = np.array([getattr(f, name) for f in self.found], np.float64)
         return np.asarray(values[np.isfinite(values)])
 
     def metrics(self) -> dict[str, Estimate]:
-        """Return the errors of what was found, in m and rad, by name; empty if nothing was.
+        """Return the errors of found landmarks by name, in m and rad; empty if there are none.
 
-        `bias_k` and `rms_k` are of the k-th of z, `ratio_k` its RMS over the bound, `ratio` that of z as
-        a whole, `own_ratio` the same over the bound of the beams that the observation itself rests on.
-        Of cylinders, `radial_bias` is along the line of sight and `rms` of the centre; `radius_*` are
-        there where the radius is measured.
+        `bias_k` and `rms_k` are those of z[k], `ratio_k` is its RMS over the bound, `ratio` that of z as a
+        whole, `own_ratio` the same over the bound for the beams that the observation itself uses. For
+        cylinders, `radial_bias` is along the line of sight and `rms` is of the centre; `radius_*` exist if
+        the radius is measured.
         """
         if not self.found:
             return {}
@@ -124,6 +124,6 @@ class ExtractorScore:
 def typical_ratio(excess: Array) -> float:
     """Return the median error over that of an efficient estimator; 1 at the bound.
 
-    Unlike the RMS it does not show the few that went wrong.
+    Unlike the RMS it is robust against outliers.
     """
     return math.sqrt(float(np.median(excess)) / _MEDIAN) if len(excess) else math.nan

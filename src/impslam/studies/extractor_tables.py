@@ -1,4 +1,4 @@
-"""The comparison of extractors as tables, and as numbers for other programs."""
+"""Tables of the comparison of extractors, and the numbers behind them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from impslam.sweeps.statistics import NONE, Estimate
 
 TEXT = load_text("extractors")
 OTHER: Mapping[str, str] = TEXT["other"]
-"""By kind, what an observation may be of that is there but is no landmark."""
+"""By kind, the name of observations of existing things that are no landmarks."""
 LABELS = ("Extractor", "Scans")
 
 Scores = Mapping[str, Mapping[str, ExtractorScore]]
@@ -22,7 +22,7 @@ Speeds = Mapping[str, Mapping[str, float]]
 
 
 def detection_table(kind: str, scores: Scores, speeds: Speeds) -> ResultTable:
-    """Return speed, what was found and what was not there, by extractor and condition."""
+    """Return speed, and found and false landmarks, by extractor and condition."""
     fastest = {
         condition: max(one[condition] for one in speeds.values())
         for condition in next(iter(speeds.values()))
@@ -101,7 +101,7 @@ def _rounded(estimate: Estimate) -> str:
     value, error = estimate
     if not math.isfinite(value):
         return "–"
-    # No more digits than the standard error leaves, but at least one that says how small it is.
+    # Significant digits by the standard error, at most two decimals.
     digits = 2 if not error > 0.0 else min(max(0, -math.floor(math.log10(error))), 2)
     text = f"{value:.{digits}f}"
     return text.removeprefix("-") if float(text) == 0.0 else text.replace("-", "−")
@@ -122,7 +122,7 @@ def numbers(scores: Scores, speeds: Speeds) -> dict[str, Any]:
 
 
 def _numbers(score: ExtractorScore) -> dict[str, Any]:
-    """Return value and standard error by name; None where there is none."""
+    """Return value and standard error by name; None for missing values."""
     estimates: dict[str, Estimate] = {
         "true_positives": score.true_positives,
         "true_positives_of_whole": score.whole_found,

@@ -95,7 +95,7 @@ def contenders(kind: str) -> Mapping[str, Extractor]:
 
 
 def compare(item: tuple[int, str]) -> dict[str, Scores]:
-    """Return by kind what every contender makes of the scans of a seed in a world."""
+    """Score every contender on the scans of a seed in a world; return the scores by kind."""
     seed, world = item
     out: dict[str, Scores] = {kind: {} for kind in KINDS}
     for condition in CONDITIONS:
@@ -103,14 +103,14 @@ def compare(item: tuple[int, str]) -> dict[str, Scores]:
         for kind in KINDS:
             for label, extractor in contenders(kind).items():
                 out[kind].setdefault(label, {})[condition.name] = score(extractor, scans, seed)
-            if condition == STANDING:  # faults other than noise ask for more than a fit
+            if condition == STANDING:  # with errors other than noise, a fit is not optimal
                 best = [score_scan(scan, kind, known_association(scan, kind)) for scan in scans]
                 out[kind][KNOWN] = {condition.name: ExtractorScore.of(best)}
     return out
 
 
 def score(extractor: Extractor, scans: Sequence[LabelledScan], seed: int) -> ExtractorScore:
-    """Return what an extractor makes of some scans; `seed` is for those that sample."""
+    """Score an extractor on scans; `seed` is for randomised extractors."""
     rng, radius = np.random.default_rng(seed), getattr(extractor, "radius", None)
     return ExtractorScore.of(
         [score_scan(s, extractor.landmark, extractor.extract(s.scan, rng), radius) for s in scans]
@@ -118,10 +118,10 @@ def score(extractor: Extractor, scans: Sequence[LabelledScan], seed: int) -> Ext
 
 
 def speed(some: Mapping[str, Extractor], scans: Sequence[Scan]) -> dict[str, float]:
-    """Return scans per second of one core, taken in turns, median of several rounds.
+    """Return scans per second on one core: the median of several rounds over all extractors.
 
-    Processor time is counted, so that other programs on the machine hardly matter. Every scan is
-    new to every extractor: what one has computed is not there for the next.
+    Processor time is measured, so that other programs on the machine hardly matter. Every extractor gets
+    new copies of the scans, without cached results of the others.
     """
     seconds: dict[str, list[float]] = {label: [] for label in some}
     for number in range(ROUNDS + 1):
@@ -136,7 +136,7 @@ def speed(some: Mapping[str, Extractor], scans: Sequence[Scan]) -> dict[str, flo
 
 
 def _speeds(kind: str) -> dict[str, dict[str, float]]:
-    """Return scans per second by contender and condition, on a few scans of every world."""
+    """Return scans per second by contender and condition, for a few scans of every world."""
     out: dict[str, dict[str, float]] = {}
     for condition in (DRIVING, PEOPLE):
         scans = [

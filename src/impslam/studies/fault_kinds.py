@@ -1,7 +1,8 @@
-"""The faults of `imp reproduce faults`: each a function from a drive to what would have been recorded.
+"""The faults of `imp reproduce faults`: functions from a drive to its faulty recording.
 
-Faults that come on the way begin between a third and a half of the drive. Those of odometry act on the
-ways of the two wheels, which for a log of odometry poses are those of a robot with a track of `TRACK`.
+Faults that occur during a drive begin between a third and a half of it. Faults of odometry act on the
+distances of the two wheels; for a log of odometry poses, these are those of a robot with a track of
+`TRACK`.
 """
 
 from __future__ import annotations
@@ -22,19 +23,19 @@ Rng: TypeAlias = np.random.Generator
 Fault: TypeAlias = Callable[[Drive, Rng], Drive]
 
 TRACK = 0.4
-"""m between wheels that a log tells nothing of."""
+"""m between wheels that are not in the log."""
 FROZEN, GAP, SLIP, HOUR = 10.0, 30.0, 0.5, 3600.0
-"""s that a device is frozen, s without data, m of slip at once, and s by which a clock jumps."""
-COVER, BODY, PEOPLE = 0.3, 0.2, 6
-"""m to what covers beams, m of a person's radius, and how many are around."""
-DENSE = 1 << 20
-"""Places for rows that are put in after a place of the log."""
-JITTER = 0.01
-"""m, noise of ranges that are made up."""
+"""s that a device is frozen, s without data, m of sudden slip, and s by which a clock jumps."""
+COVER_RANGE, BODY_RADIUS, PEOPLE = 0.3, 0.2, 6
+"""m to an object that covers beams, m of a person's radius, and the number of people."""
+ORDER_SCALE = 1 << 20
+"""Factor on the orders of rows, to leave room for inserted rows."""
+RANGE_NOISE = 0.01
+"""m, noise of simulated ranges."""
 
 
-def begin_of(drive: Drive, rng: Rng) -> int:
-    """Return the row of scans at which a fault begins."""
+def draw_begin(drive: Drive, rng: Rng) -> int:
+    """Draw the row of scans at which a fault begins."""
     n = len(drive.scans)
     return int(rng.integers(n // 3, n // 2))
 
@@ -66,73 +67,73 @@ def doubled(drive: Drive, rng: Rng) -> Drive:
 
 
 def shuffled(drive: Drive, rng: Rng) -> Drive:
-    """Write the scans of each half second in any order, stamps along with them."""
-    n, few = len(drive.scans), drive.rows(0.5)
-    rows = np.lexsort((rng.random(n), np.arange(n) // few))
+    """Shuffle the scans, with their stamps, within each half second."""
+    n, block = len(drive.scans), drive.rows(0.5)
+    rows = np.lexsort((rng.random(n), np.arange(n) // block))
     moved = drive.keep(rows, slice(None))
     return moved._replace(scans=replace(moved.scans, order=drive.scans.order))
 
 
 def gap(drive: Drive, rng: Rng) -> Drive:
-    """Record nothing for a while."""
-    i = begin_of(drive, rng)
+    """Record no data for a while."""
+    i = draw_begin(drive, rng)
     j = i + drive.rows(GAP)
     rows = np.arange(len(drive.scans))
     return drive.keep((rows < i) | (rows >= j), ~drive.after(i) | drive.after(j))
 
 
 def late(drive: Drive, rng: Rng) -> Drive:
-    """Show in each scan what was seen 0.3 s before."""
+    """Delay the ranges of the scans by 0.3 s."""
     del rng
     rows = np.maximum(np.arange(len(drive.scans)) - drive.rows(0.3), 0)
-    return drive.showing(ranges=drive.scans["ranges"][rows])
+    return drive.with_scans(ranges=drive.scans["ranges"][rows])
 
 
 def repeated(drive: Drive, rng: Rng) -> Drive:
-    """Send one scan again and again for a while."""
-    i = begin_of(drive, rng)
+    """Repeat one scan for a while."""
+    i = draw_begin(drive, rng)
     ranges = drive.scans["ranges"].copy()
     ranges[i : i + drive.rows(FROZEN)] = ranges[i]
-    return drive.showing(ranges=ranges)
+    return drive.with_scans(ranges=ranges)
 
 
-# ------------------------------------------------------------------ what beams show
+# ------------------------------------------------------------------ ranges
 
 
 def turned(drive: Drive, rng: Rng) -> Drive:
-    """Turn the lidar on its mount by 5 degrees on the way."""
-    i, angles = begin_of(drive, rng), drive.scans["angles"]
+    """Turn the lidar on its mount by 5 degrees during the drive."""
+    i, angles = draw_begin(drive, rng), drive.scans["angles"]
     step = float(np.median(np.diff(angles)))
     beams = round(math.radians(5.0) / step)
     ranges = drive.scans["ranges"].copy()
     ranges[i:] = np.roll(ranges[i:], -beams, axis=1)
-    if abs(len(angles) * step) < 2.0 * math.pi - 2.0 * abs(step):  # beams that nobody measured
+    if abs(len(angles) * step) < 2.0 * math.pi - 2.0 * abs(step):  # beams outside the field of view
         ranges[i:, slice(-beams, None) if beams > 0 else slice(None, -beams)] = math.nan
-    return drive.showing(ranges=ranges)
+    return drive.with_scans(ranges=ranges)
 
 
 def mirrored(drive: Drive, rng: Rng) -> Drive:
-    """Mount the lidar upside down, and say nothing of it."""
+    """Mount the lidar upside down, without a change of the config."""
     del rng
-    return drive.showing(ranges=drive.scans["ranges"][:, ::-1].copy())
+    return drive.with_scans(ranges=drive.scans["ranges"][:, ::-1].copy())
 
 
 def covered(drive: Drive, rng: Rng) -> Drive:
-    """Cover half of the beams with what moves along with the robot, from some time on."""
-    i, n = begin_of(drive, rng), drive.scans["ranges"].shape[1]
+    """Cover half of the beams with an object on the robot, from some time on."""
+    i, n = draw_begin(drive, rng), drive.scans["ranges"].shape[1]
     ranges, first = drive.scans["ranges"].copy(), int(rng.integers(0, n // 2))
     hidden = ranges[i:, first : first + n // 2]
-    hidden[:] = COVER + JITTER * rng.standard_normal(hidden.shape)
-    return drive.showing(ranges=ranges)
+    hidden[:] = COVER_RANGE + RANGE_NOISE * rng.standard_normal(hidden.shape)
+    return drive.with_scans(ranges=ranges)
 
 
 def filled(value: float) -> Fault:
-    """Give 30 % of the beams a value that is no range."""
+    """Set 30 % of the beams to an invalid range."""
 
     def fault(drive: Drive, rng: Rng) -> Drive:
         ranges = drive.scans["ranges"]
         bad = rng.random(ranges.shape) < 0.3
-        return drive.showing(ranges=np.where(bad, value, ranges))
+        return drive.with_scans(ranges=np.where(bad, value, ranges))
 
     return fault
 
@@ -140,11 +141,11 @@ def filled(value: float) -> Fault:
 def scaled(drive: Drive, rng: Rng) -> Drive:
     """Measure all ranges 3 % too long."""
     del rng
-    return drive.showing(ranges=1.03 * drive.scans["ranges"])
+    return drive.with_scans(ranges=1.03 * drive.scans["ranges"])
 
 
 def people(drive: Drive, rng: Rng) -> Drive:
-    """Let people walk along with the robot, 0.7 to 3 m away."""
+    """Add people who walk along with the robot, 0.7 to 3 m away."""
     scans, n = drive.scans, len(drive.scans)
     seconds = drive.period * np.arange(n)[:, None]
     phase, rate, swing = rng.uniform(-1.0, 1.0, (3, PEOPLE))
@@ -154,11 +155,11 @@ def people(drive: Drive, rng: Rng) -> Drive:
     for k in range(PEOPLE):
         angles = scans["angles"] - (bearing[:, k : k + 1] - drive.truth[:, 2:])
         along, across = (distance[:, k : k + 1] * f(angles) for f in (np.cos, np.sin))
-        hit = (along > 0.0) & (np.abs(across) < BODY)
-        front = along - np.sqrt(np.maximum(BODY**2 - across**2, 0.0))
-        front += JITTER * rng.standard_normal(front.shape)
-        ranges = np.where(hit & ((ranges <= COVER / 2.0) | ~(ranges < front)), front, ranges)
-    return drive.showing(ranges=ranges)
+        hit = (along > 0.0) & (np.abs(across) < BODY_RADIUS)
+        front = along - np.sqrt(np.maximum(BODY_RADIUS**2 - across**2, 0.0))
+        front += RANGE_NOISE * rng.standard_normal(front.shape)
+        ranges = np.where(hit & ((ranges <= COVER_RANGE / 2.0) | ~(ranges < front)), front, ranges)
+    return drive.with_scans(ranges=ranges)
 
 
 # ------------------------------------------------------------------ odometry
@@ -171,8 +172,8 @@ def absent(drive: Drive, rng: Rng) -> Drive:
 
 
 def reset(drive: Drive, rng: Rng) -> Drive:
-    """Begin odometry at 0 again on the way."""
-    odometry, on = drive.odometry, drive.after(begin_of(drive, rng))
+    """Reset odometry to 0 during the drive."""
+    odometry, on = drive.odometry, drive.after(draw_begin(drive, rng))
     first = int(np.argmax(on))
     values = {}
     if odometry.kind is OdometryPose:
@@ -185,20 +186,20 @@ def reset(drive: Drive, rng: Rng) -> Drive:
     return drive._replace(odometry=with_values(odometry, **values))
 
 
-def told(drive: Drive, change: Callable[[Array], Array]) -> Drive:
-    """Return the drive with other ways (m, 2) in m of the left and the right wheel, row by row."""
+def with_wheels(drive: Drive, change: Callable[[Array], Array]) -> Drive:
+    """Return the drive with changed distances (m, 2) in m of the left and the right wheel, by row."""
     odometry = drive.odometry
     if odometry.kind is OdometryPose:
-        return drive._replace(odometry=with_values(odometry, pose=_led(odometry, change)))
+        return drive._replace(odometry=with_values(odometry, pose=_integrate(odometry, change)))
     unit = metres_per_reading(drive.config.odometry)
     readings = np.column_stack((odometry["left"], odometry["right"])).astype(np.float64)
-    ways = unit * np.diff(readings, axis=0, prepend=readings[:1])
-    left, right = (readings[0] + np.cumsum(change(ways), axis=0) / unit).T
+    distances = unit * np.diff(readings, axis=0, prepend=readings[:1])
+    left, right = (readings[0] + np.cumsum(change(distances), axis=0) / unit).T
     return drive._replace(odometry=with_values(odometry, left=left, right=right))
 
 
-def _led(odometry: Columns, change: Callable[[Array], Array]) -> Array:
-    """Return the poses of odometry after a change of the ways of the wheels; what goes sideways stays."""
+def _integrate(odometry: Columns, change: Callable[[Array], Array]) -> Array:
+    """Return the poses of odometry with changed distances of the wheels and unchanged sideways motion."""
     pose: Array = odometry["pose"]
     twists = log(between(pose[np.maximum(np.arange(len(pose)) - 1, 0)], pose))
     half = 0.5 * TRACK * twists[:, 2]
@@ -212,63 +213,63 @@ def _led(odometry: Columns, change: Callable[[Array], Array]) -> Array:
 
 
 def wheels(factors: tuple[float, float], seconds: float = FROZEN) -> Fault:
-    """Let the left and the right wheel tell so many times their ways for a while."""
+    """Scale the distances of the left and the right wheel for a while."""
 
     def fault(drive: Drive, rng: Rng) -> Drive:
-        i = begin_of(drive, rng)
+        i = draw_begin(drive, rng)
         during = drive.after(i) & ~drive.after(i + drive.rows(seconds))
-        return told(drive, lambda ways: np.where(during[:, None], ways * np.array(factors), ways))
+        return with_wheels(drive, lambda d: np.where(during[:, None], d * np.array(factors), d))
 
     return fault
 
 
 def slipped(drive: Drive, rng: Rng) -> Drive:
-    """Let both wheels tell half a metre too much within half a second."""
-    i = begin_of(drive, rng)
+    """Add half a metre of slip to both wheels within half a second."""
+    i = draw_begin(drive, rng)
     during = drive.after(i) & ~drive.after(i + drive.rows(0.5))
-    return told(drive, lambda ways: ways + (during / max(during.sum(), 1) * SLIP)[:, None])
+    return with_wheels(drive, lambda d: d + (during / max(during.sum(), 1) * SLIP)[:, None])
 
 
 def swapped(drive: Drive, rng: Rng) -> Drive:
-    """Take each wheel for the other."""
+    """Exchange the wheels."""
     del rng
-    return told(drive, lambda ways: ways[:, ::-1])
+    return with_wheels(drive, lambda distances: distances[:, ::-1])
 
 
-# ------------------------------------------------------------------ time and place
+# ------------------------------------------------------------------ time and position
 
 
 def stuck(drive: Drive, rng: Rng) -> Drive:
-    """Drive against a wall: the robot stands for a while, and its wheels turn at 0.3 m/s."""
-    i, some = begin_of(drive, rng), drive.rows(FROZEN)
+    """Drive against a wall: the robot is stationary for a while, and its wheels turn at 0.3 m/s."""
+    i, more_scans = draw_begin(drive, rng), drive.rows(FROZEN)
     n, m, j = len(drive.scans), len(drive.odometry), int(np.sum(~drive.after(i)))
-    more, seconds = round(some * m / n), some * drive.period
-    place = int(drive.scans.order[i]) - 1
+    more, seconds = round(more_scans * m / n), more_scans * drive.period
+    order = int(drive.scans.order[i]) - 1
     stay = drive.keep(
-        np.insert(np.arange(n), i, [i] * some), np.insert(np.arange(m), j, [j] * more)
+        np.insert(np.arange(n), i, [i] * more_scans), np.insert(np.arange(m), j, [j] * more)
     )
-    scans = _inserted(stay.scans, slice(i, i + some), place, seconds)
-    odometry = _inserted(stay.odometry, slice(j, j + more), place, seconds)
+    scans = _spread_inserted(stay.scans, slice(i, i + more_scans), order, seconds)
+    odometry = _spread_inserted(stay.odometry, slice(j, j + more), order, seconds)
     ranges = scans["ranges"].astype(np.float64)
-    ranges[i : i + some] += JITTER * rng.standard_normal((some, ranges.shape[1]))
-    ways = np.zeros((m + more, 1))
-    ways[j : j + more] = 0.3 * seconds / more
+    ranges[i : i + more_scans] += RANGE_NOISE * rng.standard_normal((more_scans, ranges.shape[1]))
+    spin = np.zeros((m + more, 1))
+    spin[j : j + more] = 0.3 * seconds / more
     still = stay._replace(scans=with_values(scans, ranges=ranges), odometry=odometry)
-    return told(still, lambda moved: moved + ways)
+    return with_wheels(still, lambda distances: distances + spin)
 
 
-def _inserted(columns: Columns, rows: slice, place: int, seconds: float) -> Columns:
-    """Spread rows that were put in over so many s after a place of the log; what follows is later."""
+def _spread_inserted(columns: Columns, rows: slice, order: int, seconds: float) -> Columns:
+    """Spread inserted rows over a time in s after an order of the log; delay the following rows."""
     share = np.clip((np.arange(len(columns)) - rows.start) / (rows.stop - rows.start), 0.0, 1.0)
-    orders = columns.order * DENSE
-    orders[rows] = place * DENSE + (share[rows] * (DENSE - 1)).astype(np.int64)
+    orders = columns.order * ORDER_SCALE
+    orders[rows] = order * ORDER_SCALE + (share[rows] * (ORDER_SCALE - 1)).astype(np.int64)
     moved = with_values(columns, stamp=columns.stamps + seconds * share)
     return replace(moved, order=orders)
 
 
 def kidnapped(drive: Drive, rng: Rng) -> Drive:
-    """Carry the robot some of its way, at least 2 m, without a word from odometry."""
-    i, n = begin_of(drive, rng), len(drive.scans)
+    """Carry the robot along a part of its path, at least 2 m, without motion of odometry."""
+    i, n = draw_begin(drive, rng), len(drive.scans)
     far = np.hypot(*(drive.truth[:, :2] - drive.truth[i, :2]).T) > 2.0
     far[: i + 1], far[n - n // 5 :] = False, False
     if not far.any():
@@ -276,7 +277,7 @@ def kidnapped(drive: Drive, rng: Rng) -> Drive:
     j = int(rng.choice(np.flatnonzero(far)))
     rows, until = np.arange(n), drive.after(j)
     carried = drive.after(i) & ~until
-    moved = told(drive, lambda ways: np.where(carried[:, None], 0.0, ways))
+    moved = with_wheels(drive, lambda distances: np.where(carried[:, None], 0.0, distances))
     seconds = drive.scans.stamps[j] - drive.scans.stamps[i] - drive.period
     scans = with_values(moved.scans, stamp=moved.scans.stamps - np.where(rows >= j, seconds, 0.0))
     odometry = with_values(
@@ -290,7 +291,7 @@ def stamped(change: Callable[[Array, float], Array]) -> Fault:
     """Change all stamps from some time on."""
 
     def fault(drive: Drive, rng: Rng) -> Drive:
-        i = begin_of(drive, rng)
+        i = draw_begin(drive, rng)
         first = float(drive.scans.stamps[i])
 
         def stamps(columns: Columns) -> Columns:

@@ -1,4 +1,4 @@
-"""What came of a faulty drive: how far the path was off, what health said of it, and what the run said."""
+"""Score a faulty drive: errors of the path, its reported health, and the notes of the run."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.diagnosis.diagnose import first_look
-from impslam.diagnosis.finding import standing
+from impslam.diagnosis.finding import worst_health
 from impslam.errors import ImpError, in_a_line
 from impslam.evaluation.consistency import nees, pose_errors
 from impslam.fitting import fitted
@@ -20,53 +20,53 @@ from impslam.studies.drives import Drive, DriveSource
 from impslam.sweeps.rows import Row
 from impslam.types import Array, Ints, Mask
 
-LONG = 1.0
-"""s of scans that are silent within which a fault is to be noticed."""
-OFF, TIMES = 0.5, 5.0
-"""m, and times the worst error of the clean run: a pose that is further off is wrong."""
-INSIDE, OUTSIDE = 11.34, 16.27
+MAX_SILENT = 1.0
+"""s of silent scans within which a fault should be detected."""
+MAX_LIMIT, LIMIT_FACTOR = 0.5, 5.0
+"""m, and multiple of the worst error of the clean run: a pose with a larger error is wrong."""
+CHI2_99, CHI2_999 = 11.34, 16.27
 """Chi-square of three degrees of freedom that 1 % and 0.1 % exceed."""
-REFERENCE = np.diag(np.array([0.02, 0.02, 0.005]) ** 2)
-"""m, m, rad, squared: how well the settled path of a clean run knows where the robot was."""
-LEAST = 0.05
-"""m: a limit is no less, since a settled path is known no better."""
+REFERENCE_COVARIANCE = np.diag(np.array([0.02, 0.02, 0.005]) ** 2)
+"""m, m, rad, squared: accuracy of the settled path of a clean run."""
+MIN_LIMIT = 0.05
+"""m: lower bound of a limit, the accuracy of a settled path."""
 VERDICTS = ("harmless", "said", "honest", "noted", "silent")
-"""harmless: no pose was wrong. said: no wrong pose was called TRACKING, or the run refused the log. honest:
-all that were are within their ellipse. noted: some were not, and a note before or after the run names a
-problem. silent: nothing does."""
+"""harmless: no pose was wrong. said: no wrong pose was TRACKING, or the run rejected the log. honest: all
+wrong TRACKING poses are within their ellipse. noted: some are not, but a note before or after the run names
+a problem. silent: nothing does."""
 
 
-class Live(Observer):
-    """Keeps the path as it is known at the time, and the outcome.
+class LiveRecorder(Observer):
+    """Stores the poses as known at the time, and the outcome.
 
-    Rows are those of `DriveSource`: `places` are orders of the log.
+    Rows refer to `DriveSource`: `orders` are places in the log.
     """
 
     def __init__(self) -> None:
         self._paths: list[PathRows] = []
-        self._places: list[Ints] = []
+        self._orders: list[Ints] = []
         self.outcome: Outcome | None = None
 
     def follow(self, track: Track, path: PathRows) -> None:
-        """Keep the poses of a track."""
+        """Store the poses of a track."""
         self._paths.append(path)
-        self._places.append(track.sweeps.columns.order[track.rows])
+        self._orders.append(track.sweeps.columns.order[track.rows])
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
-        """Keep the pose of a keyframe."""
+        """Store the pose of a keyframe."""
         del revision
         self._paths.append(path)
-        self._places.append(keyframe.sweeps.columns.order[[keyframe.row]])
+        self._orders.append(keyframe.sweeps.columns.order[[keyframe.row]])
 
     def finish(self, known: Map, outcome: Outcome) -> None:
-        """Keep the outcome."""
+        """Store the outcome."""
         del known
         self.outcome = outcome
 
     @property
-    def places(self) -> Ints:
+    def orders(self) -> Ints:
         """Place in the log of each scan (n,)."""
-        return np.concatenate(self._places)
+        return np.concatenate(self._orders)
 
     @property
     def poses(self) -> Array:
@@ -79,16 +79,16 @@ class Live(Observer):
         return np.concatenate([path.covariances for path in self._paths])
 
 
-class Mapped(NamedTuple):
-    """A drive that was mapped.
+class MappedDrive(NamedTuple):
+    """Result of mapping a drive.
 
     Attributes
     ----------
-    rows : (k,) which rows of the drive's scans were used, in their order
-    poses, covariances : (k, 3), (k, 3, 3) as they were known at the time
-    settled : (k, 3) as they are known at the end
+    rows : (k,) rows of the drive's scans that were used, in their order
+    poses, covariances : (k, 3), (k, 3, 3) as known at the time
+    settled : (k, 3) as known at the end
     health : of the k scans
-    notes : kinds of problems that the run told of
+    notes : kinds of problems that the run reported
     seconds : s of CPU
     """
 
@@ -101,58 +101,58 @@ class Mapped(NamedTuple):
     seconds: float
 
 
-def mapped(drive: Drive) -> Mapped:
+def map_drive(drive: Drive) -> MappedDrive:
     """Map a drive as `imp run` does.
 
     Raises
     ------
     ImpError
-        If the run refuses it.
+        If the run rejects it.
     """
-    source, live = DriveSource.of(drive), Live()
+    source, live = DriveSource.of(drive), LiveRecorder()
     begin = time.process_time()
     config = fitted(drive.config, source, odometry_is_free=True)
     findings = first_look(config, source)
-    known = map_log(config, source, [live], health=standing(findings))
+    known = map_log(config, source, [live], health=worst_health(findings))
     seconds = time.process_time() - begin
     outcome = live.outcome
     assert outcome is not None
-    rows = np.searchsorted(source.drive.scans.order, live.places)
+    rows = np.searchsorted(source.drive.scans.order, live.orders)
     notes = frozenset(outcome.dropped) | {finding.kind for finding in findings}
     settled = np.full((len(rows), 3), np.nan)
     settled[known.placed()] = known.path()[:, 1:]
-    return Mapped(rows, live.poses, live.covariances, settled, outcome.health, notes, seconds)
+    return MappedDrive(rows, live.poses, live.covariances, settled, outcome.health, notes, seconds)
 
 
-def with_truth(drive: Drive, clean: Mapped) -> Drive:
-    """Return a drive whose truth is not known with that of the clean run's settled path."""
+def with_truth(drive: Drive, clean: MappedDrive) -> Drive:
+    """Return a drive without truth, with the clean run's settled path as its truth."""
     truth = drive.truth.copy()
     truth[clean.rows] = clean.settled
     return drive._replace(truth=truth)
 
 
-def errors(run: Mapped, drive: Drive, *, exact: bool) -> tuple[Array, Array]:
-    """Return how far off each pose is, (k,) m, and its normalised error squared (k,)."""
+def errors(run: MappedDrive, drive: Drive, *, exact: bool) -> tuple[Array, Array]:
+    """Return the position errors (k,) m of the poses, and their normalised errors squared (k,)."""
     error = pose_errors(run.poses, drive.truth[run.rows])
-    spread = run.covariances + (1e-12 * np.eye(3) if exact else REFERENCE)
-    return np.hypot(error[:, 0], error[:, 1]), nees(error, spread)
+    covariances = run.covariances + (1e-12 * np.eye(3) if exact else REFERENCE_COVARIANCE)
+    return np.hypot(error[:, 0], error[:, 1]), nees(error, covariances)
 
 
 def score(drive: Drive, limit: float, usual: frozenset[str], *, exact: bool) -> Row:
     """Map a faulty drive and score it.
 
     `limit` is the error in m beyond which a pose is wrong, `usual` are the notes of the clean run, and
-    `exact` tells whether the truth is exact.
+    `exact` is whether the truth is exact.
     """
     begin = time.process_time()
     try:
-        run = mapped(drive)
+        run = map_drive(drive)
     except ImpError as error:
         seconds = time.process_time() - begin
         return {"verdict": "said", "said": in_a_line(error), "seconds": seconds}
     off, squares = errors(run, drive, exact=exact)
     tracking = run.health.states == TRACKING
-    wrong, outside = off > limit, squares > OUTSIDE
+    wrong, outside = off > limit, squares > CHI2_999
     silent = wrong & outside & tracking
     notes = run.notes - usual
     return {
@@ -162,7 +162,7 @@ def score(drive: Drive, limit: float, usual: frozenset[str], *, exact: bool) -> 
         "off_settled": _worst(run.settled - drive.truth[run.rows]),
         "scans": len(off),
         "tracking": int(tracking.sum()),
-        "inside": int((tracking & (squares < INSIDE)).sum()),
+        "inside": int((tracking & (squares < CHI2_99)).sum()),
         "wrong": int(wrong.sum()),
         "silent": int(silent.sum()),
         "silent_seconds": float(silent.sum() * drive.period),
@@ -173,10 +173,10 @@ def score(drive: Drive, limit: float, usual: frozenset[str], *, exact: bool) -> 
     }
 
 
-def _verdict(wrong: Mask, unsaid: Mask, silent: Mask, notes: frozenset[str]) -> str:
+def _verdict(wrong: Mask, unreported: Mask, silent: Mask, notes: frozenset[str]) -> str:
     if silent.any():
         return "noted" if notes else "silent"
-    if unsaid.any():
+    if unreported.any():
         return "honest"
     return "said" if wrong.any() else "harmless"
 
@@ -186,7 +186,7 @@ def _worst(error: Array) -> float:
     return float(np.nanmax(placed)) if np.isfinite(placed).any() else float("nan")
 
 
-def limit_of(clean: Mapped, drive: Drive) -> float:
-    """Return the error in m beyond which a pose is wrong, by the clean run of the drive."""
+def limit_of(clean: MappedDrive, drive: Drive) -> float:
+    """Return the error in m beyond which a pose is wrong, from the clean run of the drive."""
     worst = float(errors(clean, drive, exact=True)[0].max())
-    return min(OFF, max(TIMES * worst, LEAST))
+    return min(MAX_LIMIT, max(LIMIT_FACTOR * worst, MIN_LIMIT))

@@ -1,6 +1,6 @@
-"""The fault campaign, for `imp reproduce faults`: what becomes of the path, and what the run says.
+"""Fault injection, for `imp reproduce faults`: errors of the path, and whether the run reports them.
 
-Each fault is put into each drive with each seed; the run is judged against the clean one.
+Each fault is injected into each drive with each seed; the run is compared with the clean one.
 """
 
 from __future__ import annotations
@@ -13,13 +13,20 @@ import numpy as np
 
 from impslam.studies.drives import Drive, recorded, simulated
 from impslam.studies.fault_kinds import FAULTS
-from impslam.studies.fault_scores import LONG, VERDICTS, limit_of, mapped, score, with_truth
+from impslam.studies.fault_scores import (
+    MAX_SILENT,
+    VERDICTS,
+    limit_of,
+    map_drive,
+    score,
+    with_truth,
+)
 from impslam.studies.report import Picture, ResultTable, Section, load_text, make_table
 from impslam.sweeps.job import Job
 from impslam.sweeps.rows import Row
 
 SEEDS = 1
-"""By default: a first look, in a minute."""
+"""Default, for a quick look in a minute."""
 CLEAN = next(iter(FAULTS))
 WORLDS = ("arena", "corridor")
 LOGS = {
@@ -27,7 +34,7 @@ LOGS = {
     "fr079": ("fr079/fr079.log", None),
     "turtlebot3": ("turtlebot3/turtlebot3.bag", "turtlebot3-waffle"),
 }
-"""Where recorded logs are in the folder of `--data`, and their presets; those not there are left out."""
+"""Paths of logs in the folder of `--data`, and their presets; missing logs are left out."""
 TEXT = load_text("faults")
 NOTES = TEXT["notes"]
 
@@ -42,7 +49,7 @@ class _Task(NamedTuple):
 
 
 def faults(job: Job) -> Section:
-    """Put every fault into every drive, and score the runs."""
+    """Inject every fault into every drive, and score the runs."""
     seeds = range(job.seeds or SEEDS)
     folder = job.data or Path()
     there = {n: (folder / path, preset) for n, (path, preset) in LOGS.items() if job.data}
@@ -58,9 +65,9 @@ def faults(job: Job) -> Section:
 
 
 def campaign(task: _Task) -> list[Row]:
-    """Map one drive with every fault; return a row for each, the clean run first."""
+    """Map one drive with every fault; return the rows, the clean run first."""
     drive = _drive(task)
-    clean, exact = mapped(drive), task.log is None
+    clean, exact = map_drive(drive), task.log is None
     if not exact:
         drive = with_truth(drive, clean)
     limit, rows = limit_of(clean, drive), []
@@ -99,7 +106,7 @@ COLUMNS: dict[str, Callable[[Sequence[Row]], str]] = {
     "runs": lambda rows: str(len(rows)),
     **{verdict: _count(verdict) for verdict in VERDICTS},
     "unsaid over 1 s": lambda rows: str(
-        sum(row.get("silent_seconds", 0.0) > LONG for row in rows) or ""
+        sum(row.get("silent_seconds", 0.0) > MAX_SILENT for row in rows) or ""
     ),
     "off at worst [m]": _off,
     "TRACKING [%]": _percent("tracking", "scans"),
@@ -116,14 +123,14 @@ def _by(rows: Sequence[Row], *keys: str) -> dict[Any, list[Row]]:
 
 
 def fault_table(rows: Sequence[Row]) -> ResultTable:
-    """Return what came of each fault, over all drives."""
+    """Return the results of each fault, over all drives."""
     groups = _by(rows, "fault")
     faulty = [row for row in rows if row["fault"] != CLEAN]
     return make_table("Faults", {**groups, "all faults": faulty}, COLUMNS, NOTES["faults"])
 
 
 def drive_table(rows: Sequence[Row]) -> ResultTable:
-    """Return what came of each drive: clean, and over all faults."""
+    """Return the results of each drive: clean, and over all faults."""
     groups = {
         (name, kind): [row for row in some if (row["fault"] == CLEAN) == (kind == "clean")]
         for name, some in _by(rows, "drive").items()
@@ -148,6 +155,6 @@ def numbers(rows: Sequence[Row]) -> Mapping[str, Any]:
     calibration = {
         name: _share(some, "inside", "tracking") for name, some in _by(faulty, "drive").items()
     }
-    long = sum(row.get("silent_seconds", 0.0) > LONG for row in faulty)
+    long = sum(row.get("silent_seconds", 0.0) > MAX_SILENT for row in faulty)
     shares = {"tracking_inside_99": calibration, "all": _share(faulty, "inside", "tracking")}
     return {"runs": len(faulty), "verdicts": counts, "unsaid_over_1_s": long, **shares}

@@ -17,14 +17,14 @@ from impslam.sweeps.rows import Row, by_variant, failures
 from impslam.types import Array
 
 SEEDS = 10
-"""Enough for a first look; the claims are for 100."""
+"""Default, for a quick look; published results use 100."""
 DRAWS = 10_000
-"""Of the bootstrap: 250 lie beyond each end of the interval."""
+"""Bootstrap samples: 250 are beyond each end of the interval."""
 KINDS = ("points", "lines", "both")
 
 
 class Comparison(NamedTuple):
-    """What the thesis compares: landmarks or the end, with both features and with one kind."""
+    """A comparison of the thesis: errors of landmarks or of the end, with both features and with one."""
 
     what: str
     names: tuple[str, ...]
@@ -33,7 +33,7 @@ class Comparison(NamedTuple):
 
 
 class Gain(NamedTuple):
-    """How much smaller errors are with both kinds: a share, its 95 % interval, and in how many seeds."""
+    """Reduction of errors with both kinds: a share, its 95 % interval, and the share of better seeds."""
 
     share: float
     low: float
@@ -54,7 +54,7 @@ def features(job: Job) -> Section:
             c.what,
             f"{c.as_printed:+.1f}",
             f"{100.0 * _printed(c):+.0f}",
-            _said(gain),
+            _format(gain),
             f"{100 * gain.better:.0f}",
         ]
         for c, gain in gains.items()
@@ -78,7 +78,7 @@ def _comparisons(text: Mapping[str, Mapping[str, float]]) -> list[Comparison]:
 
 
 def _printed(comparison: Comparison) -> float:
-    """Return by what share the print's own distances, not their squares, are smaller with both."""
+    """Return the reduction of the printed distances (not their squares) with both kinds."""
 
     def total(kind: str) -> float:
         at: Mapping[str, Sequence[float]] = TEXT[kind]["printed"]
@@ -92,7 +92,7 @@ def _gain(comparison: Comparison, runs: Mapping[str, Mapping[int, Row]]) -> Gain
     seeds = sorted(runs["both"].keys() & runs[comparison.with_one].keys())
 
     def errors(kind: str) -> Array:
-        """Return (n,) m: the mean over the landmarks, as the thesis scores them (walls by feet)."""
+        """Return the mean errors (n,) m over the landmarks, as in the thesis (walls by feet)."""
         return np.array([
             np.mean([runs[kind][seed][f"foot {name}"] for name in comparison.names])
             for seed in seeds
@@ -105,7 +105,7 @@ def _gain(comparison: Comparison, runs: Mapping[str, Mapping[int, Row]]) -> Gain
 def _bootstrapped(one: Array, both: Array) -> tuple[float, float, float]:
     """Return 1 - both / one of paired means, and percentiles of its bootstrap over seeds (Efron 1979)."""
     picks = np.random.default_rng(0).integers(0, len(one), (DRAWS, len(one)))
-    with np.errstate(invalid="ignore"):  # a landmark that both miss is no gain, either
+    with np.errstate(invalid="ignore"):  # a landmark that both miss is not a gain
         drawn = 1.0 - both[picks].mean(axis=1) / one[picks].mean(axis=1)
         whole = 1.0 - both.mean() / one.mean()
     drawn, whole = (np.nan_to_num(x, nan=-np.inf, neginf=-np.inf) for x in (drawn, whole))
@@ -113,5 +113,5 @@ def _bootstrapped(one: Array, both: Array) -> tuple[float, float, float]:
     return float(whole), low, high
 
 
-def _said(gain: Gain) -> str:
+def _format(gain: Gain) -> str:
     return f"{100 * gain.share:+.0f} [{100 * gain.low:+.0f}, {100 * gain.high:+.0f}]"

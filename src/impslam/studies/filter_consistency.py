@@ -1,13 +1,13 @@
 """Monte Carlo study of the consistency and the efficiency of filters.
 
-Every filter runs over the same data (see `circle_simulation`). What is reported of it:
+Every filter runs on the same data (see `circle_simulation`). The results are:
 
 - the normalised error squared (NEES) of the pose, ideally 3, over all runs and steps, and the share of
-  steps at which its mean over the runs lies within the 95 % interval of a consistent filter's. Steps
-  of a run are far from independent, for the first step's heading error stays: its mean square over the
-  runs, `first_turn`, ideally 1, scatters by sqrt(2 / runs) and lifts or lowers all steps alike. So the
-  share is 95 % on average over studies, not in each;
-- 95 % intervals of these figures by the bootstrap over runs;
+  steps at which its mean over the runs is within the 95 % interval of a consistent filter. Steps of a run
+  are strongly correlated because the heading error of the first step persists: its mean square over the
+  runs, `first_turn`, ideally 1, scatters by sqrt(2 / runs) and shifts all steps alike. So the share is 95 %
+  on average over studies, not in each;
+- 95 % intervals of these values by the bootstrap over runs;
 - at check points, the NEES of landmarks (ideally 2) and the normalised innovation squared of a whole
   scan over its dimension (NIS, ideally 1);
 - the root mean square errors (RMSE) of position and heading, and their ratio to the batch optimum's of
@@ -32,14 +32,14 @@ from impslam.sweeps.job import Job
 from impslam.types import Array, Increment, Match, Observation
 
 Run: TypeAlias = tuple[Array, float]
-"""Figures (estimators, 6, steps) of one run, and its first turn."""
+"""Values (estimators, 6, steps) of one run, and its first turn."""
 BATCH = "batch optimum"
 CHECK_EVERY = 40
-"""Steps from one check point to the next: a batch optimum costs as much as 30 steps of a filter."""
+"""Steps between check points: a batch optimum costs as much as 30 steps of a filter."""
 
 
 class Curves(NamedTuple):
-    """One estimator's means over the runs, by step: (steps,) each, NaN where it was not asked.
+    """One estimator's means over the runs, by step: (steps,) each, NaN where not evaluated.
 
     `nees` is the pose's, `position` the RMSE in m, `heading` in rad; `nees_landmarks` and `nis` at check
     points only, as is `apart`, the root mean square distance from the batch optimum, m.
@@ -57,7 +57,7 @@ Interval: TypeAlias = tuple[float, float]
 
 
 class Intervals(NamedTuple):
-    """The 95 % intervals of some figures of a row, by the bootstrap over runs."""
+    """The 95 % intervals of some values of a row, by the bootstrap over runs."""
 
     nees: Interval
     in_band: Interval
@@ -67,7 +67,7 @@ class Intervals(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FilterResult:
-    """One estimator's figures over all steps; the ratios are at check points."""
+    """One estimator's values over all steps; the ratios are at check points."""
 
     name: str
     nees: float
@@ -111,13 +111,13 @@ def consistency_study(
     Parameters
     ----------
     filters : names of filters, or config tables with `kind` and parameters
-    runs : number of simulated runs; run r's noise depends on (seed, r) alone
-    job : processes and progress; its number of seeds does not matter here
+    runs : number of simulated runs; run r's noise depends only on (seed, r)
+    job : processes and progress; its number of seeds is ignored
 
     Raises
     ------
     ConfigError
-        If a filter does not exist or refuses its parameters.
+        If a filter does not exist or its parameters are invalid.
     """
     tables = [{"kind": f} if isinstance(f, str) else dict(f) for f in filters]
     for table in tables:
@@ -139,25 +139,25 @@ def _curves(mean: Array) -> Curves:
 
 
 def _label(table: Mapping[str, Any]) -> str:
-    """Return the filter's name, with the parameters that were given."""
+    """Return the filter's name with its given parameters."""
     given = ", ".join(f"{key}={value}" for key, value in table.items() if key != "kind")
     return f"{table['kind']} ({given})" if given else str(table["kind"])
 
 
 def _result(name: str, curve: Curves, batch: Curves, runs: int, spread: Intervals) -> FilterResult:
-    check, asked = np.isfinite(batch.nees), np.isfinite(curve.nees)
+    check, evaluated = np.isfinite(batch.nees), np.isfinite(curve.nees)
 
     def ratio(values: Array, best: Array) -> float:
         return _rms(values[check]) / _rms(best[check])
 
     return FilterResult(
         name,
-        nees=float(curve.nees[asked].mean()),
-        in_band=share_within(curve.nees[asked], runs, 3),
+        nees=float(curve.nees[evaluated].mean()),
+        in_band=share_within(curve.nees[evaluated], runs, 3),
         nees_landmarks=float(curve.nees_landmarks[check].mean()),
         nis=float(curve.nis[check].mean()),
-        position=_rms(curve.position[asked]),
-        heading=_rms(curve.heading[asked]),
+        position=_rms(curve.position[evaluated]),
+        heading=_rms(curve.heading[evaluated]),
         position_ratio=ratio(curve.position, batch.position),
         heading_ratio=ratio(curve.heading, batch.heading),
         apart=_rms(curve.apart[check]),
@@ -166,10 +166,10 @@ def _result(name: str, curve: Curves, batch: Curves, runs: int, spread: Interval
 
 
 def _spread(squares: Array, rng: np.random.Generator) -> Intervals:
-    """Return the intervals of what squares (runs, 3, steps) of NEES, position and heading give."""
+    """Return the intervals for squares (runs, 3, steps) of NEES, position and heading."""
     runs = len(squares)
-    asked = np.isfinite(squares[0, 0])
-    nees, position, heading = (resampled_means(squares[:, k, asked], rng) for k in range(3))
+    evaluated = np.isfinite(squares[0, 0])
+    nees, position, heading = (resampled_means(squares[:, k, evaluated], rng) for k in range(3))
     return Intervals(
         _interval(nees.mean(axis=1)),
         _interval(np.array([share_within(means, runs, 3) for means in nees])),
@@ -188,7 +188,7 @@ def _rms(values: Array) -> float:
 
 
 def _one_run(tables: Sequence[Mapping[str, Any]], setting: Setting, seed: int, run: int) -> Run:
-    """Return (filters + 1, 6, steps), which average to `Curves`, batch last; and the first turn."""
+    """Return the values (filters + 1, 6, steps) averaged in `Curves`, batch last; and the first turn."""
     trial = simulate(setting, np.random.default_rng([seed, run]))
     checks = range(CHECK_EVERY, setting.steps, CHECK_EVERY)
     out = np.full((len(tables) + 1, 6, setting.steps), np.nan)
@@ -205,10 +205,10 @@ def _one_run(tables: Sequence[Mapping[str, Any]], setting: Setting, seed: int, r
     return out, trial.first_turn(setting)
 
 
-def _landmark_nees(belief: Filter, places: Array, which: Mapping[int, int]) -> float:
+def _landmark_nees(belief: Filter, true: Array, which: Mapping[int, int]) -> float:
     """Return the mean NEES of the landmarks."""
     found = belief.landmarks()
-    errors = np.array([landmark.position - places[which[landmark.id]] for landmark in found])
+    errors = np.array([landmark.position - true[which[landmark.id]] for landmark in found])
     return float(nees(errors, np.array([landmark.covariance for landmark in found])).mean())
 
 

@@ -24,24 +24,24 @@ from impslam.run import map_log
 from impslam.studies.report import load_text
 from impslam.sweeps.job import Job
 from impslam.sweeps.memory import peak_memory
-from impslam.sweeps.pool import Lost, alone
+from impslam.sweeps.pool import ProcessDied, run_in_process
 from impslam.sweeps.rows import Row, attempt
 from impslam.types import Array
 
 PARTS = 10
-"""Stretches of each run that intervals are drawn from; errors of neighbours are correlated."""
+"""Stretches of each run that are resampled for intervals; errors of neighbours are correlated."""
 
 
 class RecordedData(NamedTuple):
-    """A log of one or several robots, and how it is mapped.
+    """A log of one or several robots, with settings for mapping.
 
     Attributes
     ----------
     path : in the folder of `--data`
-    settings : of all filters, before their own
-    noise : of all filters, after their own: what their measurements are like, whatever the filter
+    settings : of all filters, overridden by their own
+    noise : measurement noise of all filters, overriding their own settings
     robots : numbers of the robots
-    filters : that run on this log alone, and their settings
+    filters : filters that run only on this log, with their settings
     """
 
     path: str
@@ -55,7 +55,7 @@ LOGS = {name: RecordedData(**given) for name, given in load_text("filter_table")
 
 
 class Drive(NamedTuple):
-    """What is mapped: a robot's log, by a filter."""
+    """A robot's log to map with a filter."""
 
     data: str
     filter: str
@@ -65,27 +65,27 @@ class Drive(NamedTuple):
 
 
 class LivePath(EndOfRun):
-    """Keeps each pose, and its covariance, as it was known when it was new."""
+    """Stores each pose with its covariance as known at its time."""
 
     def __init__(self) -> None:
         super().__init__()
         self._live: list[PathRows] = []
 
     def follow(self, track: Track, path: PathRows) -> None:
-        """Keep the poses of a track."""
+        """Store the poses of a track."""
         del track
         self._live.append(path)
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
-        """Keep the pose of a keyframe."""
+        """Store the pose of a keyframe."""
         del keyframe, revision
         self._live.append(path)
 
     def run(self) -> tuple[RecordedRun, Array]:
         """Return the run, and dead reckoning (n, 4)."""
         stamps, poses, covariances, odometry = map(np.concatenate, zip(*self._live, strict=True))
-        path, wheels = (np.column_stack((stamps, column)) for column in (poses, odometry))
-        return RecordedRun(path, covariances), wheels
+        path, reckoned = (np.column_stack((stamps, column)) for column in (poses, odometry))
+        return RecordedRun(path, covariances), reckoned
 
 
 def log_rows(filters: Mapping[str, Sequence[str]], job: Job) -> list[Row]:
@@ -101,29 +101,29 @@ def log_rows(filters: Mapping[str, Sequence[str]], job: Job) -> list[Row]:
 
 def _row(drive: Drive) -> Row:
     given = {"world": drive.data, "variant": drive.filter, "seed": drive.robot}
-    return attempt(given, partial(_measured_alone, drive))
+    return attempt(given, partial(_measure_in_process, drive))
 
 
-def _measured_alone(drive: Drive) -> Row:
-    """Measure in a process of its own: its memory is not that of what was mapped before."""
-    row = alone(measure, drive)
-    if isinstance(row, Lost):
+def _measure_in_process(drive: Drive) -> Row:
+    """Measure in a new process, so that its memory does not include previous runs."""
+    row = run_in_process(measure, drive)
+    if isinstance(row, ProcessDied):
         raise ImpError(row.why)
     return row
 
 
 def measure(drive: Drive) -> Row:
-    """Map a log; return errors of the poses as they were new, and what the filter did and took."""
+    """Map a log; return the errors of the live poses, wrong matches, time and memory."""
     robot = [f"source.robot={drive.robot}"] if drive.robot else []
     config, source = open_log(drive.log, None, [*drive.settings, *robot])
-    seen, labels = LivePath(), LabelVotes()
-    map_log(config, source, [seen, labels])
-    assert seen.outcome is not None
-    run, odometry = seen.run()
+    live, labels = LivePath(), LabelVotes()
+    map_log(config, source, [live, labels])
+    assert live.outcome is not None
+    run, odometry = live.run()
     return {
-        **errors(run, seen.path, odometry),
+        **errors(run, live.path, odometry),
         "position2_at_checks": math.nan,
-        "milliseconds": 1e3 * float(np.median(seen.outcome.stages["estimate"])),
+        "milliseconds": 1e3 * float(np.median(live.outcome.stages["estimate"])),
         "wrong": labels.wrong,
         "matched": labels.matched,
         "megabytes": peak_memory() / 1e6,
@@ -131,9 +131,9 @@ def measure(drive: Drive) -> Row:
 
 
 def errors(run: RecordedRun, truth: Array, odometry: Array) -> Row:
-    """Return mean squares of a path's errors where it fits the truth (m, 4) best, and by tenths.
+    """Return mean squares of a path's errors after a fit to the truth (m, 4), in total and by tenths.
 
-    NEES are of the path laid on the true start, NaN where that has no heading.
+    NEES are of the path aligned at the true start; NaN if the start has no heading.
     """
     pairs = associate(run.path, truth[plausible(truth, odometry)])
     squares = position_errors(pairs.aligned()) ** 2

@@ -1,6 +1,6 @@
-"""The picture of `imp reproduce filters`.
+"""Figure of `imp reproduce filters`.
 
-Importing this module imports matplotlib (0.3 s); import it where a picture is drawn.
+Importing this module imports matplotlib (0.3 s); import it only to draw.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ COLUMNS = 4
 
 
 def draw_nees(cells: Mapping[str, Mapping[str, Sequence[float]]]) -> Figure:
-    """Return a panel for each data set: mean NEES of each filter, low and high end of its interval."""
+    """Return a figure with a panel for each data set: mean NEES of each filter, with its interval."""
     columns = min(COLUMNS, len(cells))
     rows = -(-len(cells) // columns)
     figure = new_figure(9.0, 3.4 * rows)

@@ -32,13 +32,13 @@ from impslam.types import Array, Increment, Observation
 TEXT = load_text("filter_table")
 FILTERS: Mapping[str, Sequence[str]] = TEXT["filters"]
 KNOWN = ("estimator.kind=landmarks", "association.kind=known", "lifecycle.kind=immediate")
-"""What is set beforehand on simulated landmarks: they are no question there."""
+"""Settings for simulated landmarks with known association."""
 SETTINGS: Mapping[str, Setting] = {"circle": HUANG, "long loop": LONG_LOOP}
 WORLDS = ("arena", "corridor")
-BEYOND = 1000.0
-"""From such a NEES on its order of magnitude is told."""
+MAX_DECIMAL_NEES = 1000.0
+"""A larger NEES is printed in scientific notation."""
 RUNS = 8
-"""By default; 95 % intervals say how little that is."""
+"""Default, for a quick look with wide intervals."""
 
 
 class Cell(NamedTuple):
@@ -52,8 +52,8 @@ class Cell(NamedTuple):
         return f"{self.value:{form}} [{self.low:{form}}, {self.high:{form}}]"
 
 
-class Standing(NamedTuple):
-    """What a filter comes to on some data; NaN where that is not measured."""
+class FilterScore(NamedTuple):
+    """Results of a filter on a data set; NaN for values that are not measured."""
 
     runs: int
     nees: Cell
@@ -65,7 +65,7 @@ class Standing(NamedTuple):
 
 
 def filter_table(job: Job) -> Section:
-    """Run every filter on everything; `job.seeds` is the number of runs."""
+    """Run every filter on every data set; `job.seeds` is the number of runs."""
     runs, filters = range(job.seeds or RUNS), installed()
     rows: list[Row] = []
     for data in SETTINGS:
@@ -74,14 +74,16 @@ def filter_table(job: Job) -> Section:
     variants = [Variant(name, "imp", tuple(given)) for name, given in filters.items()]
     rows += sweep(variants, runs, WORLDS, measure=world_row, job=job)
     rows += log_rows(filters, job)
-    standings = {data: standing(rows, data) for data in dict.fromkeys(row["world"] for row in rows)}
+    scores = {
+        data: score_filters(rows, data) for data in dict.fromkeys(row["world"] for row in rows)
+    }
     text = "\n\n".join(filter(None, (TEXT["text"], failures(rows))))
-    tables = [_table(data, found) for data, found in standings.items()]
-    return Section("filters", TEXT["title"], text, tables, _pictures(standings), standings, rows)
+    tables = [_table(data, found) for data, found in scores.items()]
+    return Section("filters", TEXT["title"], text, tables, _pictures(scores), scores, rows)
 
 
 def installed() -> dict[str, Sequence[str]]:
-    """Return the filters whose libraries are installed."""
+    """Return the filters with installed libraries."""
     known = cast("dict[str, type[Estimator]]", components("estimator"))
     libraries = {name: made.library for name, made in known.items()}
     kinds = {
@@ -94,15 +96,15 @@ def installed() -> dict[str, Sequence[str]]:
     }
 
 
-def standing(rows: Iterable[Row], data: str) -> dict[str, Standing]:
-    """Return what each filter comes to on some data."""
-    # A filter whose runs have all failed is left out; `failures` tells why.
+def score_filters(rows: Iterable[Row], data: str) -> dict[str, FilterScore]:
+    """Return the results of each filter on a data set."""
+    # A filter without a successful run is left out; `failures` reports the reason.
     groups = by_variant(row for row in rows if row["world"] == data and not row["error"])
     best = groups.get(BATCH, ())
     optimum = _rms(best, "position2_at_checks")
     rng = np.random.default_rng(0)
     return {
-        name: Standing(
+        name: FilterScore(
             len(runs),
             _interval(_values(runs, "nees"), rng),
             Cell(*np.sqrt(_interval(_values(runs, "position2"), rng))),
@@ -116,7 +118,7 @@ def standing(rows: Iterable[Row], data: str) -> dict[str, Standing]:
 
 
 def _values(runs: Sequence[Row], metric: str) -> Array:
-    """Return the values of a metric in all runs, or in the stretches of runs that have some."""
+    """Return the values of a metric in all runs, or in stretches of runs if available."""
     return np.concatenate([run.get(f"{metric}_parts", [run[metric]]) for run in runs])
 
 
@@ -144,7 +146,7 @@ def _circle_row(data: str, item: tuple[str, int]) -> Row:
 
 
 def circle_row(setting: Setting, name: str, trial: Trial) -> Row:
-    """Return the mean squares of a run's errors, all over and at the optimum's check points."""
+    """Return the mean squares of a run's errors, over all steps and at the optimum's check points."""
     checks = range(CHECK_EVERY, setting.steps, CHECK_EVERY)
     begin = time.process_time()
     if name == BATCH:
@@ -168,9 +170,9 @@ def circle_row(setting: Setting, name: str, trial: Trial) -> Row:
 def _follow(
     setting: Setting, estimator: Estimator, trial: Trial
 ) -> Iterable[tuple[int, Array, Array]]:
-    """Yield step, pose and covariance of an estimator that is shown a run."""
+    """Yield step, pose and covariance of an estimator on a simulated run."""
     Q, R = np.diag(setting.motion_sigmas**2), setting.sigma**2 * np.eye(2)
-    none, nowhere = np.zeros((3, 3)), cast("Any", None)  # landmarks that are simulated have no scan
+    none, no_scan = np.zeros((3, 3)), cast("Any", None)  # simulated landmarks have no scan
     for k, d_pose in enumerate(trial.odometry, start=1):
         seen = tuple(
             Observation("corner", trial.measurements[k - 1, i], R, label=i)
@@ -178,14 +180,14 @@ def _follow(
         )
         motion = Increment(k * setting.dt, d_pose, Q, setting.dt)
         keyframe = Keyframe(
-            k, motion.stamp, motion, none[0], none[0], none, nowhere, 0, observations=seen
+            k, motion.stamp, motion, none[0], none[0], none, no_scan, 0, observations=seen
         )
         revision = estimator.add(keyframe)
         yield k, revision.poses[-1], revision.covariances[-1]
 
 
 def world_row(run: Run) -> Row:
-    """Return the same of a run in a world, and what became of its landmarks."""
+    """Return the same for a run in a world, with counts of missing and false landmarks."""
     from impslam.evaluation.landmarks import score_landmarks  # noqa: PLC0415
 
     later = run.rows.stamps - run.rows.stamps[0] >= SETTLED
@@ -200,36 +202,34 @@ def world_row(run: Run) -> Row:
     }
 
 
-def _table(data: str, standings: Mapping[str, Standing]) -> ResultTable:
+def _table(data: str, scores: Mapping[str, FilterScore]) -> ResultTable:
     def number(value: float | Cell, form: str) -> str:
         mean = value.value if isinstance(value, Cell) else value
         return "" if math.isnan(mean) else f"{value:{form}}"
 
-    columns: dict[str, Callable[[Standing], str]] = {
+    columns: dict[str, Callable[[FilterScore], str]] = {
         "runs": lambda s: str(s.runs),
-        "pose NEES": lambda s: number(s.nees, ".2f" if s.nees.value < BEYOND else ".1e"),
+        "pose NEES": lambda s: number(s.nees, ".2f" if s.nees.value < MAX_DECIMAL_NEES else ".1e"),
         "position [m]": lambda s: number(s.position, ".3f" if s.position.value > 0.05 else ".4f"),
         "over the optimum": lambda s: number(s.over_optimum, ".3f"),
         "wrong matches [%]": lambda s: number(100.0 * s.wrong, ".1f"),
         "ms a step": lambda s: number(s.milliseconds, ".2f"),
         "memory [MB]": lambda s: number(s.megabytes, ".0f"),
     }
-    told = {
-        name: tell for name, tell in columns.items() if any(tell(s) for s in standings.values())
-    }
+    used = {name: cell for name, cell in columns.items() if any(cell(s) for s in scores.values())}
     title = data[0].upper() + data[1:]
-    return make_table(title, standings, told, TEXT["note"], ("filter",))
+    return make_table(title, scores, used, TEXT["note"], ("filter",))
 
 
-def _pictures(standings: Mapping[str, Mapping[str, Standing]]) -> list[Picture]:
+def _pictures(scores: Mapping[str, Mapping[str, FilterScore]]) -> list[Picture]:
     from impslam.evaluation.plots import as_png  # noqa: PLC0415  imports matplotlib
     from impslam.studies.filter_plot import draw_nees  # noqa: PLC0415
 
-    cells = {data: {n: s.nees for n, s in found.items()} for data, found in standings.items()}
-    # Where no true heading is known, as by a GPS, there is none.
+    cells = {data: {n: s.nees for n, s in found.items()} for data, found in scores.items()}
+    # Without a true heading, as with GPS, there is no NEES.
     cells = {
-        data: told
-        for data, told in cells.items()
-        if any(math.isfinite(cell.value) for cell in told.values())
+        data: found
+        for data, found in cells.items()
+        if any(math.isfinite(cell.value) for cell in found.values())
     }
     return [Picture("filters-nees", as_png(draw_nees(cells), dpi=160), TEXT["caption"])]

@@ -1,4 +1,4 @@
-"""What the beams of a simulated sweep truly met, and how the robot truly moved meanwhile."""
+"""Ground truth of a simulated sweep: the things hit by its beams, and the robot's true motion."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class TracedSweep:
     pose : (3,) `T_map_base` in the middle of the sweep
     lasers : (n, 3) `T_map_laser` as each beam is fired
     angles : (n,) rad, beams in the laser frame
-    ranges : (n,) m; 0 where nothing is within range
-    hits : (n,) which thing each beam met, by its place in `Scene.things`; -1 for none
-    straight : (t, 4) m, start and end of each thing that is straight, else NaN
-    round : (t, 3) m, centre and radius of each thing that is round, else NaN
-    legs : (k, 3) m, the last of these: two of each person
+    ranges : (n,) m; 0 if nothing is within range
+    hits : (n,) index in `Scene.things` of the thing hit by each beam; -1 for none
+    straight : (t, 4) m, start and end of straight things, else NaN
+    round : (t, 3) m, centre and radius of round things, else NaN
+    legs : (k, 3) m, the last ones of `round`: two for each person
     """
 
     pose: Array
@@ -42,7 +42,7 @@ class TracedSweep:
 
 
 def trace_sweep(scene: Scene, lidar: Lidar, path: Trajectory, time: float) -> TracedSweep:
-    """Trace the sweep that begins at a time; what moves is given as it is in the middle of it."""
+    """Trace the sweep that begins at a time; moving things are given at its middle."""
     offsets = lidar.beam_time * np.arange(lidar.beams, dtype=np.float64)
     angles = lidar.angle_min + lidar.angle_step * np.arange(lidar.beams, dtype=np.float64)
     duration = float(offsets[-1])
@@ -64,6 +64,6 @@ def trace_sweep(scene: Scene, lidar: Lidar, path: Trajectory, time: float) -> Tr
 
 
 def true_twist(path: Trajectory, begin: float, end: float) -> Array:
-    """Return the mean velocity (3,) from one time to another, m/s and rad/s in the robot's frame."""
+    """Return the mean velocity (3,) between two times, m/s and rad/s in the robot's frame."""
     first, last = path.at(np.array([begin, end]))
     return np.asarray(log(between(first, last)) / max(end - begin, 1e-9))

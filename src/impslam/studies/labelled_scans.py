@@ -1,8 +1,8 @@
-"""Simulated scans in which it is known what every beam hit, and hence what is there to be found.
+"""Simulated scans with labelled beams, which give the landmarks visible in each scan.
 
-A beam's label is the thing that an exact ray meets from the laser's pose at the beam's own time, in
-the same scene that made the ranges. A wall that doors or cylinders cut into pieces is one thing; the
-sides of a box, a leaf, a jamb, a wall of a room behind a door are one each, and so is a leg.
+A beam's label is the thing that an exact ray hits from the laser's pose at the beam's own time, in the
+scene that produced the ranges. A wall divided by doors or cylinders is one thing; each side of a box,
+leaf, jamb, wall of a room behind a door, and leg is a thing of its own.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from impslam.studies.passers_by import passing
 from impslam.types import Array, Ints, LaserScan, Scan
 
 MIN_BEAMS = {"wall": 10, "cylinder": 5}
-"""Beams from which on a thing counts as visible: a tenth of an arena's wall; three make a circle, and
-two more show that it is one."""
+"""Beams on a visible thing: a tenth of an arena's wall; three points define a circle, two more verify
+it."""
 MIN_SPAN = 0.3
-"""m, from the first to the last of the places where beams hit a wall that counts as visible."""
+"""m between the first and the last point hit by beams on a visible wall."""
 LANDMARKS = ("wall", "room", "cylinder")
-"""Things that stand for good and are to be found."""
-EDGE = 0.1  # of half its angular width, how much of a circle may be missing at an edge
+"""Permanent things that extractors should find."""
+EDGE = 0.1  # share of half the angular width of a circle that may be missing at an edge
 
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """How scans are taken: with which lidar, standing or driving, and with how many people in sight."""
+    """Conditions of scans: the lidar, stationary or driving, and the number of people in sight."""
 
     name: str
     lidar: Lidar
@@ -59,17 +59,17 @@ PEOPLE = Condition("people", Lidar(), driving=True, people=2)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """A thing that beams of a scan hit, in base_link in the middle of the sweep.
+    """A thing hit by beams of a scan, in base_link at the middle of the sweep.
 
     Attributes
     ----------
     thing : "wall", "door", "cylinder", "person", ...: see `impslam.simulation.scene.Thing`
-    kind : "wall" for all that is straight, "cylinder" for all that is round
-    z : (2,) what an observation of this kind would be without error
-    radius : m; NaN of what is straight
-    ends : (2, 2) m, first and last place that beams hit
-    beams : that hit it and were read
-    whole : of what is round: it is seen from edge to edge
+    kind : "wall" for straight things, "cylinder" for round ones
+    z : (2,) an observation without error
+    radius : m; NaN for straight things
+    ends : (2, 2) m, first and last point hit by beams
+    beams : valid beams that hit it
+    whole : for round things, whether it is visible from edge to edge
     """
 
     thing: str
@@ -82,20 +82,20 @@ class Seen:
 
     @property
     def visible(self) -> bool:
-        """It is a landmark of which enough is seen to be found."""
+        """Whether it is a landmark of which enough is visible to be found."""
         long = self.kind != "wall" or math.dist(*self.ends) >= MIN_SPAN
         return self.thing in LANDMARKS and len(self.beams) >= MIN_BEAMS[self.kind] and long
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledScan:
-    """A scan, what is seen in it, and how its beams truly were.
+    """A scan, the things seen in it, and its true beams.
 
     Attributes
     ----------
     origins, directions : (n, 2) m and (n,) rad, as in the scan, but by the exact motion
     sigmas : (n,) m, true noise of the ranges
-    bias : m, true standard deviation of the error that all beams share
+    bias : m, true standard deviation of the common error of all beams
     """
 
     scan: Scan
@@ -109,19 +109,18 @@ class LabelledScan:
 def labelled_scans(
     world: World, condition: Condition, seed: int, count: int
 ) -> Iterator[LabelledScan]:
-    """Yield scans at moments spread evenly over the drive, the same for every condition.
+    """Yield scans at times spread evenly over the drive, the same for every condition.
 
-    Each is of a lidar of its own, so that the errors that the beams of one lidar share are
-    independent between scans.
+    Each scan is from a new lidar, so that the common errors of its beams are independent between scans.
     """
     streams = np.random.SeedSequence([seed, zlib.crc32(world.name.encode())]).spawn(3)
-    places, noise, walkers = (np.random.default_rng(stream) for stream in streams)
+    times, noise, walkers = (np.random.default_rng(stream) for stream in streams)
     standing = world.model_copy(update={"people": ()})
     trajectory = _trajectory(world.robot)
     sweep = condition.lidar.beam_time * condition.lidar.beams
     scene = Scene(standing)
     for number in range(count):
-        time = (number + float(places.random())) / count * (trajectory.duration - sweep)
+        time = (number + float(times.random())) / count * (trajectory.duration - sweep)
         path = trajectory if condition.driving else _stopped(trajectory, time)
         if condition.people:
             around = path.at(np.array([time]))[0]
@@ -138,7 +137,7 @@ def _trajectory(plan: Drive) -> Trajectory:
 
 
 def _stopped(trajectory: Trajectory, time: float) -> Trajectory:
-    """Return the trajectory of a robot that stands where this one is at a time."""
+    """Return the trajectory of a robot that is stationary at this one's pose at a time."""
     (pose,) = trajectory.at(np.array([time]))
     return Trajectory(
         np.array([0.0, trajectory.duration]), np.stack((pose, pose)), np.zeros((1, 2))
@@ -164,22 +163,22 @@ def take(
     hits = np.where(scan.valid, sweep.hits, -1)
     origins, directions = _seen_from(sweep.pose, sweep.lasers, sweep.angles)
     beams = np.column_stack((np.cos(directions), np.sin(directions)))
-    places = origins + sweep.ranges[:, None] * beams
+    points = origins + sweep.ranges[:, None] * beams
     seen = tuple(
-        _seen(scene.things[k].kind, sweep, k, on, places[on], scan) for k, on in _hit(scene, hits)
+        _seen(scene.things[k].kind, sweep, k, on, points[on], scan) for k, on in _hit(scene, hits)
     )
     sigmas = lidar.sigma + lidar.sigma_rate * sweep.ranges
     return LabelledScan(scan, seen, origins, directions, sigmas, lidar.bias_sigma)
 
 
 def _seen(
-    thing: str, sweep: TracedSweep, which: int, beams: Ints, places: Array, scan: Scan
+    thing: str, sweep: TracedSweep, which: int, beams: Ints, points: Array, scan: Scan
 ) -> Seen:
-    """Return a thing that some beams hit at some places (n, 2) in base_link."""
+    """Return a thing hit by beams at points (n, 2) in base_link."""
     T_base_map = inverse(sweep.pose)
     if np.isfinite(sweep.round[which, 0]):
-        return _round(thing, sweep.round[which], beams, places, T_base_map, scan)
-    return _straight(thing, sweep.straight[which], beams, places, T_base_map, scan)
+        return _round(thing, sweep.round[which], beams, points, T_base_map, scan)
+    return _straight(thing, sweep.straight[which], beams, points, T_base_map, scan)
 
 
 def _seen_from(pose: Array, lasers: Array, angles: Array) -> tuple[Array, Array]:
@@ -188,7 +187,7 @@ def _seen_from(pose: Array, lasers: Array, angles: Array) -> tuple[Array, Array]
 
 
 def _hit(scene: Scene, hits: Ints) -> list[tuple[int, Ints]]:
-    """Return the first piece of each thing that was hit, and the beams that hit any of them."""
+    """Return the first piece of each thing that was hit, and the beams that hit any of its pieces."""
     pieces: dict[Hashable, list[int]] = {}
     for which in np.unique(hits[hits >= 0]).tolist():
         thing = scene.things[which]
@@ -197,7 +196,7 @@ def _hit(scene: Scene, hits: Ints) -> list[tuple[int, Ints]]:
 
 
 def _straight(
-    thing: str, row: Array, beams: Ints, places: Array, T_base_map: Array, scan: Scan
+    thing: str, row: Array, beams: Ints, points: Array, T_base_map: Array, scan: Scan
 ) -> Seen:
     start, end = transform(T_base_map, row.reshape(2, 2))
     tangent = (end - start) / np.hypot(*(end - start))
@@ -205,23 +204,23 @@ def _straight(
     rho = float(normal @ start)
     if float(normal @ scan.laser[:2]) > rho:
         rho, normal = -rho, -normal
-    along = places @ tangent
+    along = points @ tangent
     ends = rho * normal + np.array([[along.min()], [along.max()]]) * tangent
     z = np.array([rho, wrap(math.atan2(normal[1], normal[0]))])
     return Seen(thing, "wall", z, math.nan, ends, beams)
 
 
 def _round(
-    thing: str, row: Array, beams: Ints, places: Array, T_base_map: Array, scan: Scan
+    thing: str, row: Array, beams: Ints, points: Array, T_base_map: Array, scan: Scan
 ) -> Seen:
     centre, radius = transform(T_base_map, row[None, :2])[0], float(row[2])
-    whole = _edge_to_edge(centre - scan.laser[:2], radius, places - scan.laser[:2], scan)
-    return Seen(thing, "cylinder", centre, radius, places[[0, -1]], beams, whole)
+    whole = _edge_to_edge(centre - scan.laser[:2], radius, points - scan.laser[:2], scan)
+    return Seen(thing, "cylinder", centre, radius, points[[0, -1]], beams, whole)
 
 
-def _edge_to_edge(sight: Array, radius: float, places: Array, scan: Scan) -> bool:
-    """Return whether the outermost beams on a circle are as near to its edges as beams can be."""
-    bearings = np.arctan2(places[:, 1], places[:, 0]) - math.atan2(sight[1], sight[0])
+def _edge_to_edge(sight: Array, radius: float, points: Array, scan: Scan) -> bool:
+    """Return whether the outermost beams on a circle are as close to its edges as possible."""
+    bearings = np.arctan2(points[:, 1], points[:, 0]) - math.atan2(sight[1], sight[0])
     off, half = wrap(bearings), math.asin(min(1.0, radius / float(np.hypot(*sight))))
     least = (1.0 - EDGE) * half - abs(float(scan.angles[1] - scan.angles[0]))
     return bool(off.max() >= least and off.min() <= -least)

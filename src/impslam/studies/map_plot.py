@@ -1,6 +1,6 @@
-"""Maps beside one another: truth, odometry, the estimated path and the landmarks of several runs.
+"""Plot maps side by side: truth, odometry, estimated path and landmarks of several runs.
 
-Importing this module imports matplotlib (0.3 s); import it where a picture is drawn.
+Importing this module imports matplotlib (0.3 s); import it only to draw.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from impslam.simulation.scene import Scene
 from impslam.studies.sweep import Run
 from impslam.types import Array, Landmark
 
-ENLARGED = 10.0
-"""Ellipses are drawn so much larger: 3 sigma are a centimetre or two, less than a line's width."""
+ELLIPSE_SCALE = 10.0
+"""Enlargement of ellipses: 3 sigma are a centimetre or two, less than a line's width."""
 GROUND, WALKERS, FALSE = "#bec5cd", "#0e9aa7", "#111827"
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How maps are drawn.
+    """Layout of a map plot.
 
     Attributes
     ----------
-    limits : left, right, bottom, top of what is shown, m; what leaves it is cut off
+    limits : left, right, bottom, top of the visible area, m
     size : width and height of a panel, in
-    wide : panels are below one another, not beside
-    ground : width of the true walls' lines, pt
-    detailed : the ends of walls and the ellipses of points are drawn
+    wide : whether panels are stacked vertically
+    ground : line width of the true walls, pt
+    detailed : whether ends of walls and ellipses of points are drawn
     dpi : resolution
     """
 
@@ -56,7 +56,7 @@ def draw_maps(
 ) -> bytes:
     """Return a PNG with a panel for each run, by its title.
 
-    `false` are the ids of landmarks that are drawn as false, by the run's title.
+    `false` are the ids of landmarks to draw as false, by the run's title.
     """
     count = len(runs)
     shape = (count, 1) if layout.wide else (1, count)
@@ -93,8 +93,8 @@ def _draw(axes: Any, run: Run, layout: Layout, false: Collection[int]) -> None:
     axes.plot(*run.path[-1, :2], marker="s", ms=7, mfc=INK, **dot)
     if _leaves(run.path[:, :2], layout.limits):
         box = {"fc": "white", "ec": "none", "alpha": 0.85}
-        place, words = (right - 0.3, bottom + 0.1), "the estimate leaves the picture"
-        axes.annotate(words, place, ha="right", color=PATH, fontsize=9, bbox=box, zorder=9)
+        corner, text = (right - 0.3, bottom + 0.1), "the estimate leaves the picture"
+        axes.annotate(text, corner, ha="right", color=PATH, fontsize=9, bbox=box, zorder=9)
     style(axes)
 
 
@@ -105,7 +105,7 @@ def _leaves(points: Array, limits: tuple[float, float, float, float]) -> bool:
 
 
 def draw_scene(axes: Any, scene: Scene, leaves: Array, width: float) -> None:
-    """Draw walls and whatever else stands, and the leaves (k, 4) m of doors; `width` is in pt."""
+    """Draw the static scene and the leaves (k, 4) m of doors; `width` is in pt."""
     rows = np.vstack([scene.segments, leaves]).reshape(-1, 2, 2)
     options: dict[str, Any] = {"capstyle": "round", "zorder": 1}
     axes.add_collection(LineCollection(list(rows), colors=GROUND, linewidths=width, **options))
@@ -124,7 +124,7 @@ def _draw_landmark(axes: Any, mark: Landmark, false: bool, detailed: bool) -> No
     axes.plot(*mark.position, marker="+", ms=6, mew=1.2, color=colour, zorder=7)
     if detailed:
         values, vectors = np.linalg.eigh(mark.covariance)
-        size = 2.0 * SIGMAS * ENLARGED * np.sqrt(np.maximum(values, 0.0))
+        size = 2.0 * SIGMAS * ELLIPSE_SCALE * np.sqrt(np.maximum(values, 0.0))
         turn = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
         centre = (float(mark.position[0]), float(mark.position[1]))
         shape: dict[str, Any] = {"angle": turn, "fill": False, "ec": colour, "zorder": 6}
@@ -135,7 +135,7 @@ def _keys(people: bool, false: bool, detailed: bool) -> list[Any]:
     """Return the legend's entries."""
     dot: dict[str, Any] = {"ls": "", "mec": "white"}
     ends: dict[str, Any] = {"marker": "o", "ms": 5, "mfc": "white", "label": "wall, its ends"}
-    point = f"point, 3σ ellipse ×{ENLARGED:g}" if detailed else "corner, cylinder"
+    point = f"point, 3σ ellipse ×{ELLIPSE_SCALE:g}" if detailed else "corner, cylinder"
     walkers = Line2D([], [], color=WALKERS, lw=1.2, ls=(0, (1, 1.5)), label="people's ways")
     return [
         Line2D([], [], color=TRUTH, lw=1.5, ls=(0, (5, 3)), label="truth"),

@@ -1,4 +1,4 @@
-"""Ground truth by an overhead camera: how good it is, and what a score by it is worth."""
+"""Accuracy of ground truth by an overhead camera, and of scores computed with it."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from impslam.sweeps.rows import Row
 from impslam.sweeps.statistics import MEDIAN_95, Quantiles
 from impslam.types import Array
 
-SEEDS = 2  # for a first look
+SEEDS = 2  # default, for a quick look
 CAMERA = OverheadCamera(rate=2.0, hidden=((30.2, 35.2),))
-HIDDEN = 10  # pictures in that time
+HIDDEN = 10  # number of hidden pictures
 FOUND: dict[str, tuple[str, float]] = {
-    "place": ("RMS of the place, mm", 1e3),
+    "place": ("RMS of the position, mm", 1e3),
     "heading": ("RMS of the heading, deg", 180.0 / math.pi),
     "nees": ("NEES of the poses (ideal 3)", 1.0),
-    "sigma": ("standard deviation of a place as told, mm", 1e3),
+    "sigma": ("estimated standard deviation of a position, mm", 1e3),
     "cylinders": ("RMS of the cylinders, mm", 1e3),
-    "hidden": (f"pictures told as hidden (of {HIDDEN})", 1.0),
+    "hidden": (f"pictures reported as hidden (of {HIDDEN})", 1.0),
     "slam_truth": ("error of the default against the simulator, mm", 1e3),
     "slam_camera": ("error of the default against the camera, mm", 1e3),
 }
-"""What is measured of a drive, how it is called, and its unit in those of the rows (m, rad)."""
+"""Metrics of a drive with their titles, and factors from the units of the rows (m, rad)."""
 
 
 def overhead(job: Job) -> Section:
@@ -62,26 +62,26 @@ def overhead(job: Job) -> Section:
 
 
 def film_and_track(world: World, seed: int) -> tuple[Tracked, Setup, Array]:
-    """Return what the camera found, what was measured for it, and the true poses (n, 3) of its pictures."""
-    way = drive(world.robot)
+    """Return the tracking result, its setup, and the true poses (n, 3) of the pictures."""
+    trajectory = drive(world.robot)
     with TemporaryDirectory() as folder:
         video = Path(folder) / "overhead.mp4"
         start = ROBOT.start_time
-        write_film(video, CAMERA, Scene(world), way, start, seed, lambda _: None)
+        write_film(video, CAMERA, Scene(world), trajectory, start, seed, lambda _: None)
         setup = load_setup(video.with_suffix(".toml"))
         tracked = track(video, setup, video.parent, ignore_progress)
-    return tracked, setup, way.at(tracked.stamps - start)
+    return tracked, setup, trajectory.at(tracked.stamps - start)
 
 
 def measure(seed: int) -> Row:
-    """Return `FOUND` of one drive, in m and rad."""
+    """Return the metrics in `FOUND` for one drive, in m and rad."""
     world = load_world("arena")
     tracked, _, true = film_and_track(world, seed)
     errors = pose_errors(tracked.found.poses.copy(), true)
     run = simulate_and_map(world, [Variant("default")], seed)["default"]
     path = np.column_stack([run.rows.stamps, run.path])
     truth = np.column_stack([run.rows.stamps, run.truth])
-    seen = np.column_stack([tracked.stamps, tracked.found.poses])
+    by_camera = np.column_stack([tracked.stamps, tracked.found.poses])
     return {
         "seed": seed,
         "place": _rms(errors[:, :2]),
@@ -91,18 +91,18 @@ def measure(seed: int) -> Row:
         "cylinders": _rms(_cylinder_errors(world, tracked)),
         "hidden": len(tracked.hidden),
         "slam_truth": ate(associate(path, truth)).rmse,
-        "slam_camera": ate(associate(path, seen)).rmse,
+        "slam_camera": ate(associate(path, by_camera)).rmse,
     }
 
 
 def _rms(errors: Array | Sequence[Array]) -> float:
-    """Return the root mean square length of errors (n, k); infinite of none."""
+    """Return the root mean square length of errors (n, k); infinite without errors."""
     rows = np.asarray(errors)
     return math.sqrt(float(np.mean(np.sum(rows**2, axis=1)))) if len(rows) else math.inf
 
 
 def _cylinder_errors(world: World, tracked: Tracked) -> list[Array]:
-    """Return how far each cylinder is from the nearest true one, (2,) m; none where one is missing."""
+    """Return the errors (2,) m of the cylinders; an empty list if the number of cylinders is wrong."""
     if len(tracked.cylinders) != len(world.cylinders):
         return []
     true = np.array([part.centre for part in world.cylinders])

@@ -1,7 +1,7 @@
-"""What a study reports: sections of tables, pictures and numbers, and the files they are written to.
+"""Reports of studies: sections with tables, pictures and numbers, and their files.
 
-The files are one HTML page that needs nothing else, the same as Markdown, a PNG for each picture, all
-numbers as JSON, and the runs of each sweep as CSV.
+The files are a self-contained HTML page, the same as Markdown, an image for each picture, all numbers as
+JSON, and the runs of each sweep as CSV.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class ResultTable:
-    """A table as people read it: cells are text, with their units in the header.
+    """A formatted table: cells are strings, units are in the header.
 
-    The first `text` columns are words, the others numbers. `note` explains the table.
+    The first `text` columns are text, the others numbers. `note` explains the table.
     """
 
     title: str
@@ -49,7 +49,7 @@ class ResultTable:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture: the stem of its file, its content, its caption, and its kind: "png" or "svg"."""
+    """A picture: stem of its file, content, caption, and kind ("png" or "svg")."""
 
     name: str
     content: bytes = field(repr=False)
@@ -64,9 +64,9 @@ class Picture:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """One section of the page: what was done and what came out.
+    """One section of the page: method and results of a study.
 
-    `numbers` are those behind the tables by name, in m, rad, s or 1, for other programs (see
+    `numbers` are the values behind the tables by name, in m, rad, s or 1, for other programs (see
     `json_values`); `runs` are the rows of the study's sweep.
     """
 
@@ -80,7 +80,7 @@ class Section:
 
 
 Study: TypeAlias = Callable[[Job], Section]
-"""A study is a function; `impslam.cli.reproduce` knows them by name."""
+"""A study is a function; `impslam.cli.reproduce` lists them by name."""
 
 
 def make_table(
@@ -116,7 +116,7 @@ def write(
 ) -> None:
     """Write all files into a folder.
 
-    `command` is the one that made them; it ended before the experiments that are `missing`.
+    `command` is the command that produced them; experiments in `missing` were not finished.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for part in sections:

@@ -1,4 +1,4 @@
-"""How the wheels of the virtual robot follow a commanded speed, with and without control (thesis 3.3.1)."""
+"""Step responses of the virtual robot's wheels, with and without speed control (thesis 3.3.1)."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ SETTLED = 0.1  # 1, of the step
 
 
 class Case(NamedTuple):
-    """What is asked of the wheels, and what happens to them at `EVENT`."""
+    """Commanded speeds of the wheels, and the disturbance at `EVENT`."""
 
     name: str
-    asked: tuple[float, float]
+    commanded: tuple[float, float]
     load: float = 0.0
     stalls: bool = False
 
@@ -43,14 +43,14 @@ KINDS = {"none": INK, "without anti-windup": ODOMETRY, "control": PATH}
 
 
 def speed_control(job: Job) -> Section:
-    """Show the speeds of the driven wheels in all cases; `job.seeds` does not matter."""
+    """Show the speeds of the driven wheels in all cases; `job.seeds` is ignored."""
     text = load_text("speed_control")
-    tried = [(case, kind) for case in CASES for kind in KINDS]
-    found = replace(job, processes=1).map(_speeds, tried, "speeds")
-    speeds = dict(zip(tried, found, strict=True))
+    combinations = [(case, kind) for case in CASES for kind in KINDS]
+    found = replace(job, processes=1).map(_speeds, combinations, "speeds")
+    speeds = dict(zip(combinations, found, strict=True))
     rows = [
         [case.name, text["kinds"][kind], *_figures(case, speeds[case, kind]).values()]
-        for case, kind in tried
+        for case, kind in combinations
     ]
     cells = [[a, b, *(f"{value:.3f}" for value in rest)] for a, b, *rest in rows]
     table = ResultTable(text["table"], text["header"], cells, 2, text["note"])
@@ -67,31 +67,31 @@ def _settings() -> dict[str, str]:
     return {name: f"{value:.3g}" for name, value in values.items()}
 
 
-def _speeds(tried: tuple[Case, str]) -> Array:
+def _speeds(combination: tuple[Case, str]) -> Array:
     """Return the speeds (n, 2) m/s of the driven wheels, every ms."""
-    case, kind = tried
+    case, kind = combination
     body, rng = Body(load_world("room"), seed=1), np.random.default_rng(1)
-    encoders, ways = [AbsoluteEncoder(r) for r in rng.spawn(2)], (Accumulator(), Accumulator())
+    encoders, counters = [AbsoluteEncoder(r) for r in rng.spawn(2)], (Accumulator(), Accumulator())
     control = None if kind == "none" else SpeedController(anti_windup=kind == "control")
     every = round(SpeedControl().period / STEP)
     speeds = np.zeros((round(END / STEP), 2))
     for k in range(len(speeds)):
         time = k * STEP
         body.advance(time)
-        for angle, encoder, way in zip(body.wheel_angles(), encoders, ways, strict=True):
-            way.add(encoder.read(angle, time), time)
-        _happen(body, case, time)
-        asked = np.array(case.asked) * (time >= BEGIN)
+        for angle, encoder, counter in zip(body.wheel_angles(), encoders, counters, strict=True):
+            counter.add(encoder.read(angle, time), time)
+        _disturb(body, case, time)
+        commanded = np.array(case.commanded) * (time >= BEGIN)
         if control is None:
-            body.drive(*asked.tolist())
+            body.drive(*commanded.tolist())
         elif k % every == 0:
-            control.commanded = asked
-            body.drive(*control.step((ways[0].count, ways[1].count)).tolist())
+            control.commanded = commanded
+            body.drive(*control.step((counters[0].count, counters[1].count)).tolist())
         speeds[k] = body.motors
     return speeds
 
 
-def _happen(body: Body, case: Case, time: float) -> None:
+def _disturb(body: Body, case: Case, time: float) -> None:
     """Load or block the wheels."""
     body.load = case.load * (time >= EVENT)
     for side in ("left", "right"):
@@ -99,8 +99,8 @@ def _happen(body: Body, case: Case, time: float) -> None:
 
 
 def _figures(case: Case, speeds: Array) -> dict[str, float]:
-    """Return rise, overshoot, error at the end and time to settle of the right wheels, in s and m/s."""
-    y, wanted = speeds[:, 1], case.asked[1]
+    """Return rise time, overshoot, settling time and final error of the right wheels, in s and m/s."""
+    y, wanted = speeds[:, 1], case.commanded[1]
     begin, event = round(BEGIN / STEP), round(EVENT / STEP)
     first = y[begin:event]
     rise = STEP * float(np.argmax(first >= 0.9 * wanted) - np.argmax(first >= 0.1 * wanted))
@@ -121,8 +121,8 @@ def _picture(text: Mapping[str, Any], speeds: Mapping[tuple[Case, str], Array]) 
     panels = figure.subplots(2, 2, sharex=True, sharey=True)
     times = STEP * np.arange(round(END / STEP))
     for axes, case in zip(panels.flat, CASES, strict=True):
-        for side in (0, 1)[case.asked[0] == case.asked[1] :]:
-            axes.plot(times, case.asked[side] * (times >= BEGIN), "--", color=INK, lw=0.8)
+        for side in (0, 1)[case.commanded[0] == case.commanded[1] :]:
+            axes.plot(times, case.commanded[side] * (times >= BEGIN), "--", color=INK, lw=0.8)
             for kind, colour in KINDS.items():
                 label = text["kinds"][kind] if side == 1 else None
                 axes.plot(times, speeds[case, kind][:, side], color=colour, lw=1.1, label=label)

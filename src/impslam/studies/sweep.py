@@ -1,6 +1,6 @@
 """Run SLAM over presets x settings x worlds x seeds, and tabulate the errors: one row per run.
 
-For example, a gate tuned over ten drives through each of two worlds:
+For example, to tune a gate with ten drives through each of two worlds:
 
     settings = {f"gate {d} m": [f"association.max_distance={d}"] for d in (0.5, 1.0, 2.0)}
     rows = sweep(grid(["thesis-lines"], settings), range(10), ["arena", "room"], job=Job(processes=2))
@@ -22,7 +22,7 @@ from impslam.config import Config, load
 from impslam.evaluation.consistency import chi2_bounds, nees, pose_errors
 from impslam.map import Keyframe, PathRows, Revision
 from impslam.observers.base import Observer
-from impslam.run import Run as Course
+from impslam.run import Run as SlamRun
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import World, load_world
@@ -34,7 +34,7 @@ from impslam.types import Array, Landmark, Match, Message, Observation, TruePose
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One way to map: a preset, settings on top of it, and the robot that is simulated for it."""
+    """A way to map: a preset with settings, and the simulated robot."""
 
     name: str
     preset: str = "imp"
@@ -48,7 +48,7 @@ class Variant:
 
 
 class Promotion(NamedTuple):
-    """A landmark's entry into the map: the observation that made it."""
+    """A landmark's entry into the map, with the observation that created it."""
 
     id: int
     stamp: float
@@ -61,10 +61,10 @@ class Run:
 
     Attributes
     ----------
-    messages : what the robot recorded
+    messages : the robot's recording
     truth : (n, 3) true poses in map at the stamps of the n scans
-    rows : the path, as each pose was known at the time
-    matches : all observations that were taken for a landmark, and how well they fitted
+    rows : the path, with each pose as known at its time
+    matches : all observations that were matched with a landmark, with their matches
     landmarks : the map at the end
     promotions : of all landmarks that were ever in the map
     """
@@ -91,7 +91,7 @@ class Run:
 
     @cached_property
     def errors(self) -> Array:
-        """Distances (n,) of the path from the truth, m; both begin at one pose, nothing is aligned."""
+        """Distances (n,) of the path from the truth, m; both begin at the same pose, without alignment."""
         return np.asarray(np.hypot(*(self.path - self.truth)[:, :2].T))
 
     @cached_property
@@ -101,34 +101,34 @@ class Run:
 
     @cached_property
     def travelled(self) -> Array:
-        """How far the robot had driven at each step, (n,) m."""
+        """Distance driven up to each step, (n,) m."""
         return np.cumsum(
             np.hypot(*np.diff(self.truth[:, :2], axis=0, prepend=self.truth[:1, :2]).T)
         )
 
 
-class _Sightings(Observer):
-    """Keeps the matches, and the observations that landmarks were made of."""
+class _MatchRecorder(Observer):
+    """Stores the matches, and the observations from which landmarks were created."""
 
     def __init__(self) -> None:
         self.matches: list[tuple[Observation, Match]] = []
         self.promotions: list[Promotion] = []
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
-        """Keep what a keyframe has taught."""
+        """Store the matches and new landmarks of a keyframe."""
         del path
-        seen = keyframe.observations
-        self.matches += [(seen[match.observation], match) for match in revision.matches]
+        observations = keyframe.observations
+        self.matches += [(observations[match.observation], match) for match in revision.matches]
         self.promotions += [
-            Promotion(number, keyframe.stamp, seen[origin])
+            Promotion(number, keyframe.stamp, observations[origin])
             for number, origin in zip(revision.born, revision.origins, strict=True)
         ]
 
 
 def map_run(messages: Sequence[Message], world: World, variant: Variant, seed: int) -> Run:
-    """Map what the robot recorded."""
-    seen = _Sightings()
-    known = Course(variant.config(world, seed), [seen]).play(messages)
+    """Map a recording."""
+    seen = _MatchRecorder()
+    known = SlamRun(variant.config(world, seed), [seen]).play(messages)
     truth = {m.stamp: m.pose for m in messages if isinstance(m, TruePose)}
     true = np.array([truth[stamp] for stamp in known.stamps.tolist()])
     marks = known.landmarks
@@ -138,7 +138,7 @@ def map_run(messages: Sequence[Message], world: World, variant: Variant, seed: i
 
 
 def simulate_and_map(world: World, variants: Sequence[Variant], seed: int) -> dict[str, Run]:
-    """Simulate one seed and map it by several variants of the same robot; by the variant's name."""
+    """Simulate one seed and map it with several variants of the same robot; return runs by variant name."""
     messages = list(simulate(world, variants[0].robot, seed))
     return {variant.name: map_run(messages, world, variant, seed) for variant in variants}
 
@@ -148,7 +148,7 @@ def path_metrics(run: Run) -> Row:
 
     `end` is the distance of the last pose from the truth, `ate` the root mean square of all;
     `odometry_*` are those of dead reckoning. `nees` is the mean over the steps, 3 if consistent;
-    `nees_within` the share of steps below 7.81, where 95 % are to be.
+    `nees_within` is the share of steps below 7.81, ideally 95 %.
     """
     odometry = np.hypot(*(run.odometry - run.truth)[:, :2].T)
     return {
@@ -163,14 +163,14 @@ def path_metrics(run: Run) -> Row:
 
 
 def no_metrics(run: Run) -> Row:
-    """Return nothing beyond `path_metrics`."""
+    """Return no metrics beyond `path_metrics`."""
     del run
     return {}
 
 
 @dataclass(frozen=True, slots=True)
 class _Task:
-    """The variants that map one simulated drive."""
+    """One simulated drive and the variants that map it."""
 
     world: World
     seed: int
@@ -186,21 +186,20 @@ def sweep(
     job: Job | None = None,
     stage: str = "simulate and map",
 ) -> list[Row]:
-    """Simulate every world with every seed, map it by every variant, and return a row for each run.
+    """Simulate every world with every seed, map it with every variant, and return a row for each run.
 
     Variants of the same robot map the same messages. The rows are ordered by world, seed and variant,
-    whatever the number of processes. A run that fails has a row too: its `error` says why, and it has
-    no metrics.
+    independent of the number of processes. A failed run has a row with an `error` and no metrics.
 
     Parameters
     ----------
     measure : returns metrics beyond `path_metrics`; must be picklable
-    job : processes and progress; its number of seeds does not matter here
+    job : processes and progress; its number of seeds is ignored
 
     Raises
     ------
     ConfigError
-        If a variant's preset or settings cannot be used, before anything runs.
+        If a variant's preset or settings are invalid, before anything runs.
     """
     known = [load_world(world) if isinstance(world, str) else world for world in worlds]
     for world in known:
@@ -233,7 +232,7 @@ def _row(task: _Task, messages: Sequence[Message], variant: Variant) -> Row:
 def grid(presets: Sequence[str], settings: Mapping[str, Sequence[str]]) -> list[Variant]:
     """Return a variant for every preset and every named list of settings.
 
-    The preset is part of the name where there are several.
+    The preset is part of the name if there are several.
     """
     return [
         Variant(name if len(presets) == 1 else f"{preset} {name}".strip(), preset, tuple(values))

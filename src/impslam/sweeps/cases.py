@@ -23,22 +23,22 @@ from impslam.sweeps.rows import Row
 Settings: TypeAlias = tuple[tuple[str, str], ...]
 """Keys of a config and their values, as TOML."""
 ROBOT = SimulatedRobot(imu=None, truth_rate=1.0)
-"""The robot of simulated drives, without what no preset listens to, which saves a second a run."""
+"""The robot of simulated drives, without streams that no preset uses, which saves a second per run."""
 SIMULATED = "imp"
-"""The preset for worlds, where none is given: that of the robot that drives in them."""
+"""The default preset for worlds: that of the simulated robot."""
 
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """A log, or a world in which a drive is simulated for each seed; and what it is scored against.
+    """A log, or a world in which a drive is simulated for each seed, with the reference for scoring.
 
     Attributes
     ----------
-    name : as the user gave it
-    path : absolute, for workers elsewhere; the name of a shipped world
+    name : as given by the user
+    path : absolute, for workers on other machines; or the name of a shipped world
     content : SHA-256 of its bytes
     is_world : whether a drive is simulated
-    truth, relations : files that tell of the true path; None: what the log itself tells
+    truth, relations : reference files for the path; None for the truth in the log itself
     """
 
     name: str
@@ -53,7 +53,7 @@ class Log:
 class Case:
     """One run: a log mapped with a config, settings on top of it, and a seed.
 
-    `config_content` is the SHA-256 of what the config's name stood for; "" for the preset of the log.
+    `config_content` is the SHA-256 of the config's content; "" for the preset of the log.
     """
 
     log: Log
@@ -64,11 +64,11 @@ class Case:
 
     @property
     def overrides(self) -> list[str]:
-        """The settings and the seed as `load` takes them."""
+        """The settings and the seed in the form expected by `load`."""
         return [*(f"{key}={value}" for key, value in self.settings), f"seed={self.seed}"]
 
     def row(self) -> Row:
-        """Return what says which run it is; two runs with equal rows have equal results."""
+        """Return the identity of the run; runs with equal rows have equal results."""
         return {
             "log": self.log.name,
             "config": Path(self.config).name if self.config else "",
@@ -85,20 +85,20 @@ def cases(
     settings: Mapping[str, Sequence[str]],
     seeds: int,
 ) -> list[Case]:
-    """Return every combination, in the order of logs, configs, settings and seeds.
+    """Return all combinations, in the order of logs, configs, settings and seeds.
 
     Raises
     ------
     ConfigError
-        If a config cannot be used with these settings.
+        If a config is invalid with these settings.
     """
     made: list[Case] = []
     for name in configs:
-        content, anywhere = _content(name), _anywhere(name)
+        content, absolute = _content(name), _absolute(name)
         for values in product(*settings.values()):
             chosen = tuple(zip(settings, values, strict=True))
             some = [
-                Case(log, anywhere, content, chosen, seed) for log in logs for seed in range(seeds)
+                Case(log, absolute, content, chosen, seed) for log in logs for seed in range(seeds)
             ]
             _check(some[0])
             made += some
@@ -107,7 +107,7 @@ def cases(
 
 
 def _check(case: Case) -> None:
-    """Refuse settings that do not exist before anything runs."""
+    """Reject invalid settings before anything runs."""
     if case.log.is_world:
         load(case.config or SIMULATED, case.overrides)
     else:
@@ -121,18 +121,18 @@ def _content(config: str | None) -> str:
     return hashlib.sha256(table.encode()).hexdigest()
 
 
-def _anywhere(config: str | None) -> str | None:
-    """Return a name that stands for the same config in every folder."""
+def _absolute(config: str | None) -> str | None:
+    """Return the name of a preset, or the absolute path of a config file."""
     return config if config is None or config in presets() else str(Path(config).resolve())
 
 
 def find_log(name: str, truth: str | None = None, relations: str | None = None) -> Log:
-    """Return the log, or the world, of a name.
+    """Return the log or the world with a name.
 
     Raises
     ------
     ConfigError, SourceError
-        If there is neither; one line that says what to do.
+        If there is neither, with one line that says what to do.
     """
     path = Path(name)
     if name in shipped_worlds() and not path.exists():
@@ -155,9 +155,9 @@ def _world_content(name: str) -> str:
 
 
 def alternatives(settings: Sequence[str]) -> dict[str, list[str]]:
-    """Return the values of each key of "key=value,value": commas within brackets or quotes belong to one.
+    """Return the values of each key of "key=value,value"; commas in brackets or quotes do not separate.
 
-    A key that stands in several settings has the values of all.
+    A key that occurs in several settings has the values of all of them.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def _split(text: str) -> list[str]:
 
 
 def plain(value: str) -> Any:
-    """Return a setting's value as a number, a truth value or text."""
+    """Return a setting's value as a number, a boolean or a string."""
     try:
         known = toml.parse(f"value = {value}", "")["value"]
     except ConfigError:

@@ -1,7 +1,7 @@
-"""The workers of a Dask cluster, on any number of machines: the extra `distributed`.
+"""Workers of a Dask cluster, on any number of machines: the extra `distributed`.
 
-The scheduler gives the work of a worker that ends to another one; where three workers have ended over
-the same work, it gives that up (`distributed.scheduler.allowed-failures`).
+The scheduler reassigns the work of a worker that dies; after three workers have died with the same work, it
+gives up (`distributed.scheduler.allowed-failures`).
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import Any, TypeVar
 
 from impslam.errors import ConfigError, ImpError
 from impslam.extras import install
-from impslam.sweeps.pool import Lost, Pool
+from impslam.sweeps.pool import Pool, ProcessDied
 
 T = TypeVar("T")
 R = TypeVar("R")
-PATIENCE = 10.0
+CONNECT_TIMEOUT = 10.0
 """s to wait for a scheduler, and then for a first worker."""
 
 
@@ -28,7 +28,9 @@ class Cluster(Pool):
 
     address: str
 
-    def each(self, work: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[int, R | Lost]]:
+    def each(
+        self, work: Callable[[T], R], items: Iterable[T]
+    ) -> Iterator[tuple[int, R | ProcessDied]]:
         """Yield results; see `Pool.each`.
 
         Raises
@@ -36,21 +38,21 @@ class Cluster(Pool):
         ConfigError
             If there is no scheduler, or it has no worker.
         ImpError
-            If the scheduler ends on the way.
+            If the scheduler stops during the work.
         """
         with self._client() as client:
             from distributed import as_completed  # noqa: PLC0415  # an extra
 
-            todo, index, under_way = enumerate(items), {}, as_completed()
+            todo, index, in_progress = enumerate(items), {}, as_completed()
             while True:
-                free = max(1, sum(client.nthreads().values())) - under_way.count()
+                free = max(1, sum(client.nthreads().values())) - in_progress.count()
                 for number, item in islice(todo, max(0, free)):
                     future = client.submit(work, item, pure=False)
                     index[future.key] = number
-                    under_way.add(future)
-                if not under_way.count():
+                    in_progress.add(future)
+                if not in_progress.count():
                     return
-                future = next(under_way)
+                future = next(in_progress)
                 yield index.pop(future.key), self._result(future)
                 future.release()
 
@@ -60,18 +62,20 @@ class Cluster(Pool):
         try:
             return future.result()
         except KilledWorker as error:
-            return Lost(f"its workers were killed: out of memory, or by the system ({error})")
+            return ProcessDied(
+                f"its workers were killed: out of memory, or by the system ({error})"
+            )
         except Exception as error:
             if "deserialization" in str(error):
                 raise ImpError(
                     f"--scheduler {self.address}: a worker cannot load the work; install the same impslam "
-                    "and Python where the workers are"
+                    "and Python on the workers"
                 ) from error
             if future.status == "error":  # raised by the work
                 raise
             raise ImpError(
-                f"--scheduler {self.address}: the scheduler has ended; start it and run again, what is "
-                "done is kept"
+                f"--scheduler {self.address}: the scheduler has stopped; start it and run again, finished "
+                "runs are kept"
             ) from error
 
     def _client(self) -> Any:
@@ -81,18 +85,16 @@ class Cluster(Pool):
             raise ConfigError(
                 f"--scheduler needs Dask; install it with `{install('distributed')}`"
             ) from None
-        logging.getLogger("distributed").setLevel(
-            logging.CRITICAL
-        )  # says in tracebacks what we raise
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it repeats our errors
         try:
-            client = Client(self.address, timeout=PATIENCE)
+            client = Client(self.address, timeout=CONNECT_TIMEOUT)
         except (OSError, TimeoutError, ValueError) as error:
             raise ConfigError(
                 f"--scheduler {self.address}: no scheduler answers ({type(error).__name__}); start one "
                 "with 'dask scheduler', which prints its address"
             ) from None
         try:
-            client.wait_for_workers(1, timeout=PATIENCE)
+            client.wait_for_workers(1, timeout=CONNECT_TIMEOUT)
         except TimeoutError:
             client.close()
             raise ConfigError(

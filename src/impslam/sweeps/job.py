@@ -1,4 +1,4 @@
-"""How much is to be done, the processes that share it, and how far it has come."""
+"""A job of independent work: its size, its processes and its progress."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TypeAlias, TypeVar
 
 from impslam.errors import ImpError
-from impslam.sweeps.pool import Lost, Processes
+from impslam.sweeps.pool import ProcessDied, Processes
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 ProgressCallback: TypeAlias = Callable[[str, int, int], None]
-"""Is called with the name of a stage, how many of its parts are done, and how many there are."""
+"""Called with the name of a stage, the number of finished parts, and the total number of parts."""
 
 
 def ignore_progress(stage: str, done: int, total: int) -> None:
@@ -23,13 +23,13 @@ def ignore_progress(stage: str, done: int, total: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """How much a study is to do.
+    """Size and execution of a study.
 
     Attributes
     ----------
-    seeds : number of simulated runs, of seeds 0, 1, ...; the study's own number where None
+    seeds : number of simulated runs, of seeds 0, 1, ...; None for the study's default
     processes : number of processes; the results do not depend on it
-    progress : is called after each part of the work
+    progress : called after each part of the work
     data : folder of the public logs, for studies that use them
     """
 
@@ -53,7 +53,7 @@ class Job:
         self.progress(stage, 0, len(todo))
         pool = Processes(min(self.processes, max(1, len(todo))))
         for index, result in pool.each(work, todo):
-            if isinstance(result, Lost):
+            if isinstance(result, ProcessDied):
                 raise ImpError(f"{stage}: {result.why}")
             results[index] = result
             self.progress(stage, len(results), len(todo))

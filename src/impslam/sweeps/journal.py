@@ -1,4 +1,4 @@
-"""The journal of a sweep: the rows of its runs as they come, with which it goes on where it ended."""
+"""Journal of a sweep: the rows of finished runs, so that an interrupted sweep can be resumed."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from impslam.sweeps.rows import Row
 
 JOURNAL = "runs.jsonl"
 IDENTITY = ("log", "config", "settings", "seed", "log_sha256", "config_sha256")
-"""What says which run a row is of."""
+"""Columns that identify a run."""
 
 
 class Journal:
-    """The rows of a sweep so far, a line of JSON each; of a run that was repeated, the newest row counts.
+    """The rows of a sweep so far, a line of JSON each; the newest row of a repeated run counts.
 
-    It can be read whenever the program ends: a line that was cut is left out.
+    The file is readable after a crash: an incomplete last line is ignored.
 
     Raises
     ------
     ConfigError
-        If the folder holds something else, or cannot be written.
+        If the folder contains something else, or cannot be written.
     """
 
     def __init__(self, folder: Path) -> None:
         self._file = folder / JOURNAL
         if not self._file.exists() and folder.exists() and any(folder.iterdir()):
             raise ConfigError(
-                f"{folder}: is not the folder of a sweep (it holds no {JOURNAL}); give -o a new one"
+                f"{folder}: is not the folder of a sweep (no {JOURNAL} in it); give -o a new one"
             )
         folder.mkdir(parents=True, exist_ok=True)
         whole = _whole_lines(self._file)
@@ -37,13 +37,13 @@ class Journal:
         self._file.write_text("".join(whole), encoding="utf-8")
 
     def add(self, row: Row) -> None:
-        """Keep the row of a run."""
+        """Store the row of a run."""
         self._rows[identity(row)] = known = json_values(row)
         with self._file.open("a", encoding="utf-8") as file:
             file.write(json.dumps(known, allow_nan=False) + "\n")
 
     def has(self, run: Row) -> bool:
-        """Tell whether this run is done; one that failed is not."""
+        """Return whether this run has succeeded."""
         row = self._rows.get(identity(run))
         return row is not None and not row["error"]
 
@@ -60,5 +60,5 @@ def _whole_lines(file: Path) -> list[str]:
 
 
 def identity(row: Row) -> str:
-    """Return text that is equal for rows of the same run."""
+    """Return a string that is equal for rows of the same run."""
     return json.dumps([row[name] for name in IDENTITY], sort_keys=True)

@@ -1,4 +1,4 @@
-"""What a run is worth: its errors where something is known of the truth, and what it says of itself."""
+"""Measures of a run: errors against the truth, if known, and measures without truth."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from impslam.config import load
 from impslam.evaluation.consistency import score_innovations
-from impslam.evaluation.landmark_files import surveyed
+from impslam.evaluation.landmark_files import read_surveyed
 from impslam.evaluation.quality import quality
 from impslam.evaluation.relations import read_relations, relation_errors
 from impslam.evaluation.run_files import RecordedRun
@@ -29,12 +29,12 @@ from impslam.run import Run, map_log
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.sweeps.cases import ROBOT, SIMULATED, Case
+from impslam.sweeps.likelihood import InnovationLikelihood
 from impslam.sweeps.rows import Row, attempt
-from impslam.sweeps.surprise import Surprise
 from impslam.types import Array, TrueLandmark
 
 STRETCH = 1.0
-"""m, of the relative pose error."""
+"""m, length of the relative pose error."""
 
 
 def run_case(case: Case) -> Row:
@@ -43,8 +43,8 @@ def run_case(case: Case) -> Row:
 
 
 def _measured(case: Case) -> Row:
-    log, end, surprise = case.log, EndOfRun(), Surprise()
-    work, marks = (_simulated if log.is_world else _replayed)(case, [surprise, end])
+    log, end, likelihood = case.log, EndOfRun(), InnovationLikelihood()
+    work, marks = (_simulated if log.is_world else _replayed)(case, [likelihood, end])
     begin = time.thread_time()
     work()
     seconds = time.thread_time() - begin
@@ -53,22 +53,22 @@ def _measured(case: Case) -> Row:
     truth = end.path if log.truth is None else read_tum(Path(log.truth))
     relations = None if log.relations is None else read_relations(Path(log.relations))
     row = measures(end.known, end.outcome, truth, marks, relations)
-    return {**row, "nll": surprise.mean, "cpu_s": seconds}
+    return {**row, "nll": likelihood.mean, "cpu_s": seconds}
 
 
 Prepared: TypeAlias = tuple[Callable[[], object], list[TrueLandmark]]
-"""What maps a log, to be called once, and the true landmarks."""
+"""A function that maps a log, to be called once, and the true landmarks."""
 
 
 def _replayed(case: Case, observers: Sequence[Observer]) -> Prepared:
-    """Return what maps a log."""
+    """Prepare the mapping of a log."""
     config, source = open_log(case.log.path, case.config, case.overrides)
-    marks = source.true_landmarks() or surveyed(source.path)
+    marks = source.true_landmarks() or read_surveyed(source.path)
     return partial(map_log, config, source, observers), marks
 
 
 def _simulated(case: Case, observers: Sequence[Observer]) -> Prepared:
-    """Simulate a drive with the case's seed; return what maps it."""
+    """Simulate a drive with the case's seed, and prepare its mapping."""
     world = load_world(case.log.path)
     start = list(map(float, world.robot.start))
     config = load(case.config or SIMULATED, [f"start={start}", *case.overrides])
@@ -94,8 +94,8 @@ def measures(
 ) -> Row:
     """Return the measures of a run by name; names end with the unit, shares and counts have none.
 
-    `truth` (m, 4) with m = 0, and `landmarks` that are empty, add nothing. Errors are root mean
-    squares after the rigid motion that fits the path to the truth best; relation errors are means.
+    An empty `truth` (m, 4) and empty `landmarks` add no measures. Errors are root mean squares after the
+    rigid motion that fits the path to the truth best; relation errors are means.
     """
     run = RecordedRun(known.path(), known.rows().covariances, list(known.landmarks), known=known)
     row = _facts(known, outcome)
@@ -117,7 +117,7 @@ def _facts(known: Map, outcome: Outcome) -> Row:
     """Return sizes, the shares of scans in each state of health, and the innovations' mean NIS."""
     states = outcome.health.counts()
     total = max(1, sum(states.values()))
-    seen = score_innovations(known.keyframes.innovations)
+    innovations = score_innovations(known.keyframes.innovations)
     return {
         "scans": len(known.stamps),
         "keyframes": len(known.keyframes),
@@ -126,25 +126,25 @@ def _facts(known: Map, outcome: Outcome) -> Row:
         "log_s": outcome.log_seconds,
         "loops_closed": outcome.counts.get("loops closed"),
         **{name.lower(): count / total for name, count in states.items()},
-        "matches": seen.matches if seen else 0,
-        "nis_per_dof": seen.mean if seen else math.nan,
-        "nis_within": seen.within if seen else math.nan,
+        "matches": innovations.matches if innovations else 0,
+        "nis_per_dof": innovations.mean if innovations else math.nan,
+        "nis_within": innovations.within if innovations else math.nan,
     }
 
 
 def _path_errors(run: RecordedRun, truth: Array) -> Row:
     score = score_path(run, truth, "fit", STRETCH)
     assert run.known is not None
-    wheels = ate(associate(run.known.odometry(), truth))
-    sure, metres, radians = score.consistency, score.rpe_metres, score.rpe_radians
+    odometry = ate(associate(run.known.odometry(), truth))
+    consistency, metres, radians = score.consistency, score.rpe_metres, score.rpe_radians
     return {
         "ate_m": score.aligned.rmse,
         "heading_rad": score.heading.rmse,
         "rpe_m": metres.rmse if metres else math.nan,
         "rpe_rad": radians.rmse if radians else math.nan,
-        "odometry_ate_m": wheels.rmse,
-        "nees_per_dof": sure.mean / sure.dof if sure else math.nan,
-        "nees_within": sure.within if sure else math.nan,
+        "odometry_ate_m": odometry.rmse,
+        "nees_per_dof": consistency.mean / consistency.dof if consistency else math.nan,
+        "nees_within": consistency.within if consistency else math.nan,
     }
 
 

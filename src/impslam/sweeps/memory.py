@@ -1,4 +1,4 @@
-"""The memory of a process."""
+"""Memory usage of the process."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ _STATUS = Path("/proc/self/status")
 
 
 def peak_memory() -> float:
-    """Return the most memory in bytes that this process has had in use; NaN where Linux does not tell.
+    """Return the peak memory of this process in bytes; NaN on systems other than Linux.
 
-    `getrusage` tells the parent's as well, if that was more when the process began.
+    `getrusage` is not used: it includes the parent's memory at the time of the fork.
     """
     if not _STATUS.is_file():
         return math.nan

@@ -1,6 +1,6 @@
-"""The picture of a sweep: the error of every run by setting, with median and spread.
+"""Plot of a sweep: the error of every run by setting, with median and interval.
 
-Importing this module imports matplotlib (0.4 s); import it where a picture is drawn.
+Importing this module imports matplotlib (0.4 s); import it only to draw.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from impslam.evaluation.colours import INK, PALE
-from impslam.evaluation.comparison_plot import COLOURS, SCALES
+from impslam.evaluation.comparison_plot import COLOURS, LOG_RATIO
 from impslam.evaluation.plots import new_figure, quiet
 from impslam.sweeps.rows import Row
 from impslam.sweeps.statistics import Quantiles
 from impslam.sweeps.verdict import MEASURES, by_log, measure_of, values_of
 
-SPREAD = 5
-"""Runs from which on an interval is drawn: fewer are seen one by one."""
-LABEL = 30
-"""Characters of a name; a longer one loses its middle."""
+MIN_INTERVAL_RUNS = 5
+"""Runs needed to draw an interval: fewer are visible as points."""
+MAX_LABEL = 30
+"""Characters of a name; a longer one is shortened in the middle."""
 
 
 def draw_sweep(rows: Sequence[Row]) -> Figure:
-    """Return the figure of rows of runs; those that failed are left out."""
+    """Return the figure of runs; failed ones are left out."""
     logs = {log: some for log, some in by_log(rows).items() if measure_of(some)}
     names = list(dict.fromkeys(name for variants in logs.values() for name in variants))
     figure = new_figure(min(16.0, max(6.0, 2.5 + 0.9 * len(names))), 4.5, dpi=150)
@@ -55,14 +55,14 @@ def _draw_runs(axes: Axes, x: float, values: Sequence[float], colour: str) -> No
     axes.plot([x] * len(values), values, "o", ms=3.5, mew=0, color=colour, alpha=0.45)
     median, low, high = Quantiles.of(values)
     axes.plot([x - 0.08, x + 0.08], [median, median], color=colour, lw=2.2)
-    if len(values) >= SPREAD:
+    if len(values) >= MIN_INTERVAL_RUNS:
         axes.plot([x, x], [low, high], color=colour, lw=1.0)
 
 
 def _scale(axes: Axes) -> None:
-    """Draw errors from 0 on, or by their logarithm where the small ones were nothing else."""
+    """Use a scale from 0, or a logarithmic one if small errors would be invisible."""
     values = np.concatenate([np.zeros(0), *(line.get_ydata() for line in axes.get_lines())])
-    if len(values) and values.max() > SCALES * values.min() > 0.0:
+    if len(values) and values.max() > LOG_RATIO * values.min() > 0.0:
         axes.set_yscale("log")
     else:
         axes.set_ylim(bottom=0.0)
@@ -72,13 +72,17 @@ def _scale(axes: Axes) -> None:
 
 
 def _label(axes: Axes, names: Sequence[str]) -> None:
-    aslant = len(names) > 8 or max(map(len, names), default=0) > 16
-    turn: dict[str, Any] = {"rotation": 25, "ha": "right"} if aslant else {}
-    axes.set_xticks(range(len(names)), [_short(name) for name in names], **turn)
+    is_rotated = len(names) > 8 or max(map(len, names), default=0) > 16
+    options: dict[str, Any] = {"rotation": 25, "ha": "right"} if is_rotated else {}
+    axes.set_xticks(range(len(names)), [_short(name) for name in names], **options)
     axes.set_xlim(-0.6, len(names) - 0.4)
     axes.set_ylabel("error in m", color=INK)
     quiet(axes)
 
 
 def _short(name: str) -> str:
-    return name if len(name) <= LABEL else f"{name[: LABEL // 2]}…{name[-LABEL // 2 + 1 :]}"
+    return (
+        name
+        if len(name) <= MAX_LABEL
+        else f"{name[: MAX_LABEL // 2]}…{name[-MAX_LABEL // 2 + 1 :]}"
+    )

@@ -20,8 +20,8 @@ R = TypeVar("R")
 
 
 @dataclass(frozen=True, slots=True)
-class Lost:
-    """Stands for the result of work whose process has ended: killed, or out of memory."""
+class ProcessDied:
+    """Result of work whose process died: killed, or out of memory."""
 
     why: str
 
@@ -30,66 +30,72 @@ class Pool(ABC):
     """Does independent work. Work and items must be picklable."""
 
     @abstractmethod
-    def each(self, work: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[int, R | Lost]]:
-        """Yield the index of each item and its result, in the order in which they are done.
+    def each(
+        self, work: Callable[[T], R], items: Iterable[T]
+    ) -> Iterator[tuple[int, R | ProcessDied]]:
+        """Yield the index of each item and its result, in the order of completion.
 
-        Items are taken when there is a process for them: one may depend on the results before it. What
-        `work` raises ends the iteration.
+        Items are taken only when a process is free, so an item may depend on earlier results. Exceptions of
+        `work` propagate and end the iteration.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class Processes(Pool):
-    """Processes of this machine; with one of them, this process does the work."""
+    """Processes on this machine; with a count of one, the current process does the work."""
 
     count: int = 1
 
-    def each(self, work: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[int, R | Lost]]:
-        """Yield results; see `Pool.each`. An item whose process ends is tried once more, alone."""
+    def each(
+        self, work: Callable[[T], R], items: Iterable[T]
+    ) -> Iterator[tuple[int, R | ProcessDied]]:
+        """Yield results; see `Pool.each`. Items whose process dies are retried once, one at a time."""
         todo = enumerate(items)
         if self.count == 1:
             yield from ((index, work(item)) for index, item in todo)
             return
         while suspects := (yield from self._until_broken(work, todo)):
             for index, item in suspects.items():
-                yield index, alone(work, item)
+                yield index, run_in_process(work, item)
 
     def _until_broken(
         self, work: Callable[[T], R], todo: Iterator[tuple[int, T]]
-    ) -> Generator[tuple[int, R | Lost], None, dict[int, T]]:
-        """Yield results until a process ends; return the items that were at work then.
+    ) -> Generator[tuple[int, R | ProcessDied], None, dict[int, T]]:
+        """Yield results until a process dies; return the items in progress at that time.
 
-        No more items are handed out than there are processes: one of those at work is to blame.
+        No more items are submitted than there are processes, so one of those in progress is the cause.
         """
-        at_work: dict[int, T] = {}
+        in_progress: dict[int, T] = {}
         running: dict[Future[R], int] = {}
         with _executor(self.count) as pool, suppress(BrokenProcessPool):
             while True:
-                for index, item in islice(todo, self.count - len(at_work)):
-                    at_work[index] = item
+                for index, item in islice(todo, self.count - len(in_progress)):
+                    in_progress[index] = item
                     running[pool.submit(work, item)] = index
                 if not running:
                     return {}
                 done, _ = wait(running, return_when=FIRST_COMPLETED)
                 for future in done:
                     result, index = future.result(), running.pop(future)
-                    del at_work[index]
+                    del in_progress[index]
                     yield index, result
-        return at_work
+        return in_progress
 
 
-def alone(work: Callable[[T], R], item: T) -> R | Lost:
-    """Return the result of one item by a process of its own."""
+def run_in_process(work: Callable[[T], R], item: T) -> R | ProcessDied:
+    """Return the result of one item, computed in a process of its own."""
     with _executor(1) as pool:
         try:
             return pool.submit(work, item).result()
         except BrokenProcessPool:
-            return Lost("its process was killed twice: out of memory, or by the system; see dmesg")
+            return ProcessDied(
+                "its process was killed twice: out of memory, or by the system; see dmesg"
+            )
 
 
 @contextmanager
 def _executor(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Give processes; where the block fails or is interrupted, they are ended at once."""
+    """Provide processes; terminate them at once if the block fails or is interrupted."""
     others = set(active_children())
     pool = ProcessPoolExecutor(count, get_context("spawn"), _begin_process)
     try:
@@ -103,7 +109,7 @@ def _executor(count: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _begin_process() -> None:
-    """Leave Ctrl-C, which every process of a terminal gets, to the parent; end when the parent does."""
+    """Ignore Ctrl-C, which every process of a terminal receives, and exit with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     Thread(target=_end_with_parent, daemon=True).start()
 

@@ -1,4 +1,4 @@
-"""Rows of a table of runs: a run that fails is a row, too."""
+"""Rows of a table of runs; failed runs have rows, too."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from typing import Any, TypeAlias
 from impslam.errors import ImpError, in_a_line
 
 Row: TypeAlias = dict[str, Any]
-"""A run: what was run, `error` (why it failed, or ""), then its metrics."""
+"""A run: its identity, `error` (why it failed, or ""), then its metrics."""
 
 
 def attempt(run: Row, measure: Callable[[], Row]) -> Row:
-    """Return the row of a run: what it measures, or the error that has ended it."""
+    """Return the row of a run with its metrics, or with the error that ended it."""
     try:
         return {**run, "error": "", **measure()}
-    except Exception as error:  # hours of other runs are not lost for one
+    except Exception as error:  # one failure must not end hours of other runs
         return {**run, "error": in_a_line(error)}
 
 
 def by_variant(rows: Iterable[Row]) -> dict[str, list[Row]]:
-    """Return the rows of the runs that did not fail, by the name of the variant.
+    """Return the rows of successful runs, by the name of the variant.
 
     Raises
     ------
     ImpError
-        If a variant has none.
+        If all runs of a variant failed.
     """
     groups: dict[str, list[Row]] = {}
     for row in rows:
@@ -37,7 +37,7 @@ def by_variant(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 
 def failures(rows: Iterable[Row]) -> str:
-    """Return a sentence on the runs that failed; empty if none did."""
+    """Return a sentence on failed runs; empty if there are none."""
     lost = [row for row in rows if row["error"]]
     reasons = "; ".join(
         f"{r['world']}, {r['variant']}, seed {r['seed']}: {r['error']}" for r in lost
@@ -46,5 +46,5 @@ def failures(rows: Iterable[Row]) -> str:
 
 
 def median_row(rows: Sequence[Row], metric: str = "end") -> Row:
-    """Return the row whose metric is the (lower) median one."""
+    """Return the row with the (lower) median of a metric."""
     return sorted(rows, key=lambda row: float(row[metric]))[(len(rows) - 1) // 2]

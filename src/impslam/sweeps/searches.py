@@ -1,4 +1,4 @@
-"""What to search, from the options of a command: parameters named, or else all noise of a config."""
+"""Search space from command options: named parameters, or by default all noise of a config."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from impslam.errors import ConfigError
 from impslam.sweeps.cases import alternatives, plain
 from impslam.sweeps.space import Choice, Range
 
-AROUND = 10.0
-"""Noise is searched from so many times less to so many times more than it is in the config."""
+NOISE_FACTOR = 10.0
+"""Noise is searched between the configured value divided and multiplied by this."""
 
 
 def parse_space(searches: Sequence[str], config: Config) -> dict[str, Range | Choice]:
-    """Return the space of "key=low:high" and "key=a,b,c"; that of all noise where there is none.
+    """Return the space of "key=low:high" and "key=a,b,c"; without any, that of all noise.
 
     Raises
     ------
     ConfigError
-        If one is not of this form, or nothing is left to search.
+        If one is not of this form, or there is nothing to search.
     """
     if not searches:
         return noise_space(config)
@@ -58,13 +58,13 @@ def noise_space(config: Config) -> dict[str, Range | Choice]:
         plain_table = {key: value for key, value in table.items() if key != "extractors"}
         found |= _noise(f"sensors.{name}", build("sensor", plain_table))
     space = {
-        key: Range(float(f"{value / AROUND:.4g}"), float(f"{value * AROUND:.4g}"))
+        key: Range(float(f"{value / NOISE_FACTOR:.4g}"), float(f"{value * NOISE_FACTOR:.4g}"))
         for key, value in found.items()
         if value
     }
     if not space:
         raise ConfigError(
-            "the config has no noise to find; name parameters with --search KEY=LOW:HIGH"
+            "the config has no noise to search; name parameters with --search KEY=LOW:HIGH"
         )
     return dict(space)
 
@@ -80,7 +80,7 @@ def _noise(where: str, part: BaseModel) -> Iterator[tuple[str, float]]:
 
 
 def value_of(table: Mapping[str, Any], key: str) -> Any:
-    """Return the value of a key in a config's table, None where there is none."""
+    """Return the value of a dotted key in a config's table; None if it is missing."""
     value: Any = table
     for part in key.split("."):
         value = value.get(part) if isinstance(value, Mapping) else None

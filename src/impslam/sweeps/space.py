@@ -1,4 +1,4 @@
-"""What is searched: parameters of a config, each in a range or among some values."""
+"""Search space: parameters of a config, each with a range or a list of values."""
 
 from __future__ import annotations
 
@@ -11,48 +11,48 @@ from impslam.sweeps.cases import plain
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """Numbers between two bounds; positive ones are searched by their logarithm."""
+    """Numbers between two bounds; positive ones are searched on a logarithmic scale."""
 
     low: float
     high: float
     whole: bool = False
 
     def suggest(self, trial: Any, key: str) -> str:
-        """Return a value that the study wants to try."""
+        """Return the value suggested by a trial."""
         if self.whole:
             return str(trial.suggest_int(key, int(self.low), int(self.high)))
         value = trial.suggest_float(key, self.low, self.high, log=self.low > 0.0)
         return f"{value:.4g}"
 
-    def holds(self, value: Any) -> bool:
-        """Tell whether a value lies within."""
+    def contains(self, value: Any) -> bool:
+        """Return whether a value is within the range."""
         return isinstance(value, int | float) and self.low <= value <= self.high
 
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Some values."""
+    """A list of values."""
 
     values: tuple[str, ...]
 
     def suggest(self, trial: Any, key: str) -> str:
-        """Return a value that the study wants to try."""
+        """Return the value suggested by a trial."""
         return str(trial.suggest_categorical(key, self.values))
 
-    def holds(self, value: Any) -> bool:
-        """Tell whether a value is one of them."""
+    def contains(self, value: Any) -> bool:
+        """Return whether a value is in the list."""
         return value in map(plain, self.values)
 
     @property
     def low(self) -> str:
-        """The first one."""
+        """The first value."""
         return self.values[0]
 
     @property
     def high(self) -> str:
-        """The last one."""
+        """The last value."""
         return self.values[-1]
 
 
 Space: TypeAlias = Mapping[str, Range | Choice]
-"""By the key of the parameter."""
+"""Ranges and choices by the key of the parameter."""

@@ -1,4 +1,4 @@
-"""Medians, means and root mean squares over runs, with how far they can be trusted."""
+"""Medians, means and root mean squares over runs, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from impslam.sweeps.rows import Row
 from impslam.types import Array, Ints
 
 MEDIAN_95 = "median [95 %]"
-"""How columns of `Quantiles` are headed."""
+"""Heading of columns of `Quantiles`."""
 
 
 class Quantiles(NamedTuple):
-    """Median and 95 % interval; infinite where what is measured was missing in so many runs.
+    """Median and 95 % interval, by nearest rank; infinite if too many runs miss the value.
 
-    By nearest rank, so that a missing landmark counts and is not left out.
+    A missing landmark counts as an infinite error and is not left out.
     """
 
     median: float
@@ -27,7 +27,7 @@ class Quantiles(NamedTuple):
 
     @classmethod
     def of(cls, values: Iterable[float]) -> Quantiles:
-        """Return the quantiles of some values."""
+        """Return the quantiles of values."""
         known = np.array(list(values), dtype=np.float64)
         quantiles = np.quantile(known, (0.5, 0.025, 0.975), method="inverted_cdf")
         return cls(*map(float, quantiles))
@@ -44,7 +44,7 @@ class Estimate(NamedTuple):
     error: float
 
     def scaled(self, factor: float) -> Estimate:
-        """Return both in another unit."""
+        """Return the estimate in another unit."""
         return Estimate(factor * self.value, factor * self.error)
 
 
@@ -52,14 +52,14 @@ NONE = Estimate(math.nan, math.nan)
 
 
 def mean(values: Array | Ints) -> Estimate:
-    """Return the mean; NaN of nothing."""
+    """Return the mean; NaN without values."""
     if not len(values):
         return NONE
     return Estimate(float(values.mean()), float(values.std()) / math.sqrt(len(values)))
 
 
 def rms(values: Array) -> Estimate:
-    """Return the root mean square, its standard error to first order; NaN of nothing."""
+    """Return the root mean square, with its first-order standard error; NaN without values."""
     if not len(values):
         return NONE
     squares = np.square(values)
@@ -72,20 +72,20 @@ Rows = Sequence[Row]
 
 
 def quantiles_of(metric: str) -> Callable[[Rows], str]:
-    """Return a cell of a table: the quantiles of a metric."""
+    """Return a function for a table cell: the quantiles of a metric."""
     return lambda rows: str(Quantiles.of(row[metric] for row in rows))
 
 
 def mean_of(metric: str, form: str = ".2f") -> Callable[[Rows], str]:
-    """Return a cell of a table: the mean of a metric; of a list, of its length."""
+    """Return a function for a table cell: the mean of a metric, or of the lengths of lists."""
     return lambda rows: format(float(np.mean([number(row[metric]) for row in rows])), form)
 
 
 def runs_with(metric: str) -> Callable[[Rows], str]:
-    """Return a cell of a table: in how many runs a metric is not 0."""
+    """Return a function for a table cell: the number of runs with a positive metric."""
     return lambda rows: str(sum(number(row[metric]) > 0 for row in rows))
 
 
 def number(value: float | Sequence[object]) -> float:
-    """Return a number, or how many there are in a list."""
+    """Return a number, or the length of a list."""
     return float(value) if isinstance(value, int | float) else len(value)

@@ -21,13 +21,14 @@ log = logging.getLogger(__name__)
 def tidy(rows: Iterable[Row]) -> list[Row]:
     """Return rows of plain values: settings as columns, status and message, then the measures.
 
-    They are sorted by log, config, settings and seed, whatever the order in which the runs ended.
+    They are sorted by log, config, settings and seed, independent of the order in which the runs finished.
     """
     return [_flat(row) for row in sorted(rows, key=identity)]
 
 
 def _flat(row: Row) -> Row:
-    told = {key: value for key, value in row.items() if key not in {*IDENTITY, "error", *LAST}}
+    special = {*IDENTITY, "error", *LAST}
+    metrics = {key: value for key, value in row.items() if key not in special}
     return {
         "log": row["log"],
         "config": row["config"] or "(of the log)",
@@ -35,13 +36,13 @@ def _flat(row: Row) -> Row:
         "seed": row["seed"],
         "status": "failed" if row["error"] else "ok",
         "message": row["error"],
-        **told,
+        **metrics,
         **{name: row.get(name) for name in LAST},
     }
 
 
 def columns(rows: Sequence[Row]) -> dict[str, list[Any]]:
-    """Return the columns of tidy rows, in the order of the fullest row; None where a row has no value."""
+    """Return the columns of tidy rows, in the order of the longest row, with None for missing values."""
     names: dict[str, None] = {}
     for row in sorted(rows, key=len, reverse=True):
         names |= dict.fromkeys(row)
@@ -49,7 +50,7 @@ def columns(rows: Sequence[Row]) -> dict[str, list[Any]]:
 
 
 def write_table(folder: Path, rows: Iterable[Row]) -> list[Path]:
-    """Write the table as CSV, and as Parquet where the extra `parquet` is installed; return the files."""
+    """Write the table as CSV, and as Parquet if the extra `parquet` is installed; return the files."""
     table = columns(tidy(rows))
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")

@@ -1,4 +1,4 @@
-"""What is tuned: a config on some logs, with others kept apart."""
+"""A tuning task: a config, logs to search on, and logs held out for validation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from impslam.open_log import open_log
 from impslam.sources.base import recognise
 from impslam.sweeps.cases import SIMULATED, Case, Log, Settings, cases
 from impslam.sweeps.measures import run_case
-from impslam.sweeps.pool import Lost, Pool
+from impslam.sweeps.pool import Pool, ProcessDied
 from impslam.sweeps.rows import Row
 from impslam.sweeps.searches import parse_space, value_of
 from impslam.sweeps.space import Space
@@ -27,10 +27,10 @@ class Task:
 
     Attributes
     ----------
-    logs, holdout : those that are searched on, and those that the result is scored on alone
-    config : preset or file; None: the preset that fits the logs
-    settings : on top of the config, "key=value", and not searched
-    seeds : of each run
+    logs, holdout : logs to search on, and logs only used to score the result
+    config : preset or file; None for the preset that fits the logs
+    settings : fixed settings on top of the config, "key=value"
+    seeds : number of seeds of each run
     """
 
     logs: Sequence[Log]
@@ -41,7 +41,7 @@ class Task:
 
     @cached_property
     def base(self) -> str:
-        """The preset or file that the tuned config begins with.
+        """The preset or file that the tuned config is based on.
 
         Raises
         ------
@@ -53,7 +53,7 @@ class Task:
         found = {_preset(log) for log in self.logs}
         if len(found) > 1 or not found <= set(presets()):
             raise ConfigError(
-                "the logs ask for different configs, or for one of their own; name one with -c"
+                "the logs need different configs, or one of their own; name one with -c"
             )
         return found.pop()
 
@@ -65,19 +65,19 @@ class Task:
         return open_log(log.path, self.config, self.settings)[0]
 
     def space(self, searches: Sequence[str]) -> Space:
-        """Return what is searched; each end of each range must be a config that can be used."""
+        """Return the search space; both ends of each range must give valid configs."""
         space = parse_space(searches, self._resolved)
         for end in ("low", "high"):
             self.cases(tuple((key, str(getattr(part, end))) for key, part in space.items()))
         return space
 
     def values(self, space: Space) -> Settings:
-        """Return what the config has for the parameters that are searched."""
+        """Return the configured values of the searched parameters."""
         table = self._resolved.resolved()
         return tuple((key, str(value_of(table, key))) for key in space)
 
     def cases(self, found: Settings) -> list[Case]:
-        """Return the runs that some settings are judged by."""
+        """Return the runs that evaluate some settings."""
         return self._cases(found, self.logs)
 
     def _cases(self, found: Settings, logs: Sequence[Log]) -> list[Case]:
@@ -85,15 +85,15 @@ class Task:
         pairs = {key.strip(): [value] for key, _, value in fixed} | {k: [v] for k, v in found}
         return cases(logs, [self.config], pairs, self.seeds)
 
-    def evidence(self, found: Settings, pool: Pool) -> list[Row]:
-        """Return the rows of all logs before and after, those that were kept apart included."""
+    def compare(self, found: Settings, pool: Pool) -> list[Row]:
+        """Return the rows of all logs before and after tuning, including held-out logs."""
         logs = [*self.logs, *self.holdout]
         work = [(BEFORE, case) for case in self._cases((), logs)]
         work += [(AFTER, case) for case in self._cases(found, logs)]
         rows: list[Row] = [{} for _ in work]
         for index, result in pool.each(run_case, [case for _, case in work]):
             when, case = work[index]
-            row = {**case.row(), "error": result.why} if isinstance(result, Lost) else result
+            row = {**case.row(), "error": result.why} if isinstance(result, ProcessDied) else result
             rows[index] = {**row, "config": when, "settings": {}}
         return rows
 

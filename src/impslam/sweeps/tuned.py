@@ -1,4 +1,4 @@
-"""The config that comes of tuning, as TOML with what speaks for it."""
+"""The tuned config as TOML, with its scores."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from impslam.sweeps.tuning import best, finished, score_of
 
 
 def tuned_config(task: Task, found: Settings, rows: Sequence[Row], score: str, study: Any) -> str:
-    """Return the tuned config as TOML, with what speaks for it as comments."""
+    """Return the tuned config as TOML, with its scores as comments."""
     lines = [
-        f"# Found by imp tune in {len(finished(study))} trials; score: {score}, the less the better."
+        f"# Found by imp tune in {len(finished(study))} trials; score: {score}, lower is better."
     ]
     lines.append(f"# Best trial: {best(study).number}, {best(study).value:.6g} over its logs.")
     for log in [*task.logs, *task.holdout]:
-        kept = ", kept apart" if log in task.holdout else ""
+        held_out = ", held out" if log in task.holdout else ""
         before, after = (_score(rows, log, when, score) for when in (BEFORE, AFTER))
-        lines.append(f"# {Path(log.name).name}{kept}: {before} before, {after} after")
+        lines.append(f"# {Path(log.name).name}{held_out}: {before} before, {after} after")
     table: dict[str, Any] = {}
     for setting in [*task.settings, *(f"{key}={value}" for key, value in found)]:
         table = merge(table, parse_setting(setting))

@@ -1,6 +1,6 @@
-"""Finds parameters by many runs: a study of Optuna, kept in a file as it grows (the extra `tune`).
+"""Parameter search by many runs: an Optuna study, stored in a journal file (the extra `tune`).
 
-What is tried next is chosen by tree-structured Parzen estimators (Bergstra et al. 2011).
+The next trial is chosen by tree-structured Parzen estimators (Bergstra et al. 2011).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 from impslam.errors import ConfigError, ImpError
 from impslam.sweeps.cases import Case, Settings, plain
 from impslam.sweeps.measures import run_case
-from impslam.sweeps.pool import Lost, Pool
+from impslam.sweeps.pool import Pool, ProcessDied
 from impslam.sweeps.rows import Row
 from impslam.sweeps.space import Space
 from impslam.sweeps.verdict import MEASURES
@@ -26,7 +26,7 @@ SCORES = {
     "quality": ("disagreement_m",),
     "likelihood": ("nll",),
 }
-"""The columns of the table that a score is: the first one that is known of a log."""
+"""Columns of the table used as scores: the first one that is available for a log."""
 HELP = {
     "truth": "give --truth FILE, or choose another --score",
     "relations": "give --relations FILE, or choose another --score",
@@ -39,14 +39,14 @@ Progress: TypeAlias = Callable[[str, int, int], None]
 
 
 def open_study(folder: Path, base: Settings, space: Space) -> Any:
-    """Return the study of a folder, a new one or the one that is there.
+    """Open the study of a folder, or create one.
 
-    What a new one tries first is the config itself.
+    The first trial of a new study is the config itself.
 
     Raises
     ------
     ConfigError
-        If the extra is not installed, or the study that is there searched something else.
+        If the extra is not installed, or the existing study has another search space.
     """
     try:
         import optuna  # noqa: PLC0415  # an extra
@@ -65,18 +65,18 @@ def open_study(folder: Path, base: Settings, space: Space) -> Any:
         direction="minimize",
         load_if_exists=True,
     )
-    asked = {key: repr(part) for key, part in space.items()}
-    if study.user_attrs.setdefault("space", asked) != asked:
-        raise ConfigError(f"{folder}: holds a search of something else; give another -o")
-    study.set_user_attr("space", asked)
+    searched = {key: repr(part) for key, part in space.items()}
+    if study.user_attrs.setdefault("space", searched) != searched:
+        raise ConfigError(f"{folder}: contains another search; give another -o")
+    study.set_user_attr("space", searched)
     if not study.trials:
-        known = {key: plain(value) for key, value in base if space[key].holds(plain(value))}
+        known = {key: plain(value) for key, value in base if space[key].contains(plain(value))}
         study.enqueue_trial(known)
     return study
 
 
 def run_cases(cases: Sequence[Case]) -> list[Row]:
-    """Run the cases of one trial, one after the other."""
+    """Run the cases of one trial sequentially."""
     return [run_case(case) for case in cases]
 
 
@@ -89,47 +89,48 @@ def search(
     progress: Progress,
     work: Callable[[Sequence[Case]], list[Row]] = run_cases,
 ) -> None:
-    """Try settings until the study has so many trials.
+    """Run trials until the study has the requested number.
 
-    A trial that fails, or whose process is killed, counts; its `message` says why.
+    A trial that fails, or whose process is killed, counts; its `message` is the reason.
 
     Parameters
     ----------
-    cases : returns the runs that a trial is judged by
+    cases : returns the runs that evaluate a trial
     score : one of `SCORES`
     """
     from optuna.trial import TrialState  # noqa: PLC0415  # an extra
 
-    for trial in study.get_trials(states=(TrialState.RUNNING,)):  # of a search that was interrupted
+    for trial in study.get_trials(states=(TrialState.RUNNING,)):  # of an interrupted search
         study.tell(trial.number, state=TrialState.FAIL)
         study.enqueue_trial(trial.params)
     left = max(0, trials - len(finished(study)))
-    asked: list[Any] = []
+    started: list[Any] = []
 
     def suggestions() -> Iterator[list[Case]]:
         for _ in range(left):
-            asked.append(study.ask())
-            yield cases(asked[-1])
+            started.append(study.ask())
+            yield cases(started[-1])
 
     progress("trials", 0, left)
     for done, (index, rows) in enumerate(pool.each(work, suggestions()), start=1):
-        _tell(study, asked[index], rows, score)
+        _report(study, started[index], rows, score)
         progress("trials", done, left)
 
 
-def _tell(study: Any, trial: Any, rows: Sequence[Row] | Lost, score: str) -> None:
+def _report(study: Any, trial: Any, rows: Sequence[Row] | ProcessDied, score: str) -> None:
     from optuna.trial import TrialState  # noqa: PLC0415  # an extra
 
-    lost = [rows.why] if isinstance(rows, Lost) else [row["error"] for row in rows if row["error"]]
-    if lost:
-        trial.set_user_attr(MESSAGE, lost[0])
+    outcome = [{"error": rows.why}] if isinstance(rows, ProcessDied) else rows
+    errors = [row["error"] for row in outcome if row["error"]]
+    if errors:
+        trial.set_user_attr(MESSAGE, errors[0])
         study.tell(trial, state=TrialState.FAIL)
-    elif not isinstance(rows, Lost):
-        study.tell(trial, score_of(rows, score))
+    else:
+        study.tell(trial, score_of(outcome, score))
 
 
 def finished(study: Any) -> list[Any]:
-    """Return the trials that have a score, or failed by themselves."""
+    """Return the trials that have a score or failed; interrupted ones are left out."""
     return [t for t in study.trials if t.values or MESSAGE in t.user_attrs]
 
 
@@ -139,30 +140,30 @@ def best(study: Any) -> Any:
     Raises
     ------
     ImpError
-        If all have failed.
+        If all trials failed.
     """
     known = [trial for trial in study.trials if trial.values]
     if not known:
-        why = next((t.user_attrs[MESSAGE] for t in finished(study)), "none was made")
+        why = next((t.user_attrs[MESSAGE] for t in finished(study)), "none was run")
         raise ImpError(f"no trial gave a score; the first: {why}")
     return min(known, key=lambda trial: float(trial.value))
 
 
 def suggest(space: Space, trial: Any) -> Settings:
-    """Return the settings of a trial, also of one that is done."""
+    """Return the settings of a trial, running or finished."""
     return tuple((key, part.suggest(trial, key)) for key, part in space.items())
 
 
 def score_of(rows: Sequence[Row], score: str) -> float:
-    """Return how good runs are, the less the better.
+    """Return the score of runs; lower is better.
 
-    Of errors it is the geometric mean, so that logs weigh alike whatever their size; of negative
-    log-likelihoods the mean.
+    For errors it is the geometric mean, so that logs of any size have equal weight; for negative
+    log-likelihoods it is the mean.
 
     Raises
     ------
     ConfigError
-        If the score is not known of a log.
+        If the score is unknown for a log.
     """
     values = [_value(row, score) for row in rows]
     if score == "likelihood":
@@ -176,5 +177,5 @@ def _value(row: Row, score: str) -> float:
         if value is not None and math.isfinite(value):
             return float(value)
     raise ConfigError(
-        f"{row['log']}: its {score} score is not known; {HELP.get(score, 'choose another --score')}"
+        f"{row['log']}: its {score} score is unknown; {HELP.get(score, 'choose another --score')}"
     )

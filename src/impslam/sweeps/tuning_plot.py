@@ -1,6 +1,6 @@
-"""The picture of a search: the score trial by trial, and over each parameter.
+"""Plot of a search: the score by trial, and over each parameter.
 
-Importing this module imports matplotlib (0.4 s); import it where a picture is drawn.
+Importing this module imports matplotlib (0.4 s); import it only to draw.
 """
 
 from __future__ import annotations
@@ -16,16 +16,18 @@ from matplotlib.figure import Figure
 from impslam.evaluation.colours import INK, PALE, PATH, WALL
 from impslam.evaluation.plots import new_figure, quiet
 
-ROW = 3
+COLUMNS = 3
 """Panels side by side."""
 
 
 def draw_search(study: Any, keys: Sequence[str]) -> Figure:
-    """Return the figure of a study's trials; those that failed are left out."""
+    """Return the figure of a study's trials; failed ones are left out."""
     trials = [trial for trial in study.trials if trial.values]
-    rows = math.ceil((1 + len(keys)) / ROW)
-    figure = new_figure(3.4 * min(ROW, 1 + len(keys)), 0.3 + 2.7 * rows, dpi=150)
-    panels: list[Axes] = list(figure.subplots(rows, min(ROW, 1 + len(keys)), squeeze=False).flat)
+    rows = math.ceil((1 + len(keys)) / COLUMNS)
+    figure = new_figure(3.4 * min(COLUMNS, 1 + len(keys)), 0.3 + 2.7 * rows, dpi=150)
+    panels: list[Axes] = list(
+        figure.subplots(rows, min(COLUMNS, 1 + len(keys)), squeeze=False).flat
+    )
     scores = np.array([trial.value for trial in trials])
     best = int(np.argmin(scores))
     for panel in panels[1 + len(keys) :]:
@@ -44,7 +46,7 @@ def draw_search(study: Any, keys: Sequence[str]) -> Figure:
     for panel in panels[: 1 + len(keys)]:
         quiet(panel)
         panel.set_ylim(top=top + 0.1 * (top - scores[best]) or None)
-    panels[0].set_ylabel("score (the less the better)", color=INK)
+    panels[0].set_ylabel("score (lower is better)", color=INK)
     title = (
         f"{len(trials)} trials, the worst tenth left out; red: the best; trial 0: the config itself"
     )

@@ -1,4 +1,4 @@
-"""What a sweep shows: the errors of each log by variant, in the best measure that is known of it."""
+"""Results of a sweep: the errors of each log by variant, in the best available measure."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ MEASURES = {
     "relation_m": "relation error (mean)",
     "disagreement_m": "disagreement of scans",
 }
-"""From the best to the last resort: against the truth, against measured relations, without either."""
+"""In order of preference: against the truth, against measured relations, without either."""
 
 
 def variant_name(row: Row) -> str:
-    """Return the config and the settings of a run in few words."""
+    """Return a short name of the config and the settings of a run."""
     values = [f"{'.'.join(key.split('.')[-2:])}={value}" for key, value in row["settings"].items()]
     return " ".join([row["config"], *values]).strip() or "preset of the log"
 
 
 def by_log(rows: Iterable[Row]) -> dict[str, dict[str, list[Row]]]:
-    """Return the rows of the runs that did not fail, by log and then by variant."""
+    """Return the rows of successful runs, by log and then by variant."""
     groups: dict[str, dict[str, list[Row]]] = {}
     for row in rows:
         if not row["error"]:
@@ -30,7 +30,7 @@ def by_log(rows: Iterable[Row]) -> dict[str, dict[str, list[Row]]]:
 
 
 def measure_of(variants: Mapping[str, Sequence[Row]]) -> str:
-    """Return the best measure that is known of a log's runs, "" if there is none."""
+    """Return the best measure available for a log's runs, "" if there is none."""
     known = [row for rows in variants.values() for row in rows]
     return next((m for m in MEASURES if any(row.get(m) is not None for row in known)), "")
 

@@ -1,4 +1,4 @@
-"""The likelihood of innovations: as its formula says, and greatest where the noise is the true one."""
+"""Likelihood of innovations: its formula, and its maximum at the true noise."""
 
 import math
 
@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from impslam.map import Revision
-from impslam.sweeps.surprise import Surprise, surprise
+from impslam.sweeps.likelihood import InnovationLikelihood, negative_log_likelihood
 from impslam.types import Innovation, Match, Observation
 
 
 class Keyframe:
-    """What `Surprise` reads of a keyframe."""
+    """The part of a keyframe that `InnovationLikelihood` reads."""
 
     def __init__(self, *places):
         self.observations = tuple(Observation("point", np.array(z), np.eye(2)) for z in places)
@@ -29,7 +29,7 @@ def match(index, innovation, S):
 
 def test_a_match_counts_by_its_density_and_a_new_observation_by_its_volume():
     S = np.array([[0.04, 0.01], [0.01, 0.09]])
-    seen = Surprise()
+    seen = InnovationLikelihood()
     seen.revise(Keyframe((1.0, -0.5), (3.0, 0.5)), revision(match(1, (0.1, -0.2), S)), None)
     nu = np.array([0.1, -0.2])
     density = math.exp(-0.5 * nu @ np.linalg.inv(S) @ nu) / math.sqrt(
@@ -38,28 +38,33 @@ def test_a_match_counts_by_its_density_and_a_new_observation_by_its_volume():
     assert seen.mean == pytest.approx(0.5 * (-math.log(density) + math.log(2.0 * 1.0)))
 
 
-def test_nothing_matched_tells_nothing():
-    seen = Surprise()
+def test_the_mean_is_nan_without_matches():
+    seen = InnovationLikelihood()
     seen.revise(Keyframe((1.0, 0.0)), revision(), None)
     assert math.isnan(seen.mean)
 
 
-def test_it_is_least_at_the_true_noise(rng):
+def test_the_minimum_is_at_the_true_noise(rng):
     sigma = 0.03
     innovations = rng.normal(0.0, sigma, (4000, 2))
     tried = np.array([0.01, 0.02, 0.025, 0.03, 0.035, 0.05, 0.1])
     mean = [
-        np.mean([surprise(revision(match(0, nu, s * s * np.eye(2)))) for nu in innovations])
+        np.mean(
+            [
+                negative_log_likelihood(revision(match(0, nu, s * s * np.eye(2))))
+                for nu in innovations
+            ]
+        )
         for s in tried
     ]
     assert tried[int(np.argmin(mean))] == sigma
 
 
-def test_what_is_known_jointly_counts_jointly():
+def test_a_joint_innovation_is_used_if_known():
     S = np.array([[0.04, 0.03], [0.03, 0.04]])
     nu = np.array([0.2, 0.19])
     told = Innovation(float(nu @ np.linalg.solve(S, nu)), 2, float(np.linalg.slogdet(S)[1]))
     one = match(0, nu, np.diag(np.diag(S)))
     jointly = 0.5 * (told.nis + told.log_det) + math.log(2.0 * math.pi)
-    assert surprise(revision(one, innovation=told)) == pytest.approx(jointly)
-    assert surprise(revision(one)) > jointly  # the common part explains both
+    assert negative_log_likelihood(revision(one, innovation=told)) == pytest.approx(jointly)
+    assert negative_log_likelihood(revision(one)) > jointly  # the common part explains both

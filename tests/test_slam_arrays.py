@@ -254,7 +254,7 @@ GOOD = {"stamps": 0.0, "poses": [0.0, 0.0, 0.0]}
 BAD_ODOMETRY = [
     ({"stamps": "abc"}, "stamps: 'abc' is of type <U3; give numbers"),
     ({"stamps": "1.0"}, "stamps"),
-    ({"stamps": None}, "stamps: None is of type object; give numbers, NaN where there is none"),
+    ({"stamps": None}, "stamps: None is of type object; give numbers, NaN for missing ones"),
     ({"stamps": [1.0, None]}, "stamps"),
     ({"stamps": np.array(["2026-01-01"], "M8[s]")}, "stamps"),
     ({"stamps": [[0.0]]}, "stamps has shape (1, 1); expected (any,)"),

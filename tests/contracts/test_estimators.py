@@ -107,7 +107,7 @@ def test_the_same_keyframes_give_the_same_bytes(make):
 
 def test_landmarks_are_those_that_were_born_and_are_not_gone(make):
     made, known, size = make(), set(), 0
-    if not made.tells_landmarks:
+    if not made.reports_landmarks:
         pytest.skip("it tells of landmarks only when asked")
     rng = np.random.default_rng(3)
     for k, (pose, motion) in enumerate(drive(30, rng)):

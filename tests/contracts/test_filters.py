@@ -191,7 +191,7 @@ def test_a_prediction_is_taken_back_to_the_bit(belief):
     P, mean = belief.belief.covariance, belief.belief.mean.copy()
     belief.predict(increment)
     assert not np.array_equal(belief.belief.mean, mean)
-    belief.take_back()
+    belief.undo_predict()
     assert np.array_equal(belief.belief.covariance, P)
     assert np.array_equal(belief.belief.mean, mean)
 

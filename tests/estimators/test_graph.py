@@ -265,15 +265,15 @@ def test_a_graph_without_a_solution_keeps_the_last_one_and_is_named(frames, monk
 
 def test_a_closure_without_a_solution_spoils_no_later_one(frames, monkeypatch):
     """A closure that is no number comes first; the true one comes when it comes."""
-    seek, told = LoopCloser.seek, []
+    search, told = LoopCloser.search, []
 
     def spoilt(self, node, keys, graph):
         if len(told) < 1:
             told.append(graph.close(0, node, np.full(3, np.nan), np.eye(3)))
             return True
-        return seek(self, node, keys, graph)
+        return search(self, node, keys, graph)
 
-    monkeypatch.setattr(LoopCloser, "seek", spoilt)
+    monkeypatch.setattr(LoopCloser, "search", spoilt)
     made = begun(TRUTH[0])
     revisions = driven(made, frames)
     assert [r.refused for r in revisions if r.refused] == [

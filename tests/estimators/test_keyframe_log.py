@@ -33,10 +33,10 @@ def logged(d_pose, scans=None, nodes=(), start=WAY[0]):
     for k, (d, scan) in enumerate(zip(d_pose, scans, strict=True)):
         keys.add(keyframe(k, d, scan), start if k == 0 else None)
         if k == 0:
-            graph.begin(keys.chain[0], 1e-8 * np.eye(3))
+            graph.add_root(keys.chain[0], 1e-8 * np.eye(3))
         if k in nodes:
             T = between(keys.chain[keys.nodes[-1]], keys.chain[k])
-            graph.go_on(T, np.diag(SIGMA**2), keys.since_node)
+            graph.extend(T, np.diag(SIGMA**2), keys.since_node)
             keys.mark_node()
     return keys, graph
 
@@ -56,7 +56,7 @@ def test_the_chain_is_the_motions_composed_from_the_start():
 
 def test_way_is_driven_and_turned():
     keys, _ = logged([[9.0, 9.0, 1.0], [3.0, 4.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.5]])
-    np.testing.assert_allclose(keys.way, [0.0, 5.0, 5.3, 6.45])
+    np.testing.assert_allclose(keys.distance, [0.0, 5.0, 5.3, 6.45])
     assert keys.since_node == pytest.approx(6.45)
     keys.mark_node()
     assert keys.since_node == 0.0

@@ -5,8 +5,8 @@ import pytest
 from tests.estimators.drives import LAP, RING, begun, driven, keyframe, keyframes, motions, way
 
 from impslam.estimators.loop_closing import (
-    CERTAIN,
-    RECENT,
+    CONFIRMATION_DISTANCE,
+    SAFE_WINDOW,
     LoopCloser,
     LoopSearch,
     _Pending,
@@ -19,7 +19,7 @@ from impslam.recognition.verify import Support, Verdict
 TRUTH = way(*LAP, (12.0, 1.25))
 DRIFT = (0.0, 0.0, 0.003)
 INFORMATION = np.diag([1e4, 1e4, 1e5])
-NARROW, WIDE = 0.5 * CERTAIN, 2.0 * CERTAIN
+NARROW, WIDE = 0.5 * SAFE_WINDOW, 2.0 * SAFE_WINDOW
 SPACING = 2.5  # m between nodes
 
 
@@ -28,10 +28,10 @@ def lap(n=20):
     turn = 2.0 * np.pi / n
     step = np.array([SPACING, 0.0, turn])
     graph = PoseGraph()
-    graph.begin(np.zeros(3), 1e-8 * np.eye(3))
+    graph.add_root(np.zeros(3), 1e-8 * np.eye(3))
     for _ in range(n + n // 2):
         drift = np.array([0.001, 0.001, 0.0])
-        graph.go_on(step + drift, np.diag([1e-4, 1e-4, 1e-5]), SPACING)
+        graph.extend(step + drift, np.diag([1e-4, 1e-4, 1e-5]), SPACING)
     return graph
 
 
@@ -46,7 +46,7 @@ def found(graph, j, verdict=Verdict.STRONG, off=(0.0, 0.0, 0.0), n=20):
 def taken(window, *rows):
     """Take closures one after the other; return the graph, the closer, and what each was told."""
     graph, closer = lap(), LoopCloser(LoopSearch())
-    told = [closer._take(found(graph, *row), graph, window) for row in rows]
+    told = [closer._accept(found(graph, *row), graph, window) for row in rows]
     return graph, closer, told
 
 
@@ -87,7 +87,7 @@ def test_a_strong_one_and_another_or_three_weak_ones_are_believed_together(verdi
     rows = [(20 + k, verdict) for k, verdict in enumerate(verdicts)]
     graph, closer, _ = taken(WIDE, *rows[:-1])
     assert graph.closures == 0
-    closer._take(found(graph, *rows[-1]), graph, WIDE)
+    closer._accept(found(graph, *rows[-1]), graph, WIDE)
     assert graph.closures == len(verdicts)
     assert closer._pending == []
     assert graph.edges.j[-len(verdicts) :].tolist() == [row[0] for row in rows]
@@ -101,14 +101,14 @@ def test_closures_that_do_not_agree_wait_on(off):
     assert graph.closures == 0
     assert len(closer._pending) == 2
     # A third one that agrees with the first is believed with it; the one between is forgotten.
-    closer._take(found(graph, 22), graph, WIDE)
+    closer._accept(found(graph, 22), graph, WIDE)
     assert graph.edges.j[-2:].tolist() == [20, 22]
     assert graph.closures == 2
     assert closer._pending == []
 
 
 def test_a_closure_that_waits_too_long_is_forgotten():
-    late = 20 + int(RECENT // SPACING) + 1
+    late = 20 + int(CONFIRMATION_DISTANCE // SPACING) + 1
     graph, closer, _ = taken(WIDE, (20,), (late,))
     assert graph.closures == 0
     assert [p.j for p in closer._pending] == [late]

@@ -6,7 +6,7 @@ import numpy as np
 from tests.sensors.test_gps import SETTINGS, T_MAP_EAST, drive, errors
 
 from impslam.config import load
-from impslam.estimators.refused_fixes import FAR, LEAST, RefusedFixes
+from impslam.estimators.refused_fixes import MIN_FIXES, MIN_SPAN, RefusedFixes
 from impslam.geometry.se2 import compose, inverse, transform
 from impslam.run import Run
 from impslam.types import Fix, Landmark, Observation
@@ -48,8 +48,8 @@ def test_fixes_that_scatter_by_more_than_they_say_do_not_agree():
 
 
 def test_a_robot_that_stands_among_reflections_waits():
-    assert refuse(np.array([12.0, -9.0, 0.0]), way=0.5 * FAR * 0.5) is None
-    assert refuse(np.array([12.0, -9.0, 0.0]), count=LEAST - 1) is None
+    assert refuse(np.array([12.0, -9.0, 0.0]), way=0.5 * MIN_SPAN * 0.5) is None
+    assert refuse(np.array([12.0, -9.0, 0.0]), count=MIN_FIXES - 1) is None
 
 
 def test_a_frame_that_nothing_has_confirmed_is_forgotten():

@@ -81,7 +81,7 @@ def test_a_map_of_two_sessions_goes_on_as_it_was(frames, tmp_path):
     again.start(np.zeros(3), Map.load(file), models=MODELS)
     assert np.all(again.edges().i == made.edges().i)
     np.testing.assert_array_equal(again._graph.roots, made._graph.roots)
-    np.testing.assert_allclose(again._keys.way, made._keys.way, atol=1e-9)
+    np.testing.assert_allclose(again._keys.distance, made._keys.distance, atol=1e-9)
 
 
 @pytest.mark.parametrize("stop", [40, 61, 90])

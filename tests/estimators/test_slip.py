@@ -13,7 +13,7 @@ from impslam.association.jcbb import Jcbb
 from impslam.association.mahalanobis import Mahalanobis
 from impslam.component import components
 from impslam.estimators.landmarks import Landmarks
-from impslam.estimators.slip import LEAST, SHARE, TRACK, Attempt, explains, slipped
+from impslam.estimators.slip import MIN_KNOWN, SLIP_SHARE, TRACK, Attempt, explains, slipped
 from impslam.filters.ekf import Ekf
 from impslam.geometry.se2 import compose
 from impslam.lifecycle.immediate import Immediate
@@ -105,10 +105,10 @@ def test_what_is_not_in_the_map_yet_tells_of_a_slip():
 
 def test_a_slip_explains_most_of_what_is_left_over_or_nothing():
     rolled = attempt(3, new=(4, 5), ambiguous=(6,))
-    assert rolled.left_over(8) == 4  # 3 and 7, which are near a landmark, 4 and 5
+    assert rolled.unexplained(8) == 4  # 3 and 7, which are near a landmark, 4 and 5
     assert not explains(attempt(4), rolled, 8, {3})
-    assert explains(attempt(3 + LEAST), rolled, 8, set())
-    assert not explains(attempt(3 + LEAST), attempt(3), 9, set())
+    assert explains(attempt(3 + MIN_KNOWN), rolled, 8, set())
+    assert not explains(attempt(3 + MIN_KNOWN), attempt(3), 9, set())
 
 
 def test_one_thing_explains_a_slip_if_it_was_seen_just_before():
@@ -130,10 +130,10 @@ def test_a_match_speaks_for_a_slip_only_where_few_other_things_may_be():
 
 @pytest.mark.parametrize("d_pose", [(0.2, 0.0, 0.0), (0.1, 0.0, 0.5), (0.0, 0.0, 0.3)])
 def test_the_covariance_covers_a_wheel_that_slips(d_pose):
-    """One wheel that turns by 3 sigma of `SHARE` in vain, of a robot as wide as `TRACK`."""
+    """One wheel that turns by 3 sigma of `SLIP_SHARE` in vain, of a robot as wide as `TRACK`."""
     motion = Increment(0.0, np.array(d_pose), Q, 0.2)
     ways = d_pose[0] + np.array([-0.5, 0.5]) * TRACK * d_pose[2]
-    ways[0] *= 1.0 - 3.0 * SHARE
+    ways[0] *= 1.0 - 3.0 * SLIP_SHARE
     true = np.array([ways.mean(), 0.0, np.diff(ways)[0] / TRACK])
     error = (motion.d_pose - true)[[0, 2]]
     S = slipped(motion).covariance[np.ix_([0, 2], [0, 2])]

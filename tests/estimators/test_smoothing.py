@@ -89,8 +89,8 @@ def test_jacobians_are_central_differences(gtsam, kind):
         "cylinder", np.array([1.0, 2.0]), R_POINT + np.outer(shared, shared), shared=shared
     )
     seen = wall if kind == "wall" else point
-    smoother.begin(0, MODELS[kind], seen, pose)
-    smoother.observe(0, seen)
+    smoother.add_landmark(0, MODELS[kind], seen, pose)
+    smoother.add_observation(0, seen)
     factors = [smoother._factors.at(i) for i in range(smoother._factors.size())]
     values = gtsam.Values()
     values.insert(_x(0), gtsam.Pose2(1.2, -2.1, -3.1))
@@ -127,9 +127,9 @@ def test_an_error_that_observations_share_does_not_average_out(gtsam):
     seen = Observation(
         "cylinder", np.array([2.0, 0.0]), R + np.outer(shared, shared), shared=shared
     )
-    smoother.begin(0, MODELS["cylinder"], seen, np.zeros(3))
+    smoother.add_landmark(0, MODELS["cylinder"], seen, np.zeros(3))
     for _ in range(3):
-        smoother.observe(0, seen)
+        smoother.add_observation(0, seen)
     smoother.solve()
     _, P = smoother.optimum().landmarks[0]
     np.testing.assert_allclose(P, R / 4 + np.outer(shared, shared), atol=1e-8)
@@ -139,7 +139,7 @@ def test_a_wall_is_known_along_itself_as_it_was_first_seen(gtsam):
     smoother, pose = Smoother(np.array([0.5, 1.0, 1.0]), 1e-6, 0.01), np.array([0.5, 1.0, 1.0])
     z, in_base = wall_seen(pose, np.array([[6.0, -5.0], [6.0, 5.0]]))
     seen = Observation("wall", z, R_WALL, np.arange(50), in_base)
-    smoother.begin(0, Wall(), seen, pose)
+    smoother.add_landmark(0, Wall(), seen, pose)
     smoother.solve()
     m, P = smoother.optimum().landmarks[0]
     new = Wall().initialise(pose, seen)

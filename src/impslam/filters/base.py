@@ -84,7 +84,7 @@ class Filter(Component):
         """Move the robot (thesis Eq. 2.23-2.26)."""
 
     @abstractmethod
-    def take_back(self) -> None:
+    def undo_predict(self) -> None:
         """Undo the last `predict` exactly; nothing else may have changed the state since."""
 
     @abstractmethod

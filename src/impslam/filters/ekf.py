@@ -68,8 +68,8 @@ class Ekf(GaussianFilter):
         self._before = self._belief.pose_entries()
         self._belief.drive(increment.d_pose, increment.covariance)
 
-    def take_back(self) -> None:
-        """Undo the last prediction; see `Filter.take_back`."""
+    def undo_predict(self) -> None:
+        """Undo the last prediction; see `Filter.undo_predict`."""
         self._belief.restore(self._before)
 
     def hypothesise(

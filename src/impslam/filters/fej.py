@@ -58,9 +58,9 @@ class FirstEstimatesEkf(Ekf):
         belief.move(predicted[1] - after[1], after[0] - predicted[0], noise)
         belief.mean[:POSE] = self._first[:POSE] = after
 
-    def take_back(self) -> None:
-        """Undo the last prediction; see `Filter.take_back`."""
-        super().take_back()
+    def undo_predict(self) -> None:
+        """Undo the last prediction; see `Filter.undo_predict`."""
+        super().undo_predict()
         self._first[:POSE] = self._first_before
 
     def extend(self, observations: Sequence[Observation], stamp: float) -> tuple[int, ...]:

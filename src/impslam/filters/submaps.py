@@ -105,7 +105,7 @@ class SubmapEkf(Ekf):
         """
         missing = self._missing(observations)
         if len(missing):
-            self.take_back()
+            self.undo_predict()
             self._enter(self._node, missing)
             super().predict(self._motion)
         return super().hypothesise(observations, reach)

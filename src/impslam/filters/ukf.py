@@ -120,8 +120,8 @@ class UnscentedKalmanFilter(GaussianFilter):
         noise = np.column_stack([moved.slopes[:, POSE:], moved.bends])
         belief.drive(_wrapped(pose + moved.shift), moved.slopes[:, :POSE], noise)
 
-    def take_back(self) -> None:
-        """Undo the last prediction; see `Filter.take_back`."""
+    def undo_predict(self) -> None:
+        """Undo the last prediction; see `Filter.undo_predict`."""
         self._belief = self._before
 
     def hypothesise(

@@ -33,7 +33,7 @@ MARGIN = 64
 """Cells kept free around what is known, so that the grid seldom grows."""
 MAX_CELLS = 40_000_000
 """Beyond 100 000 m^2 at 5 cm (320 MB) a pose has run away; its scan is refused."""
-FINEST, COARSEST = 0.001, 10.0
+MIN_RESOLUTION, MAX_RESOLUTION = 0.001, 10.0
 """m, limits of a cell's side."""
 STOOD, ENTER, REFUSE = 0, 1, 2
 """What is done with a scan."""
@@ -169,9 +169,11 @@ class OccupancyGrid:
     """
 
     def __init__(self, resolution: float = 0.05) -> None:
-        if not (isinstance(resolution, int | float) and FINEST <= resolution <= COARSEST):
+        if not (
+            isinstance(resolution, int | float) and MIN_RESOLUTION <= resolution <= MAX_RESOLUTION
+        ):
             raise ConfigError(
-                f"resolution = {resolution!r}: a cell's side is {FINEST:g} to {COARSEST:g} m"
+                f"resolution = {resolution!r}: a cell's side is {MIN_RESOLUTION:g} to {MAX_RESOLUTION:g} m"
             )
         self.resolution = float(resolution)
         self._clear()

@@ -115,7 +115,7 @@ def _with_graph(known: Map, config: Config) -> Map:
 def _settled(known: Map, begin: int, config: Config) -> Map:
     """Return a joined map with more closures of the keyframes from `begin` on, all of it refined."""
     graph = _graph(known, config)
-    graph.seek_loops(begin)
+    graph.search_loops(begin)
     revision = graph.settle()
     assert revision is not None, "there are keyframes"
     settled = blended(replace(known, edges=graph.edges()).revised(revision))

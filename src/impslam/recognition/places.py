@@ -16,7 +16,7 @@ from impslam.geometry.kernels import plain
 from impslam.recognition.correlative import TURN, Window, deep_enough, search
 from impslam.recognition.pyramid import Memory, Pyramid, build
 from impslam.recognition.submap import Submap
-from impslam.recognition.verify import LEAST_MATCHED, Support, Verdict, judge, verify
+from impslam.recognition.verify import MIN_MATCHED, Support, Verdict, judge, verify
 from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import (
     Alignment,
@@ -94,7 +94,7 @@ class Recogniser:
     counts : attempts, and what came of them
     """
 
-    def __init__(self, overlap: float = LEAST_MATCHED) -> None:
+    def __init__(self, overlap: float = MIN_MATCHED) -> None:
         self._overlap = overlap
         names = ("attempts", "too few points", "no peak", "ambiguous", "contradicted", "found")
         self.counts = dict.fromkeys(names, 0)
@@ -135,7 +135,7 @@ class Recogniser:
         """Return what a search finds and alignment settles."""
         pyramid = self._grid(find.window)
         least = NARROW_SCORE if max(find.window.x, find.window.y) <= NARROW else WIDE_SCORE
-        least *= min(1.0, self._overlap / LEAST_MATCHED)
+        least *= min(1.0, self._overlap / MIN_MATCHED)
         peak = search(pyramid, find.points, guess, find.window, least, turn=find.turn)
         if peak.score == 0.0:
             return self._refuse("no peak")

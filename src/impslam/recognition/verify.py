@@ -31,7 +31,7 @@ REACH = 15.0  # m: and so do points
 
 STRONG_SHARE, WEAK_SHARE = 0.8, 0.65
 """Of the points that tell anything, those that agree, at least."""
-LEAST_MATCHED = 0.35  # of the query's points
+MIN_MATCHED = 0.35  # of the query's points
 LEAST_SEEN = 60  # points of the reference that the query's scans must have seen
 
 
@@ -65,15 +65,15 @@ class Support(NamedTuple):
         return min(self.query, self.reference)
 
 
-def judge(support: Support, overlap: float = LEAST_MATCHED) -> Verdict:
+def judge(support: Support, overlap: float = MIN_MATCHED) -> Verdict:
     """Return what support amounts to.
 
-    With an `overlap` below `LEAST_MATCHED`, submaps that share less than that may agree too, but weakly,
+    With an `overlap` below `MIN_MATCHED`, submaps that share less than that may agree too, but weakly,
     and free space has to agree as for a strong one.
     """
-    if support.matched < overlap or support.seen < overlap / LEAST_MATCHED * LEAST_SEEN:
+    if support.matched < overlap or support.seen < overlap / MIN_MATCHED * LEAST_SEEN:
         return Verdict.REFUSED
-    much = support.matched >= LEAST_MATCHED and support.seen >= LEAST_SEEN
+    much = support.matched >= MIN_MATCHED and support.seen >= LEAST_SEEN
     if support.agreement >= STRONG_SHARE:
         return Verdict.STRONG if much else Verdict.WEAK
     return Verdict.WEAK if much and support.agreement >= WEAK_SHARE else Verdict.REFUSED

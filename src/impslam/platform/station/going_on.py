@@ -10,7 +10,7 @@ import numpy as np
 from impslam.config import Config, load
 from impslam.continuing import Known
 from impslam.map import Map
-from impslam.open_log import going_on as able
+from impslam.open_log import for_continuing
 from impslam.platform.station.map_store import FILE
 from impslam.types import Array
 
@@ -42,4 +42,6 @@ def going_on(folder: Path, preset: str, *, frozen: bool, hint: Array | None = No
     ImpError
         If the map cannot be read.
     """
-    return GoingOn(folder.name, Known(Map.load(folder / FILE), frozen, hint), able(load(preset)))
+    return GoingOn(
+        folder.name, Known(Map.load(folder / FILE), frozen, hint), for_continuing(load(preset))
+    )

@@ -27,7 +27,7 @@ from impslam.evaluation.relations import read_relations
 from impslam.geometry.se2 import between, compose
 from impslam.map import Map
 from impslam.open_log import open_log
-from impslam.recognition.correlative import Window, deep_enough, search
+from impslam.recognition.correlative import Window, search, start_level
 from impslam.recognition.places import search_points
 from impslam.recognition.pyramid import build
 from impslam.recognition.submap import Submap, gather
@@ -151,7 +151,7 @@ def by_search(
     query = around(keys, j, QUERY_WAY, (QUERY_CELL, QUERY_RANGE))
     points, turn = search_points(query.features)
     window, own = Window(WINDOW, WINDOW, math.pi), Window(SAME, SAME, SAME)
-    pyramid = build(reference.features, deep_enough(window))
+    pyramid = build(reference.features, start_level(window))
     mine = search(pyramid, points, pose, own, turn=turn)
     best = search(pyramid, points, pose, window, turn=turn)
     low = reference.features[:, :2].min(0).astype(float) - 1.0

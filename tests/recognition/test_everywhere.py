@@ -10,7 +10,7 @@ from tests.recognition.plans import walls, way
 
 from impslam.recognition.beams import Beams, explain
 from impslam.recognition.everywhere import COARSE_POINTS, HEADINGS, search_everywhere
-from impslam.recognition.ground import CHANCE, DIRECTIONS, SECTOR, survey
+from impslam.recognition.ground import CHANCE, DIRECTIONS, SECTOR, make_ground
 from impslam.recognition.pyramid import CELL, FULL
 from impslam.recognition.stored import stored_views
 from impslam.recognition.submap import view
@@ -21,12 +21,12 @@ PLAN = np.concatenate([room(-3.0, 2.0, -1.5, 2.2), walls([-1, -1.5, -1, 0.3], [0
 @pytest.fixture(scope="module")
 def ground():
     keyframes = mapped(PLAN, way(-2.0, 0.9, 1.5, 0.2, 6))
-    return survey(keyframes, stored_views(keyframes))
+    return make_ground(keyframes, stored_views(keyframes))
 
 
 def every_sum(ground, points):
     """Return the sums (HEADINGS, rows, columns) of likelihoods wherever a lidar may stand."""
-    level, free = ground.likelihood[0], ground.room[0] > 0
+    level, free = ground.likelihood[0], ground.allowed[0] > 0
     _, height, width = level.shape
     rows, columns = np.indices(free.shape)
     sums = np.zeros((HEADINGS, height, width), np.int64)

@@ -19,7 +19,7 @@ from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import between, compose
 from impslam.map import Keyframes, Map
 from impslam.recognition.consistency import Relation, consistent
-from impslam.recognition.correlative import spread
+from impslam.recognition.correlative import spread_order
 from impslam.recognition.relocalisation import Relocaliser, Verdict, query
 from impslam.recognition.stored import stored_views
 from impslam.types import Array, Ints
@@ -144,7 +144,7 @@ def _ways(poses: Array) -> list[Ints]:
     count = min(MOST, math.floor(total / max(length, 1e-6))) if length > 0.0 else 0
     begins = total * np.arange(count) / max(count, 1)
     ways = [np.flatnonzero((way >= begin) & (way < begin + length)) for begin in begins]
-    return [ways[k] for k in spread(count) if len(ways[k])]
+    return [ways[k] for k in spread_order(count) if len(ways[k])]
 
 
 def judge(links: Sequence[Link], poses: Array, sought: int) -> Alignment:

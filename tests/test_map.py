@@ -368,8 +368,8 @@ WRONG = [
     ("stamps", np.zeros(9, ">f8"), "stamps holds >f8"),
     ("stamps", np.zeros((9, 1)), "stamps has shape (9, 1)"),
     ("anchors", np.zeros(8, np.int64), "anchors has shape (8,)"),
-    ("anchors", np.full(9, 3), "anchors are no keyframes"),
-    ("anchors", np.full(9, -1), "anchors are no keyframes"),
+    ("anchors", np.full(9, 3), "anchors are not keyframes"),
+    ("anchors", np.full(9, -1), "anchors are not keyframes"),
     ("T_anchor_base", np.zeros((9, 4)), "T_anchor_base has shape (9, 4)"),
     ("live_poses", np.float64(1.0), "live_poses has shape ()"),
     ("live_poses", np.asfortranarray(np.ones((9, 3))), "by rows"),
@@ -400,8 +400,8 @@ WRONG = [
     ("keyframes/sessions", np.array([0, 2, 2]), "sessions do not count up"),
     ("keyframes/sessions", np.array([1, 1, 1]), "sessions do not count up"),
     ("keyframes/poses", np.full((3, 3), np.nan), "keyframes/poses is not finite"),
-    ("keyframes/motion_covariances", -np.ones((3, 3, 3)), "are no covariances"),
-    ("keyframes/motion_covariances", np.full((3, 3, 3), np.triu(EYE + 1.0)), "are no covariances"),
+    ("keyframes/motion_covariances", -np.ones((3, 3, 3)), "are not covariances"),
+    ("keyframes/motion_covariances", np.full((3, 3, 3), np.triu(EYE + 1.0)), "are not covariances"),
     ("observations/counts", np.array([2, 9, 0]), "counts does not fit"),
     ("observations/counts", np.array([3]), "counts does not fit"),
     ("observations/counts", np.array([-1, 4, 0]), "counts does not fit"),
@@ -455,7 +455,7 @@ def test_memory_is_not_taken_by_a_lie(file):
         stream, {"descr": "<f8", "fortran_order": False, "shape": (10**15,)}
     )
     rewritten(file, {"stamps": stream.getvalue() + bytes(72)})
-    refuses(file, "stamps is not as long as it says")
+    refuses(file, "stamps has another length than declared")
 
 
 def test_some_keyframes_take_their_points_along():

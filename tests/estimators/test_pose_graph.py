@@ -182,7 +182,7 @@ def test_closures_that_are_taken_back_leave_the_graph_as_it_was():
     graph.remove_closures(2)
     assert graph.closures == 1
     for one in (graph, twin):
-        one.go_on(np.array([1.0, 0.0, 0.0]), Q, 1.0)
+        one.extend(np.array([1.0, 0.0, 0.0]), Q, 1.0)
         one.close(1, 33, np.zeros(3), FIRM)
         one.solve()
     np.testing.assert_array_equal(graph.poses, twin.poses)

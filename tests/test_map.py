@@ -374,7 +374,7 @@ WRONG = [
     ("live_poses", np.float64(1.0), "live_poses has shape ()"),
     ("live_poses", np.asfortranarray(np.ones((9, 3))), "by rows"),
     ("keyframes/points", np.zeros((8, 2), np.float32), "starts does not fit"),
-    ("keyframes/starts", np.array([0, 99, 6, 9]), "starts falls"),
+    ("keyframes/starts", np.array([0, 99, 6, 9]), "starts decreases"),
     ("keyframes/starts", np.array([-5, 3, 6, 9]), "starts does not fit"),
     ("keyframes/starts", np.zeros(0, np.int64), "starts does not fit"),
     ("edges/i", np.array([0, 3]), "edges do not join two keyframes"),

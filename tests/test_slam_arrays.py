@@ -146,7 +146,9 @@ def test_all_of_one_lidar_before_the_other_is_refused(tmp_path):
 def test_odometry_that_comes_after_its_scans_are_used_is_refused():
     slam = impslam.Slam("default")
     slam.add_scans(STAMPS, RANGES, ANGLES)
-    with pytest.raises(ImpError, match=r"OdometryPose: 60 rows from 0.000 s on .* add rows in order"):
+    with pytest.raises(
+        ImpError, match=r"OdometryPose: 60 rows from 0.000 s on .* add rows in order"
+    ):
         slam.add_odometry(STAMPS, POSES)
 
 

@@ -91,7 +91,7 @@ def quality(known: Map) -> Quality:
     keyframes = _spread(known.keyframes)
     lasers = profile(keyframes)
     poses = keyframes.poses
-    pairs = overlaps(lasers.lasers, Nearness(turn=math.pi, pass_way=PASS))
+    pairs = overlaps(lasers.lasers, Nearness(turn=math.pi, pass_distance=PASS))
     step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     way = np.concatenate([np.zeros(1), np.cumsum(step)])
     again = np.abs(way[pairs[:, 0]] - way[pairs[:, 1]]) >= PASS

@@ -199,7 +199,7 @@ def test_a_prediction_is_taken_back_to_the_bit(belief):
 def test_it_follows_another_estimate_and_goes_on_from_there(belief):
     """Its mean is that estimate; where it does not move, its covariance stays; it stays definite."""
     if not belief.follows:
-        with pytest.raises(NotImplementedError, match="follows no other"):
+        with pytest.raises(NotImplementedError, match="cannot follow another"):
             belief.follow(np.zeros(3), {})
         return
     rng = np.random.default_rng(8)

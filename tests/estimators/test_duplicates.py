@@ -118,7 +118,7 @@ def test_a_difference_that_cannot_be_judged_leaves_both_as_they_are(rng, monkeyp
     slam = started()
     add(slam, 0, (POST, OTHER), rng)
     slam._filter.extend([point(ORIGIN, POST, rng=rng)], 0.0)
-    monkeypatch.setattr(Ekf, "apart", lambda *_: (np.zeros(2), np.zeros((2, 2))))
+    monkeypatch.setattr(Ekf, "difference", lambda *_: (np.zeros(2), np.zeros((2, 2))))
     told = [add(slam, k, (POST, OTHER), rng) for k in range(1, 7)]
     assert all(r.gone == () and not r.refused for r in told)
     assert len(slam.landmarks()) == 3

@@ -130,7 +130,7 @@ def test_certainty_is_bounded():
 def test_a_robot_at_rest_is_entered_a_few_times_only():
     grid = OccupancyGrid()
     draw(grid, *(placed([0, 0, 0], [[1.0, 0.0]]) for _ in range(50)))
-    assert grid.logodds.min() == pytest.approx(max(module.STILL_SCANS * MISS, -CLAMP))
+    assert grid.logodds.min() == pytest.approx(max(module.STATIONARY_SCANS * MISS, -CLAMP))
     assert (grid.logodds < np.log(0.196 / 0.804)).any()
 
 

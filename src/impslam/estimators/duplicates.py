@@ -61,7 +61,7 @@ class Duplicates:
 def _fuse(pair: tuple[int, int], filter_: Filter, association: Association) -> bool:
     """Fuse two landmarks if they are one; return whether they were."""
     try:
-        difference = filter_.apart(*pair)
+        difference = filter_.difference(*pair)
         if difference is None or not association.are_one(*difference):
             return False
         filter_.fuse(*pair)

@@ -88,9 +88,9 @@ class Smoothing(Landmarks):
 
     def _add_factors(self, observations: tuple[Observation, ...], revision: Revision) -> None:
         """Add the factors of the observations according to their matches."""
-        doubt = self._filter.doubt(revision.matches) if revision.matches else None
+        factors = self._filter.noise_factors(revision.matches) if revision.matches else None
         for i, match in enumerate(revision.matches):
-            inflation = 1.0 if doubt is None else float(doubt[i])
+            inflation = 1.0 if factors is None else float(factors[i])
             self._smoother.add_observation(
                 match.landmark, observations[match.observation], inflation
             )

@@ -1,8 +1,8 @@
 """A Gaussian belief over a pose and landmarks in square-root form.
 
-P = S S^T, so P stays positive definite, and the state is x + S u with u of unit covariance: sigma points are
-made of columns of S. S is lower triangular, with the pose's rows as heading, forward and left: only the first
-column rotates the robot, and no column depends on the axes of the map.
+P = S S^T, so P stays positive definite, and the state is x + S u with u of unit covariance: sigma points
+are made of columns of S. S is lower triangular, with the pose's rows as heading, forward and left: only the
+first column rotates the robot, and no column depends on the axes of the map.
 
 All operations are orthogonal transformations of columns, in place and of quadratic cost (Kaminski, Bryson &
 Schmidt 1971); a new landmark adds a few rows.
@@ -58,9 +58,9 @@ def _add_square(S: Array, B: Array) -> None:
 def absorb(S: Array, n: int, H: Array, y: Array) -> Array:
     """Correct S, in place, by y (m,) = H u + noise of unit covariance; return the step (n,) S E[u].
 
-    H (m, n) and y are overwritten. Scalars are processed one after the other, each in coordinates u that the
-    previous ones have normalised to unit covariance: I - h h^T / (1 + h h^T) = T T^T with a triangular T, so
-    S T is triangular, too (Carlson 1973). The outer loop is over columns.
+    H (m, n) and y are overwritten. Scalars are processed one after the other, each in coordinates u that
+    the previous ones have normalised to unit covariance: I - h h^T / (1 + h h^T) = T T^T with a triangular
+    T, so S T is triangular, too (Carlson 1973). The outer loop is over columns.
     """
     m = len(y)
     c, sums = np.ones(m), np.zeros((m, n))  # 1 + h h^T and S h^T so far, over the columns passed
@@ -121,8 +121,8 @@ def own_roots(S: Array, offsets: Ints, dim: int) -> Array:
 def expand_columns(S: Array, offset: int, C: Array, h: Array, out: Array) -> None:
     """Fill out (dz, n) with the rows over u of a quantity with rows h (dz, 3 + dim) on pose and landmark.
 
-    h is over the pose's three columns and over v of unit covariance: the landmark is S[m, :3] u + C v, hence
-    v = C^-1 S[m, 3:] u.
+    h is over the pose's three columns and over v of unit covariance: the landmark is S[m, :3] u + C v,
+    hence v = C^-1 S[m, 3:] u.
     """
     dz, dim = len(h), len(C)
     v = np.empty(dim)

@@ -1,20 +1,20 @@
 """EKF SLAM at a cost that hardly grows with the map: conditionally independent submaps in a junction tree.
 
-A robot sees only a few landmarks at a time. Only those of one square area are in the active Gaussian, on which
-predictions and corrections work as in `ekf`. When the robot leaves the area, a copy of its pose is kept as an
-additional variable, which both areas have in common (Pinies & Tardos 2008). The rest of the map is updated
-through the common variables of areas when needed: see `junction_tree` and `clique`. Means and covariances are
-those of `ekf`, with two exceptions. An inactive wall receives its steps later and as a sum, which is the same to
-first order. And common errors of a sensor's readings are independent at each scan, because considering a state
-(Schmidt) is not conditioning.
+A robot sees only a few landmarks at a time. Only those of one square area are in the active Gaussian, on
+which predictions and corrections work as in `ekf`. When the robot leaves the area, a copy of its pose is
+kept as an additional variable, which both areas have in common (Pinies & Tardos 2008). The rest of the map
+is updated through the common variables of areas when needed: see `junction_tree` and `clique`. Means and
+covariances are those of `ekf`, with two exceptions. An inactive wall receives its steps later and as a sum,
+which is the same to first order. And common errors of a sensor's readings are independent at each scan,
+because considering a state (Schmidt) is not conditioning.
 
-The inactive part is linear: it stores the sum of the steps of a perturbation, not the state. A step costs as
-much as one of `ekf` with the landmarks of one area. A change of areas costs products of matrices of the size of
-the common variables, which grows with the border that is crossed. Every change adds three scalars, so crossing a
-border a thousand times has a cost.
+The inactive part is linear: it stores the sum of the steps of a perturbation, not the state. A step costs
+as much as one of `ekf` with the landmarks of one area. A change of areas costs products of matrices of the
+size of the common variables, which grows with the border that is crossed. Every change adds three scalars,
+so crossing a border a thousand times has a cost.
 
-`riekf` has no such form: its corrections change the coordinates of every landmark by that landmark's own step,
-which is not linear. `submaps_fej` is the consistent filter of this kind.
+`riekf` has no such form: its corrections change the coordinates of every landmark by that landmark's own
+step, which is not linear. `submaps_fej` is the consistent filter of this kind.
 """
 
 from __future__ import annotations
@@ -203,7 +203,7 @@ class SubmapEkf(Ekf):
             self._archive.put(table, table.states(mean), self._shift[table.columns - POSE])
 
     def _change_area(self, node: Node, also: Ints | None = None) -> None:
-        """Change areas: keep a copy of the pose, and activate landmarks that may be seen from the new one."""
+        """Change areas: keep a copy of the pose, and activate landmarks that may be seen from there."""
         self._store()
         tree, archive = self._tree, self._archive
         self._cuts += 1

@@ -1,7 +1,7 @@
 """The unobservable directions: rigid motions of robot and map.
 
-A rigid motion xi = [x, y, theta] of everything about the map origin does not change observations. The columns
-of G = d(state)/d(xi), in the perturbations of pose and landmarks, span these directions.
+A rigid motion xi = [x, y, theta] of everything about the map origin does not change observations. The
+columns of G = d(state)/d(xi), in the perturbations of pose and landmarks, span these directions.
 """
 
 from __future__ import annotations

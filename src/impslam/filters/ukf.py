@@ -1,25 +1,26 @@
 """The unscented Kalman filter for SLAM, in square-root form (Julier & Uhlmann 1997; van der Merwe 2001).
 
-The state is x [+] S u with u of unit covariance and `[+]` the perturbations of pose and landmarks: additive for
-the pose [x, y, theta], in its own frame for a wall. A function of it is evaluated at sigma points, +-sqrt(3) along
-each column of S (n + kappa = 3, which matches a Gaussian's fourth moment). With a_j and b_j the odd and even parts
-of the function's change along column j,
+The state is x [+] S u with u of unit covariance and `[+]` the perturbations of pose and landmarks: additive
+for the pose [x, y, theta], in its own frame for a wall. A function of it is evaluated at sigma points,
++-sqrt(3) along each column of S (n + kappa = 3, which matches a Gaussian's fourth moment). With a_j and b_j
+the odd and even parts of the function's change along column j,
 
     mean = f(x) + 1/3 sum b_j,    slopes a_j / sqrt(3),
     covariance = 1/3 sum a_j a_j^T + 2/9 sum b_j b_j^T.
 
-The mean is that of Julier and Uhlmann; the covariance is that of Nørgaard, Poulsen & Ravn 2000, which cannot
-become negative, unlike the former with its negative centre weight for n > 3. Both agree, and are exact to the
-fourth moment, if the function is nonlinear in only one column, as in the heading, which has the first column of
-S to itself.
+The mean is that of Julier and Uhlmann; the covariance is that of Nørgaard, Poulsen & Ravn 2000, which
+cannot become negative, unlike the former with its negative centre weight for n > 3. Both agree, and are
+exact to the fourth moment, if the function is nonlinear in only one column, as in the heading, which has
+the first column of S to itself.
 
-An observation depends only on the pose and its landmark, so 3 + dim columns suffice: those of the pose, with
-which the landmark is correlated, and dim for the landmark given the pose. The slopes over them are a linear
-regression with the residual 2/9 sum b_j b_j^T as noise (Lefebvre, Bruyninckx & De Schutter 2002). So a scan costs
-O(n^2), as with the EKF (Huang, Mourikis & Roumeliotis 2013), without sigma points of the whole state.
+An observation depends only on the pose and its landmark, so 3 + dim columns suffice: those of the pose,
+with which the landmark is correlated, and dim for the landmark given the pose. The slopes over them are a
+linear regression with the residual 2/9 sum b_j b_j^T as noise (Lefebvre, Bruyninckx & De Schutter 2002). So
+a scan costs O(n^2), as with the EKF (Huang, Mourikis & Roumeliotis 2013), without sigma points of the whole
+state.
 
-The unobservable directions are not constant in these coordinates, as in those of the textbook EKF: with large
-heading errors, `riekf` is the consistent filter.
+The unobservable directions are not constant in these coordinates, as in those of the textbook EKF: with
+large heading errors, `riekf` is the consistent filter.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Compiled arithmetic of a correction, on the few entries of the state that a scan observes.
 
 The q entries are the pose, the matched landmarks one after another, and the common errors of sensors. H
-(rows, q) is the Jacobian by these; its many zeros are skipped. A linearisation only needs P of these entries;
-the whole of P is read once at the end of the correction.
+(rows, q) is the Jacobian by these; its many zeros are skipped. A linearisation only needs P of these
+entries; the whole of P is read once at the end of the correction.
 """
 
 from __future__ import annotations
@@ -117,9 +117,9 @@ def solve(
 ) -> tuple[Array, Array, tuple[float, float]]:
     """Return the correction by H, R and nu, with S = U^T U, and nu^T S^-1 nu and log det S.
 
-    The first result is G = U^-T H (rows, q) with g = (U^-T nu)^T G as last row: the mean moves by g P, and P
-    becomes P - (G P)^T G P. The second is the step (q,) of the entries, zero after the first `moving` ones. If
-    there is no U, log det S is NaN.
+    The first result is G = U^-T H (rows, q) with g = (U^-T nu)^T G as last row: the mean moves by g P, and
+    P becomes P - (G P)^T G P. The second is the step (q,) of the entries, zero after the first `moving`
+    ones. If there is no U, log det S is NaN.
 
     `before` (q,) is the step after which H and nu were evaluated (Gauss-Newton), at first zero.
     """

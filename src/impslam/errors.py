@@ -22,7 +22,7 @@ class ConfigError(ImpError):
 
 
 class SourceError(ImpError):
-    """A log, folder or device that cannot be read, or that holds nothing usable."""
+    """A log, folder or device that cannot be read, or that contains nothing usable."""
 
 
 class MessageError(ImpError):

@@ -116,11 +116,8 @@ def divide(
         end, start = min(high, runs[out[i], 1]), max(low, runs[out[i], 0])
         if end - start < high - low:
             # Move the middle along the piece, and propagate the covariance.
-            shift, c, s = (
-                0.5 * (end + start - high - low),
-                math.cos(frame[2]),
-                math.sin(frame[2]),
-            )
+            c, s = math.cos(frame[2]), math.sin(frame[2])
+            shift = 0.5 * (end + start - high - low)
             frame[0] -= shift * s
             frame[1] += shift * c
             frame[3] = 0.5 * (end - start)

@@ -75,9 +75,9 @@ class KeyframeLog:
         self, d_pose: Array, covariance: Array, features: View | None, start: Array | None = None
     ) -> None:
         """Add a keyframe by its motion and view; the caller adds to `sightings` and `points`."""
-        distance, session = (
-            (self._distance.array[-1], self._sessions.array[-1]) if len(self) else (0.0, -1)
-        )
+        distance, session = 0.0, -1
+        if len(self):
+            distance, session = self._distance.array[-1], self._sessions.array[-1]
         if start is None:
             distance += np.hypot(d_pose[0], d_pose[1]) + METRES_PER_RADIAN * abs(d_pose[2])
             start = self._chain.array[-1]

@@ -77,10 +77,7 @@ class Landmarks(Estimator):
     def _add(self, keyframe: Keyframe) -> Revision:
         check_keyframe(keyframe)
         observations = blurred(keyframe.observations, keyframe.motion, self._models)
-        stamp, now = (
-            keyframe.stamp,
-            keyframe.motion.stamp,
-        )  # the latter stays continuous if clocks are set
+        stamp, now = keyframe.stamp, keyframe.motion.stamp  # `now` is continuous if clocks are set
 
         self._filter.predict(keyframe.motion)
         try:

@@ -108,10 +108,8 @@ class Smoother:
     def add_motion(self, d_pose: Array, covariance: Array) -> None:
         """Add the pose after a motion (3,) with the covariance (3, 3) of its additive error."""
         g, begin, end = self._gtsam, _x(self.poses - 1), _x(self.poses)
-        before, noise = (
-            self._isam.calculateEstimatePose2(begin),
-            covariance + _MIN_SIGMA**2 * np.eye(3),
-        )
+        before = self._isam.calculateEstimatePose2(begin)
+        noise = covariance + _MIN_SIGMA**2 * np.eye(3)
         self._factors.add(g.CustomFactor(_gaussian(g, noise), [begin, end], _motion_error(d_pose)))
         self._values.insert(end, before.compose(g.Pose2(*d_pose)))
         self.poses += 1
@@ -173,10 +171,7 @@ class Smoother:
             raise NumericalError(in_a_line(error)) from None
 
     def _optimum(self) -> Estimate:
-        g, isam = (
-            self._gtsam,
-            _isam2(self._gtsam, _CONVERGED),
-        )  # a new one, with the options of the old one
+        g, isam = self._gtsam, _isam2(self._gtsam, _CONVERGED)  # with the options of the old one
         isam.update(self._isam.getFactorsUnsafe(), self._isam.calculateBestEstimate())
         for _ in range(_MAX_ITERATIONS):
             if isam.update().getVariablesRelinearized() == 0:

@@ -36,9 +36,7 @@ NEIGHBOUR_RADIUS = 2.0  # m; a keyframe is compared with others so near
 MAX_PATH = 12.0  # m along the graph: closures have connected both passes
 MIN_MATCHED = 0.5  # share of points on surfaces of the other keyframe: both show the same walls
 POINT_RADIUS = 0.15  # m to a point seen before: error of poses that are not refined yet
-MIN_COVERED = (
-    0.95  # share of the points, so near: the rest are people, and beams that graze an edge
-)
+MIN_COVERED = 0.95  # share of points so near: the rest are people, and beams that graze an edge
 MAX_GONE = 0.05  # share of the points seen before that are in free space now: some are people, too
 PRIOR_SIGMA = np.array([0.01, 0.01, 0.002]) * 0.5 * MAX_PATH
 """m, m, rad, of the relative pose from the graph: the drift (see `LoopSearch`, without its margin) from the
@@ -60,10 +58,8 @@ class Thinner:
 
     def thin(self, keys: KeyframeLog, graph: PoseGraph) -> tuple[int, ...]:
         """Judge keyframes that closures can no longer affect; return the dropped ones."""
-        begin, end = (
-            self._judged,
-            int(np.searchsorted(keys.distance, keys.distance[-1] - CONFIRMATION_DISTANCE)),
-        )
+        begin = self._judged
+        end = int(np.searchsorted(keys.distance, keys.distance[-1] - CONFIRMATION_DISTANCE))
         if end - begin < BATCH:
             return ()
         self._judged = end

@@ -49,7 +49,7 @@ class Ekf(GaussianFilter):
     """The entries that the last prediction changed, before it."""
 
     def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
-        """Begin anew; see `Filter.start`."""
+        """Start with a new state; see `Filter.start`."""
         self._belief = GaussianBelief(pose, covariance)
         self._atlas = Atlas(models)
 
@@ -77,8 +77,8 @@ class Ekf(GaussianFilter):
     ) -> list[Hypotheses]:
         """Score the pairings of observations with landmarks of their kind, within a gate."""
         return [
-            score(self._belief, table, asked, reach(table.model.dim_z))
-            for table, asked in self._atlas.by_kind(observations)
+            score(self._belief, table, seen, reach(table.model.dim_z))
+            for table, seen in self._atlas.by_kind(observations)
         ]
 
     def joint(

@@ -42,7 +42,7 @@ class FirstEstimatesEkf(Ekf):
     """The predicted pose (3,) before the last one."""
 
     def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
-        """Begin anew; see `Filter.start`."""
+        """Start with a new state; see `Filter.start`."""
         super().start(pose, covariance, models)
         self._first = self.pose
 

@@ -76,7 +76,7 @@ class SubmapEkf(Ekf):
     _motion: Increment = PrivateAttr()
 
     def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
-        """Begin anew; see `Filter.start`."""
+        """Start with a new state; see `Filter.start`."""
         super().start(pose, covariance, models)
         self._archive, self._tree = Archive(models), JunctionTree()
         self._origin, self._node = np.array(pose[:2]), (0, _MIDDLE, _MIDDLE)

@@ -101,7 +101,7 @@ class UnscentedKalmanFilter(GaussianFilter):
     _before: SquareRootBelief = PrivateAttr()
 
     def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
-        """Begin anew; see `Filter.start`."""
+        """Start with a new state; see `Filter.start`."""
         self._belief = SquareRootBelief(pose, covariance)
         self._atlas = Atlas(models)
 
@@ -129,11 +129,11 @@ class UnscentedKalmanFilter(GaussianFilter):
     ) -> list[Hypotheses]:
         """Score the pairings of observations with landmarks of their kind, within a gate."""
         scores = []
-        for table, asked in self._atlas.by_kind(observations):
-            seen = self._expect(table, np.arange(len(table.ids)))
-            known = seen.z, seen.slopes @ seen.slopes.swapaxes(1, 2) + seen.noise
-            gate = reach(table.model.dim_z)
-            scores.append(score_predicted(self._belief, table, asked, gate, known))
+        for table, seen in self._atlas.by_kind(observations):
+            expected = self._expect(table, np.arange(len(table.ids)))
+            covariance = expected.slopes @ expected.slopes.swapaxes(1, 2) + expected.noise
+            gate, known = reach(table.model.dim_z), (expected.z, covariance)
+            scores.append(score_predicted(self._belief, table, seen, gate, known))
         return scores
 
     def joint(

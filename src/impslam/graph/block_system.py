@@ -21,9 +21,7 @@ TOLERANCE, MAX_STEPS = 1e-3, 60
 and maximum number of steps. A step propagates information to adjacent poses, so few steps do not change
 what is constrained only over many poses; a thousand steps moved the shape of buildings by a decimetre,
 without making their maps more accurate."""
-_DAMPING = (
-    1e-6  # makes rows of unconstrained poses invertible, and keeps these poses where they are
-)
+_DAMPING = 1e-6  # makes rows of unconstrained poses invertible, and these poses stay
 
 
 class BlockSystem(NamedTuple):

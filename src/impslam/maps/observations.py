@@ -48,9 +48,9 @@ def unpacked(arrays: Arrays) -> Seen:
     if (counts < 0).any() or counts.sum() != n:
         raise ValueError("observations/counts does not fit the observations")
     if (sizes < 1).any() or sizes.sum() != len(arrays["z"]):
-        raise ValueError("observations/z is not as long as its sizes say")
+        raise ValueError("observations/z does not have the length of its sizes")
     if (sizes**2).sum() != len(arrays["R"]) or n * len(names) != len(arrays["attributes"]):
-        raise ValueError("observations/R or attributes is not as long as its sizes say")
+        raise ValueError("observations/R or attributes does not have the length of its sizes")
     if ((arrays["kinds"] < 0) | (arrays["kinds"] >= len(kinds))).any():
         raise ValueError("observations/kinds are not named")
     flat = list(_rows(arrays, kinds, names))

@@ -55,7 +55,7 @@ def test_many_particles_have_the_posterior_of_the_ekf(version, off):
         assert np.trace(one.covariance) == pytest.approx(np.trace(other.covariance), rel=0.25)
 
 
-def test_draws_that_look_at_the_scan_keep_more_particles():
+def test_sampling_with_the_scan_keeps_more_particles():
     """Precise sensor, poor odometry: of FastSLAM 1's particles few are anywhere near."""
     kept = []
     for version in (1, 2):
@@ -94,7 +94,7 @@ def test_the_pool_grows_with_what_differs_and_no_further():
         )
 
 
-def test_systematic_draws_are_as_even_as_whole_numbers_allow(rng):
+def test_systematic_resampling_is_as_even_as_possible(rng):
     weights = rng.dirichlet(np.ones(50))
     for start in (0.0, 0.5, 0.999):
         counts = np.bincount(systematic(weights, start), minlength=50)

@@ -62,7 +62,7 @@ def test_a_graph_without_nodes_or_with_one_has_no_edges():
     np.testing.assert_array_equal(graph.path_lengths(0), [0.0])
 
 
-def test_motions_are_certain_to_be_motions_and_closures_are_not(rng):
+def test_motions_are_quadratic_and_closures_robust(rng):
     truth = grid_walk(6, rng)
     graph = grown(truth)
     closed(graph, truth, 0, 5)
@@ -84,7 +84,7 @@ def test_a_closure_brings_the_ends_together():
     np.testing.assert_array_equal(graph.poses[0], truth[0])
 
 
-def test_a_closure_that_the_drift_does_not_allow_is_outvoted():
+def test_a_closure_beyond_the_drift_is_outvoted():
     """Nine standard deviations of the chain: the closure is the less likely one."""
     truth = square()
     graph = grown(truth)
@@ -111,7 +111,7 @@ def test_true_closures_of_an_exact_chain_move_nothing(rng):
         ((0, 0, -0.011), True),
     ],
 )
-def test_a_closure_says_something_new_by_how_far_it_moves(shift, new):
+def test_a_closure_triggers_a_solution_by_its_correction(shift, new):
     truth = square()
     graph = grown(truth)
     T = between(truth[2], truth[30]) + np.array(shift)
@@ -119,7 +119,7 @@ def test_a_closure_says_something_new_by_how_far_it_moves(shift, new):
     assert graph.closures == 1
 
 
-def test_a_heading_beyond_pi_is_no_news():
+def test_a_heading_beyond_pi_triggers_no_solution():
     graph = grown(np.array([[0.0, 0.0, 3.1], [1.0, 0.0, -3.1]]))
     T = between(graph.poses[0], graph.poses[1])
     assert not graph.close(0, 1, T + np.array([0.0, 0.0, 2.0 * math.pi]), FIRM)
@@ -171,7 +171,7 @@ def test_without_a_solution_the_nodes_stay_where_they_are():
     np.testing.assert_array_equal(graph.covariances, covariances)
 
 
-def test_closures_that_are_taken_back_leave_the_graph_as_it_was():
+def test_removed_closures_leave_the_graph_unchanged():
     truth = square()
     graph, twin = (grown(truth, drift=(0.0, 0.0, 0.004)) for _ in "ab")
     for one in (graph, twin):
@@ -194,7 +194,7 @@ def test_closures_that_are_taken_back_leave_the_graph_as_it_was():
 # --------------------------------------------------------------------------- ways
 
 
-def test_the_way_along_a_chain_is_its_length(rng):
+def test_the_path_along_a_chain_is_its_length(rng):
     graph = grown(grid_walk(7, rng), length=3.0)
     for node in (0, 3, 6):
         np.testing.assert_allclose(graph.path_lengths(node), 3.0 * np.abs(np.arange(7) - node))
@@ -207,7 +207,7 @@ def test_a_closure_is_a_short_cut(rng):
     np.testing.assert_allclose(ways[[10, 9, 1, 0, 2, 5]], [0.0, 2.0, 2.5, 4.5, 4.5, 10.0])
 
 
-def test_ways_are_the_shortest(rng):
+def test_path_lengths_are_the_shortest(rng):
     """Against Floyd and Warshall, in a graph with many closures."""
     n = 25
     graph = grown(grid_walk(n, rng), length=2.5)
@@ -226,7 +226,7 @@ def test_ways_are_the_shortest(rng):
         np.testing.assert_allclose(graph.path_lengths(node), apart[node])
 
 
-def test_a_copy_stays_as_it_is_while_the_graph_goes_on():
+def test_a_copy_does_not_change_while_the_graph_grows():
     graph = PoseGraph()
     graph.add_root(np.zeros(3), 1e-4 * np.eye(3))
     step = np.array([1.0, 0.0, 0.0])
@@ -265,7 +265,7 @@ def test_edges_of_a_folded_node_are_those_of_its_host():
     assert np.abs(wrapped(graph.poses - truth, 2)).max() < 1e-9
 
 
-def test_an_edge_that_is_moved_errs_by_both_of_its_parts(rng):
+def test_a_moved_edge_has_the_errors_of_both_parts(rng):
     """The covariance of each edge of a folded node is that of samples."""
     truth = square(n=2)
     graph = grown(truth)
@@ -286,7 +286,7 @@ def test_an_edge_that_is_moved_errs_by_both_of_its_parts(rng):
         )
 
 
-def test_a_folded_leaf_leaves_what_is_known_of_the_others():
+def test_folding_a_leaf_does_not_change_the_others():
     truth = square(n=2)
     graph, twin = grown(truth), grown(truth[:-1])
     folded(graph, truth, 8, 0)
@@ -353,7 +353,7 @@ def test_nothing_is_folded_twice_or_into_itself():
     np.testing.assert_array_equal(graph.edges.i, known.i)
 
 
-def test_a_copy_stays_as_it_is():
+def test_a_copy_does_not_change():
     truth = square()
     graph = grown(truth[:20], drift=(0.0, 0.0, 0.004))
     still = copy(graph)

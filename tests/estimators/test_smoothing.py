@@ -62,7 +62,7 @@ def test_the_settled_map_is_the_batch_optimum(gtsam, relinearise):
     assert np.abs(apart).max() < 0.01
 
 
-def test_settling_changes_nothing_that_follows(gtsam):
+def test_settling_does_not_affect_what_follows(gtsam):
     made, twin = started(), started()
     rng, again = np.random.default_rng(2), np.random.default_rng(2)
     for k, (pose, motion) in enumerate(drive(12, rng)):
@@ -121,7 +121,7 @@ def _whitened(gtsam, factor, values, key, step):
     return -factor.linearize(moved).jacobian()[1]
 
 
-def test_an_error_that_observations_share_does_not_average_out(gtsam):
+def test_a_common_error_does_not_average_out(gtsam):
     smoother, shared = Smoother(np.zeros(3), 1e-6, 0.01), np.array([0.03, 0.0])
     R = 1e-4 * np.eye(2)
     seen = Observation(
@@ -153,6 +153,6 @@ def test_without_the_library_one_line_says_what_to_install(monkeypatch):
         started()
 
 
-def test_a_filter_that_cannot_be_led_is_refused(gtsam):
+def test_a_filter_that_cannot_follow_is_refused(gtsam):
     with pytest.raises(ConfigError, match=r"'ukf'.*filter\.kind=riekf"):
         started("ukf")

@@ -52,7 +52,7 @@ def test_a_lap_driven_again_adds_nothing(still):
     assert len(graph.edges.i) < 3 * per_lap
 
 
-def test_what_is_dropped_is_told_once(still):
+def test_dropped_keyframes_are_reported_once(still):
     made, revisions = still
     told = [k for revision in revisions for k in revision.dropped]
     assert len(set(told)) == len(told)
@@ -88,7 +88,7 @@ def test_keyframes_that_show_a_change_are_kept(change):
     assert np.count_nonzero(keys.is_kept[beside & third & ~late]) < seen_first
 
 
-def test_another_room_is_not_this_one():
+def test_passes_that_the_graph_does_not_connect_are_kept():
     """Two passes that the graph does not tie to each other stay apart, alike as they look."""
     made = begun(START, loops={"attempts": 0})
     driven(made, keyframes(RING, TRUTH))

@@ -80,7 +80,7 @@ def test_a_rigid_motion_of_everything_moves_the_result(T):
     assert (np.abs(se2.between(se2.compose(np.array(T), one), two)) < 1e-5).all()
 
 
-def test_gradient_by_differences_with_pairs_held():
+def test_gradient_by_differences_with_fixed_pairs():
     truth = drive()[:2]
     scans = scans_at(truth)
     fans = sort_by_bearing(scans._replace(lasers=np.tile(scans.lasers, (2, 1))))

@@ -72,7 +72,7 @@ def test_beams_are_explained_where_they_were_taken(ground):
     assert told.through + told.short + told.unknown == pytest.approx(1.0 - told.matched)
 
 
-def test_beams_through_walls_and_in_free_space_speak_against_a_pose(ground):
+def test_beams_through_walls_and_into_free_space_lower_the_score(ground):
     beams = beams_of([-2.0, 1.0, 0.3])
     through = explain(ground, beams, np.array([1.2, 0.2, 0.3]))
     assert through.through > 0.2
@@ -82,7 +82,7 @@ def test_beams_through_walls_and_in_free_space_speak_against_a_pose(ground):
     assert max(through.score, short.score) < 0.1
 
 
-def test_beams_that_end_where_nobody_has_looked_tell_nothing(ground):
+def test_beams_that_end_in_unknown_space_have_no_effect(ground):
     beams = beams_of([-2.0, 1.0, 0.3])
     told = explain(ground, beams, np.array([500.0, 0.0, 0.0]))
     assert told.unknown == 1.0

@@ -62,7 +62,7 @@ def test_a_scan_of_another_building_is_nowhere(office):
     assert sum(h.odds for h in answer.hypotheses) < 0.02
 
 
-def test_like_rooms_are_ambiguous_until_the_way_tells_them_apart(twins):
+def test_similar_rooms_are_ambiguous_until_the_drive_distinguishes_them(twins):
     drive = np.concatenate([way(8.5, 4.0, 8.5, 1.2, 6), way(8.8, 1.0, 11.0, 1.0, 5)])
     finder, before = DriveRelocaliser(twins), drive[0]
     answers = []
@@ -87,7 +87,7 @@ def _silently_wrong(answer, truth):
     )
 
 
-def test_a_hint_tells_like_rooms_apart(twins):
+def test_a_hint_distinguishes_similar_rooms(twins):
     truth = np.array([2.5, 4.0, -1.5])
     scan = view(seen(TWINS, truth))
     assert twins.find(scan).verdict == Verdict.AMBIGUOUS
@@ -134,7 +134,7 @@ def test_a_stored_scan_is_what_was_seen():
         np.testing.assert_allclose(kept[k].laser, LASER[:2])
 
 
-def test_motions_that_tell_little_are_not_joined(office):
+def test_scans_with_uncertain_motions_are_not_joined(office):
     finder, blind = DriveRelocaliser(office), np.diag([1.0, 1.0, 0.1])
     for truth in ([-4.5, -2.0, 2.0], [5.0, 0.2, -1.2]):  # carried away: the motion is false
         answer = finder.add(view(seen(OFFICE, truth)), NOTHING[0], blind)

@@ -21,12 +21,12 @@ import numpy as np
 from benchmarks.buildings import FALSE, LOGS, row, table, timed
 
 from impslam.estimators.keyframe_log import KeyframeLog
-from impslam.estimators.loop_closing import QUERY_CELL, QUERY_REACH, REFERENCE_CELL
+from impslam.estimators.loop_closing import QUERY_CELL, REFERENCE_CELL
 from impslam.evaluation.relations import read_relations
 from impslam.geometry.se2 import between, compose
 from impslam.map import Map
 from impslam.open_log import open_log
-from impslam.recognition.correlative import Window, deep_enough, search
+from impslam.recognition.correlative import Window, search, start_level
 from impslam.recognition.places import search_points
 from impslam.recognition.pyramid import build
 from impslam.recognition.submap import Submap, gather
@@ -122,12 +122,12 @@ def by_relations(
     order = np.argsort(known.stamps, kind="stable")
     ranks = np.searchsorted(known.stamps[order], relations[:, :2].ravel()).clip(0, len(order) - 1)
     sweeps = order[ranks].reshape(-1, 2)
-    ways = keys.way[known.anchors[sweeps]]
+    ways = keys.distance[known.anchors[sweeps]]
     poses = known.path()[:, 1:][sweeps]
     base, best, out = known.keyframes.poses, MAX_GAP, NONE
     for way, ends, (*_, x, y, theta) in zip(ways, poses, relations, strict=True):
         for one, other in ((0, 1), (1, 0)):
-            away = max(abs(way[one] - keys.way[i]), abs(way[other] - keys.way[j]))
+            away = max(abs(way[one] - keys.distance[i]), abs(way[other] - keys.distance[j]))
             if away >= best:
                 continue
             T = np.array([x, y, theta])
@@ -145,10 +145,10 @@ def by_search(
     `other` (3,) is the pose by the relation.
     """
     reference = around(keys, i, REFERENCE_PATH, (REFERENCE_CELL, MAX_RANGE))
-    query = around(keys, j, QUERY_PATH, (QUERY_CELL, QUERY_REACH))
+    query = around(keys, j, QUERY_PATH, (QUERY_CELL, QUERY_RANGE))
     points, turn = search_points(query.features)
     window, own = Window(WINDOW, WINDOW, math.pi), Window(OWN_RADIUS, OWN_RADIUS, OWN_RADIUS)
-    pyramid = build(reference.features, deep_enough(window))
+    pyramid = build(reference.features, start_level(window))
     mine = search(pyramid, points, pose, own, turn=turn)
     best = search(pyramid, points, pose, window, turn=turn)
     low = reference.features[:, :2].min(0).astype(float) - 1.0
@@ -163,7 +163,7 @@ def by_search(
 
 def around(keys: KeyframeLog, k: int, way: float, extent: tuple[float, float]) -> Submap:
     """Return the submap around a keyframe, as tracked: independent of closures."""
-    near = np.flatnonzero(np.abs(keys.way - keys.way[k]) <= way)
+    near = np.flatnonzero(np.abs(keys.distance - keys.distance[k]) <= way)
     rows = [row for row in near if keys.views[row] is not None]
     views: list[Any] = [keys.views[row] for row in rows]
     return gather(views, keys.chain[rows], keys.chain[k], *extent)

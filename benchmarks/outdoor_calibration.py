@@ -65,7 +65,7 @@ def read(log: Path) -> Log:
         for _, sweeps in sensed:
             stamps.extend(sweeps.columns.stamps.tolist())
             for k in range(len(sweeps)):
-                seen = car.look(sweeps, k, rng)
+                seen = car.observe(sweeps, k, rng)
                 sights.append(np.array([o.z for o in seen]).reshape(-1, 2))
 
     with recognise(log)(path=log) as source:

@@ -33,9 +33,9 @@ from impslam.map import Keyframe, Keyframes, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer, Outcome
 from impslam.open_log import open_log
 from impslam.recognition.beams import explain
+from impslam.recognition.drive import DriveRelocaliser
 from impslam.recognition.relocalisation import Answer, Relocaliser, Verdict, query
 from impslam.recognition.submap import View, view
-from impslam.recognition.way import WayRelocaliser
 from impslam.run import map_log
 from impslam.types import Array, Ints, Mask
 
@@ -160,9 +160,9 @@ def timed(find: Callable[[], Answer]) -> tuple[Answer, float]:
     return answer, 1e3 * (time.process_time() - begin)
 
 
-def way_before(relocaliser: Relocaliser, seen: Steps, k: int) -> WayRelocaliser:
+def way_before(relocaliser: Relocaliser, seen: Steps, k: int) -> DriveRelocaliser:
     """Return a relocaliser with the path that ends with scan k."""
-    finder = WayRelocaliser(relocaliser)
+    finder = DriveRelocaliser(relocaliser)
     for j in seen.way(k):
         finder.remember(seen.view(j), seen.scans[j].motion, seen.scans[j].covariance)
     return finder

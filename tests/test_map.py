@@ -368,13 +368,13 @@ WRONG = [
     ("stamps", np.zeros(9, ">f8"), "stamps holds >f8"),
     ("stamps", np.zeros((9, 1)), "stamps has shape (9, 1)"),
     ("anchors", np.zeros(8, np.int64), "anchors has shape (8,)"),
-    ("anchors", np.full(9, 3), "anchors are no keyframes"),
-    ("anchors", np.full(9, -1), "anchors are no keyframes"),
+    ("anchors", np.full(9, 3), "anchors are not keyframes"),
+    ("anchors", np.full(9, -1), "anchors are not keyframes"),
     ("T_anchor_base", np.zeros((9, 4)), "T_anchor_base has shape (9, 4)"),
     ("live_poses", np.float64(1.0), "live_poses has shape ()"),
     ("live_poses", np.asfortranarray(np.ones((9, 3))), "by rows"),
     ("keyframes/points", np.zeros((8, 2), np.float32), "starts does not fit"),
-    ("keyframes/starts", np.array([0, 99, 6, 9]), "starts falls"),
+    ("keyframes/starts", np.array([0, 99, 6, 9]), "starts decreases"),
     ("keyframes/starts", np.array([-5, 3, 6, 9]), "starts does not fit"),
     ("keyframes/starts", np.zeros(0, np.int64), "starts does not fit"),
     ("edges/i", np.array([0, 3]), "edges do not join two keyframes"),
@@ -400,15 +400,15 @@ WRONG = [
     ("keyframes/sessions", np.array([0, 2, 2]), "sessions do not count up"),
     ("keyframes/sessions", np.array([1, 1, 1]), "sessions do not count up"),
     ("keyframes/poses", np.full((3, 3), np.nan), "keyframes/poses is not finite"),
-    ("keyframes/motion_covariances", -np.ones((3, 3, 3)), "are no covariances"),
-    ("keyframes/motion_covariances", np.full((3, 3, 3), np.triu(EYE + 1.0)), "are no covariances"),
+    ("keyframes/motion_covariances", -np.ones((3, 3, 3)), "are not covariances"),
+    ("keyframes/motion_covariances", np.full((3, 3, 3), np.triu(EYE + 1.0)), "are not covariances"),
     ("observations/counts", np.array([2, 9, 0]), "counts does not fit"),
     ("observations/counts", np.array([3]), "counts does not fit"),
     ("observations/counts", np.array([-1, 4, 0]), "counts does not fit"),
-    ("observations/sizes", np.array([2, 2, 1 << 62]), "z is not as long"),
-    ("observations/sizes", np.array([2, 2, -2]), "z is not as long"),
+    ("observations/sizes", np.array([2, 2, 1 << 62]), "z does not have the length"),
+    ("observations/sizes", np.array([2, 2, -2]), "z does not have the length"),
     ("observations/kinds", np.array([0, 1, 2]), "kinds are not named"),
-    ("observations/R", np.zeros(11), "R or attributes is not as long"),
+    ("observations/R", np.zeros(11), "attributes does not have the length"),
     ("observations/names", text([]), ""),
     ("belief/mean", np.array([Evil()], dtype=object), "belief/mean holds object"),
     ("about", text([]), ""),
@@ -455,7 +455,7 @@ def test_memory_is_not_taken_by_a_lie(file):
         stream, {"descr": "<f8", "fortran_order": False, "shape": (10**15,)}
     )
     rewritten(file, {"stamps": stream.getvalue() + bytes(72)})
-    refuses(file, "stamps is not as long as it says")
+    refuses(file, "stamps has another length than declared")
 
 
 def test_some_keyframes_take_their_points_along():

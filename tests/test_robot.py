@@ -366,5 +366,5 @@ def test_detections_are_looked_at_where_they_are_asked_for():
     found = sensed(robot, log, 10)
     assert [sweeps.columns["labels"].tolist() for _, _, sweeps in found] == [[[0]], [[2]]]
     assert robot.problems.counts == {"scan": 1}
-    (seen,) = robot.look(found[1][2], 0, np.random.default_rng(0))
+    (seen,) = robot.observe(found[1][2], 0, np.random.default_rng(0))
     assert (seen.label, seen.z.tolist()) == (2, [3.0, 0.0])

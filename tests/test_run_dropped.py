@@ -39,15 +39,15 @@ def drive_along(spoilt=()):
     """Drive by a matcher; in the scans of the stamps in `spoilt` an extractor finds nonsense."""
     kept = Steps()
     run = Run(load("imp", ["tracker.kind=scan_to_map", "keyframes.distance=0"]), [kept])
-    look = run.robot.look
+    observe = run.robot.observe
 
     def spoil(sweeps, k, rng):
-        seen = look(sweeps, k, rng)
+        seen = observe(sweeps, k, rng)
         if any(abs(sweeps.columns.stamps[k] - stamp) < 1e-9 for stamp in spoilt):
             seen = (*seen, Observation("wall", np.array([2.0, 0.0]), np.nan * np.eye(2)))
         return seen
 
-    run.robot.look = spoil
+    run.robot.observe = spoil
     for i in range(120):
         stamp, way = 10.0 + 0.01 * i, 0.05 * i
         feed(run, [WheelAngles(stamp, way, way + 1e-4 * i**2)])

@@ -1,7 +1,7 @@
 """impslam: SLAM for small wheeled robots with a 2D lidar.
 
 `impslam.run` takes a log and returns a map, e.g. `impslam.run("log.mcap", "turtlebot3-waffle")`.
-`impslam.Slam` takes arrays of a program of your own:
+`impslam.Slam` takes arrays from your own program:
 
 >>> import numpy as np
 >>> import impslam
@@ -17,7 +17,7 @@
 >>> known.grid().resolution
 0.05
 
-`impslam.Map` is what both return: `path()`, `landmarks`, `grid()`, `save()` and `Map.load()`.
+Both return an `impslam.Map`: `path()`, `landmarks`, `grid()`, `save()` and `Map.load()`.
 `impslam.Relocaliser` finds a scan anywhere in a map.
 """
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ImpError", "Map", "Relocaliser", "Slam", "run"]
 
-_PLACES = {
+_MODULES = {
     "ImpError": "errors",
     "Map": "map",
     "Relocaliser": "recognition.relocalisation",
@@ -45,13 +45,13 @@ _PLACES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for when it is asked for: the command line needs little of it."""
+    """Import a public name on first access: the command line needs few of them."""
     if name == "__version__":
         from importlib.metadata import version  # noqa: PLC0415  25 ms that no command needs
 
         return version("impslam")
-    if name not in _PLACES:
+    if name not in _MODULES:
         raise AttributeError(f"module 'impslam' has no attribute {name!r}")
-    module = importlib.import_module(f"impslam.{_PLACES[name]}")
-    # `impslam.run` is the module of this name, which can be called as the function in it.
+    module = importlib.import_module(f"impslam.{_MODULES[name]}")
+    # `impslam.run` is this module, which can be called like the function in it.
     return module if name == "run" else getattr(module, name)

@@ -50,19 +50,19 @@ class Stopwatch:
         self.stages.setdefault(stage, array("d")).append(time.perf_counter() - begin)
 
 
-def dropped(many: Iterable[Problems]) -> dict[str, Dropped]:
+def dropped(parts: Iterable[Problems]) -> dict[str, Dropped]:
     """Merge the problems of several parts."""
     return {
         kind: Dropped(count, problems.examples[kind])
-        for problems in many
+        for problems in parts
         for kind, count in problems.counts.items()
     }
 
 
 def about(outcome: Outcome, logs: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any]:
-    """Return the origin of a map as plain values, which are equal for equal runs.
+    """Return the origin of a map as JSON values, which are equal for equal runs.
 
-    `logs` are all that it was made from, in their order.
+    `logs` are all logs of the map, in their order.
     """
     return {
         "log": outcome.log.name,

@@ -1,8 +1,8 @@
 """Sensor data as columns: many rows of one stream, stacked field by field.
 
 A log provides hundreds of rows at a time, a live robot one. The size of the batches does not change
-any result: `Columns.order` holds the position of each row in the log, counted over all streams. Stamps
-are never sorted.
+any result: `Columns.order` holds the position of each row in the log, counted over all streams. Rows
+are never sorted by stamp.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from impslam.types import Array, Increment, Ints, Mask, Message, Scan
 Values: TypeAlias = npt.NDArray[Any]
 
 ROWS = 512
-"""Default rows per batch: the arrays take a few MB for any 2D lidar, and the overhead of Python per row
-is well below a microsecond."""
+"""Default rows per batch: the arrays take a few MB for any 2D lidar, and the overhead of Python per row is
+well below a microsecond."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +32,7 @@ class Columns:
     Attributes
     ----------
     stream : the stream's name in the log, e.g. a topic
-    kind : the type of message that one row is
+    kind : the message type of the rows
     order : (m,) strictly increasing; position of each row in the log, over all streams
     values : (m, ...) by field name; fields with a value per row, including "stamp" (s)
     layout : by field name; values shared by all rows, e.g. the beam angles of a lidar
@@ -63,8 +63,8 @@ class Columns:
 
     def row(self, k: int) -> Message:
         """Return one row as a message."""
-        found = {name: _scalar(column[k]) for name, column in self.values.items()}
-        return self.kind(**found, **self.layout)
+        values = {name: _scalar(column[k]) for name, column in self.values.items()}
+        return self.kind(**values, **self.layout)
 
 
 def join(first: Columns, second: Columns) -> Columns:
@@ -86,8 +86,8 @@ def batches(messages: Iterable[tuple[str, Message]], rows: int = ROWS) -> Iterat
     gathered: dict[str, list[tuple[int, Message]]] = {}
     count = 0
     for order, (stream, message) in enumerate(messages):
-        known = gathered.get(stream)
-        if known and not _stacks(known[-1][1], message):
+        previous = gathered.get(stream)
+        if previous and not _can_stack(previous[-1][1], message):
             yield _stacked(gathered)
             gathered, count = {}, 0
         gathered.setdefault(stream, []).append((order, message))
@@ -106,10 +106,10 @@ def single_row(stream: str, message: Message, order: int) -> Batch:
 
 def log_order(batch: Batch) -> Iterator[tuple[str, Message]]:
     """Yield the stream and message of each row of a batch, in the order of the log."""
-    many = list(batch.values())
-    places = sorted((int(o), i, k) for i, c in enumerate(many) for k, o in enumerate(c.order))
-    for _, i, k in places:
-        yield many[i].stream, many[i].row(k)
+    streams = list(batch.values())
+    rows = sorted((int(o), i, k) for i, c in enumerate(streams) for k, o in enumerate(c.order))
+    for _, i, k in rows:
+        yield streams[i].stream, streams[i].row(k)
 
 
 def messages(batches: Iterable[Batch]) -> Iterator[Message]:
@@ -128,17 +128,17 @@ def _stack(stream: str, numbered: list[tuple[int, Message]]) -> Columns:
     first = numbered[0][1]
     values: dict[str, Values] = {}
     layout: dict[str, Any] = {}
-    for name in _names(type(first)):  # type: ignore[arg-type]  # a class can be hashed
+    for name in _field_names(type(first)):  # type: ignore[arg-type]  # a class can be hashed
         value = getattr(first, name)
         if value is None or name in first.layout_fields:
             layout[name] = value
         else:
             column = [getattr(message, name) for _, message in numbered]
-            values[name] = np.array(column, None if _numeric(value) else np.object_)
+            values[name] = np.array(column, None if _is_numeric(value) else np.object_)
     return Columns(stream, type(first), order, values, layout)
 
 
-def _numeric(value: object) -> bool:
+def _is_numeric(value: object) -> bool:
     return isinstance(value, float | int | np.generic | np.ndarray)
 
 
@@ -146,11 +146,11 @@ def _scalar(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _stacks(first: Message, other: Message) -> bool:
+def _can_stack(first: Message, other: Message) -> bool:
     """Return whether two messages can be rows of the same columns."""
     if type(first) is not type(other):
         return False
-    for name in _names(type(first)):  # type: ignore[arg-type]  # a class can be hashed
+    for name in _field_names(type(first)):  # type: ignore[arg-type]  # a class can be hashed
         a, b = getattr(first, name), getattr(other, name)
         if a is b:
             continue
@@ -162,7 +162,7 @@ def _stacks(first: Message, other: Message) -> bool:
 
 
 @cache
-def _names(kind: type[Message]) -> tuple[str, ...]:
+def _field_names(kind: type[Message]) -> tuple[str, ...]:
     return tuple(field.name for field in fields(kind))
 
 
@@ -189,7 +189,7 @@ def _equal(a: Any, b: Any) -> bool:
 
 
 class Motions(NamedTuple):
-    """m consecutive motions of base_link, each starting where the previous one ended; see `Increment`.
+    """m consecutive motions of base_link, each from the end of the previous one; see `Increment`.
 
     Attributes
     ----------
@@ -217,14 +217,14 @@ class Motions(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweeps:
-    """m measurements of one exteroceptive sensor, related to the motion of the robot.
+    """m measurements of one exteroceptive sensor, with the motion of the robot.
 
     Attributes
     ----------
     sensor : the sensor's name in the config
     columns : the rows as received
-    middles : (m,) s on the odometry's clock, time of the middle of each sweep; the estimated
-        pose is that of base_link at this time
+    middles : (m,) s on the odometry's clock, middle of each sweep; the estimated pose is that of base_link
+        at this time
     twists : (m, 3) m/s, m/s, rad/s, mean body velocity over each sweep
     T_middle_stamp : (m, 3) dead-reckoned motion from the middle of the sweep to the stamp of the row
     stamp_covariance : (m, 3, 3) of that motion
@@ -260,7 +260,7 @@ class Scans:
     """The columns of `Scan`: m sweeps of n beams each, in base_link at the middle of each sweep.
 
     `ranges`, `valid`, `directions`, `sigmas` are (m, n), `points` and `origins` (m, n, 2); `angles`
-    (n,), `bias`, `range_max` and `laser` (3,) hold for all; see `Scan`.
+    (n,), `bias`, `range_max` and `laser` (3,) are the same for all; see `Scan`.
     """
 
     stamps: Array
@@ -278,18 +278,18 @@ class Scans:
 
     def take(self, rows: slice | Ints | Mask) -> Scans:
         """Return some of the sweeps."""
-        bright = None if self.intensities is None else self.intensities[rows]
+        intensities = None if self.intensities is None else self.intensities[rows]
         return Scans(
             self.stamps[rows], self.angles, self.ranges[rows], self.valid[rows], self.points[rows],
             self.directions[rows], self.origins[rows], self.sigmas[rows], self.bias,
-            self.range_max, self.laser, bright,
+            self.range_max, self.laser, intensities,
         )  # fmt: skip
 
     def row(self, k: int) -> Scan:
         """Return one sweep, as views."""
-        bright = None if self.intensities is None else self.intensities[k]
+        intensities = None if self.intensities is None else self.intensities[k]
         return Scan(
             float(self.stamps[k]), self.angles, self.ranges[k], self.valid[k], self.points[k],
             self.directions[k], self.origins[k], self.sigmas[k], self.bias, self.range_max,
-            self.laser, bright,
+            self.laser, intensities,
         )  # fmt: skip

@@ -1,15 +1,15 @@
-"""Components: replaceable parts whose fields are their parameters, found by name.
+"""Components: replaceable parts, found by name, whose fields are their parameters.
 
 A component is a frozen pydantic model. Its fields are its parameters, each with a unit and a
-sentence; its methods are the role it plays. A role is a direct subclass of `Component`
+description; its methods implement its role. A role is a direct subclass of `Component`
 (`Extractor`, `Filter`, ...), and every class below a role registers itself in that role:
 
     @register("hough")
     class Hough(Extractor): ...
 
-Third parties register through the entry-point group `impslam.components`: each entry point names a
-module, and importing it runs its `@register` lines. Components that are not installed are named in
-`plugins` of the config, as a file or a module.
+Third parties register in the entry-point group `impslam.components`: each entry point names a module,
+whose `@register` lines run when it is imported. `plugins` in the config names components that are not
+installed, as files or modules.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from impslam.errors import ConfigError
 from impslam.parameters import Parameters
-from impslam.parameters import parameter as parameter  # noqa: PLC0414  # part of this face
+from impslam.parameters import parameter as parameter  # noqa: PLC0414  # part of this interface
 from impslam.paths import is_file
 
 _ROLES: dict[str, dict[str, type[Component]]] = {}
@@ -65,7 +65,7 @@ class Component(Parameters):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
-        """Find private attributes in a tenth of pydantic's time: a keyframe looks up dozens."""
+        """Make private attributes ten times as fast as pydantic's: each keyframe accesses dozens."""
         super().__pydantic_init_subclass__(**kwargs)
         for name in vars(cls)["__private_attributes__"]:
             if name not in vars(cls):
@@ -73,15 +73,15 @@ class Component(Parameters):
 
     @model_validator(mode="before")
     @classmethod
-    def _onto_defaults(cls, table: Any) -> Any:
-        """Lay a table that gives part of a nested parameter onto that parameter's own default."""
+    def _merge_defaults(cls, table: Any) -> Any:
+        """Complete a partly given nested parameter with the defaults of that parameter."""
         if not isinstance(table, dict):
             return table
-        laid = dict(table)
+        merged = dict(table)
         for name, field in cls.model_fields.items():
             if isinstance(field.default, BaseModel) and isinstance(table.get(name), dict):
-                laid[name] = {**field.default.model_dump(), **table[name]}
-        return laid
+                merged[name] = {**field.default.model_dump(), **table[name]}
+        return merged
 
     @classmethod
     def describe(cls) -> str:
@@ -90,7 +90,7 @@ class Component(Parameters):
 
 
 def _private(name: str) -> property:
-    """Return what reads a private attribute; pydantic itself writes them."""
+    """Return a property that reads a private attribute, which pydantic writes."""
 
     def get(self: Component) -> Any:
         try:
@@ -102,13 +102,13 @@ def _private(name: str) -> property:
 
 
 def register(name: str) -> Callable[[type[C]], type[C]]:
-    """Make a component known under `name` in the role of its base class."""
+    """Register a component as `name` in the role of its base class."""
 
     def add(cls: type[C]) -> type[C]:
         if cls.role in _PACKAGES and not cls.__module__.startswith(f"{_PACKAGES[cls.role]}."):
-            _import_named(cls.role, name)  # a plug-in that takes a known name is to be blamed
+            _import_named(cls.role, name)  # so that the error below names the plug-in
         known = _ROLES.setdefault(cls.role, {})
-        if name in known and _place(known[name]) != _place(cls):
+        if name in known and _qualified_name(known[name]) != _qualified_name(cls):
             raise ConfigError(
                 f"{cls.role} {name!r} is registered twice, by {known[name].__module__} and "
                 f"{cls.__module__}; rename one"
@@ -120,16 +120,16 @@ def register(name: str) -> Callable[[type[C]], type[C]]:
     return add
 
 
-def _place(cls: type) -> tuple[str, str]:
+def _qualified_name(cls: type) -> tuple[str, str]:
     return cls.__module__, cls.__qualname__
 
 
 @functools.cache
 def _index(role: str) -> dict[str, str]:
-    """Return the module of each component of a role by its name, from the text of the package.
+    """Return the module of each component of a role by its name, from the source of the package.
 
-    This avoids importing a whole role, with its dependencies, for one of its components. Where the text
-    is not available (a package in a zip file) the index is empty, and the role is imported.
+    This avoids importing a whole role, with its dependencies, for one of its components. If the source is
+    not available (a package in a zip file), the index is empty and the whole role is imported.
     """
     package = importlib.import_module(_PACKAGES[role])
     return {
@@ -141,7 +141,7 @@ def _index(role: str) -> dict[str, str]:
 
 
 def _import_named(role: str, name: str) -> None:
-    """Import the module of one component, if the package of its role has it."""
+    """Import the module of one component if it is in the package of its role."""
     module = _index(role).get(name) if role in _PACKAGES else None
     if module is not None:
         importlib.import_module(module)
@@ -149,16 +149,16 @@ def _import_named(role: str, name: str) -> None:
 
 @functools.cache
 def _import_role(role: str) -> None:
-    """Import the package of a role, which registers its components, once."""
+    """Import all modules of a role once, which registers its components."""
     package = importlib.import_module(_PACKAGES[role])
     for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
         importlib.import_module(module.name)
 
 
 def load_entry_points() -> None:
-    """Import the plug-ins that installed packages register, and name the one that fails."""
+    """Import the plug-ins of installed packages; raise `ConfigError` with the name of one that fails."""
     for entry in entry_points(group="impslam.components"):
-        _guarded(f"plug-in {entry.name} = {entry.value}", entry.load)
+        _import_guarded(f"plug-in {entry.name} = {entry.value}", entry.load)
 
 
 def load_plugin(place: str) -> None:
@@ -170,15 +170,15 @@ def load_plugin(place: str) -> None:
         If it is missing or cannot be imported.
     """
     if not place.endswith(".py"):
-        _guarded(f"plugins: {place}", lambda: importlib.import_module(place))
+        _import_guarded(f"plugins: {place}", lambda: importlib.import_module(place))
         return
     path = Path(place).resolve()
     if not is_file(path):
         raise ConfigError(f"plugins: {place}: no such file; check the path")
-    # Two files of one name in different folders are two modules.
+    # Files with the same name in different folders are different modules.
     name = f"impslam_plugin_{path.stem}_{zlib.crc32(str(path).encode()):08x}"
     if name not in sys.modules:
-        _guarded(f"plugins: {place}", lambda: _import_file(name, path))
+        _import_guarded(f"plugins: {place}", lambda: _import_file(name, path))
 
 
 def _import_file(name: str, path: Path) -> None:
@@ -193,17 +193,17 @@ def _import_file(name: str, path: Path) -> None:
         raise
 
 
-def _guarded(what: str, load: Callable[[], object]) -> None:
+def _import_guarded(what: str, load: Callable[[], object]) -> None:
     """Import third-party code; report any exception in one line."""
     try:
         load()
     except ConfigError:
         raise
     except Exception as error:
-        said = f"{what}: cannot be imported: {type(error).__name__}: {error}"
+        text = f"{what}: cannot be imported: {type(error).__name__}: {error}"
         if isinstance(error, ImportError) and str(error.name).startswith("impslam."):
-            said += "; it is written for another version of impslam, see CHANGELOG.md"
-        raise ConfigError(said) from error
+            text += "; it is written for another version of impslam, see CHANGELOG.md"
+        raise ConfigError(text) from error
 
 
 _load_entry_points_once = functools.cache(load_entry_points)
@@ -231,7 +231,7 @@ def roles() -> list[str]:
 
 
 def near_miss(word: str, known: Any) -> str:
-    """Return a hint that names the closest known word, or all of them."""
+    """Return a hint with the closest known word, or with all of them."""
     close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
     if close:
         return f"did you mean {close[0]!r}?"
@@ -244,7 +244,7 @@ def find(role: str, name: str) -> type[Component]:
     Raises
     ------
     ConfigError
-        If there is none; the message names the near miss.
+        If there is none; the message names the closest one.
     """
     _import_named(role, name)
     if name in _ROLES.get(role, {}):
@@ -256,7 +256,7 @@ def find(role: str, name: str) -> type[Component]:
 
 
 def build(role: str, table: Any, where: str = "") -> Any:
-    """Make a component from a config table whose `kind` names it; the rest are its parameters."""
+    """Make a component from a config table: `kind` names it, the other keys are its parameters."""
     if not isinstance(table, Mapping):
         here = where or role
         raise ConfigError(f"{here} = {table!r}: expected a table, e.g. {here}.kind = NAME")
@@ -264,15 +264,15 @@ def build(role: str, table: Any, where: str = "") -> Any:
     if "kind" not in rest:
         raise ConfigError(f"[{where or role}] lacks 'kind'; known: {', '.join(components(role))}")
     cls = find(role, str(rest.pop("kind")))
-    _check_whole(cls)
+    _check_complete(cls)
     try:
         return cls(**rest)
     except ValidationError as error:
         raise ConfigError(explain(error, where or role, cls.model_fields)) from None
 
 
-def _check_whole(cls: type[Component]) -> None:
-    """Refuse a component that lacks what its role promises, as one for an older impslam does."""
+def _check_complete(cls: type[Component]) -> None:
+    """Raise for a component that lacks attributes of its role, e.g. one for an older impslam."""
     lacks = set(getattr(cls, "__abstractmethods__", ()))
     for base in cls.__mro__:
         if base.__module__.startswith("impslam."):
@@ -288,7 +288,7 @@ def _check_whole(cls: type[Component]) -> None:
 
 
 def explain(error: ValidationError, where: str, known: Any) -> str:
-    """Turn a pydantic error into one line that says what, where and what to do."""
+    """Turn a pydantic error into one line: what, where and what to do."""
     first = error.errors()[0]
     path = ".".join(str(part) for part in (where, *first["loc"]) if part != "")
     if first["type"] == "extra_forbidden":
@@ -303,16 +303,16 @@ def explain(error: ValidationError, where: str, known: Any) -> str:
 
 
 def shorten(value: object) -> str:
-    """Return a value as a message shows it, in at most 60 characters."""
+    """Return the repr of a value in at most 60 characters, for messages."""
     try:
-        said = repr(value)
-    except ValueError:  # Python limits the digits of an integer, of one within a list, too
-        said = "a number of thousands of digits"
-    return said if len(said) <= 60 else f"{said[:57]}..."
+        text = repr(value)
+    except ValueError:  # Python limits the digits of integers
+        text = "a number of thousands of digits"
+    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def _fields_within(path: tuple[int | str, ...], known: Any) -> Any:
-    """Return the fields of the inner table at a path, or those known where it is no table's."""
+    """Return the fields of the inner table at a path, or `known` if there is no such table."""
     for part in path:
         kind = getattr(known.get(part), "annotation", None) if isinstance(known, Mapping) else None
         models = [

@@ -1,8 +1,8 @@
 """Configuration: TOML in, components out.
 
-A config starts from a preset, is overridden by a file, then by `--set key=value`. Its tables name
-components by `kind`; the other keys of a table are that component's parameters. Naming another kind
-drops the parameters of the previous kind. `kind = "none"` removes a component. `plugins` names files
+A config starts from a preset, which a file and then `--set key=value` override. Its tables name
+components by `kind`; the other keys of a table are that component's parameters. Another `kind` drops
+the parameters of the previous one. `kind = "none"` removes a component. `plugins` names files
 or modules with further components.
 """
 
@@ -30,7 +30,7 @@ from impslam.errors import ConfigError
 from impslam.estimators.base import Estimator
 from impslam.landmarks.base import LandmarkModel
 from impslam.map import Map
-from impslam.maps.grid import COARSEST, FINEST
+from impslam.maps.grid import MAX_RESOLUTION, MIN_RESOLUTION
 from impslam.parameters import Parameters
 from impslam.paths import is_file
 from impslam.robot import Robot
@@ -43,11 +43,11 @@ Table = dict[str, Any]
 class Grid(Parameters):
     """The occupancy grid that a run writes."""
 
-    resolution: float = parameter(0.05, "m", "side of a cell", ge=FINEST, le=COARSEST)
+    resolution: float = parameter(0.05, "m", "side of a cell", ge=MIN_RESOLUTION, le=MAX_RESOLUTION)
 
 
 class Config(Parameters):
-    """The whole of a run's parameters, as TOML holds them."""
+    """All parameters of a run, as in TOML."""
 
     robot: str = parameter("robot", "", "name of the robot")
     seed: int = parameter(0, "", "seed of everything that samples", ge=0)
@@ -90,9 +90,9 @@ class Config(Parameters):
     def make_gate(self) -> KeyframeGate:
         """Return which scans are keyframes."""
         estimator: Estimator = build("estimator", self.estimator)
-        asked = estimator.keyframes.model_dump()
+        defaults = estimator.keyframes.model_dump()
         try:
-            return KeyframeGate(**{**asked, **self.keyframes})
+            return KeyframeGate(**{**defaults, **self.keyframes})
         except ValidationError as error:
             raise ConfigError(explain(error, "keyframes", KeyframeGate.model_fields)) from None
 
@@ -117,7 +117,7 @@ class Config(Parameters):
                 )
 
     def make_models(self) -> dict[str, LandmarkModel]:
-        """Return every known landmark model by the kind it is for."""
+        """Return all landmark models by kind."""
         known = components("landmark")
         for kind in self.landmarks:
             if kind not in known:
@@ -128,7 +128,7 @@ class Config(Parameters):
         }
 
     def resolved(self) -> Table:
-        """Return every parameter with its value, defaults included; it loads to the same run."""
+        """Return all parameters, including defaults; loading them gives the same run."""
         table = self.model_dump(
             mode="json", exclude={"odometry", "sensors", "landmarks", "keyframes"}
         )
@@ -170,13 +170,13 @@ def presets() -> list[str]:
     )
 
 
-def read_table(name: str | Path, above: tuple[str, ...] = ()) -> Table:
-    """Return the raw table of a preset (by name) or of a TOML file, its `base` merged in.
+def read_table(name: str | Path, derived: tuple[str, ...] = ()) -> Table:
+    """Return the raw table of a preset (by name) or of a TOML file, merged with its `base`.
 
-    `above` are those whose base it is.
+    `derived` are the presets and files of which it is the base.
     """
-    if str(name) in above:
-        raise ConfigError(f"{name}: is its own base ({' -> '.join(above)}); name another base")
+    if str(name) in derived:
+        raise ConfigError(f"{name}: is its own base ({' -> '.join(derived)}); name another base")
     path = Path(name)
     if str(name) in presets():
         text = files("impslam").joinpath("presets", f"{name}.toml").read_text("utf-8")
@@ -187,19 +187,19 @@ def read_table(name: str | Path, above: tuple[str, ...] = ()) -> Table:
         raise ConfigError(f"{shorten(str(name))}: neither a file nor a preset; {hint}")
     table = toml.parse(text, str(name))
     base = table.pop("base", None)
-    table = _anchored(table, path.parent)
-    return table if base is None else merge(read_table(str(base), (*above, str(name))), table)
+    table = _with_plugin_paths(table, path.parent)
+    return table if base is None else merge(read_table(str(base), (*derived, str(name))), table)
 
 
 def carried(preset: str, log: Path) -> Table:
     """Return the table that a log names for its mapping: a shipped preset, or a complete config.
 
-    A log is data: it can choose neither the code that runs nor the files that are read.
+    A log is untrusted data: it can choose neither code to run nor files to read.
 
     Raises
     ------
     ConfigError
-        If it names anything but a shipped preset, or its config cannot be used.
+        If it names something other than a shipped preset, or its config cannot be used.
     """
     if preset in presets():
         return read_table(preset)
@@ -209,15 +209,15 @@ def carried(preset: str, log: Path) -> Table:
             "preset or a config with -c"
         )
     try:
-        table = _own(toml.parse(preset, "its own config"))
+        table = _check_untrusted(toml.parse(preset, "its own config"))
         load(table)
     except ConfigError as error:
         raise ConfigError(f"{log}: {error}; name a preset or a config with -c") from None
     return table
 
 
-def _own(table: Table) -> Table:
-    """Return a log's config unless it asks for code or for files."""
+def _check_untrusted(table: Table) -> Table:
+    """Return a log's config; raise if it names code or files."""
     for key in ("plugins", "base"):
         if table.get(key):
             value = shorten(table[key])
@@ -225,15 +225,15 @@ def _own(table: Table) -> Table:
     return table
 
 
-def _anchored(table: Table, folder: Path) -> Table:
-    """Return the table with its plug-in files found from the folder of the file that names them."""
+def _with_plugin_paths(table: Table, folder: Path) -> Table:
+    """Return the table with plug-in files relative to `folder`, that of the file that names them."""
     places = table.get("plugins")
     if not isinstance(places, list):
         return table
-    return {**table, "plugins": [_anchored_place(place, folder) for place in places]}
+    return {**table, "plugins": [_plugin_path(place, folder) for place in places]}
 
 
-def _anchored_place(place: Any, folder: Path) -> Any:
+def _plugin_path(place: Any, folder: Path) -> Any:
     if not isinstance(place, str) or not place.endswith(".py"):
         return place
     if "\0" in place:
@@ -249,7 +249,7 @@ def _read(path: Path) -> str:
 
 
 def merge(below: Table, above: Mapping[str, Any]) -> Table:
-    """Return `below` overridden by `above`; another `kind` replaces the table it stands in."""
+    """Return `below` overridden by `above`; another `kind` replaces the whole table that contains it."""
     if "kind" in above and above["kind"] != below.get("kind"):
         below = {}
     merged = dict(below)
@@ -263,16 +263,16 @@ def merge(below: Table, above: Mapping[str, Any]) -> Table:
 
 
 def parse_setting(setting: str) -> Table:
-    """Turn "a.b=value" into {"a": {"b": value}}; the value is TOML, or else a string."""
+    """Turn "a.b=value" into {"a": {"b": value}}; a value that is not TOML is a string."""
     key, equals, text = setting.partition("=")
     if not equals or not key.strip():
         raise ConfigError(f"--set {setting}: expected key=value, e.g. --set filter.kind=ekf")
     try:
         value = toml.parse(f"value = {text}", f"--set {key}")["value"]
-    except toml.SyntaxFault:
+    except toml.TomlSyntaxError:
         value = text.strip()
     parts = key.strip().split(".")
-    if len(parts) > toml.DEEPEST:
+    if len(parts) > toml.MAX_DEPTH:
         raise ConfigError(f"--set {shorten(key)}: no such key; `imp config` shows them all")
     for part in reversed(parts):
         value = {part: value}
@@ -285,10 +285,10 @@ def load(base: str | Path | Table = "default", settings: Sequence[str] = ()) -> 
     Raises
     ------
     ConfigError
-        One line that names the key and what to do: the near miss of a typo, the bound broken.
+        One line with the key and what to do, e.g. the closest known key, or the bound.
     """
     table = _merged(base, settings)
-    _refuse_former(table)
+    _refuse_old_keys(table)
     table = _without_none(table)
     _load_plugins(table)
     try:
@@ -306,13 +306,13 @@ def load(base: str | Path | Table = "default", settings: Sequence[str] = ()) -> 
         "association",
         "lifecycle",
         "filter",
-    ):  # also where the estimator has no use for it
+    ):  # even if the estimator does not use it
         build(role, getattr(config, role))
     return config
 
 
-def _refuse_former(table: Table) -> None:
-    """Refuse keys of earlier versions, and name the present ones."""
+def _refuse_old_keys(table: Table) -> None:
+    """Raise for keys of earlier versions, and name the present ones."""
     if "matcher" in table:
         raise ConfigError(
             'matcher is called tracker now: rename [matcher] to [tracker], and its kind = "none" '
@@ -348,7 +348,7 @@ def _merged(base: str | Path | Table, settings: Sequence[str]) -> Table:
         raise ConfigError(f'settings = {shorten(settings)}: expected a list, e.g. ["seed=1"]')
     table = base if isinstance(base, dict) else read_table(base)
     for setting in settings:
-        table = merge(table, _anchored(parse_setting(setting), Path()))
+        table = merge(table, _with_plugin_paths(parse_setting(setting), Path()))
     return table
 
 

@@ -1,8 +1,8 @@
-"""Goes on with a map: what of a log is in it already, and how keyframes are numbered on.
+"""Continue a map: skip the scans of a log that are in it already, and continue its keyframe ids.
 
-A log whose first scans are the last ones of the map, by stamps and odometry, is the one that the map
-was made from. It is tracked again up to there, which costs little and leaves the tracker as it was; then
-it goes on as if it had never stopped. Any other log begins a session, which has to be found in the map.
+If the first scans of a log equal the last ones of the map, by stamps and odometry, the map was made from
+this log. These scans are tracked again, which costs little and restores the state of the tracker; the run
+then continues as if it had never stopped. Other logs begin a session, which must be located in the map.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from impslam.types import Array
 
 
 class Known(NamedTuple):
-    """A map that a run begins with.
+    """A map that a run continues.
 
     Attributes
     ----------
-    map : it is gone on with, or
-    frozen : it stays as it is, and the log is localised in it
-    hint : (3,) or (2,) m, m, rad, about where in the map the log begins; None: it is found
+    map : the map
+    frozen : whether the map does not change, and the log is only localised in it
+    hint : (3,) or (2,) m, m, rad, approximate start of the log in the map; None: search everywhere
     """
 
     map: Map
@@ -35,9 +35,9 @@ class Known(NamedTuple):
     hint: Array | None = None
 
 
-SAME_ODOMETRY = 1e-3
-"""m and rad; dead reckoning of the same readings differs by rounding, that of two drives by far more. Logs
-of simulators begin at the same stamp, and stamps of two robots may count from their start."""
+ODOMETRY_TOLERANCE = 1e-3
+"""m and rad; dead reckoning of the same readings differs by rounding, of two drives by far more. Stamps
+alone do not identify a log: simulators begin at the same stamp, and clocks of robots at their start."""
 
 _ROWS = (
     "stamps", "T_anchor_base", "covariance", "odometry", "located", "reasons", "amounts",
@@ -46,23 +46,22 @@ _ROWS = (
 
 
 class Continuation:
-    """Cuts tracks down to what is new, and numbers their keyframes on from those of the map."""
+    """Cuts tracks down to their new part, and continues the keyframe ids of the map."""
 
     def __init__(self, known: Known | None = None) -> None:
-        self._next = 0 if known is None else len(known.map.keyframes)
-        self._shift: int | None = None if self._next else 0
-        self._first = 0  # keyframe of the log, where it is in the map
-        self._stamps, self._odometry = np.empty(0), np.empty((0, 3))  # of its scans there
-        self._start: Array | None = None  # odometry of its first scan, as it comes again
-        self._count = 0  # of those that have come again
-        self._goes_on = self._waits = (
-            False  # where it stopped, or for the first keyframe of a session
-        )
+        self._next_id = 0 if known is None else len(known.map.keyframes)
+        self._id_shift: int | None = None if self._next_id else 0
+        self._first = 0  # the first keyframe of the map's newest log
+        self._stamps, self._odometry = np.empty(0), np.empty((0, 3))  # scans of that log in the map
+        self._start: Array | None = None  # odometry of the first scan of this run's log
+        self._count = 0  # scans that are in the map already
+        self._is_same_log = False
+        self._awaits_keyframe = False  # the first one of a new session
         if known is not None and not known.frozen:
-            self._remember(known.map)
+            self._expect(known.map)
 
-    def _remember(self, known: Map) -> None:
-        """Expect the log that was mapped last."""
+    def _expect(self, known: Map) -> None:
+        """Store the scans of the log that was mapped last, to compare with."""
         scans = min(len(known.stamps), int(logs_of(known)[-1]["scans"]))
         if scans:
             begin = len(known.stamps) - scans
@@ -72,22 +71,22 @@ class Continuation:
 
     @property
     def repeated(self) -> int:
-        """Number of scans with which the log goes on where the map ends; 0 of another log."""
-        return self._count if self._goes_on else 0
+        """Number of scans of the log that are in the map already; 0 for another log."""
+        return self._count if self._is_same_log else 0
 
     @property
-    def seen(self) -> str:
-        """Why nothing of the log is new, "" if that is not so."""
-        if self._shift is None and self._count > 0:
+    def refusal(self) -> str:
+        """Why the log adds nothing to the map, or ""."""
+        if self._id_shift is None and self._count > 0:
             return f"all of its {self._count} scans are in the map already; give another log"
-        if self._waits:
-            return "it has no keyframe behind the scans that are in the map already"
+        if self._awaits_keyframe:
+            return "it has no keyframe after the scans that are in the map already"
         return ""
 
-    def rest(self, track: Track) -> Track | None:
-        """Return what of a track is new, or None."""
+    def new_part(self, track: Track) -> Track | None:
+        """Return the new part of a track, or None."""
         begin = 0
-        if self._shift is None:
+        if self._id_shift is None:
             begin = self._repeated(track)
             if begin == len(track.stamps) + (track.keyframe is not None):
                 return None
@@ -95,7 +94,7 @@ class Continuation:
         return self._numbered(track, begin)
 
     def _repeated(self, track: Track) -> int:
-        """Return how many scans of a track come again, of its first ones."""
+        """Return how many of the first scans of a track are in the map already."""
         stamps, odometry = track.stamps, track.odometry
         if track.keyframe is not None:
             stamps = np.append(stamps, track.keyframe.stamp)
@@ -104,41 +103,43 @@ class Continuation:
             self._start = odometry[0].copy()
         expected = self._stamps[self._count : self._count + len(stamps)]
         n = len(expected)
-        same = stamps[:n] == expected
+        is_same = stamps[:n] == expected
         if n and self._start is not None:
             moved = between(self._start, odometry[:n])
             driven = self._odometry[self._count : self._count + n]
-            same &= (np.abs(between(driven, moved)) < SAME_ODOMETRY).all(axis=1)
-        count = len(same) if same.all() else int(np.argmin(same))
+            is_same &= (np.abs(between(driven, moved)) < ODOMETRY_TOLERANCE).all(axis=1)
+        count = len(is_same) if is_same.all() else int(np.argmin(is_same))
         self._count += count
         return count
 
     def _decide(self, keyframes: int) -> None:
-        """Decide how it goes on after so many keyframes of the log."""
-        self._shift = self._next - keyframes
-        same_keyframes = self._shift == self._first
-        self._goes_on = 0 < self._count == len(self._stamps) and same_keyframes
-        self._waits = not self._goes_on
+        """Decide whether the log is the map's own, after its first `keyframes` keyframes."""
+        self._id_shift = self._next_id - keyframes
+        has_same_ids = self._id_shift == self._first
+        self._is_same_log = 0 < self._count == len(self._stamps) and has_same_ids
+        self._awaits_keyframe = not self._is_same_log
 
     def _numbered(self, track: Track, begin: int) -> Track | None:
-        """Return a track without its first rows, numbered as in the map."""
-        assert self._shift is not None
-        if self._shift == 0 and begin == 0 and not self._waits:
+        """Return a track without its first `begin` rows, with the keyframe ids of the map."""
+        assert self._id_shift is not None
+        if self._id_shift == 0 and begin == 0 and not self._awaits_keyframe:
             return track
         keyframe = track.keyframe
         if keyframe is not None:
             keyframe = replace(
-                keyframe, id=keyframe.id + self._shift, lost=keyframe.lost or self._waits
+                keyframe,
+                id=keyframe.id + self._id_shift,
+                lost=keyframe.lost or self._awaits_keyframe,
             )
-        if self._waits:
+        if self._awaits_keyframe:
             if keyframe is None:
                 return None
-            self._waits, begin = False, len(track.stamps)
-        return _cut(replace(track, anchor=track.anchor + self._shift, keyframe=keyframe), begin)
+            self._awaits_keyframe, begin = False, len(track.stamps)
+        return _cut(replace(track, anchor=track.anchor + self._id_shift, keyframe=keyframe), begin)
 
 
 def logs_of(known: Map) -> list[dict[str, Any]]:
-    """Return the logs that a map is made of, in their order, each with the number of its scans there."""
+    """Return the logs of a map in their order, each with the number of its scans in the map."""
     about, logs = known.about, known.about.get("logs")
     if isinstance(logs, list) and logs and all(_is_log(log) for log in logs):
         return list(logs)
@@ -153,26 +154,26 @@ def _is_log(value: object) -> bool:
 def begin_with(
     known: Map | str | Path | None, *, frozen: bool = False, hint: Sequence[float] | None = None
 ) -> Known | None:
-    """Return what a run begins with, from what a user gives.
+    """Return the map that a run continues, from a user's arguments; None without one.
 
     Raises
     ------
     ImpError
-        If the map cannot be read, or there is none to be frozen or hinted at.
+        If the map cannot be read, or `frozen` or `hint` are given without a map.
     """
     if known is None:
         if frozen or hint is not None:
-            raise ConfigError("frozen and hint are about a map; give one to localise in")
+            raise ConfigError("frozen and hint need a map; give one to localise in")
         return None
     place = None if hint is None else np.array(hint, float)
     if place is not None and (place.shape not in {(2,), (3,)} or not np.isfinite(place).all()):
-        raise ConfigError(f"{hint} is no place in a map; give x,y in m, or x,y,theta with rad")
+        raise ConfigError(f"{hint} is not a place in a map; give x,y in m, or x,y,theta with rad")
     if not isinstance(known, Map):
         from impslam.imported_map import GRIDS, load_map  # noqa: PLC0415  few runs need it
 
         if Path(known).suffix.lower() in GRIDS and not frozen:
             raise ConfigError(
-                f"{known}: a grid can be localised in, not gone on with; add --frozen"
+                f"{known}: a grid can only be localised in, not continued; add --frozen"
             )
         known = load_map(Path(known))
     if frozen and len(known.keyframes) == 0:
@@ -181,7 +182,7 @@ def begin_with(
 
 
 def _cut(track: Track, begin: int) -> Track:
-    """Return a track without its first rows."""
+    """Return a track without its first `begin` rows."""
     if begin == 0:
         return track
     rows: dict[str, Any] = {name: getattr(track, name)[begin:] for name in _ROWS}

@@ -1,19 +1,19 @@
-"""The one exception tree. The library raises these; only the command line prints and exits."""
+"""The exceptions of the library; only the command line prints them and exits."""
 
 
 class ImpError(Exception):
-    """A failure a user can act on: one line that says what, where and what to do."""
+    """A failure that a user can act on; its message is one line: what, where and what to do."""
 
 
-class LeftError(ImpError):
-    """The user has ended it early; nothing is wrong."""
+class QuitError(ImpError):
+    """The user stopped early; nothing is wrong."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal has ended the command; `code` is the exit code by which shells know it."""
+    """A signal ended the command; `code` is the conventional exit code of that signal."""
 
-    def __init__(self, said: str, code: int) -> None:
-        super().__init__(said)
+    def __init__(self, message: str, code: int) -> None:
+        super().__init__(message)
         self.code = code
 
 
@@ -22,23 +22,23 @@ class ConfigError(ImpError):
 
 
 class SourceError(ImpError):
-    """A log, folder or device that cannot be read, or that holds nothing usable."""
+    """A log, folder or device that cannot be read, or that contains nothing usable."""
 
 
 class MessageError(ImpError):
-    """One message that cannot be used; it is counted, dropped and explained, and the run goes on."""
+    """A message that cannot be used: it is counted, reported and dropped, and the run continues."""
 
 
 class NumericalError(MessageError):
-    """A scan whose numbers admit no solution: a covariance that is not positive definite."""
+    """A scan without a numerical solution, e.g. because a covariance is not positive definite."""
 
 
 class ShapeError(ImpError, ValueError):
-    """An array that has the wrong shape at a border of the library."""
+    """An array of the wrong shape that is passed to the library."""
 
 
 def in_a_line(error: BaseException) -> str:
-    """Return an error's message without line breaks; the type of one that is not ours stands first."""
+    """Return an error's message in one line, preceded by its type if it is not an `ImpError`."""
     words = " ".join(str(error).split())
     if isinstance(error, KeyboardInterrupt):
         return words or "interrupted"

@@ -1,4 +1,4 @@
-"""What optional parts of the package need, as a command that installs it."""
+"""Install commands for the optional extras of the package."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from importlib.metadata import PackageNotFoundError, requires
 
 
 def install(*extras: str) -> str:
-    """Return the command that installs what these extras of the package need.
+    """Return the command that installs the requirements of these extras.
 
-    It names the packages, and so works where impslam itself is on no index.
+    It names the packages, so it works even if impslam itself is on no index.
     """
     try:
         needed = requires("impslam") or []

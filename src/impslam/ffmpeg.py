@@ -1,4 +1,4 @@
-"""Settings of the FFmpeg within OpenCV, which reads them from the environment."""
+"""Settings of OpenCV's FFmpeg, which are read from the environment."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from contextlib import contextmanager
 
 
 def silence() -> None:
-    """Keep FFmpeg from writing on stderr; what goes wrong is told by our errors instead.
+    """Keep FFmpeg from writing to stderr; our errors report failures instead.
 
-    OpenCV reads this once, where a process first opens a video: call it before each opening. A user's
-    own setting wins.
+    OpenCV reads the setting once, when a process first opens a video, so call this before each opening. A
+    user's own setting takes precedence.
     """
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 
 @contextmanager
 def without_delay() -> Iterator[None]:
-    """Open streams so that FFmpeg does not look ahead for their format, and keeps no picture back.
+    """Open streams so that FFmpeg neither probes ahead for their format nor buffers pictures.
 
-    It is a second less of delay, but files then miss pictures. A user's own setting wins.
+    This saves a second of delay, but drops pictures of files. A user's own setting takes precedence.
     """
     name = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
     if name in os.environ:

@@ -1,4 +1,4 @@
-"""Fits a config to what its log says of the robot: where its sensors are, whether there is odometry."""
+"""Fit a config to the robot described in its log: mounts of sensors, and whether it has odometry."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from impslam.robot import Robot
 from impslam.sources.base import Mount, Source
 from impslam.types import LaserScan, SatelliteFix, WheelAngles
 
-LEVEL = math.radians(5.0)
-"""rad: beyond it ranges to walls are more than 0.4 % too long, and beams from 0.2 m height meet the floor
-within 2.3 m."""
-WORTH_SAYING = math.radians(0.5)
+MAX_TILT = math.radians(5.0)
+"""rad: beyond it, ranges to walls are more than 0.4 % too long, and beams from a height of 0.2 m hit the
+floor within 2.3 m."""
+MIN_REPORTED_TILT = math.radians(0.5)
 
 
 def fitted(config: Config, source: Source, *, odometry_is_free: bool) -> Config:
-    """Return the config with the mounts that the log gives, where it gives none itself.
+    """Return the config, completed with the mounts from the log.
 
-    The source is, or has been, open. A log without odometry is mapped by the lidar alone if
-    `odometry_is_free`: nobody has asked for another one.
+    The source must be open, or have been open. A log without odometry is mapped with the lidar alone if
+    `odometry_is_free`, i.e. if the user has not chosen an odometry.
 
     Raises
     ------
     SourceError
-        If a laser is mounted so that it does not see the plane of the robot.
+        If a laser is tilted by more than `MAX_TILT`.
     """
-    sensors, held = dict(config.sensors), []
+    sensors, fixed = dict(config.sensors), []
     for name, stream, mount in _lasers(config.make_robot(), source):
         table = sensors[name]
         is_given = "mount" in table or "upside_down" in table
         if mount.pose is None:
             if not is_given and stream in source.mounts():
-                said = f"{source.path}: {mount.origin}; give it with --set sensors.{name}.mount=[x,y,yaw]"
-                source.problems.add("unknown mount", said)
+                text = f"{source.path}: {mount.origin}; give it with --set sensors.{name}.mount=[x,y,yaw]"
+                source.problems.add("unknown mount", text)
             continue
         if not is_given:
             _refuse_tilted(source, name, stream, mount)
             table = merge(table, {"mount": mount.pose, "upside_down": mount.upside_down})
             sensors[name] = table
-        if _is_of(mount, table):
-            held.append(stream)
-    source.hold_mounts(held)
+        if _matches(mount, table):
+            fixed.append(stream)
+    source.hold_mounts(fixed)
     changes: dict[str, Any] = {"sensors": sensors, "landmarks": _with_antenna(config, source)}
     if odometry_is_free and _lacks_odometry(config, source):
         changes["odometry"] = {"kind": "lidar_only"}
@@ -52,20 +52,20 @@ def fitted(config: Config, source: Source, *, odometry_is_free: bool) -> Config:
 
 
 def choices(config: Config, source: Source) -> str:
-    """Return in one line which streams of a log are read, as what, and how the lasers are mounted.
+    """Describe in one line which streams of a log are read, as what, and how the lasers are mounted.
 
-    The source is, or has been, open.
+    The source must be open, or have been open.
     """
     robot = config.make_robot()
     if not source.describes_robot:
         return _by_config(config, robot)
     lasers = list(_lasers(robot, source))
     parts = [
-        f"scan {stream} ({_mount_words(name, mount, config)})" for name, stream, mount in lasers
+        f"scan {stream} ({_describe_mount(name, mount, config)})" for name, stream, mount in lasers
     ]
     read = {stream for _, stream, _ in lasers}
     parts += [
-        f"{other} ({_words(mount)}, {mount.origin}) is another lidar, added by --set "
+        f"{other} ({_describe_pose(mount)}, {mount.origin}) is another lidar, added by --set "
         f"sensors.NAME.kind=lidar2d --set sensors.NAME.stream={other}"
         for other, mount in sorted(source.mounts().items())
         if other not in read and mount.pose is not None
@@ -74,7 +74,7 @@ def choices(config: Config, source: Source) -> str:
         if sensor.consumes is not LaserScan:
             read_as = sensor.stream or source.defaults().get(sensor.consumes)
             is_gnss = sensor.consumes is SatelliteFix and read_as
-            where = _antenna_words(config, _antenna(robot, source)) if is_gnss else ""
+            where = _describe_antenna(config, _antenna(robot, source)) if is_gnss else ""
             parts.append(f"{name} {read_as or 'finds nothing in the log'}{where}")
     stream = robot.odometry.stream or source.defaults().get(robot.odometry.consumes, "")
     if not robot.odometry.measures_motion:
@@ -91,67 +91,67 @@ def choices(config: Config, source: Source) -> str:
 
 
 def _by_config(config: Config, robot: Robot) -> str:
-    """Return the same of a log that says nothing of its robot: all is from the config."""
+    """Describe the streams of a log that does not describe its robot: all is from the config."""
     sensors = [
         f"{sensor.name} {name}"
-        + (f" ({_given_words(name, config)})" if sensor.consumes is LaserScan else "")
+        + (f" ({_describe_config_mount(name, config)})" if sensor.consumes is LaserScan else "")
         for name, sensor in robot.sensors.items()
     ]
     return "; ".join([*sensors, f"odometry {robot.odometry.name}"])
 
 
-def _given_words(name: str, config: Config) -> str:
+def _describe_config_mount(name: str, config: Config) -> str:
     table = config.sensors[name]
     if "mount" not in table and "upside_down" not in table:
         return f"mount unknown, taken to be at base_link; set sensors.{name}.mount"
     own = Mount(tuple(table.get("mount", (0.0, 0.0, 0.0))), table.get("upside_down", False))
-    return f"mount {_words(own)}, the config"
+    return f"mount {_describe_pose(own)}, the config"
 
 
 def _lasers(robot: Robot, source: Source) -> Iterator[tuple[str, str, Mount]]:
-    """Yield the name of each lidar in the config, its stream, and its mount as the log has it."""
+    """Yield the name of each lidar in the config, its stream, and its mount according to the log."""
     mounts = source.mounts()
     for name, sensor in robot.sensors.items():
         stream = sensor.stream or source.defaults().get(LaserScan, "")
         if sensor.consumes is LaserScan and stream:
-            yield name, stream, mounts.get(stream, Mount(None, origin="the log does not tell it"))
+            yield name, stream, mounts.get(stream, Mount(None, origin="not in the log"))
 
 
 def _antenna(robot: Robot, source: Source) -> Mount:
-    """Return where the log has the antenna whose fixes are read."""
+    """Return the mount of the GPS antenna according to the log."""
     for sensor in robot.sensors.values():
         if sensor.consumes is SatelliteFix:
             stream = sensor.stream or source.defaults().get(SatelliteFix, "")
-            return source.antennas().get(stream, Mount(None, origin="the log does not tell it"))
+            return source.antennas().get(stream, Mount(None, origin="not in the log"))
     return Mount(None)
 
 
 def _with_antenna(config: Config, source: Source) -> dict[str, dict[str, Any]]:
-    """Return the parameters of landmark models, with the antenna where the log has it, if not given."""
+    """Return the parameters of landmark models, with the log's antenna unless the config has one."""
     found = _antenna(config.make_robot(), source).pose
     if found is None or "antenna" in config.landmarks.get("gps", {}):
         return config.landmarks
     return merge({"gps": {"antenna": found[:2]}}, config.landmarks)
 
 
-def _antenna_words(config: Config, told: Mount) -> str:
+def _describe_antenna(config: Config, in_log: Mount) -> str:
     given = config.landmarks.get("gps", {}).get("antenna")
     if given is None:
-        return f" (antenna taken to be at base_link: {told.origin}; set landmarks.gps.antenna)"
+        return f" (antenna taken to be at base_link: {in_log.origin}; set landmarks.gps.antenna)"
     (x, y), origin = given, "the config"
-    if told.pose is not None and (x, y) == told.pose[:2]:
-        origin = told.origin
+    if in_log.pose is not None and (x, y) == in_log.pose[:2]:
+        origin = in_log.origin
     return f" (antenna [{x:.3f} m, {y:.3f} m], {origin})"
 
 
-def _is_of(mount: Mount, table: dict[str, object]) -> bool:
+def _matches(mount: Mount, table: dict[str, object]) -> bool:
     given = table.get("mount", (0.0, 0.0, 0.0))
     is_same = isinstance(given, list | tuple) and tuple(given) == mount.pose
     return is_same and bool(table.get("upside_down", False)) == mount.upside_down
 
 
 def _lacks_odometry(config: Config, source: Source) -> bool:
-    """Tell whether the log has no odometry of the config's kind, and scans can do without."""
+    """Return whether the log lacks odometry of the config's kind, and the tracker can do without."""
     kinds = source.kinds()
     if kinds is None or LaserScan not in kinds or config.tracker["kind"] == "odometry":
         return False
@@ -161,7 +161,7 @@ def _lacks_odometry(config: Config, source: Source) -> bool:
 
 def _refuse_tilted(source: Source, name: str, stream: str, mount: Mount) -> None:
     assert mount.pose is not None
-    if mount.tilt > LEVEL:
+    if mount.tilt > MAX_TILT:
         x, y, yaw = mount.pose
         raise SourceError(
             f"{source.path}: the laser of {stream} is tilted by {math.degrees(mount.tilt):.1f} degrees "
@@ -171,19 +171,20 @@ def _refuse_tilted(source: Source, name: str, stream: str, mount: Mount) -> None
         )
 
 
-def _mount_words(name: str, mount: Mount, config: Config) -> str:
+def _describe_mount(name: str, mount: Mount, config: Config) -> str:
     table = config.sensors[name]
-    if mount.pose is not None and _is_of(mount, table):
+    if mount.pose is not None and _matches(mount, table):
         tilted = f", tilted by {math.degrees(mount.tilt):.1f} deg and taken as level"
-        return f"mount {_words(mount)}{tilted if mount.tilt > WORTH_SAYING else ''}, {mount.origin}"
+        note = tilted if mount.tilt > MIN_REPORTED_TILT else ""
+        return f"mount {_describe_pose(mount)}{note}, {mount.origin}"
     if "mount" in table or "upside_down" in table:
         own = Mount(tuple(table.get("mount", (0.0, 0.0, 0.0))), table.get("upside_down", False))
-        log = "" if mount.pose is None else f"; not {_words(mount)}, {mount.origin}"
-        return f"mount {_words(own)}, the config{log}"
+        log = "" if mount.pose is None else f"; not {_describe_pose(mount)}, {mount.origin}"
+        return f"mount {_describe_pose(own)}, the config{log}"
     return f"mount unknown, taken to be at base_link: {mount.origin}; set sensors.{name}.mount"
 
 
-def _words(mount: Mount) -> str:
+def _describe_pose(mount: Mount) -> str:
     assert mount.pose is not None
     x, y, yaw = mount.pose
     down = ", upside down" if mount.upside_down else ""

@@ -1,4 +1,4 @@
-"""Arrays that a caller gives, checked: numbers, in rows of one shape."""
+"""Checks of the arrays that a caller passes: numbers, in rows of one shape."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from impslam.errors import ShapeError
 from impslam.types import Array, check_shape
 
 
-def numeric(name: str, given: npt.ArrayLike) -> Array:
-    """Return a copy as an array; raise `ShapeError`, which names the argument, unless it holds numbers."""
+def numeric(name: str, values: npt.ArrayLike) -> Array:
+    """Return a copy as an array; raise `ShapeError` with the argument's name unless it holds numbers."""
     try:
-        array = np.asarray(given)
+        array = np.asarray(values)
     except ValueError:
         raise ShapeError(f"{name}: rows of different lengths; give an array") from None
     if array.dtype.kind not in "iuf":
-        what = f"{shorten(given)} is of type {array.dtype}"
-        raise ShapeError(f"{name}: {what}; give numbers, NaN where there is none")
-    return array.astype(np.float64)  # a copy: what the caller does with its own changes nothing
+        what = f"{shorten(values)} is of type {array.dtype}"
+        raise ShapeError(f"{name}: {what}; give numbers, NaN for missing ones")
+    return array.astype(np.float64)  # a copy: later changes by the caller have no effect
 
 
-def finite(name: str, given: npt.ArrayLike, length: int | None) -> Array:
-    """Return a vector of finite numbers, of a length if one is given."""
-    array = numeric(name, given)
+def finite(name: str, values: npt.ArrayLike, length: int | None) -> Array:
+    """Return a vector of finite numbers, of the given length unless that is None."""
+    array = numeric(name, values)
     check_shape(name, array, length)
     if not np.isfinite(array).all():
         k = int(np.argmin(np.isfinite(array)))
@@ -32,9 +32,9 @@ def finite(name: str, given: npt.ArrayLike, length: int | None) -> Array:
     return array
 
 
-def rows_of(name: str, given: npt.ArrayLike, length: int, row: tuple[int, ...]) -> Array:
-    """Return an array (length, *row), also of the one row that was given."""
-    array = numeric(name, given)
+def rows_of(name: str, values: npt.ArrayLike, length: int, row: tuple[int, ...]) -> Array:
+    """Return an array (length, *row); a single row may come without its first axis."""
+    array = numeric(name, values)
     if length == 0 and array.size == 0:
         return array.reshape(0, *row)
     if length == 1 and array.ndim == len(row):

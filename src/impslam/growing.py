@@ -30,11 +30,11 @@ class GrowingArray:
         self._count = end
 
     def shorten(self, rows: int) -> None:
-        """Drop so many rows from the end; views returned earlier keep their values."""
+        """Remove `rows` rows from the end; views returned earlier keep their values."""
         self._rows, self._count = self._rows.copy(), self._count - rows
 
     def replace(self, at: npt.NDArray[Any], rows: npt.NDArray[Any]) -> None:
-        """Change rows; views returned earlier keep their values."""
+        """Overwrite the rows `at`; views returned earlier keep their values."""
         self._rows = self._rows.copy()
         self._rows[at] = rows
 

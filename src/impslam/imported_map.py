@@ -1,7 +1,7 @@
-"""Maps that other programs made, to localise in: a map_server grid becomes keyframes that see its walls.
+"""Maps of other programs, to localise in: a map_server grid becomes keyframes with scans of its walls.
 
-Each keyframe stands in free space, and its scan ends on the occupied cells around it, as a lidar's
-would. Where a beam meets nothing, or what is unknown, it tells nothing.
+Each keyframe is in free space, and its scan ends at the occupied cells around it, like that of a lidar.
+Beams that reach an unknown cell or no cell are left out.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from impslam.types import Array
 
 GRIDS = (".yaml", ".yml", ".pgm", ".png")
 SPACING = 1.0  # m between keyframes: closer together they see the same walls
-CLEARANCE = 0.2  # m from a wall, at least: a lidar's place
-REACH, BEAMS = 20.0, 720  # m: farther walls are seen from elsewhere; beams every half degree
-SIGMA = np.array([0.03, 0.03, 0.005])  # m, m, rad: cells of 5 cm tell no more
+CLEARANCE = 0.2  # m, minimum distance of a keyframe from walls
+MAX_RANGE, BEAMS = 20.0, 720  # m: other keyframes see farther walls; a beam every half degree
+SIGMA = np.array([0.03, 0.03, 0.005])  # m, m, rad: limited by cells of 5 cm
 FREE, UNKNOWN, OCCUPIED = range(3)
 _NO_SCANS = "a pose graph has no scans to localise in; give the grid (map.yaml), or a map.imp"
 
@@ -41,7 +41,7 @@ class Grid(NamedTuple):
 
 
 def load_map(path: Path) -> Map:
-    """Return the map of a file of impslam, or of a grid that map_server reads.
+    """Return the map in a file of impslam, or of a map_server grid.
 
     Raises
     ------
@@ -56,57 +56,61 @@ def load_map(path: Path) -> Map:
 
 
 def read_grid(path: Path) -> Grid:
-    """Return the grid of a map_server map, by its yaml file or the image beside one."""
+    """Return the grid of a map_server map, given its yaml file or the image beside it."""
     yaml = path if path.suffix.lower() in {".yaml", ".yml"} else path.with_suffix(".yaml")
     try:
         lines = (line.split("#")[0].split(":", 1) for line in yaml.read_text("utf-8").splitlines())
-        facts = {key.strip(): value.strip() for key, value in (p for p in lines if len(p) == 2)}
-        image = PurePath(facts["image"].strip("'\"")).name  # it lies beside its yaml
-        return _grid(facts, _dark(yaml.parent / image, negated=facts.get("negate", "0") == "1"))
+        header = {key.strip(): value.strip() for key, value in (p for p in lines if len(p) == 2)}
+        image = PurePath(header["image"].strip("'\"")).name  # beside its yaml
+        return _grid(
+            header, _darkness(yaml.parent / image, negated=header.get("negate", "0") == "1")
+        )
     except (OSError, KeyError, ValueError) as error:
-        said = " ".join(str(error).split())[:200]
+        reason = " ".join(str(error).split())[:200]
         raise ImpError(
-            f"{yaml}: not a map_server map ({said}); give map.yaml with its image beside it"
+            f"{yaml}: not a map_server map ({reason}); give map.yaml with its image beside it"
         ) from None
 
 
-def _dark(image: Path, *, negated: bool) -> Array:
-    """Return how dark each pixel is, 0 to 1, the lowest row first."""
+def _darkness(image: Path, *, negated: bool) -> Array:
+    """Return the darkness of each pixel, 0 to 1, with the lowest row first."""
     import cv2  # noqa: PLC0415  takes a tenth of a second
 
     data = np.frombuffer(image.read_bytes(), np.uint8)
     try:
         pixels = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
-    except cv2.error:  # of a size that no image has
+    except cv2.error:  # e.g. an impossible size
         pixels = None
     if pixels is None:
-        raise ValueError(f"{image.name} is no image")
+        raise ValueError(f"{image.name} is not an image")
     bright = pixels[::-1] / 255.0
     return np.asarray(bright if negated else 1.0 - bright)
 
 
-def _grid(facts: dict[str, str], dark: Array) -> Grid:
-    """Return the grid of a map with these facts, trinary: what is neither free nor occupied is unknown."""
-    if facts.get("mode", "trinary") == "raw":
+def _grid(header: dict[str, str], darkness: Array) -> Grid:
+    """Return the trinary grid of a map_server map: free, occupied, else unknown."""
+    if header.get("mode", "trinary") == "raw":
         raise ValueError("its mode is raw, not trinary or scale")
-    x, y, yaw = (float(v) for v in facts["origin"].strip("[]").split(","))
-    resolution = float(facts["resolution"])
+    x, y, yaw = (float(v) for v in header["origin"].strip("[]").split(","))
+    resolution = float(header["resolution"])
     if not (all(map(math.isfinite, (x, y, yaw))) and 0.005 <= resolution <= 1.0):
         raise ValueError("its resolution or origin makes no sense")
-    cells = np.full(dark.shape, UNKNOWN, np.uint8)
-    cells[dark < float(facts.get("free_thresh", FREE_BELOW))] = FREE
-    cells[dark > float(facts.get("occupied_thresh", OCCUPIED_ABOVE))] = OCCUPIED
+    cells = np.full(darkness.shape, UNKNOWN, np.uint8)
+    cells[darkness < float(header.get("free_thresh", FREE_BELOW))] = FREE
+    cells[darkness > float(header.get("occupied_thresh", OCCUPIED_ABOVE))] = OCCUPIED
     return Grid(cells, resolution, np.array([x, y, yaw]))
 
 
 def grid_map(grid: Grid, name: str) -> Map:
-    """Return a map whose keyframes see the walls of a grid; raise `ImpError` where there are none."""
-    places = _places(grid)
-    if len(places) == 0 or not (grid.cells == OCCUPIED).any():
+    """Return a map whose keyframes see the walls of a grid; raise `ImpError` if there are none."""
+    positions = _keyframe_positions(grid)
+    if len(positions) == 0 or not (grid.cells == OCCUPIED).any():
         raise ImpError(f"{name}: has no free space between walls; nothing can be localised in it")
     angles: Array = np.linspace(-math.pi, math.pi, BEAMS, endpoint=False)
-    seen = [_seen(grid.cells, grid.resolution, place, angles, REACH) for place in places]
-    poses = compose(grid.origin, np.column_stack([places, np.zeros(len(places))]))
+    scans = [
+        _scan(grid.cells, grid.resolution, position, angles, MAX_RANGE) for position in positions
+    ]
+    poses = compose(grid.origin, np.column_stack([positions, np.zeros(len(positions))]))
     k = len(poses)
     keyframes = Keyframes(
         np.zeros(k),
@@ -114,8 +118,8 @@ def grid_map(grid: Grid, name: str) -> Map:
         np.tile(np.diag(SIGMA**2), (k, 1, 1)),
         np.zeros((k, 3)),
         np.zeros((k, 2)),
-        np.cumsum([0, *map(len, seen)]),
-        np.concatenate(seen),
+        np.cumsum([0, *map(len, scans)]),
+        np.concatenate(scans),
         **undriven(poses),
     )
     none, rows = np.empty(0), np.empty((0, 3))
@@ -124,45 +128,45 @@ def grid_map(grid: Grid, name: str) -> Map:
     return Map(keyframes, (), none, anchors, *tracks, about={"log": name})
 
 
-def _places(grid: Grid) -> Array:
-    """Return places (k, 2) m in the grid's frame, all over its free space, each near the one before."""
+def _keyframe_positions(grid: Grid) -> Array:
+    """Return positions (k, 2) m in the grid's frame, covering its free space, each near the previous."""
     from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  slow to import
 
-    room = distance_transform_edt(np.pad(grid.cells == FREE, 1))[1:-1, 1:-1] * grid.resolution
+    clearance = distance_transform_edt(np.pad(grid.cells == FREE, 1))[1:-1, 1:-1] * grid.resolution
     step = max(1, round(SPACING / grid.resolution))
     best = []
-    for row in range(0, room.shape[0], step):
-        for column in range(0, room.shape[1], step):
-            block = room[row : row + step, column : column + step]
+    for row in range(0, clearance.shape[0], step):
+        for column in range(0, clearance.shape[1], step):
+            block = clearance[row : row + step, column : column + step]
             r, c = np.unravel_index(int(block.argmax()), block.shape)
             if block[r, c] >= CLEARANCE:
                 best.append((column + c + 0.5, row + r + 0.5))
-    return _in_turn(np.array(best).reshape(-1, 2) * grid.resolution)
+    return _sorted_by_proximity(np.array(best).reshape(-1, 2) * grid.resolution)
 
 
-def _in_turn(places: Array) -> Array:
-    """Return places in an order in which each is the nearest one left."""
-    left, order, at = np.ones(len(places), bool), [], 0
-    while left.any():
+def _sorted_by_proximity(positions: Array) -> Array:
+    """Return positions in an order in which each is the nearest remaining one to its predecessor."""
+    remaining, order, at = np.ones(len(positions), bool), [], 0
+    while remaining.any():
         order.append(at)
-        left[at] = False
-        apart = np.hypot(*(places - places[at]).T)
-        at = int(np.argmin(np.where(left, apart, np.inf)))
-    return places[order]
+        remaining[at] = False
+        distances = np.hypot(*(positions - positions[at]).T)
+        at = int(np.argmin(np.where(remaining, distances, np.inf)))
+    return positions[order]
 
 
 @kernel
-def _seen(
-    cells: Cells, resolution: float, place: Array, angles: Array, reach: float
+def _scan(
+    cells: Cells, resolution: float, position: Array, angles: Array, max_range: float
 ) -> npt.NDArray[np.float32]:
-    """Return where beams from a place (2,) end on occupied cells, (n, 2) m from it."""
+    """Return the end points of beams on occupied cells, (n, 2) m relative to their `position` (2,)."""
     rows, columns = cells.shape
     out, n, step = np.empty((len(angles), 2), np.float32), 0, 0.5 * resolution
     for angle in angles:
         c, s = math.cos(angle), math.sin(angle)
-        for k in range(1, int(reach / step)):
-            row = int((place[1] + k * step * s) / resolution)
-            column = int((place[0] + k * step * c) / resolution)
+        for k in range(1, int(max_range / step)):
+            row = int((position[1] + k * step * s) / resolution)
+            column = int((position[0] + k * step * c) / resolution)
             if row < 0 or column < 0 or row >= rows or column >= columns:
                 break
             if cells[row, column] == FREE:

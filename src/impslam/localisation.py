@@ -1,4 +1,4 @@
-"""Where in a map each scan of a log was taken, each by itself."""
+"""Localise the single scans of a log in a map."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ Progress = Callable[[int, int | None], None]
 
 
 class Located(NamedTuple):
-    """Where a scan was taken.
+    """The result for one scan.
 
     Attributes
     ----------
-    stamp : s, the log's own
+    stamp : s, as in the log
     pose : (3,) `T_map_base` at the stamp by the best hypothesis; None if there is none
     answer : all hypotheses, with `T_map_base` at the middle of the sweep
-    seconds : that the search took
+    seconds : duration of the search
     """
 
     stamp: float
@@ -49,7 +49,7 @@ def localise(
     every: int = 1,
     progress: Progress = lambda position, total: None,
 ) -> Iterator[Located]:
-    """Yield where in a map each scan of a log was taken, by the scan alone.
+    """Localise the scans of a log in a map, each one independently.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def localise(
     log : a file or folder; its format is recognised from its content
     config : a preset's name, a file, or a config; by default the preset that fits the log
     settings : overrides of the config, each as "key=value"
-    every : only each so many-th scan is sought
+    every : localise only every n-th scan
     progress : called with the position in the log and its length, in the source's own unit
 
     Raises
@@ -80,19 +80,19 @@ def localise(
     ...     for message in simulate(load_world("room"), SimulatedRobot(imu=None)):
     ...         writer.write(message)
     >>> known = impslam.run(log, "imp")
-    >>> places = list(localise(known, log, "imp", every=20))
-    >>> {place.answer.verdict.value for place in places} <= {"found", "ambiguous"}
+    >>> found = list(localise(known, log, "imp", every=20))
+    >>> {located.answer.verdict.value for located in found} <= {"found", "ambiguous"}
     True
     """
     chosen, source = open_log(log, config, settings)
-    places = Relocaliser(known.keyframes)
+    relocaliser = Relocaliser(known.keyframes)
     count = -1
     for count, (stamp, scan, T_middle_stamp) in enumerate(_scans(chosen.make_robot(), source)):
         progress(source.position, source.total)
         if count % every:
             continue
         begin = time.perf_counter()
-        answer = places.find(view(scan))
+        answer = relocaliser.find(view(scan))
         seconds = time.perf_counter() - begin
         best = compose(answer.hypotheses[0].pose, T_middle_stamp) if answer.hypotheses else None
         yield Located(stamp, best, answer, seconds)

@@ -49,7 +49,7 @@ class PathRows(NamedTuple):
 
     Attributes
     ----------
-    stamps : (m,) s, the log's own
+    stamps : (m,) s, as in the log
     poses : (m, 3) `T_map_base`
     covariances : (m, 3, 3)
     odometry : (m, 3) dead reckoning from the same start
@@ -70,7 +70,7 @@ class Keyframe:
     id : 0, 1, ... in the order of the run
     stamp : s, of the sweep in the log
     motion : from the previous keyframe (or the start of the run) to the middle of the sweep, with its
-        stamp on the common time line, which is continuous where clocks are set
+        stamp on the common time line, which stays continuous when clocks are set
     odometry : (3,) `T_odom_base` at `stamp`, dead reckoning from the start of the run
     T_keyframe_stamp, stamp_covariance : (3,), (3, 3) motion from the sweep's middle to `stamp`
     sweeps, row : the sweep is this row of its sensor's data
@@ -78,8 +78,8 @@ class Keyframe:
     observations : landmarks that the extractors found in the scan
     located : whether the tracker's match of the scan determines the position along both axes
     lost : whether the motion from the previous keyframe is unknown: the keyframe begins a session,
-        which is no part of the map until it is found where it lies. `motion` is a guess, or NaN
-    reason, amount : why the pose cannot be trusted, and the way or share that goes with it; see
+        which is not part of the map until it is located in it. `motion` is a guess, or NaN
+    reason, amount : why the pose cannot be trusted, and the related distance or share; see
         `impslam.health`
     """
 
@@ -106,13 +106,13 @@ class Track:
     Attributes
     ----------
     anchor : id of the keyframe; -1 before the first one, with m = 0
-    stamps : (m,) s, the log's own
+    stamps : (m,) s, as in the log
     T_anchor_base : (m, 3) at these stamps
     covariance : (m, 3, 3) of that motion
     odometry : (m, 3) `T_odom_base` at these stamps
     sweeps, rows : the m sweeps are these rows of their sensor's data
     located : (m,) whether the tracker's match of each determines the position along both axes
-    reasons, amounts : (m,) why each pose cannot be trusted, and the way or share that goes with it
+    reasons, amounts : (m,) why each pose cannot be trusted, and the related distance or share
     keyframe : the keyframe that ends the track, None if the track continues
     """
 
@@ -131,7 +131,7 @@ class Track:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Revision:
-    """Changes of the map by a keyframe.
+    """Changes of the map that a keyframe causes.
 
     Attributes
     ----------
@@ -139,14 +139,14 @@ class Revision:
     poses : (r, 3) `T_map_base` at the middle of their sweeps
     covariances : (r, 3, 3)
     matches : observations that were matched to known landmarks
-    ambiguous : observations (indices) that could be a known landmark, and are not matched: it is not sure
+    ambiguous : observations (indices) left unmatched because their landmark is not certain
     born, origins : ids of new landmarks, and the observation from which each was created
     gone : ids of removed landmarks
     refused : why the keyframe could not be used, "" if it was used
-    placed : (r,) or one for all, whether it is known where they are in the map
-    assumed : whether the newest pose rests on odometry alone since the place was lost
-    dropped : keyframes whose scans are not kept, because they add nothing to those of others
-    innovation : of all matches jointly, None where it is not known
+    placed : (r,) or one for all, whether they are located in the map
+    assumed : whether the newest pose is based on odometry alone since the robot got lost
+    dropped : keyframes whose scans are removed because they add nothing to those of others
+    innovation : of all matches jointly, None if unknown
     """
 
     ids: Ints
@@ -166,7 +166,7 @@ class Revision:
     def nis(self) -> tuple[float, int]:
         """Return the normalised innovation squared of the matches and its degrees of freedom.
 
-        Where it is not known jointly it is the sum over the matches, whose mean is the same.
+        If the joint innovation is unknown, they are the sums over the matches, with the same mean.
         """
         if self.innovation is not None:
             return self.innovation.nis, self.innovation.dof
@@ -188,11 +188,11 @@ class Keyframes:
     origins : (k, 2) m, position of the laser in base_link
     starts : (k + 1,) the points of keyframe i are `points[starts[i] : starts[i + 1]]`
     points : (p, 2) float32 m, end points of valid beams, in base_link at the middle of the sweep
-    motions, motion_covariances : (k, 3), (k, 3, 3) as tracked, from the keyframe before, or from the
-        start; of the first one of a session a guess, or NaN
-    sessions : (k,) number of the session of each, 0, 1, ...: keyframes whose motions connect them
-    placed : (k,) whether it is known where it is in the map; if not, its pose is in a frame of its
-        session's own, and it is no part of the map
+    motions, motion_covariances : (k, 3), (k, 3, 3) as tracked, from the previous keyframe, or from the
+        start; for the first keyframe of a session a guess, or NaN
+    sessions : (k,) number of the session, 0, 1, ...; motions connect the keyframes of a session
+    placed : (k,) whether the keyframe is located in the map; if not, its pose is in the frame of its
+        session, and it is not part of the map
     """
 
     stamps: Array
@@ -224,7 +224,7 @@ class Keyframes:
     def draw(self, grid: OccupancyGrid) -> None:
         """Draw the scans into a grid, which may already contain the first of them.
 
-        Those that are not placed are left out.
+        Keyframes that are not placed are omitted.
         """
         poses, starts, points = self.poses, self.starts, self.points
         if not self.placed.all():
@@ -247,11 +247,11 @@ class Map:
     T_anchor_base : (n, 3) pose of base_link at the stamp, relative to that keyframe
     track_covariances : (n, 6) distinct entries of that motion's covariance, in the order of `UPPER`
     odometry_poses : (n, 3) dead reckoning
-    live_poses : (n, 3) `T_map_base` of each sweep as it was estimated at the time
-    tracked : (n, 3) `T_anchor_base` as tracked; a settled map blends it with the keyframe after
-    edges : the pose graph: motions and loop closures between keyframes i and j; none without one
+    live_poses : (n, 3) `T_map_base` of each sweep as estimated at its time
+    tracked : (n, 3) `T_anchor_base` as tracked, before it is blended with the next keyframe
+    edges : the pose graph: motions and loop closures between keyframes i and j; may be empty
     observations : of landmarks, by keyframe, if the estimator needs them to continue the map
-    belief : arrays by name in the map's frame that the estimator needs to continue it; see its `belief`
+    belief : arrays by name, in map, that the estimator needs to continue it; see `Estimator.belief`
     about : origin of the map: log, config, counts, versions, as JSON values
 
     Examples
@@ -300,23 +300,25 @@ class Map:
         """Return the current estimate of the path with covariances."""
         keyframes, at = self.keyframes, self.placed()
         parts = self.anchors[at], self.T_anchor_base[at], self.track_covariances[at]
-        poses, covariances = hang(*read_only(keyframes.poses, keyframes.covariances, *parts))
+        poses, covariances = poses_in_map(
+            *read_only(keyframes.poses, keyframes.covariances, *parts)
+        )
         return PathRows(self.stamps[at], poses, covariances, self.odometry_poses[at])
 
     def placed(self) -> Mask:
-        """Tell of which sweeps (n,) it is known where in the map they are."""
+        """Return which sweeps (n,) are located in the map."""
         return np.asarray(self.keyframes.placed[self.anchors])
 
     def path(self) -> Array:
         """Return (n, 4) stamp, x, y, theta of base_link in map, a row for each sweep.
 
-        Sweeps of sessions that are not placed in the map are left out, here and in the paths below.
+        Sweeps of sessions that are not placed in the map are omitted, here and in the paths below.
         """
         rows = self.rows()
         return np.column_stack((rows.stamps, rows.poses))
 
     def live_path(self) -> Array:
-        """Return (n, 4) stamp, x, y, theta as each was estimated at the time of its sweep."""
+        """Return (n, 4) stamp, x, y, theta as estimated at the time of each sweep."""
         return np.column_stack((self.stamps, self.live_poses))[self.placed()]
 
     def odometry(self) -> Array:
@@ -329,16 +331,16 @@ class Map:
         Raises
         ------
         ConfigError
-            If no grid has such cells.
+            If the resolution is out of range.
         """
         grid = OccupancyGrid(resolution)
         self.keyframes.draw(grid)
         return grid
 
     def moved(self, T: Array) -> Map:
-        """Return the map after a rigid motion T (3,): what stood at p stands at T p.
+        """Return the map after a rigid motion T (3,), which moves a point p to T p.
 
-        Tracks, edges and scans are relative, and stay as they are. The belief is not, and is left out.
+        Tracks, edges and scans are relative and do not change. The belief is omitted.
         """
         at = self.keyframes
         keyframes = replace(
@@ -354,12 +356,12 @@ class Map:
         )
 
     def direction(self) -> Direction:
-        """Return the main direction of the walls, and how clear it is."""
+        """Return the main direction of the walls, and how dominant it is."""
         rows = self.keyframes.take(np.flatnonzero(self.keyframes.placed))
         return main_direction(rows.poses, rows.starts, rows.points)
 
     def straightened(self) -> Map:
-        """Return the map turned about its origin, by 45 degrees at most, with walls along the axes.
+        """Return the map rotated about its origin, by at most 45 degrees, to align its walls with the axes.
 
         Raises
         ------
@@ -371,7 +373,7 @@ class Map:
         >>> import numpy as np
         >>> import impslam
         >>> bearings = np.radians(np.arange(-180, 180))
-        >>> ahead = bearings - 0.3  # a square room, seen by a robot that stands askew in it
+        >>> ahead = bearings - 0.3  # a square room, seen by a robot that is turned in it
         >>> ranges = 2.0 / np.maximum(abs(np.cos(ahead)), abs(np.sin(ahead)))
         >>> slam = impslam.Slam("default")
         >>> slam.add_odometry(0.0, [0.0, 0.0, 0.0])
@@ -409,7 +411,7 @@ class Map:
         Raises
         ------
         ImpError
-            If the file is missing, no map, damaged, or of a newer version.
+            If the file is missing, damaged, not a map, or of a newer version.
         """
         return archive.load(Path(path), layout.layout, _built)
 
@@ -420,12 +422,16 @@ def _built(arrays: archive.Arrays, about: dict[str, Any]) -> Map:
 
 
 @kernel
-def hang(
-    keyframes: Array, spreads: Array, anchors: Ints, T_anchor_base: Array, covariances: Array
+def poses_in_map(
+    keyframes: Array,
+    keyframe_covariances: Array,
+    anchors: Ints,
+    T_anchor_base: Array,
+    covariances: Array,
 ) -> tuple[Array, Array]:
     """Return `T_map_base` (m, 3) and its covariance (m, 3, 3) to first order.
 
-    keyframes (k, 3) and spreads (k, 3, 3) are `T_map_keyframe`, of which anchors (m,) are the rows;
+    keyframes (k, 3) with keyframe_covariances (k, 3, 3) are `T_map_keyframe`, and anchors (m,) their rows;
     covariances (m, 6) are of `T_anchor_base`, in the order of `UPPER`. The errors of both parts are
     independent and additive.
     """
@@ -435,7 +441,7 @@ def hang(
         np.empty((3, 3)),
     )
     for k in range(len(anchors)):
-        poses[k], out[k] = keyframes[anchors[k]], spreads[anchors[k]]
+        poses[k], out[k] = keyframes[anchors[k]], keyframe_covariances[anchors[k]]
         for i in range(9):
             motion[i // 3, i % 3] = covariances[k, SYMMETRIC[i]]
         advance(poses[k], out[k], T_anchor_base[k], motion)

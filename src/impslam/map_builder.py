@@ -1,4 +1,4 @@
-"""Collects the tracks and revisions of a run, and returns the map as a value at any time."""
+"""Collect the tracks and revisions of a run, and return the map as a value at any time."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel, read_only
 from impslam.geometry.se2 import between, compose
 from impslam.growing import GrowingArray
-from impslam.map import UPPER, Keyframe, Keyframes, Map, PathRows, Revision, Track, hang
+from impslam.map import UPPER, Keyframe, Keyframes, Map, PathRows, Revision, Track, poses_in_map
 from impslam.types import NO_EDGES, Array, Edges, Landmark, Mask, Scan
 
 _DISTINCT = np.ravel_multi_index(UPPER, (3, 3))
-"""Where the entries of `UPPER` are in a matrix's nine."""
-TURN = 0.5
-"""m of way that a radian counts for: it changes the view by about as much."""
+"""Indices of the entries of `UPPER` in the flattened matrix."""
+METRES_PER_RADIAN = 0.5
+"""A turn of a radian changes the view by about as much as half a metre of travel."""
 
 
 class MapBuilder:
     """Stores poses of sweeps relative to keyframes, and the scans of the keyframes.
 
-    It begins with a map that is known, if one is given; with `frozen`, new keyframes carry the path
-    alone: neither their scans nor the sweeps of the known map are kept.
+    It starts with a known map if one is given. With `frozen`, new keyframes serve only the path: neither
+    their scans nor the sweeps of the known map are kept.
     """
 
     def __init__(self, known: Map | None = None, *, frozen: bool = False) -> None:
@@ -64,7 +64,7 @@ class MapBuilder:
 
     def follow(self, track: Track) -> PathRows:
         """Add a track; return the current estimate of its sweeps' poses."""
-        return self._hang(
+        return self._add_sweeps(
             track.anchor, track.stamps, track.T_anchor_base, track.covariance, track.odometry
         )
 
@@ -87,7 +87,7 @@ class MapBuilder:
         self._keep(keyframe, revision)
         if revision.dropped:
             self._drop(revision.dropped)
-        return self._hang(
+        return self._add_sweeps(
             keyframe.id,
             np.array([keyframe.stamp]),
             keyframe.T_keyframe_stamp[None],
@@ -108,7 +108,7 @@ class MapBuilder:
         kept["starts"].append(len(kept["points"]))
 
     def _drop(self, ids: tuple[int, ...]) -> None:
-        """Drop the points of keyframes, which are some of the newest."""
+        """Remove the points of keyframes that are among the newest."""
         first, starts = min(ids), self._keyframes["starts"].array
         begin, lengths = int(starts[first]), np.diff(starts[first:])
         dropped = np.zeros(len(lengths), np.bool_)
@@ -121,7 +121,7 @@ class MapBuilder:
             self._keyframes[name].shorten(old)
             self._keyframes[name].append(new, len(new))
 
-    def _hang(
+    def _add_sweeps(
         self, anchor: int, stamps: Array, T_anchor_base: Array, covariance: Array, odometry: Array
     ) -> PathRows:
         m, kept = len(stamps), self._sweeps
@@ -131,22 +131,24 @@ class MapBuilder:
         distinct = covariance.reshape(m, 9).take(_DISTINCT, axis=1)
         kept["track_covariances"].append(distinct, m)
         kept["odometry_poses"].append(odometry, m)
-        poses, covariances = self._place(m)
+        poses, covariances = self._newest_poses(m)
         kept["live_poses"].append(poses, m)
         return PathRows(stamps, poses, covariances, odometry)
 
-    def _place(self, m: int) -> tuple[Array, Array]:
+    def _newest_poses(self, m: int) -> tuple[Array, Array]:
         """Return the poses (m, 3) of the newest sweeps, and their covariances (m, 3, 3)."""
         keyframes, begin = self._keyframes, len(self) - m
         names = ("anchors", "tracked", "track_covariances")
         new = (self._sweeps[name].array[begin:] for name in names)
-        return hang(*read_only(keyframes["poses"].array, keyframes["covariances"].array, *new))
+        return poses_in_map(
+            *read_only(keyframes["poses"].array, keyframes["covariances"].array, *new)
+        )
 
-    def locate(self, stamp: float, T: Array, spread: Array, odometry: Array) -> PathRows:
-        """Return the pose at `T_keyframe_base` (3,) from the newest keyframe, without storing it."""
+    def locate(self, stamp: float, T: Array, covariance: Array, odometry: Array) -> PathRows:
+        """Return the pose after `T_keyframe_base` (3,) from the newest keyframe, without storing it."""
         newest = (self._keyframes[name].array[-1:].copy() for name in ("poses", "covariances"))
         poses, covariances = newest
-        advance(poses[0], covariances[0], T, spread)
+        advance(poses[0], covariances[0], T, covariance)
         return PathRows(np.array([stamp]), poses, covariances, odometry[None])
 
     def keyframes(self) -> Keyframes:
@@ -172,17 +174,17 @@ class MapBuilder:
 
 
 def _extend(columns: dict[str, GrowingArray], rows: object) -> None:
-    """Begin columns with those that an object has by their names."""
+    """Append the arrays of an object to the columns of the same names."""
     for name, column in columns.items():
         array = getattr(rows, name)
         column.append(array, len(array))
 
 
 def blended(known: Map) -> Map:
-    """Return a map with each sweep between where the keyframes before and after it have it.
+    """Return a map whose sweeps are interpolated between the keyframes before and after them.
 
-    Keyframes that were moved against each other leave a step before each of them otherwise. A
-    sweep goes with the keyframe that saw most alike: a radian counts for `TURN` m.
+    Without it, the path has a step at each keyframe that was moved relative to the previous one. The nearer
+    keyframe has more weight; see `METRES_PER_RADIAN`.
     """
     keyframes = known.keyframes
     if len(keyframes) < 2:
@@ -190,11 +192,13 @@ def blended(known: Map) -> Map:
     poses, before, T = keyframes.poses, known.anchors, known.tracked
     after = np.minimum(before + 1, len(poses) - 1)
     T_after = between(keyframes.motions[after], T)
-    told = (after > before) & (keyframes.sessions[after] == keyframes.sessions[before])
-    told &= np.isfinite(T_after).all(axis=1)
-    T_after = np.where(told[:, None], T_after, 0.0)
-    way, ahead = (np.hypot(d[:, 0], d[:, 1]) + TURN * np.abs(d[:, 2]) for d in (T, T_after))
-    share = np.where(told, way / np.maximum(way + ahead, 1e-9), 0.0)
+    is_between = (after > before) & (keyframes.sessions[after] == keyframes.sessions[before])
+    is_between &= np.isfinite(T_after).all(axis=1)
+    T_after = np.where(is_between[:, None], T_after, 0.0)
+    since, until = (
+        np.hypot(d[:, 0], d[:, 1]) + METRES_PER_RADIAN * np.abs(d[:, 2]) for d in (T, T_after)
+    )
+    share = np.where(is_between, since / np.maximum(since + until, 1e-9), 0.0)
     step = between(compose(poses[before], T), compose(poses[after], T_after))
     return replace(known, T_anchor_base=compose(T, share[:, None] * step))
 

@@ -21,8 +21,8 @@ def open_log(
     """Return the config of a run and the reader of its log, which is not open yet.
 
     `config` is the name of a preset, a file, or a config; by default the preset that fits the log.
-    `settings` override it, each as "key=value". What the log says of its robot and the config does not
-    is entered: see `fitting`.
+    `settings` override it, each as "key=value". The log's description of its robot fills what the config
+    leaves open: see `fitting`.
 
     Raises
     ------
@@ -60,19 +60,19 @@ def open_log(
     return config, source
 
 
-def going_on(config: Config, settings: Sequence[str] = ()) -> Config:
-    """Return the config with an estimator that can go on with a map: its own, or `graph`.
+def for_continuing(config: Config, settings: Sequence[str] = ()) -> Config:
+    """Return the config with an estimator that can continue a map: its own, or `graph`.
 
-    One that the settings ask for stays; it says itself that it cannot.
+    An estimator chosen in the settings stays; if it cannot continue a map, it raises when it starts.
     """
-    asked = any(_sets(one, "estimator") for one in settings)
-    if asked or build("estimator", config.estimator).goes_on:
+    is_chosen = any(_sets(one, "estimator") for one in settings)
+    if is_chosen or build("estimator", config.estimator).can_continue:
         return config
     return config.model_copy(update={"estimator": {"kind": "graph"}})
 
 
 def _sets(setting: str, key: str) -> bool:
-    """Tell whether a setting is one of the table `key`."""
+    """Return whether a setting is one of the table `key`."""
     return setting.partition("=")[0].strip().split(".")[0] == key
 
 

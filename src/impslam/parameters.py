@@ -1,7 +1,7 @@
-"""Parameters: typed fields with a unit, a sentence and bounds, checked where they are read.
+"""Parameters: typed fields with a unit, a description and bounds, checked when they are read.
 
-Whatever a field says itself, a number is finite and of a size that its unit can have: beyond,
-arithmetic overflows somewhere and the message would be about that.
+Besides the bounds of its field, a number must be finite and plausible in its unit: otherwise arithmetic
+would overflow somewhere, with a message about that.
 """
 
 from __future__ import annotations
@@ -13,34 +13,34 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationInfo, field_validator
 
 SIZES: dict[str, tuple[float, float]] = {
-    "m": (1e-9, 1e6),  # an atom or ten; farther than any map in a plane
+    "m": (1e-9, 1e6),  # some atoms; more than any planar map
     "rad": (1e-9, 1e3),
-    "s": (1e-6, 1e10),  # also between a clock that counts from 1970 and one that counts from 0
+    "s": (1e-6, 1e10),  # up to the offset between a Unix clock and one that starts at 0
     "m/s": (1e-3, 1e3),
     "rad/s": (1e-3, 1e3),
-    "m/sqrt(m)": (1e-6, 10.0),  # 10: no better than a guess after a step
+    "m/sqrt(m)": (1e-6, 10.0),  # 10: useless after a short distance
     "rad/sqrt(m)": (1e-6, 10.0),
     "rad/sqrt(rad)": (1e-6, 10.0),
 }
-"""The smallest and the largest size of a number in each unit, beside 0."""
+"""Minimum and maximum magnitude of a number other than 0, by unit."""
 
 ANY_SIZE = (1e-9, 1e9)
 """The same for other units: ratios, counts, rates."""
 
 
 class Parameters(BaseModel):
-    """A table of parameters; a key that is none of them is an error."""
+    """A table of parameters; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     @field_validator("*")
     @classmethod
-    def _has_a_size(cls, value: Any, info: ValidationInfo) -> Any:
-        """Refuse numbers that nothing of their unit has, and NaN and inf where they mean nothing."""
+    def _check_magnitude(cls, value: Any, info: ValidationInfo) -> Any:
+        """Raise for implausible magnitudes, and for NaN and inf unless the field allows them."""
         field = cls.model_fields[str(info.field_name)]
         extra = field.json_schema_extra
         if not isinstance(extra, dict):
-            return value  # no parameter
+            return value  # not a parameter
         unit, meant = str(extra["unit"]), (repr(field.default), *str(extra["special"]).split())
         low, high = SIZES.get(unit.split(",", 1)[0], ANY_SIZE)
         for number in _numbers(value):
@@ -72,11 +72,11 @@ def parameter(
     noise: bool = False,
     **bounds: Any,
 ) -> Any:
-    """Declare a parameter: its default, its unit ("m", "rad", "1", ...) and what it means.
+    """Declare a parameter: its default, unit ("m", "rad", "1", ...) and meaning.
 
     `bounds` are pydantic's (`gt`, `ge`, `lt`, `le`, ...). Pass `...` for a parameter that has no
     sensible default. NaN or inf is allowed if it is the default, or named in `special` ("nan inf");
-    then the sentence says what it means. `noise` marks standard deviations that `imp tune` finds.
+    then the sentence explains it. `noise` marks standard deviations that `imp tune` finds.
     """
     extra: dict[str, JsonValue] = {"unit": unit, "special": special, "noise": noise}
     return Field(default, description=sentence, json_schema_extra=extra, **bounds)

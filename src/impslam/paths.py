@@ -1,4 +1,4 @@
-"""Files and folders: their names, and what a disk refuses."""
+"""Files and folders: unused names, exchange, and write errors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def numbered(folder: Path, stem: str, suffix: str = "") -> Iterator[Path]:
 
 
 def make_folder(folder: Path, stem: str) -> Path:
-    """Make a folder of the first name that is free; who makes it has it, whoever else looks."""
+    """Make a folder with the first free name; safe if several processes do so at once."""
     folder.mkdir(parents=True, exist_ok=True)
     for path in numbered(folder, stem):
         with suppress(FileExistsError):
@@ -29,9 +29,9 @@ def make_folder(folder: Path, stem: str) -> Path:
 
 
 def exchange(a: Path, b: Path) -> None:
-    """Let two folders of one file system change their names.
+    """Exchange the names of two folders of one file system.
 
-    Linux does that at once. Elsewhere there is a moment in which neither has the name `a`.
+    This is atomic on Linux. Elsewhere there is a moment in which neither has the name `a`.
     """
     if not _exchanged(a, b):
         aside = next(path for path in numbered(a.parent, f".{a.name}-old") if not path.exists())
@@ -41,7 +41,7 @@ def exchange(a: Path, b: Path) -> None:
 
 
 def _exchanged(a: Path, b: Path) -> bool:
-    """Call renameat2(2) with RENAME_EXCHANGE; tell whether the system and the file system have it."""
+    """Call renameat2(2) with RENAME_EXCHANGE; return whether it succeeded."""
     import ctypes  # noqa: PLC0415  # 5 ms that nothing else needs
 
     call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
@@ -51,16 +51,16 @@ def _exchanged(a: Path, b: Path) -> bool:
 
 @contextmanager
 def written(path: Path, advice: str, kind: type[ImpError] = ImpError) -> Iterator[None]:
-    """Raise an error of our own, with what to do, where a disk refuses to write a file or a folder."""
+    """Turn an `OSError` while writing a file or a folder into an `ImpError` with advice."""
     try:
         yield
     except OSError as error:
-        said = f"{path}: cannot be written ({error.strerror or error}); {advice}"
-        raise kind(said) from None
+        text = f"{path}: cannot be written ({error.strerror or error}); {advice}"
+        raise kind(text) from None
 
 
 def is_file(path: Path) -> bool:
-    """Tell whether there is a file of this name, whatever the name: too long, or with NUL in it."""
+    """Return whether the file exists; False for an invalid name (too long, or with NUL)."""
     try:
         return path.is_file()
     except (OSError, ValueError):

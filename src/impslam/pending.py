@@ -50,12 +50,12 @@ class PendingRows:
             usable=self.usable[rows],
         )
 
-    def sweeps(self, got: Synchronised) -> Sweeps:
+    def sweeps(self, synchronised: Synchronised) -> Sweeps:
         """Return the rows, all of them usable, as sweeps with their motion."""
-        scans = self.sensor.sweeps(self.columns, got.twists)
+        scans = self.sensor.sweeps(self.columns, synchronised.twists)
         return Sweeps(
-            self.name, self.columns, got.motions.stamps, got.twists,
-            got.T_middle_stamp, got.stamp_covariance, scans,
+            self.name, self.columns, synchronised.motions.stamps, synchronised.twists,
+            synchronised.T_middle_stamp, synchronised.stamp_covariance, scans,
         )  # fmt: skip
 
 
@@ -81,52 +81,54 @@ class PendingQueue:
             _joined([part.usable for part in parts], np.bool_),
         ]
         if len(parts) > 1:
-            place = np.argsort(columns[1])
-            columns = [column[place] for column in columns]
+            order = np.argsort(columns[1])
+            columns = [column[order] for column in columns]
         self._part, *pending = columns
         return PendingSweeps(*pending)
 
-    def pop(self, got: Synchronised) -> list[tuple[Motions, Sweeps]]:
+    def pop(self, synchronised: Synchronised) -> list[tuple[Motions, Sweeps]]:
         """Remove the synchronised rows from the front; return the usable ones in runs of one sensor."""
-        part = self._part[: len(got.twists)]
+        part = self._part[: len(synchronised.twists)]
         usable = np.zeros(len(part), np.bool_)
-        gone: dict[int, Sweeps] = {}
+        popped: dict[int, Sweeps] = {}
         for i, rows in enumerate(self._parts):
             at = np.flatnonzero(part == i)
             if len(at) == 0:
                 continue
             leaving = rows.take(slice(len(at)))
             usable[at] = leaving.usable
-            gone[i] = leaving.take(leaving.usable).sweeps(_taken(got, at[leaving.usable]))
+            popped[i] = leaving.take(leaving.usable).sweeps(
+                _taken(synchronised, at[leaving.usable])
+            )
             self._parts[i] = rows.take(slice(len(at), None))
         self._parts = [rows for rows in self._parts if len(rows.columns)]
         self._part = self._part[len(part) :]
-        return list(_runs(part[usable], got.motions.take(usable), gone))
+        return list(_runs(part[usable], synchronised.motions.take(usable), popped))
 
 
 def _joined(columns: list[Any], kind: type = np.float64) -> Any:
     return np.concatenate([np.empty(0, kind), *columns])
 
 
-def _taken(got: Synchronised, rows: Ints) -> Synchronised:
+def _taken(synchronised: Synchronised, rows: Ints) -> Synchronised:
     return Synchronised(
-        got.motions.take(rows),
-        got.twists[rows],
-        got.T_middle_stamp[rows],
-        got.stamp_covariance[rows],
+        synchronised.motions.take(rows),
+        synchronised.twists[rows],
+        synchronised.T_middle_stamp[rows],
+        synchronised.stamp_covariance[rows],
     )
 
 
 def _runs(
-    part: Ints, motions: Motions, gone: dict[int, Sweeps]
+    part: Ints, motions: Motions, popped: dict[int, Sweeps]
 ) -> Iterator[tuple[Motions, Sweeps]]:
     """Yield consecutive rows of the same part, with their motions."""
     borders = np.flatnonzero(np.diff(part, prepend=-1, append=-1))
-    come = dict.fromkeys(gone, 0)
+    ends = dict.fromkeys(popped, 0)
     for begin, end in pairwise(borders.tolist()):
         i = int(part[begin])
-        run = slice(come[i], come[i] + end - begin)
-        come[i] = run.stop
-        sweeps = gone[i]
-        whole = len(sweeps) == run.stop - run.start
-        yield motions.take(slice(begin, end)), sweeps if whole else sweeps.take(run)
+        run = slice(ends[i], ends[i] + end - begin)
+        ends[i] = run.stop
+        sweeps = popped[i]
+        is_whole = len(sweeps) == run.stop - run.start
+        yield motions.take(slice(begin, end)), sweeps if is_whole else sweeps.take(run)

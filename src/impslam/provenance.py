@@ -1,4 +1,4 @@
-"""What a result depends on: the log's bytes and the versions of the programs."""
+"""The origin of a result: the hash of the log and the versions of the packages."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PACKAGES = ("impslam", "numpy", "numba", "scipy", "opencv-python-headless")
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of all that a result may depend on."""
+    """Return the versions that a result may depend on: Python, platform and packages."""
     found = {"python": platform.python_version(), "platform": platform.platform()}
     return found | {package: _version(package) for package in PACKAGES}
 

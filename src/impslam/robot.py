@@ -27,8 +27,8 @@ from impslam.sources.base import Problems
 from impslam.streams import Reader, Streams
 from impslam.types import Array, Imu, Increment, Ints, Observation
 
-USUAL_TWIST = np.array([0.5, 0.5, 1.0])
-"""m/s, m/s, rad/s, half a walking pace: what is not known without odometry of the motion within a sweep."""
+TWIST_SIGMA = np.array([0.5, 0.5, 1.0])
+"""m/s, m/s, rad/s, sigma of the motion within a sweep without odometry: half a walking pace."""
 
 
 class Robot:
@@ -72,9 +72,9 @@ class Robot:
             name = columns.kind.__name__
             self.counts[name] = self.counts.get(name, 0) + len(columns)
         used = self.streams.used(batch)
-        each, steps = self._clocks.shifts(used)
+        shift_of_each, steps = self._clocks.shifts(used)
         self._faults += [(at, "clock step", text, 1) for at, text in steps]
-        shifts = dict(zip((c.stream for c in used), each, strict=True))
+        shifts = dict(zip((c.stream for c in used), shift_of_each, strict=True))
         odometry = [c for c in used if c.stream == self.streams.odometry.stream]
         gyro = self.streams.gyro
         turns = next((c for c in used if gyro and c.stream == gyro.stream), None)
@@ -92,7 +92,7 @@ class Robot:
         return iter(found)
 
     def flush(self) -> Iterator[tuple[Motions, Sweeps]]:
-        """Return the sweeps that still wait for odometry, with the motion known so far."""
+        """Return the sweeps that still wait for odometry, with the motion received so far."""
         refused = self._gyro.rejection()
         if refused:
             self._faults.append((END, "gyro", refused, 1))
@@ -103,14 +103,14 @@ class Robot:
     def ahead(self) -> Increment:
         """Return the motion from the middle of the newest sweep to the newest odometry.
 
-        It gives the current pose while no sweeps arrive. The state does not change.
+        It extrapolates the pose while no sweeps arrive. The state does not change.
         """
         ahead = self._synchroniser.ahead()
         if not self.odometry.measures_motion:
-            ahead = replace(ahead, covariance=np.diag((USUAL_TWIST * ahead.duration) ** 2))
+            ahead = replace(ahead, covariance=np.diag((TWIST_SIGMA * ahead.duration) ** 2))
         return replace(ahead, stamp=ahead.stamp - self._shift)
 
-    def look(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
+    def observe(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
         """Extract the landmarks in row k of the sweeps, in base_link at the middle of the sweep."""
         return self.sensors[sweeps.sensor].observe(sweeps, k, rng)
 
@@ -121,7 +121,7 @@ class Robot:
 
     @property
     def gyro_turns(self) -> bool:
-        """Whether a gyro tells how far the robot turns, and not the wheels."""
+        """Whether turns are measured by a gyro instead of the wheels."""
         return self.streams.gyro is not None and self._gyro.trusted
 
     @property
@@ -149,7 +149,7 @@ class Robot:
     def _corrected(
         self, order: Ints, motions: Motions, turns: Columns | None, shifts: Mapping[str, Array]
     ) -> Motions:
-        """Return the motions with turns corrected by the gyro; record where the wheels slip."""
+        """Return the motions with turns corrected by the gyro; record wheel slip."""
         stamps = np.empty(0) if turns is None else turns.stamps + shifts[turns.stream]
         motions, apart = self._gyro.correct(order, motions, turns, stamps)
         for found in apart:
@@ -182,7 +182,7 @@ class Robot:
         got = self._synchroniser.feed(order, motions, pending, last)
         if not self.odometry.measures_motion:
             ahead = np.abs(pending.stamps[: len(got.twists)] - got.motions.stamps)
-            got = got._replace(stamp_covariance=diagonal(np.outer(ahead**2, USUAL_TWIST**2)))
+            got = got._replace(stamp_covariance=diagonal(np.outer(ahead**2, TWIST_SIGMA**2)))
         found = self._queue.pop(got)
         for _, sweeps in found:
             self._count_blind(sweeps)

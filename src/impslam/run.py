@@ -33,7 +33,7 @@ from impslam.map import Keyframe, Keyframes, Map, PathRows, T_map_odom, Track
 from impslam.map_builder import MapBuilder, blended
 from impslam.observers.base import Dropped, Observer, Outcome
 from impslam.observers.health import HealthMonitor
-from impslam.open_log import going_on, open_log
+from impslam.open_log import for_continuing, open_log
 from impslam.provenance import fingerprint
 from impslam.sources.base import Problems, Source
 from impslam.threads import OneBlasThread
@@ -61,9 +61,9 @@ def run(  # noqa: PLR0913  # each is a choice that a user may make
     log : a file or folder; its format is recognised from its content
     config : a preset's name, a file, or a config; by default the preset that fits the log
     settings : overrides of the config, each as "key=value"
-    known : a map to continue, or its file; the place where the log begins is found
+    known : a map to continue, or its file; the start of the log is located in it
     frozen : localise in that map without changing it
-    hint : (2,) or (3,) m, m, rad, roughly where in the map the log begins
+    hint : (2,) or (3,) m, m, rad, approximate pose in the map at the start of the log
     observers : additional observers of the run
     progress : called with the position in the log and its length, in the source's own unit
 
@@ -98,7 +98,7 @@ def run(  # noqa: PLR0913  # each is a choice that a user may make
     begin = begin_with(known, frozen=frozen, hint=hint)
     chosen, source = open_log(log, config, settings)
     if begin is not None:
-        chosen = going_on(chosen, settings)
+        chosen = for_continuing(chosen, settings)
     return map_log(chosen, source, observers, progress, begin, first_health(chosen, source))
 
 
@@ -110,24 +110,23 @@ def map_log(
     begin: Known | None = None,
     health: Standing = SOUND,
 ) -> Map:
-    """Map the log that a source reads; see `run`. `health` is what is wrong with the log throughout."""
-    course = Run(config, observers, begin, health)
-    with source, course.keeping(source):
-        course.robot.streams.choose(source.defaults())
+    """Map the log of a source; see `run`. `health` is the initial health, which applies to all poses."""
+    current = Run(config, observers, begin, health)
+    with source, current.salvaging(source):
+        current.robot.streams.choose(source.defaults())
         for batch in source.batches():
-            course.feed(batch)
+            current.feed(batch)
             if progress is not None:
                 progress(source.position, source.total)
-        course.flush()
-    return course.finish(source)
+        current.flush()
+    return current.finish(source)
 
 
 class Run:
     """A run in progress: takes batches, returns the current map at any time.
 
-    Logs, replays and live robots share this class and differ only in the source of the batches. Only one
-    thread at a time may use it. `begin` is a map to continue, `health` what is known beforehand
-    to be wrong with all poses.
+    Logs, replays and live robots share this class and differ only in the source of the batches. It is not
+    thread-safe. `begin` is a map to continue, `health` the initial health, which applies to all poses.
     """
 
     def __init__(
@@ -164,7 +163,7 @@ class Run:
         self._track(sensed)
 
     def flush(self) -> None:
-        """Process the sweeps that still wait for odometry, with the motion known so far."""
+        """Process the sweeps that still wait for odometry, with the motion received so far."""
         self._track(self.robot.flush())
 
     def play(self, messages: Iterable[Message]) -> Map:
@@ -178,12 +177,12 @@ class Run:
         with self._threads:
             for motions, sweeps in sensed:
                 for tracked in self.clock.each("track", self.tracker.follow(motions, sweeps)):
-                    track = self._continuation.rest(tracked)
+                    track = self._continuation.new_part(tracked)
                     if track is None:
                         continue
                     self._follow(track)
                     if track.keyframe is not None:
-                        self._revise(self._look(track.keyframe))
+                        self._revise(self._observe(track.keyframe))
 
     def _follow(self, track: Track) -> None:
         if len(track.stamps):
@@ -192,14 +191,14 @@ class Run:
             for observer in self._observers:
                 observer.follow(track, path)
 
-    def _look(self, keyframe: Keyframe) -> Keyframe:
-        """Return the keyframe with its scan and observations; without, if the scan does not fit."""
+    def _observe(self, keyframe: Keyframe) -> Keyframe:
+        """Return the keyframe with its scan and observations, or as it is if the scan does not fit."""
         if keyframe.reason == UNEXPLAINED:
             return keyframe
         with self.clock("look"):
             sweeps, row = keyframe.sweeps, keyframe.row
-            seen = self.robot.look(sweeps, row, self._rng)
-            return replace(keyframe, scan=sweeps.scan(row), observations=seen)
+            observations = self.robot.observe(sweeps, row, self._rng)
+            return replace(keyframe, scan=sweeps.scan(row), observations=observations)
 
     def _revise(self, keyframe: Keyframe) -> None:
         with self.clock("estimate"):
@@ -218,12 +217,12 @@ class Run:
 
     @property
     def scans(self) -> int:
-        """Number of sweeps used so far, without those of a map that the run began with."""
+        """Number of sweeps used so far, without those of the map that is continued."""
         return len(self._builder) - self._repeated
 
     @property
     def odometry_notice(self) -> str:
-        """One line that says by how much odometry's lengths are not those of the config; else ""."""
+        """One line on how much the scale of odometry differs from the config, or ""."""
         return self._watch.notice
 
     @property
@@ -233,11 +232,11 @@ class Run:
 
     @property
     def T_map_odom(self) -> Array:
-        """(3,) m and rad: the frame of dead reckoning in map, as of the newest sweep (REP 105).
+        """(3,) m and rad: pose of the frame of dead reckoning in map, as of the newest sweep (REP 105).
 
-        `compose(T_map_odom, odometry)` is the pose in map. Where a loop closes, only `T_map_odom`
-        jumps: a controller that must not jump works in odom, and takes its goals there by the
-        inverse. odom is map at the start of the run. For a robot whose own odometry begins
+        `compose(T_map_odom, odometry)` is the pose in map. When a loop closes, only `T_map_odom`
+        jumps: a controller that must not jump works in odom, and transforms its goals to odom with the
+        inverse. odom coincides with map at the start of the run. If the robot's own odometry starts
         elsewhere, use `compose(pose, inverse(own))` of the same stamp. Without odometry
         (`lidar_only`) dead reckoning stays at the start, so no pose is smooth.
         """
@@ -264,24 +263,24 @@ class Run:
         return known if revision is None else blended(known.revised(revision))
 
     def draft(self, log: Path) -> Callable[[], tuple[Map, Outcome]]:
-        """Return what gives the settled map as of now, and the facts of the run so far.
+        """Return a function that computes the settled map as of now, and the facts of the run so far.
 
-        This takes milliseconds; what it returns may take seconds, and may be called in another thread
-        while the run goes on. The run itself stays as it is.
+        This takes milliseconds. The returned function may take seconds, and may be called in another
+        thread while the run continues. The run itself does not change.
         """
         estimate, outcome = self.estimator.draft(), self.outcome(log, "", 0)
         known = self._builder.map((), None, self.estimator.edges())
         known = replace(known, observations=self.estimator.observations())
         return functools.partial(_finished, known, estimate, outcome, self._logs(outcome))
 
-    def reading(self) -> Callable[[], tuple[Landmark, ...]]:
-        """Return what gives the landmarks as of now; it may be called in another thread."""
+    def draft_landmarks(self) -> Callable[[], tuple[Landmark, ...]]:
+        """Return a function that computes the landmarks as of now; another thread may call it."""
         return self.estimator.draft().landmarks
 
     def dead_reckoned(self) -> PathRows | None:
         """Return the newest pose composed with all later motion; None before the first sweep.
 
-        It gives the current pose while no scans arrive. The estimate does not change.
+        This is the current pose while no scans arrive. The estimate does not change.
         """
         if not self.scans:
             return None
@@ -303,25 +302,24 @@ class Run:
         self._refuse_empty(source)
         self.tracker.forget()
         known = self.settled()
-        self._tell_pending(source, known)
-        return self._tell_end(source, known)
+        self._report_pending(source, known)
+        return self._finish_observers(source, known)
 
-    def _tell_pending(self, source: Source, known: Map) -> None:
-        """Record the sessions that were not found in the map; refuse a run that has no other."""
+    def _report_pending(self, source: Source, known: Map) -> None:
+        """Record the sessions that were not located in the map; raise if there is no other."""
         if not known.placed().any():
             raise SourceError(
-                f"{source.path}: it was not found where in the map it lies; give about where it begins "
-                "with --start x,y, or a log that drives some 10 m where the map was made"
+                f"{source.path}: could not be located in the map; give its approximate start with --start "
+                "x,y, or a log with some 10 m of driving inside the mapped area"
             )
         if pending := self.estimator.counts().get("sessions not found", 0):
             self.problems.add("session", _PENDING, pending)
 
     @contextmanager
-    def keeping(self, source: Source) -> Iterator[None]:
-        """Where an error or a signal ends the block, pass what is known to the observers first.
+    def salvaging(self, source: Source) -> Iterator[None]:
+        """Pass the map so far to the observers if an error or a signal ends the block.
 
-        It is the map of all scans so far, and the outcome is marked as partial. A file that cannot be
-        written adds a note to the error.
+        The outcome is marked as partial. A file that cannot be written adds a note to the error.
         """
         try:
             yield
@@ -330,13 +328,13 @@ class Run:
                 try:
                     scans = self._continuation.repeated + self.scans
                     partial = f"{in_a_line(error)}; it holds the first {scans} scans of the log"
-                    self._tell_end(source, self._salvaged(), partial)
+                    self._finish_observers(source, self._salvaged(), partial)
                 except Exception as another:  # the first error is the one to report
                     error.add_note(in_a_line(another))
             raise
 
     def _salvaged(self) -> Map:
-        """Return the settled map, or what there is of it where the estimator is what failed."""
+        """Return the settled map, or as much of it as possible if the estimator itself failed."""
         with suppress(Exception):
             return self.settled()
         with suppress(Exception):
@@ -347,7 +345,7 @@ class Run:
             return replace(known, edges=edges, observations=seen)
         return self._builder.map(())
 
-    def _tell_end(self, source: Source, known: Map, partial: str = "") -> Map:
+    def _finish_observers(self, source: Source, known: Map, partial: str = "") -> Map:
         outcome = self.outcome(
             source.path, fingerprint(source.path), len(known.landmarks), source.problems
         )
@@ -359,8 +357,8 @@ class Run:
 
     def _refuse_empty(self, source: Source) -> None:
         wanted = self.robot.odometry.consumes.__name__
-        if self.scans == 0 and self._continuation.seen:
-            raise SourceError(f"{source.path}: {self._continuation.seen}")
+        if self.scans == 0 and self._continuation.refusal:
+            raise SourceError(f"{source.path}: {self._continuation.refusal}")
         if self.scans == 0:
             raise SourceError(
                 f"{source.path}: contains no usable scan; `imp inspect` lists its contents"
@@ -373,7 +371,7 @@ class Run:
             )
 
     def _logs(self, outcome: Outcome) -> list[dict[str, Any]]:
-        """Return the logs that the map is made of, each with the number of its scans in the map."""
+        """Return the logs of the map, each with the number of its scans in the map."""
         new = {"log": outcome.log.name, "log_sha256": outcome.log_sha256, "scans": self.scans}
         if self._begin is None:
             return [new]
@@ -407,15 +405,15 @@ class Run:
 
 
 _PENDING = (
-    "it was not found where in the map the robot was; what it saw is kept apart in map.imp, and is no "
-    "part of the map: continue it with a log that drives from known places into this one"
+    "could not be located in the map; its scans are kept in map.imp but are not part of the map: "
+    "continue the map with a log that drives from known places into this one"
 )
 
 
 def _finished(
     known: Map, estimate: Draft, outcome: Outcome, logs: list[dict[str, Any]]
 ) -> tuple[Map, Outcome]:
-    """Return a map with an estimate's refined poses and landmarks, and the facts that go with it."""
+    """Return the map with the refined poses and landmarks of an estimate, and the facts of the run."""
     begin = time.perf_counter()
     revision = estimate.settle()
     stages = {**outcome.stages, "settle": np.array([time.perf_counter() - begin])}
@@ -430,9 +428,9 @@ def _finished(
     return replace(known, about=about(outcome, logs)), outcome
 
 
-def _seal(*shown: object) -> None:
-    """Make the arrays of what observers are shown read-only; those of sweeps stay as they are."""
-    for value in shown:
+def _seal(*values: object) -> None:
+    """Make the arrays passed to observers read-only, except those of sweeps."""
+    for value in values:
         kind: Any = type(value)
         for part in _parts_of(kind)(value):
             if type(part) is np.ndarray:

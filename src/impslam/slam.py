@@ -1,4 +1,4 @@
-"""SLAM on arrays: for a program that has scans and odometry of its own, a row at a time or many."""
+"""SLAM on arrays, for programs with their own scans and odometry: one row at a time, or many."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from impslam.errors import ImpError
 from impslam.given_arrays import finite, numeric, rows_of
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer
-from impslam.open_log import finished, going_on
+from impslam.open_log import finished, for_continuing
 from impslam.run import Run
 from impslam.types import (
     Array,
@@ -32,9 +32,9 @@ from impslam.types import (
 class Slam:
     """Maps scans and odometry that are given as arrays.
 
-    Rows are used in the order in which they are given, so give first what happened first. A scan
-    waits until odometry covers its sweep: odometry may come first, all of it or a piece at a time.
-    Several lidars come in turns. One row at a time or all at once gives the same map to the bit.
+    Rows are processed in the order of the calls, so add them in order of time. A scan waits until
+    odometry covers its sweep, so odometry may be added first, whole or in pieces. Interleave the scans of
+    several lidars. The map is the same to the bit for any number of rows per call.
 
     Parameters
     ----------
@@ -42,9 +42,9 @@ class Slam:
     settings : overrides of the config, each as "key=value"
     observers : additional observers of the run
     progress : called with the number of scans used so far, after each call that used some
-    known : a map to continue, or its file; the place where the robot begins is found
+    known : a map to continue, or its file; the start of the robot is located in it
     frozen : localise in that map without changing it
-    hint : (2,) or (3,) m, m, rad, roughly where in the map the robot begins
+    hint : (2,) or (3,) m, m, rad, approximate pose of the robot in the map at the start
 
     Examples
     --------
@@ -82,24 +82,24 @@ class Slam:
         self._newest = _Newest()
         begin = begin_with(known, frozen=frozen, hint=hint)
         if begin is not None:
-            chosen = going_on(chosen, settings)
+            chosen = for_continuing(chosen, settings)
         self._run = Run(chosen, [self._newest, *observers], begin)
         self._progress, self._order = progress, 0
-        self._given: dict[str, float] = {}  # newest stamp by stream
-        self._scanned: dict[str, float] = {}  # the same of those that are scans
+        self._newest_stamps: dict[str, float] = {}  # by stream
+        self._newest_scans: dict[str, float] = {}  # stamps by stream, of scans alone
 
     def add_odometry(self, stamps: npt.ArrayLike, poses: npt.ArrayLike) -> None:
-        """Give poses `T_odom_base` (m, 3) or (3,), m and rad, at stamps (m,) or a number, s."""
+        """Add poses `T_odom_base` (m, 3) or (3,), m and rad, at stamps (m,) or a number, s."""
         self._add(OdometryPose, stamps, {"pose": ("poses", poses, (3,))})
 
     def add_wheels(self, stamps: npt.ArrayLike, left: npt.ArrayLike, right: npt.ArrayLike) -> None:
-        """Give readings (m,) of the wheels' encoders in the config's unit, at stamps (m,), s."""
+        """Add wheel encoder readings (m,) in the unit of the config, at stamps (m,), s."""
         self._add(WheelAngles, stamps, {"left": ("left", left, ()), "right": ("right", right, ())})
 
     def add_velocities(
         self, stamps: npt.ArrayLike, speeds: npt.ArrayLike, turn_rates: npt.ArrayLike
     ) -> None:
-        """Give speeds (m,) m/s and turn rates (m,) rad/s, which hold from their stamps (m,) s on."""
+        """Add speeds (m,) m/s and turn rates (m,) rad/s, each valid from its stamp (m,) s on."""
         fields = {"speed": ("speeds", speeds, ()), "turn_rate": ("turn_rates", turn_rates, ())}
         self._add(Velocity, stamps, fields)
 
@@ -114,21 +114,21 @@ class Slam:
         range_max: float = float("nan"),
         stream: str = "",
     ) -> None:
-        """Give sweeps of a 2D lidar.
+        """Add sweeps of a 2D lidar.
 
         Parameters
         ----------
         stamps : (m,) or a number, s, of the first beam
-        ranges : (m, n) or (n,) m; 0, NaN and what is beyond the limits is no echo
+        ranges : (m, n) or (n,) m; 0, NaN and values beyond the limits mean no echo
         angles : (n,) rad in the laser frame, counter-clockwise, 0 ahead
         time_offsets : (n,) s after the stamp at which each beam was fired; all at once by default
-        range_min, range_max : m, the lidar's limits; NaN: none but the config's
-        stream : the lidar's stream, where the config has several
+        range_min, range_max : m, the lidar's limits; NaN: those of the config
+        stream : the lidar's stream, if the config has several
 
         Raises
         ------
         ShapeError
-            If the shapes do not fit each other, or something is no number.
+            If the shapes do not match, or a value is not a number.
         ConfigError
             If no sensor of the config reads scans of this stream.
         """
@@ -164,45 +164,45 @@ class Slam:
         self._order += len(times)
         before = self._run.scans
         self._run.feed({name: Columns(name, kind, order, values, layout or {})})
-        self._report(before)
+        self._report_progress(before)
 
     def _refuse_late(self, name: str, times: Array, *, is_scan: bool) -> None:
-        """Refuse many rows that should have come before what was given, and would tell no motion.
+        """Raise if several rows come too late to be used: they precede data already processed.
 
-        A single row may be late, as on a robot. Rows older than their own stream's were stamped by
-        a clock that was set back, and are in order.
+        A single row may be late, as on a robot. Rows older than the previous ones of their stream were
+        stamped by a clock that was set back, and are accepted.
         """
-        if len(times) > 1 and times[0] >= self._given.get(name, -np.inf):
+        if len(times) > 1 and times[0] >= self._newest_stamps.get(name, -np.inf):
             used = self._newest.path
-            others = [t for stream, t in self._scanned.items() if stream != name]
+            others = [t for stream, t in self._newest_scans.items() if stream != name]
             upto = others if is_scan else [] if used is None else [float(used.stamps[-1])]
             if times[0] < max(upto, default=-np.inf):
                 raise ImpError(
                     f"{name}: {len(times)} rows from {times[0]:.3f} s on come after the scan at "
-                    f"{max(upto):.3f} s; give first what happened first, several streams in turns"
+                    f"{max(upto):.3f} s; add rows in order of time, several streams in turns"
                 )
-        self._given[name] = float(times[-1])
+        self._newest_stamps[name] = float(times[-1])
         if is_scan:
-            self._scanned[name] = float(times[-1])
+            self._newest_scans[name] = float(times[-1])
 
-    def _report(self, before: int) -> None:
+    def _report_progress(self, before: int) -> None:
         if self._progress is not None and self._run.scans > before:
             self._progress(self._run.scans)
 
     @property
     def pose(self) -> Array:
-        """`T_map_base` (3,) m and rad at the newest scan in use; the config's start before it."""
+        """`T_map_base` (3,) m and rad at the newest scan in use; before it, the start of the config."""
         path = self._newest.path
         return np.array(self._run.config.start) if path is None else path.poses[-1].copy()
 
     @property
     def placed(self) -> bool:
-        """Whether it is known where in the map that pose is; if not, it is in a frame of its own."""
+        """Whether `pose` is located in the map; if not, it is in a frame of its own."""
         return self._newest.placed
 
     @property
     def covariance(self) -> Array:
-        """(3, 3) of that pose."""
+        """Covariance (3, 3) of `pose`."""
         path = self._newest.path
         return np.zeros((3, 3)) if path is None else path.covariances[-1].copy()
 
@@ -213,7 +213,7 @@ class Slam:
 
     @property
     def T_map_odom(self) -> Array:
-        """(3,) m and rad: the frame of `odometry` in map, which jumps where a loop closes (REP 105).
+        """(3,) m and rad: pose of the frame of `odometry` in map; jumps when a loop closes (REP 105).
 
         `pose` is `compose(T_map_odom, odometry)`. A controller that must not jump works in odom; see
         `Run.T_map_odom`.
@@ -222,7 +222,7 @@ class Slam:
 
     @property
     def problems(self) -> dict[str, int]:
-        """How many rows could not be used, by the reason."""
+        """Number of rows that could not be used, by reason."""
         return {**self._run.robot.problems.counts, **self._run.problems.counts}
 
     def map(self) -> Map:
@@ -230,10 +230,10 @@ class Slam:
         return self._run.map()
 
     def finish(self) -> Map:
-        """Use the scans that still wait for odometry, and return the map, refined as a whole."""
+        """Process the scans that still wait for odometry, and return the jointly refined map."""
         before = self._run.scans
         self._run.flush()
-        self._report(before)
+        self._report_progress(before)
         return self._run.settled()
 
 
@@ -253,4 +253,4 @@ class _Newest(Observer):
 
 
 _Field: TypeAlias = tuple[str, npt.ArrayLike, tuple[int, ...]]
-"""The argument's name, what was given, and the shape of one row."""
+"""The argument's name, its value, and the shape of one row."""

@@ -19,7 +19,7 @@ class Reader:
     ----------
     place : its table in the config
     consumes : type of message that it reads
-    stream : name from the config, or of the stream found since; empty if none yet
+    stream : name from the config, or of the stream found in the log; empty if none yet
     named : whether the config names the stream
     """
 

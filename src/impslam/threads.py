@@ -2,7 +2,7 @@
 
 The matrices of a scan are small: threads cost four times the CPU time that they save (measured with
 100 to 300 landmarks on two cores), and sums whose order depends on the number of cores would make
-two machines differ in the last bits. Whoever sets `OMP_NUM_THREADS` or the like has chosen.
+two machines differ in the last bits. `OMP_NUM_THREADS` and the like take precedence.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ LIBRARIES = ("OPENBLAS", "MKL", "OMP")
 
 
 class OneBlasThread:
-    """A context in which BLAS has one thread, in the whole process; the last to leave puts it back.
+    """A context that limits BLAS to one thread in the whole process, until the last one exits.
 
-    Make it when the libraries are loaded: it limits those that are.
+    Create it after the libraries are loaded: it limits only loaded ones.
     """
 
     _lock: ClassVar[threading.Lock] = threading.Lock()

@@ -1,4 +1,4 @@
-"""The values that are passed between parts: messages, increments, scans, observations, matches, landmarks.
+"""Values passed between parts: messages, increments, scans, observations, matches, landmarks.
 
 All are frozen; their arrays are float64 (bool or int64 where stated) and must not be written to.
 Metres, radians, seconds; x forward, y left, yaw counter-clockwise (REP 103); frames map, odom,
@@ -25,12 +25,13 @@ Ts = TypeVarTuple("Ts")
 
 
 def check_shape(name: str, array: npt.NDArray[np.generic], *shape: int | None) -> None:
-    """Raise `ShapeError` unless the array has this shape; None stands for any length."""
+    """Raise `ShapeError` unless the array has this shape; None means any length."""
     if array.ndim != len(shape) or any(
-        want is not None and want != have for want, have in zip(shape, array.shape, strict=True)
+        expected is not None and expected != length
+        for expected, length in zip(shape, array.shape, strict=True)
     ):
-        expected = str(shape).replace("None", "any")
-        raise ShapeError(f"{name} has shape {array.shape}; expected {expected}")
+        wanted = str(shape).replace("None", "any")
+        raise ShapeError(f"{name} has shape {array.shape}; expected {wanted}")
 
 
 # --------------------------------------------------------------------------- messages
@@ -38,10 +39,10 @@ def check_shape(name: str, array: npt.NDArray[np.generic], *shape: int | None) -
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stamped:
-    """A message: what was measured or happened at `stamp`, in s on the host's clock."""
+    """A message: a measurement or an event at `stamp`, in s on the host's clock."""
 
     layout_fields: ClassVar[tuple[str, ...]] = ()
-    """Fields that a device sets once and that hold for all its messages."""
+    """Fields that a device sets once for all its messages."""
 
     stamp: float
 
@@ -51,7 +52,7 @@ class WheelAngles(Stamped):
     """Readings of the left and the right wheel encoder at `stamp`.
 
     In the encoder's own unit: accumulated ticks, an accumulated angle in rad, or the voltage of an
-    absolute encoder that wraps once a turn. The odometry's parameters say which.
+    absolute encoder that wraps once a turn, depending on the parameters of the odometry.
     """
 
     left: float
@@ -60,14 +61,14 @@ class WheelAngles(Stamped):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OdometryPose(Stamped):
-    """`T_odom_base` (3,) as the robot's own odometry gives it."""
+    """`T_odom_base` (3,) from the robot's own odometry."""
 
     pose: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Velocity(Stamped):
-    """Speed forward in m/s and turn rate in rad/s, which hold from `stamp` until the next one."""
+    """Forward speed in m/s and turn rate in rad/s, valid from `stamp` until the next message."""
 
     speed: float
     turn_rate: float
@@ -75,7 +76,7 @@ class Velocity(Stamped):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Steering(Stamped):
-    """A car's wheel speed in m/s and steering angle in rad (left positive), until the next one."""
+    """A car's wheel speed in m/s and steering angle in rad (left positive), valid until the next one."""
 
     speed: float
     angle: float
@@ -100,14 +101,13 @@ class Image(Stamped):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaserScan(Stamped):
-    """One sweep as a 2D lidar sent it: n beams of any number, direction and start angle.
+    """One raw sweep of a 2D lidar: n beams, for any n, direction of rotation and start angle.
 
     `angles` (n,) are in the laser frame, counter-clockwise about its +z, 0 along its +x;
-    `time_offsets` (n,) is when each beam was fired after `stamp`, which is that of beam 0;
+    `time_offsets` (n,) is the time of each beam after `stamp`, which is that of beam 0;
     `ranges` (n,) are as received: 0, NaN, inf, negative and error codes included.
-    `range_min` and `range_max` are those of the message, NaN where it has none.
-    `intensities` (n,) are the brightness of the echoes in the device's own unit, None where it gives
-    none.
+    `range_min` and `range_max` are those of the message, NaN if it has none.
+    `intensities` (n,) are the brightness of the echoes in the device's own unit, or None.
     """
 
     layout_fields: ClassVar[tuple[str, ...]] = ("angles", "time_offsets", "range_min", "range_max")
@@ -133,8 +133,7 @@ class Detections(Stamped):
     """Landmarks that a sensor detected itself at `stamp`, as range and bearing in its own frame.
 
     `ranges` (n,) m; `bearings` (n,) rad, counter-clockwise about +z, 0 along +x; `labels` (n,) int64
-    are the identities that it read off them, -1 where it read none; `diameters` (n,) m, NaN where
-    it measured none.
+    are their identities, -1 if unknown; `diameters` (n,) m, NaN if not measured.
     """
 
     ranges: Array
@@ -154,7 +153,7 @@ class Detections(Stamped):
 class TruePose(Stamped):
     """`T_map_base` (3,) from a simulator or a tracking system; for scoring, never for the filter.
 
-    The heading is NaN where only the position was tracked.
+    The heading is NaN if only the position was tracked.
     """
 
     pose: Array
@@ -162,7 +161,7 @@ class TruePose(Stamped):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fix(Stamped):
-    """A GPS fix: (2,) m east and north of a point near by, and its covariance (2, 2), NaN if unknown."""
+    """A GPS fix: (2,) m east and north of a nearby origin, and its covariance (2, 2), NaN if unknown."""
 
     position: Array
     covariance: Array
@@ -175,10 +174,10 @@ satellites or from the ground."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SatelliteFix(Stamped):
-    """What a satellite receiver says: WGS 84 latitude and longitude in degrees, altitude in m.
+    """A fix of a satellite receiver: WGS 84 latitude and longitude in degrees, altitude in m.
 
-    `altitude` is above the ellipsoid. `covariance` (3, 3) m^2 is of east, north, up, NaN if not told.
-    `status` is one of the above; the position of `NO_FIX` means nothing.
+    `altitude` is above the ellipsoid. `covariance` (3, 3) m^2 is of east, north, up, NaN if unknown.
+    `status` is one of the above; with `NO_FIX` the position is meaningless.
     """
 
     latitude: float
@@ -193,7 +192,7 @@ class SatelliteFix(Stamped):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EncoderVoltages(Stamped):
-    """What the left and the right absolute encoder give, in V: 0 to 5 V over a turn, wrapping."""
+    """Voltages of the left and the right absolute encoder: 0 to 5 V over a turn, wrapping."""
 
     left: float
     right: float
@@ -223,7 +222,7 @@ class Climate(Stamped):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviceTime(Stamped):
-    """A device's own clock, in s since it started (unwrapped), at `stamp` on the host's."""
+    """A device's own clock, in s since it started (unwrapped), at `stamp` on the host's clock."""
 
     device: str
     device_stamp: float
@@ -231,7 +230,7 @@ class DeviceTime(Stamped):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Event(Stamped):
-    """Something that happened and is no measurement: a device lost, a fault, an emergency stop.
+    """An event that is not a measurement: a lost device, a fault, an emergency stop.
 
     `level` is "info", "warning" or "error"; `source` is the device or part that reports it.
     """
@@ -249,9 +248,9 @@ Message: TypeAlias = Stamped
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Increment:
-    """Motion of base_link since the previous increment, seen from its pose at the start.
+    """Motion of base_link since the previous increment, relative to its pose at the start.
 
-    `d_pose` (3,) is `T_before_after`; `covariance` (3, 3) is that of an additive error on it;
+    `d_pose` (3,) is `T_before_after`; `covariance` (3, 3) is that of its additive error;
     `duration` >= 0 is in seconds and `stamp` is the time at its end.
     """
 
@@ -262,7 +261,7 @@ class Increment:
 
     @staticmethod
     def none(stamp: float) -> Increment:
-        """Return the increment of a robot that stood still."""
+        """Return the increment of a stationary robot."""
         return Increment(stamp, np.zeros(3), np.zeros((3, 3)))
 
     def then(self, other: Increment) -> Increment:
@@ -277,15 +276,15 @@ class Increment:
         return compose_uncertain(pose, covariance, self.d_pose, self.covariance)
 
     def split(self, fraction: float) -> tuple[Increment, Increment]:
-        """Cut at a fraction in [0, 1] of its time, at constant twist; the parts compose to it."""
+        """Split at a fraction in [0, 1] of the duration, at constant twist; `then` rejoins the parts."""
         twist = log(self.d_pose)
         cut = fraction * self.duration
         head = exp(fraction * twist)
         tail = exp((1.0 - fraction) * twist)
         middle = self.stamp - self.duration + cut
         first, second = compose_jacobians(head, tail)
-        # Share the covariance so that `then` restores it: it is pulled back through the
-        # composition of the two parts, each part taking its share of the time.
+        # Split the covariance so that `then` restores it: pull it back through the composition of
+        # the two parts, in proportion to their durations.
         head_cov = np.linalg.solve(first, np.linalg.solve(first, fraction * self.covariance).T)
         tail_cov = np.linalg.solve(
             second, np.linalg.solve(second, (1.0 - fraction) * self.covariance).T
@@ -298,25 +297,25 @@ class Increment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
-    """A sweep made ready for extraction: validated, mounted, and de-skewed to its middle.
+    """A sweep ready for extraction: validated, mounted, and de-skewed to its middle.
 
     n beams in beam order, every array of length n. `points`, `directions` and `origins` are in
-    base_link as it was then; `angles` and `ranges` are still the sensor's own (laser frame).
-    Only beams with `valid` true have a meaningful range and point.
+    base_link at that time; `angles` and `ranges` are still in the laser frame. Only beams with `valid`
+    true have a meaningful range and point.
 
     Attributes
     ----------
     angles, ranges : (n,) rad and m, laser frame
     valid : (n,) bool
-    points : (n, 2) m, where the beam ended
+    points : (n, 2) m, end point of the beam
     directions : (n,) rad, direction of the beam
-    origins : (n, 2) m, where the beam started (differs between beams of a moving robot)
+    origins : (n, 2) m, start of the beam (differs between beams of a moving robot)
     sigmas : (n,) m, standard deviation of the range noise, independent between beams
     bias : m, standard deviation of the error that all beams of this sensor share
     range_max : m, the largest range that the sensor measures
     laser : (3,) `T_base_laser`
-    intensities : (n,) how bright the echoes were, in the device's unit, or None
-    derived : what `derive` has computed of this scan; a scan made by `replace` begins without
+    intensities : (n,) brightness of the echoes, in the device's unit, or None
+    derived : cached results of `derive`; empty in a scan made by `replace`
     """
 
     stamp: float
@@ -334,10 +333,9 @@ class Scan:
     derived: dict[Any, Any] = field(init=False, repr=False, default_factory=dict)
 
     def derive(self, compute: Callable[[Scan, Unpack[Ts]], T], *parameters: *Ts) -> T:
-        """Return `compute(self, *parameters)`; several extractors share one result.
+        """Return `compute(self, *parameters)`, cached so that extractors share one result.
 
-        `compute` must be pure, and its result must not be written to, so that sharing saves time without
-        changing results. Results are kept as long as the scan.
+        `compute` must be pure, and its result must not be written to. Results are kept as long as the scan.
         """
         key = compute, parameters
         if key not in self.derived:
@@ -351,7 +349,7 @@ _NO_BEAMS: Ints = np.empty(0, np.int64)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """A landmark as one scan shows it, in base_link at the scan's stamp.
+    """A landmark observed in one scan, in base_link at the scan's stamp.
 
     Kinds and their z:
 
@@ -364,14 +362,14 @@ class Observation:
     ----------
     kind : the landmark model this belongs to
     z, R : (k,) and (k, k), measurement and its covariance
-    beams : indices of the beams it rests on, int64
+    beams : indices of the beams used, int64
     end_points : (2, 2) m, first and last point of a wall along increasing beam index, else None
     attributes : further measured properties by name, e.g. {"radius": 0.15} (m)
-    label : the landmark's identity where the sensor knows it (barcodes), else None
-    delay : s, how long after the reading's moment its beams were fired, on average (signed)
-    shared : (k,) what z is off by if the error that all readings of its sensor share is one standard
-        deviation; R holds its square, too. None: readings share no error
-    sensor : whose error that is
+    label : the landmark's identity if the sensor reads it (barcodes), else None
+    delay : s, mean time of its beams after the scan's stamp (signed)
+    shared : (k,) error of z if the error common to all readings of its sensor is one standard
+        deviation; R includes it. None: no common error
+    sensor : the sensor with that error
     """
 
     kind: str
@@ -386,21 +384,21 @@ class Observation:
     sensor: str = ""
 
     def with_noise(self, R: Array) -> Observation:
-        """Return the observation with another R (k, k): `replace` in a quarter of its time."""
+        """Return the observation with another R (k, k), four times as fast as `replace`."""
         return Observation(
             self.kind, self.z, R, self.beams, self.end_points, self.attributes, self.label,
             self.delay, self.shared, self.sensor,
         )  # fmt: skip
 
     def without_beams(self) -> Observation:
-        """Return the observation without the indices of its beams, which mean nothing without the scan."""
+        """Return the observation without beam indices, which are meaningless without the scan."""
         return Observation(
             self.kind, self.z, self.R, _NO_BEAMS, self.end_points, self.attributes, self.label,
             self.delay, self.shared, self.sensor,
         )  # fmt: skip
 
     def of_sensor(self, sensor: str, delay: float) -> Observation:
-        """Return the observation as one of a sensor, with another delay, s."""
+        """Return the observation with another sensor and delay, s."""
         return Observation(
             self.kind, self.z, self.R, self.beams, self.end_points, self.attributes, self.label,
             delay, self.shared, sensor,
@@ -408,12 +406,12 @@ class Observation:
 
 
 class Innovation(NamedTuple):
-    """How far the matched observations of a scan were from what was expected, all of them jointly.
+    """The joint innovation of all matched observations of a scan.
 
     Attributes
     ----------
-    nis : nu^T S^-1 nu of the stacked innovation, with the correlations that one pose gives to all
-    dof : its number of scalars, and of degrees of freedom: what `nis` is on average if S is right
+    nis : nu^T S^-1 nu of the stacked innovation, with the correlations due to the common pose
+    dof : its number of scalars, i.e. of degrees of freedom: the mean of `nis` if S is right
     log_det : log det S, with S in m^2 and rad^2
     """
 
@@ -423,7 +421,7 @@ class Innovation(NamedTuple):
 
 
 class Match(NamedTuple):
-    """An observation taken for a landmark: innovation (k,), its covariance S (k, k), and d^2."""
+    """An observation matched to a landmark: innovation (k,), its covariance S (k, k), and d^2."""
 
     observation: int
     landmark: int
@@ -434,11 +432,11 @@ class Match(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landmark:
-    """A landmark as it is reported: position in map, parameters, covariance and history.
+    """An estimated landmark: position in map, parameters, covariance and history.
 
     `position` (2,) is a point's centre or a wall's foot of the normal from the map origin (thesis
-    Fig. 20). `covariance` (2, 2) is that of the reported `parameters` that are estimated: x, y of a
-    point, [r, alpha] of a wall. `end_points` (2, 2) m in map for walls, else None.
+    Fig. 20). `covariance` (2, 2) is that of the estimated `parameters`: x, y of a point,
+    [r, alpha] of a wall. `end_points` (2, 2) m in map for walls, else None.
     """
 
     id: int
@@ -454,7 +452,7 @@ class Landmark:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueLandmark:
-    """A landmark as it is; for scoring, never for the filter.
+    """The true state of a landmark; for scoring, never for the filter.
 
     `position` (2,) m is a centre, or the foot of the normal from the map's origin; `parameters` are
     like those of `Landmark`; `end_points` (2, 2) m for walls, else None.
@@ -468,14 +466,14 @@ class TrueLandmark:
 
 
 class Edges(NamedTuple):
-    """Relative poses that were measured.
+    """Measured relative poses.
 
     Attributes
     ----------
-    i, j : (e,) int64, poses
+    i, j : (e,) int64, indices of the poses
     T_i_j : (e, 3)
     information : (e, 3, 3) inverse of the covariance of the additive error of T_i_j
-    kernel : (e,) c^2 > 0, the chi-square at which the weight of an edge is a quarter; inf: always 1
+    kernel : (e,) c^2 > 0, the chi-square at which an edge's weight is a quarter; inf: always 1
     """
 
     i: Ints
@@ -485,7 +483,7 @@ class Edges(NamedTuple):
     kernel: Array
 
     def joined(self, more: Edges) -> Edges:
-        """Return these edges and more of the same poses."""
+        """Return these edges and more between the same poses."""
         pairs = zip(self, more, strict=True)
         i, j, T_i_j, information, kernel = (np.concatenate(pair) for pair in pairs)
         return Edges(i, j, T_i_j, information, kernel)

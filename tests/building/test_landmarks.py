@@ -188,7 +188,7 @@ def test_walls_that_nobody_sees_through_stay_as_they_are():
     assert repr(with_scans) == repr(landmarks_of(PATH, ZERO, seen, MODELS))
 
 
-def test_a_walker_is_no_landmark():
+def test_a_pedestrian_is_no_landmark():
     seen = [[*whole(p), point(p, [0.8 * i - 4, 2])] for i, p in enumerate(PATH)]
     assert len(landmarks_of(PATH, ZERO, seen, MODELS)) == 8
 

@@ -75,7 +75,7 @@ def test_a_drive_without_noise_is_exact(make):
         assert np.abs(np.array(points) - centre).max(axis=1).min() < 1e-9
 
 
-def test_it_begins_where_it_is_told(make):
+def test_it_starts_at_the_given_pose(make):
     start = np.array([3.0, -2.0, 2.5])
     poses, revisions = run(make(start), 10, told=NONE)
     for k, (pose, revision) in enumerate(zip(poses, revisions, strict=True)):
@@ -107,7 +107,7 @@ def test_the_same_keyframes_give_the_same_bytes(make):
 
 def test_landmarks_are_those_that_were_born_and_are_not_gone(make):
     made, known, size = make(), set(), 0
-    if not made.tells_landmarks:
+    if not made.reports_landmarks:
         pytest.skip("it tells of landmarks only when asked")
     rng = np.random.default_rng(3)
     for k, (pose, motion) in enumerate(drive(30, rng)):
@@ -157,7 +157,7 @@ def test_a_keyframe_that_cannot_be_used_moves_the_robot_and_nothing_else(make, s
 @pytest.mark.parametrize(
     ("d_pose", "P"), [(0.0, np.nan), (np.nan, 1e-4), (np.inf, 1e-4), (np.nan, np.nan)]
 )
-def test_a_keyframe_of_which_nothing_is_known_changes_nothing(make, d_pose, P):
+def test_a_keyframe_without_a_finite_motion_changes_no_landmark(make, d_pose, P):
     made, twin = make(), make()
     run(made, 12)
     run(twin, 12)

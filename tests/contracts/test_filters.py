@@ -124,7 +124,7 @@ def test_a_new_landmark_is_correlated_with_the_old_ones(belief):
     assert belief.landmarks()[-1].covariance[0, 0] < 0.01 * wide
 
 
-def test_a_correction_tells_its_innovation_jointly(belief):
+def test_a_correction_returns_its_joint_innovation(belief):
     """As `joint` has it before the correction, if the filter tells it at all."""
     rng = np.random.default_rng(7)
     for pose, increment in drive(5, rng):
@@ -186,22 +186,22 @@ def test_nothing_within_reach_is_left_out(belief, reach):
                 assert part.possible[key[pair]] == whole.possible[p]
 
 
-def test_a_prediction_is_taken_back_to_the_bit(belief):
+def test_a_prediction_is_undone_to_the_bit(belief):
     rng = np.random.default_rng(11)
     for pose, increment in drive(8, rng):
         step(belief, increment, observe(pose, rng))
     P, mean = belief.belief.covariance, belief.belief.mean.copy()
     belief.predict(increment)
     assert not np.array_equal(belief.belief.mean, mean)
-    belief.take_back()
+    belief.undo_predict()
     assert np.array_equal(belief.belief.covariance, P)
     assert np.array_equal(belief.belief.mean, mean)
 
 
-def test_it_follows_another_estimate_and_goes_on_from_there(belief):
+def test_it_follows_another_estimate_and_continues_from_there(belief):
     """Its mean is that estimate; where it does not move, its covariance stays; it stays definite."""
     if not belief.follows:
-        with pytest.raises(NotImplementedError, match="follows no other"):
+        with pytest.raises(NotImplementedError, match="cannot follow another"):
             belief.follow(np.zeros(3), {})
         return
     rng = np.random.default_rng(8)

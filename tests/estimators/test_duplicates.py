@@ -45,7 +45,7 @@ def drive(kind, seed, numbers):
 
 
 @pytest.mark.parametrize("kind", FAMILY)
-def test_fused_landmarks_are_those_that_were_matched_rightly(kind):
+def test_fusion_equals_correct_matching(kind):
     """The same posterior, whichever of both each observation was taken for, to rounding.
 
     But `oc`, whose Jacobians depend on both first estimates.
@@ -62,7 +62,7 @@ def test_fused_landmarks_are_those_that_were_matched_rightly(kind):
 
 
 @pytest.mark.parametrize("kind", FAMILY)
-def test_fusing_tells_nothing_of_a_motion_of_everything(kind):
+def test_fusing_gains_no_information_on_a_rigid_motion(kind):
     belief = components("filter")[kind]()
     belief.start(np.array([1.0, 2.0, 0.5]), 0.01 * np.eye(3), MODELS)
     belief.extend([point(ORIGIN, (2, 1)), point(ORIGIN, (2.05, 1.1))], 0.0)
@@ -73,7 +73,7 @@ def test_fusing_tells_nothing_of_a_motion_of_everything(kind):
     np.testing.assert_allclose(J @ N, 0.0, atol=1e-12)
 
 
-def test_a_wall_takes_over_the_extent_of_its_double():
+def test_a_fused_wall_has_the_extent_of_both():
     belief = Ekf()
     belief.start(ORIGIN, 1e-6 * np.eye(3), MODELS)
     belief.extend([wall(ORIGIN, [[2, -2], [2, 0]]), wall(ORIGIN, [[2, -1], [2, 2]])], 0.0)
@@ -103,7 +103,7 @@ def add(slam, k, places, rng, sigma=(0.01, 0.01, 0.005)):
     )
 
 
-def test_a_double_is_fused_once_enough_scans_show_one_thing(rng):
+def test_a_duplicate_is_fused_after_enough_scans_of_one_object(rng):
     slam = started()
     add(slam, 0, (POST, OTHER), rng)
     slam._filter.extend([point(ORIGIN, POST, rng=rng)], 0.0)
@@ -114,18 +114,18 @@ def test_a_double_is_fused_once_enough_scans_show_one_thing(rng):
     assert slam.counts() == {"landmarks fused": 1}
 
 
-def test_a_difference_that_cannot_be_judged_leaves_both_as_they_are(rng, monkeypatch):
+def test_an_unknown_difference_keeps_both(rng, monkeypatch):
     slam = started()
     add(slam, 0, (POST, OTHER), rng)
     slam._filter.extend([point(ORIGIN, POST, rng=rng)], 0.0)
-    monkeypatch.setattr(Ekf, "apart", lambda *_: (np.zeros(2), np.zeros((2, 2))))
+    monkeypatch.setattr(Ekf, "difference", lambda *_: (np.zeros(2), np.zeros((2, 2))))
     told = [add(slam, k, (POST, OTHER), rng) for k in range(1, 7)]
     assert all(r.gone == () and not r.refused for r in told)
     assert len(slam.landmarks()) == 3
 
 
 @pytest.mark.parametrize("hidden", [False, True])
-def test_two_that_are_near_each_other_stay_two(hidden):
+def test_distinct_neighbours_are_not_fused(hidden):
     """A few standard deviations of one sight apart; where one hides the other at times, too."""
     for seed in range(10):
         slam, rng = started(), np.random.default_rng(seed)

@@ -95,7 +95,7 @@ def test_settled_poses_are_within_centimetres(closed):
     np.testing.assert_array_equal(done.poses[0], TRUTH[0])
 
 
-def test_covariances_shrink_with_a_closure_and_tell_of_what_is_left(closed):
+def test_covariances_shrink_with_a_closure_and_cover_the_errors(closed):
     made, revisions = closed
     k = many(revisions)[0]
     before = revisions[k - 1].covariances[-1]
@@ -123,7 +123,7 @@ def test_the_same_keyframes_give_the_same_bytes(frames, closed):
     assert told(made.settle()) == told(closed[0].settle())
 
 
-def test_settling_changes_nothing_of_what_follows(frames, closed):
+def test_settling_does_not_affect_later_keyframes(frames, closed):
     """Settled and asked for landmarks after every third keyframe, before and after closures."""
     made, revisions = begun(TRUTH[0]), []
     for k, frame in enumerate(frames):
@@ -145,7 +145,7 @@ def test_an_exact_drive_stays_exact():
     assert errors(made.settle().poses).max() < 2e-3
 
 
-def test_a_robot_that_stands_adds_no_nodes():
+def test_a_stationary_robot_adds_no_nodes():
     scan = scanned(RING, TRUTH[0])
     made = begun(TRUTH[0])
     driven(made, [keyframe(k, np.zeros(3), scan) for k in range(40)])
@@ -192,7 +192,7 @@ def two_rooms(apart):
 
 
 @pytest.mark.parametrize("loops", [{}, WIDE], ids=["usual", "wide"])
-def test_along_a_bare_corridor_no_closure_is_believed(loops):
+def test_no_closure_is_accepted_along_a_bare_corridor(loops):
     truth = way((0.0, 0.0), (40.0, 0.0), (0.0, 0.0))
     made = begun(truth[0], loops=loops)
     revisions = driven(made, keyframes(BARE, truth))
@@ -203,7 +203,7 @@ def test_along_a_bare_corridor_no_closure_is_believed(loops):
 
 @pytest.mark.parametrize("loops", [{}, WIDE], ids=["usual", "wide"])
 @pytest.mark.parametrize("apart", [4.6, 7.0])
-def test_a_room_is_not_taken_for_another_one_that_looks_the_same(apart, loops):
+def test_identical_rooms_are_not_confused(apart, loops):
     """Odometry is exact, so that whatever a false closure moved would be off."""
     at = apart + 2.0
     truth = way((2, 0), (2, 4), (2, 0), (-19, 0), (at, 0), (at, 4), (at, 0), (18, 0))
@@ -224,7 +224,7 @@ LIMIT = pytest.mark.xfail(
     ("loops", "clutter"),
     [({}, 0), ({}, 1), (WIDE, 0), pytest.param(WIDE, 1, marks=LIMIT)],
 )
-def test_no_false_closure_of_a_room_gets_into_the_graph(loops, clutter):
+def test_no_false_closure_enters_the_graph(loops, clutter):
     """The other room is 4.6 m off; `clutter` is a box 10 m away from both, or none."""
     plan = np.concatenate([two_rooms(4.6), *[box(-8.0, 0.9, 1.0, 0.3)] * clutter])
     truth = way((2, 0), (2, 4), (2, 0), (-19, 0), (6.6, 0), (6.6, 4), (6.6, 0), (18, 0))
@@ -241,7 +241,7 @@ def test_no_false_closure_of_a_room_gets_into_the_graph(loops, clutter):
 # --------------------------------------------------------------------------- what fails
 
 
-def test_a_graph_without_a_solution_keeps_the_last_one_and_is_named(frames, monkeypatch):
+def test_a_graph_without_a_solution_keeps_the_last_one_and_is_reported(frames, monkeypatch):
     """The first closure has no solution: the run goes on by odometry, until the next one."""
     solve, failed = PoseGraph.solve, []
 
@@ -263,17 +263,17 @@ def test_a_graph_without_a_solution_keeps_the_last_one_and_is_named(frames, monk
     assert errors(made.settle().poses).max() < 0.1  # by the closures that came later
 
 
-def test_a_closure_without_a_solution_spoils_no_later_one(frames, monkeypatch):
+def test_a_closure_without_a_solution_does_not_block_later_ones(frames, monkeypatch):
     """A closure that is no number comes first; the true one comes when it comes."""
-    seek, told = LoopCloser.seek, []
+    search, told = LoopCloser.search, []
 
     def spoilt(self, node, keys, graph):
         if len(told) < 1:
             told.append(graph.close(0, node, np.full(3, np.nan), np.eye(3)))
             return True
-        return seek(self, node, keys, graph)
+        return search(self, node, keys, graph)
 
-    monkeypatch.setattr(LoopCloser, "seek", spoilt)
+    monkeypatch.setattr(LoopCloser, "search", spoilt)
     made = begun(TRUTH[0])
     revisions = driven(made, frames)
     assert [r.refused for r in revisions if r.refused] == [
@@ -286,7 +286,7 @@ def test_a_closure_without_a_solution_spoils_no_later_one(frames, monkeypatch):
 BAD = Observation("cylinder", np.array([1.0, np.nan]), np.eye(2))
 
 
-def test_a_bad_observation_is_named_where_a_loop_is_closed_too(frames, closed):
+def test_a_bad_observation_is_reported_also_at_a_closure(frames, closed):
     k = many(closed[1])[0]
     made = begun(TRUTH[0])
     spoilt = replace(frames[k], observations=(BAD,))
@@ -295,7 +295,7 @@ def test_a_bad_observation_is_named_where_a_loop_is_closed_too(frames, closed):
     assert "observation is not finite" in revision.refused
 
 
-def test_a_bad_observation_and_a_failure_are_both_named(frames, closed, monkeypatch):
+def test_a_bad_observation_and_a_failure_are_both_reported(frames, closed, monkeypatch):
     def failing(_):
         raise NumericalError("no convergence")
 
@@ -345,7 +345,7 @@ def walls_seen(pose, plan):
     return [Observation("wall", z, R, np.arange(50), ends) for z, ends in found]
 
 
-def test_each_wall_of_a_noiseless_room_is_there_once():
+def test_each_wall_of_a_noiseless_room_is_one_landmark():
     plan = room(0.0, 6.0, 0.0, 5.0)
     truth = way((1.0, 1.0), (5.0, 1.0), (5.0, 4.0), (1.0, 4.0), (1.0, 1.0), (5.0, 1.0))
     frames = keyframes(plan, truth, noise=0.0)
@@ -382,7 +382,7 @@ def test_covariances_of_landmarks_include_those_of_the_poses_that_saw_them():
     assert (np.diag(last.covariance)[:2] >= 0.9 * np.diag(P)[:2]).all()
 
 
-def test_without_a_loop_settling_claims_no_more_than_was_claimed_on_the_way():
+def test_without_a_loop_settling_keeps_the_covariances():
     made = begun()
     truth = way(*LAP[:3])
     claimed = [r.covariances[-1] for r in driven(made, keyframes(RING, truth))]

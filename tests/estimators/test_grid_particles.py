@@ -86,7 +86,7 @@ def test_without_scans_particles_spread_as_the_motion_does():
     assert np.abs((revision.covariances[0] - P) / np.outer(sigmas, sigmas)).max() < 0.08
 
 
-def test_a_scan_on_a_known_map_tells_the_pose():
+def test_a_scan_in_a_known_map_determines_the_pose():
     """Where points are many and do not share errors, the scan outweighs a motion that is 2 cm off."""
     made, scan = begun(particles=50, recent=0.0, shared=1.0), scanned(RING, TRUTH[0])
     made.add(keyframe(0, np.zeros(3), scan))
@@ -98,7 +98,7 @@ def test_a_scan_on_a_known_map_tells_the_pose():
     assert np.trace(revision.covariances[-1]) < 0.8 * np.trace(free.covariances[-1])
 
 
-def test_lines_of_particles_are_found_back():
+def test_ancestors_and_lineages_of_particles():
     parents = np.array([[0, 1, 2], [1, 1, 2], [0, 2, 2]])
     np.testing.assert_array_equal(lineage(parents, 0), [1, 0, 0])
     np.testing.assert_array_equal(lineage(parents, 2), [2, 2, 2])
@@ -106,7 +106,7 @@ def test_lines_of_particles_are_found_back():
     np.testing.assert_array_equal(ancestors(parents, np.array([0, 1, 2]), 2), [1, 2, 2])
 
 
-def test_the_seed_decides_the_draws(frames):
+def test_the_seed_determines_the_samples(frames):
     paths = []
     for seed in (0, 0, 1):
         made = begun(seed=seed, particles=5)

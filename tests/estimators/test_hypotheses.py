@@ -48,14 +48,14 @@ def ambiguous(**parameters):
     return made, told
 
 
-def test_a_scan_that_cannot_tell_is_not_told_and_its_pose_is_as_unsure():
+def test_an_ambiguous_match_is_not_reported_and_the_pose_is_uncertain():
     _, told = ambiguous()
     assert told.matches == ()
     assert told.poses[0][1] == pytest.approx(0.0, abs=0.05)  # the likelier one, and wrong
     assert 0.1 < math.sqrt(told.covariances[0][1, 1]) < 0.25  # both are 0.4 m apart
 
 
-def test_a_later_scan_settles_it_and_revises_the_path():
+def test_a_later_scan_resolves_the_ambiguity_and_revises_the_path():
     made, _ = ambiguous()
     told = made.add(keyframe(3, [point(ASTRAY, FAR), point(ASTRAY, TWINS[1])]))
     assert told.ids.tolist() == [3, 2]
@@ -65,13 +65,13 @@ def test_a_later_scan_settles_it_and_revises_the_path():
     assert made.add(keyframe(4, [point(ASTRAY, FAR)])).ids.tolist() == [4]
 
 
-def test_with_one_hypothesis_the_likelier_landmark_has_it():
+def test_a_single_hypothesis_takes_the_likelier_landmark():
     made, _ = ambiguous(most=1)
     told = made.add(keyframe(3, [point(ASTRAY, FAR), point(ASTRAY, TWINS[1])]))
     assert told.ids.tolist() == [3]
 
 
-def test_two_that_are_seen_at_once_are_two():
+def test_objects_in_one_scan_are_distinct_landmarks():
     """However near to each other, and however unsure the pose is."""
     made = started()
     made.add(keyframe(0, [point(ORIGIN, (3.0, 0.0))]))
@@ -82,7 +82,7 @@ def test_two_that_are_seen_at_once_are_two():
     assert min(len(h.filter.landmarks()) for h in made._hypotheses) == 2
 
 
-def test_hypotheses_that_have_become_the_same_are_one():
+def test_equal_hypotheses_are_merged():
     """Most ambiguities of a drive stop to matter: the beliefs converge."""
     kept = []
     for same in (0.0, 0.2):
@@ -97,7 +97,7 @@ def test_hypotheses_that_have_become_the_same_are_one():
     assert kept[1] < 15
 
 
-def test_what_makes_no_difference_is_not_told_either():
+def test_an_ambiguous_match_without_effect_is_not_reported():
     """Halfway between twins the odds are even, and either match leaves the same belief."""
     made = started(same=1.0, density=1e-9)
     near = ((3.0, 0.0), (3.0, 0.03))
@@ -108,7 +108,7 @@ def test_what_makes_no_difference_is_not_told_either():
     assert told.matches == ()
 
 
-def test_what_a_scan_shows_is_judged_by_its_own_noise():
+def test_agreement_uses_the_noise_of_a_single_scan():
     """Errors that repeat make a correction weak, and do not make a scan any less sharp."""
     made = started()
     made._hypotheses[0].filter = Ekf(repeats=100.0)
@@ -119,7 +119,7 @@ def test_what_a_scan_shows_is_judged_by_its_own_noise():
     assert {m.observation: m.landmark for m in told.matches} == {0: 1}
 
 
-def test_without_labels_a_drive_is_mapped_as_with_them():
+def test_a_drive_is_mapped_without_labels_as_with_them():
     rng, made, labels = np.random.default_rng(2), started(), []
     for k, (pose, motion) in enumerate(drive(40, rng)):
         seen = observe(pose, rng)
@@ -146,7 +146,7 @@ def test_densities_are_those_of_the_noise_that_corrects():
     assert alone == pytest.approx([multivariate_t(np.zeros(2), S, df=4).logpdf(nu)])
 
 
-def test_a_copy_goes_on_by_itself_and_is_told_apart_once_it_differs():
+def test_a_copy_is_independent_and_distinguished_once_it_differs():
     one = mapped([point(ORIGIN, (2, 1))], sigma=(0.05, 0.03, 0.02))
     other = one.copied()
     assert one.resembles(other, 1e-9)
@@ -161,7 +161,7 @@ def test_a_copy_goes_on_by_itself_and_is_told_apart_once_it_differs():
     assert not one.resembles(other, 10.0)
 
 
-def test_a_scan_that_fails_on_the_way_moves_the_robot_once(monkeypatch):
+def test_a_scan_that_fails_halfway_moves_the_robot_once(monkeypatch):
     made = started()
     made.add(keyframe(0, [point(ORIGIN, FAR)]))
 

@@ -33,10 +33,10 @@ def logged(d_pose, scans=None, nodes=(), start=WAY[0]):
     for k, (d, scan) in enumerate(zip(d_pose, scans, strict=True)):
         keys.add(keyframe(k, d, scan), start if k == 0 else None)
         if k == 0:
-            graph.begin(keys.chain[0], 1e-8 * np.eye(3))
+            graph.add_root(keys.chain[0], 1e-8 * np.eye(3))
         if k in nodes:
             T = between(keys.chain[keys.nodes[-1]], keys.chain[k])
-            graph.go_on(T, np.diag(SIGMA**2), keys.since_node)
+            graph.extend(T, np.diag(SIGMA**2), keys.since_node)
             keys.mark_node()
     return keys, graph
 
@@ -54,9 +54,9 @@ def test_the_chain_is_the_motions_composed_from_the_start():
     assert len(keys) == len(WAY)
 
 
-def test_way_is_driven_and_turned():
+def test_distance_counts_driving_and_turning():
     keys, _ = logged([[9.0, 9.0, 1.0], [3.0, 4.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.5]])
-    np.testing.assert_allclose(keys.way, [0.0, 5.0, 5.3, 6.45])
+    np.testing.assert_allclose(keys.distance, [0.0, 5.0, 5.3, 6.45])
     assert keys.since_node == pytest.approx(6.45)
     keys.mark_node()
     assert keys.since_node == 0.0
@@ -99,7 +99,7 @@ def test_a_rigid_motion_of_the_nodes_moves_all_keyframes():
         assert apart(how(keys, graph), compose(MOVED, WAY)) < 1e-12
 
 
-def test_keyframes_go_with_the_node_before_them_and_blended_with_both():
+def test_keyframes_follow_the_node_before_and_blended_ones_both():
     keys, graph = logged(motions(WAY[:13]), nodes=(4, 8))
     graph.poses[1] += [0.1, 0.2, 0.0]
     moved = revised(keys, graph) - WAY[:13]
@@ -141,7 +141,7 @@ def test_noiseless_scans_stay_where_they_are(seen):
     assert apart(refined(WAY, keys), WAY) < 2e-3  # normals beside edges are rounded
 
 
-def test_refinement_puts_keyframes_back(seen):
+def test_refinement_recovers_perturbed_keyframes(seen):
     keys, _ = logged(motions(WAY), seen)
     start = perturbed(WAY, [0.04, 0.04, 0.01])
     assert apart(start, WAY) > 0.08
@@ -171,7 +171,7 @@ def test_keyframes_without_scans_keep_to_their_motions(seen):
     assert apart(refined(start, keys), WAY) < 0.02
 
 
-def test_a_keyframe_of_a_robot_that_stood_is_refined_with_the_one_before(seen):
+def test_a_keyframe_of_a_stationary_robot_is_refined_with_the_previous_one(seen):
     """Its motion is zero without a doubt: a covariance that has no inverse."""
     way = np.insert(WAY, 11, WAY[10], axis=0)
     scans = [*seen[:11], seen[10], *seen[11:]]
@@ -183,7 +183,7 @@ def test_a_keyframe_of_a_robot_that_stood_is_refined_with_the_one_before(seen):
     assert apart(out[10], out[11]) < 1e-3
 
 
-def test_blind_scans_are_as_none(seen):
+def test_blind_scans_equal_missing_scans(seen):
     """A scan of which no beam comes back has no features, and is no keyframe without one."""
     blind = scanned(RING, WAY[0], range_max=0.1)
     assert not blind.valid.any()
@@ -197,7 +197,7 @@ def test_blind_scans_are_as_none(seen):
 # --------------------------------------------------------------------------- in the estimator
 
 
-def test_a_run_of_no_keyframe_has_nothing_to_settle():
+def test_without_keyframes_there_is_nothing_to_settle():
     made = begun()
     assert made.settle() is None
     assert made.landmarks() == ()
@@ -233,7 +233,7 @@ def test_a_sensor_without_scans_is_mapped_by_what_it_sees():
 
 @pytest.mark.parametrize("k", [0, 1, 12])
 @pytest.mark.parametrize("what", ["d_pose", "covariance"])
-def test_a_keyframe_of_unknown_motion_is_named_and_the_run_goes_on(k, what):
+def test_a_keyframe_with_unknown_motion_is_reported_and_the_run_continues(k, what):
     frames = keyframes(RING, WAY, noise=0.0)
     getattr(frames[k].motion, what)[:] = np.nan
     made = begun(WAY[0])

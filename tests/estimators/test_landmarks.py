@@ -67,7 +67,7 @@ def test_candidates_are_kept_by_a_filter_with_the_same_parameters():
     assert dict(lifecycle._candidates) == dict(slam._filter)
 
 
-def test_a_fresh_filter_knows_nothing_of_the_old_one(belief):
+def test_a_fresh_filter_has_no_state_of_the_old_one(belief):
     slam, *_ = mapped(belief)
     fresh = slam._filter.fresh()
     fresh.start(np.zeros(3), np.eye(3), MODELS)
@@ -92,14 +92,14 @@ def still(k):
     return Increment(0.01 * k, np.zeros(3), 1e-10 * np.eye(3), 0.01)
 
 
-def test_what_is_seen_through_goes_even_if_nothing_else_is_seen(belief):
+def test_landmarks_seen_through_are_removed_even_without_matches(belief):
     slam, scan = open_room(belief)
     gone = [slam.add(keyframe(still(k), (), scan)).gone for k in range(1, 30)]
     assert [r for r in gone if r] == [(0,)]
     assert slam.landmarks() == ()
 
 
-def test_a_step_says_which_observations_its_new_landmarks_began_with(belief):
+def test_a_revision_names_the_first_observations_of_new_landmarks(belief):
     slam = estimator(belief)
     ((pose, increment),) = drive(1)
     seen = observe(pose)

@@ -5,8 +5,8 @@ import pytest
 from tests.estimators.drives import LAP, RING, begun, driven, keyframe, keyframes, motions, way
 
 from impslam.estimators.loop_closing import (
-    CERTAIN,
-    RECENT,
+    CONFIRMATION_DISTANCE,
+    SAFE_WINDOW,
     LoopCloser,
     LoopSearch,
     _Pending,
@@ -19,7 +19,7 @@ from impslam.recognition.verify import Support, Verdict
 TRUTH = way(*LAP, (12.0, 1.25))
 DRIFT = (0.0, 0.0, 0.003)
 INFORMATION = np.diag([1e4, 1e4, 1e5])
-NARROW, WIDE = 0.5 * CERTAIN, 2.0 * CERTAIN
+NARROW, WIDE = 0.5 * SAFE_WINDOW, 2.0 * SAFE_WINDOW
 SPACING = 2.5  # m between nodes
 
 
@@ -28,10 +28,10 @@ def lap(n=20):
     turn = 2.0 * np.pi / n
     step = np.array([SPACING, 0.0, turn])
     graph = PoseGraph()
-    graph.begin(np.zeros(3), 1e-8 * np.eye(3))
+    graph.add_root(np.zeros(3), 1e-8 * np.eye(3))
     for _ in range(n + n // 2):
         drift = np.array([0.001, 0.001, 0.0])
-        graph.go_on(step + drift, np.diag([1e-4, 1e-4, 1e-5]), SPACING)
+        graph.extend(step + drift, np.diag([1e-4, 1e-4, 1e-5]), SPACING)
     return graph
 
 
@@ -46,14 +46,14 @@ def found(graph, j, verdict=Verdict.STRONG, off=(0.0, 0.0, 0.0), n=20):
 def taken(window, *rows):
     """Take closures one after the other; return the graph, the closer, and what each was told."""
     graph, closer = lap(), LoopCloser(LoopSearch())
-    told = [closer._take(found(graph, *row), graph, window) for row in rows]
+    told = [closer._accept(found(graph, *row), graph, window) for row in rows]
     return graph, closer, told
 
 
 # --------------------------------------------------------------------------- belief
 
 
-def test_a_strong_closure_from_a_narrow_window_is_believed_at_once():
+def test_a_strong_closure_from_a_narrow_window_is_accepted_immediately():
     graph, closer, told = taken(NARROW, (20,))
     assert told == [False]  # it says nothing new: the drift is 2 cm
     assert graph.closures == 1
@@ -67,7 +67,7 @@ def test_a_weak_closure_from_a_narrow_window_is_dropped():
     assert closer._pending == []
 
 
-def test_a_closure_from_a_wide_window_waits():
+def test_a_closure_from_a_wide_window_is_pending():
     graph, closer, told = taken(WIDE, (20,))
     assert told == [False]
     assert graph.closures == 0
@@ -83,11 +83,11 @@ def test_a_closure_from_a_wide_window_waits():
         (Verdict.WEAK, Verdict.WEAK, Verdict.WEAK),
     ],
 )
-def test_a_strong_one_and_another_or_three_weak_ones_are_believed_together(verdicts):
+def test_a_strong_and_another_or_three_weak_closures_are_accepted(verdicts):
     rows = [(20 + k, verdict) for k, verdict in enumerate(verdicts)]
     graph, closer, _ = taken(WIDE, *rows[:-1])
     assert graph.closures == 0
-    closer._take(found(graph, *rows[-1]), graph, WIDE)
+    closer._accept(found(graph, *rows[-1]), graph, WIDE)
     assert graph.closures == len(verdicts)
     assert closer._pending == []
     assert graph.edges.j[-len(verdicts) :].tolist() == [row[0] for row in rows]
@@ -96,25 +96,25 @@ def test_a_strong_one_and_another_or_three_weak_ones_are_believed_together(verdi
 @pytest.mark.parametrize(
     "off", [(1.0, 0.0, 0.0), (0.0, -0.6, 0.0), (0.0, 0.0, 0.2), (2.5, 0.0, 0.3)]
 )
-def test_closures_that_do_not_agree_wait_on(off):
+def test_inconsistent_closures_stay_pending(off):
     graph, closer, _ = taken(WIDE, (20, Verdict.STRONG), (21, Verdict.STRONG, off))
     assert graph.closures == 0
     assert len(closer._pending) == 2
     # A third one that agrees with the first is believed with it; the one between is forgotten.
-    closer._take(found(graph, 22), graph, WIDE)
+    closer._accept(found(graph, 22), graph, WIDE)
     assert graph.edges.j[-2:].tolist() == [20, 22]
     assert graph.closures == 2
     assert closer._pending == []
 
 
-def test_a_closure_that_waits_too_long_is_forgotten():
-    late = 20 + int(RECENT // SPACING) + 1
+def test_an_old_pending_closure_is_discarded():
+    late = 20 + int(CONFIRMATION_DISTANCE // SPACING) + 1
     graph, closer, _ = taken(WIDE, (20,), (late,))
     assert graph.closures == 0
     assert [p.j for p in closer._pending] == [late]
 
 
-def test_closures_of_the_graph_as_it_is_now_tell_something_new_where_it_was_off():
+def test_closures_trigger_a_solution_where_the_graph_was_wrong():
     _, _, told = taken(WIDE, (20, Verdict.STRONG, (0.3, 0, 0)), (21, Verdict.STRONG, (0.3, 0, 0)))
     assert told == [False, True]
 
@@ -139,7 +139,7 @@ def test_nothing_is_tried_without_attempts(frames):
 
 
 @pytest.mark.parametrize("attempts", [1, 2, 4])
-def test_so_many_candidates_are_tried_at_a_node_at_most(frames, attempts):
+def test_the_number_of_candidates_at_a_node_is_limited(frames, attempts):
     made = begun(TRUTH[0], loops={"attempts": attempts})
     counts = made._closer.recogniser.counts
     for frame in frames:
@@ -148,13 +148,13 @@ def test_so_many_candidates_are_tried_at_a_node_at_most(frames, attempts):
         assert counts["attempts"] - before <= attempts * (len(made._graph) - nodes)
 
 
-def test_where_the_way_back_is_short_nothing_is_sought(frames):
+def test_no_search_where_the_path_through_the_graph_is_short(frames):
     """The whole lap is 56 m; a way back that long is nowhere."""
     made = seeking(frames, way_back=200.0)
     assert made._closer.recogniser.counts["attempts"] == 0
 
 
-def test_a_closed_loop_is_a_short_way_back_and_is_not_sought_again(frames):
+def test_a_closed_loop_is_not_searched_again(frames):
     made = seeking(frames)
     assert made._graph.closures >= 1
     assert made._closer.recogniser.counts["attempts"] < 8
@@ -176,7 +176,7 @@ def test_closures_are_where_the_truth_is(frames):
         assert abs(np.remainder(error[2] + np.pi, 2 * np.pi) - np.pi) < 0.02
 
 
-def test_keyframes_without_scans_are_sought_in_vain():
+def test_keyframes_without_scans_have_no_closures():
     made = begun(TRUTH[0])
     driven(made, [keyframe(k, d) for k, d in enumerate(motions(TRUTH))])
     assert made._closer.recogniser.counts["attempts"] == 0

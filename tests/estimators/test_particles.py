@@ -55,7 +55,7 @@ def test_many_particles_have_the_posterior_of_the_ekf(version, off):
         assert np.trace(one.covariance) == pytest.approx(np.trace(other.covariance), rel=0.25)
 
 
-def test_draws_that_look_at_the_scan_keep_more_particles():
+def test_sampling_with_the_scan_keeps_more_particles():
     """Precise sensor, poor odometry: of FastSLAM 1's particles few are anywhere near."""
     kept = []
     for version in (1, 2):
@@ -71,10 +71,10 @@ def test_draws_that_look_at_the_scan_keep_more_particles():
 def test_survivors_share_landmarks_until_one_corrects_its_own():
     book = Book("cylinder", Cylinder(), 4)
     book.add(0, -1, 0.0, np.arange(4), np.arange(8.0).reshape(4, 2), np.tile(np.eye(2), (4, 1, 1)))
-    book.survive(np.array([1, 1, 1, 3]))
+    book.resample(np.array([1, 1, 1, 3]))
     assert len(set(book.rows[:3, 0])) == 1
     assert sorted(book.users[book.users > 0]) == [1, 3]
-    rows = book.own(np.array([0, 2, 3]), np.zeros(3, np.int64))
+    rows = book.unshare(np.array([0, 2, 3]), np.zeros(3, np.int64))
     assert len(set(rows)) == 3
     assert len(set(book.rows[:, 0])) == 4
     np.testing.assert_array_equal(book.m[book.rows[:3, 0]], [[2.0, 3.0]] * 3)
@@ -94,7 +94,7 @@ def test_the_pool_grows_with_what_differs_and_no_further():
         )
 
 
-def test_systematic_draws_are_as_even_as_whole_numbers_allow(rng):
+def test_systematic_resampling_is_as_even_as_possible(rng):
     weights = rng.dirichlet(np.ones(50))
     for start in (0.0, 0.5, 0.999):
         counts = np.bincount(systematic(weights, start), minlength=50)
@@ -139,7 +139,7 @@ class Joint(Mahalanobis):
 
 
 def test_what_it_cannot_do_is_refused():
-    with pytest.raises(ConfigError, match="estimator 'particles' cannot ask"):
+    with pytest.raises(ConfigError, match="estimator 'particles' cannot use"):
         Particles().start(np.zeros(3), models=MODELS, **{**parts(), "association": Joint()})
     with pytest.raises(ConfigError, match="cannot continue a map"):
         Particles().start(np.zeros(3), Map.__new__(Map), models=MODELS, **parts())

@@ -22,9 +22,9 @@ FIRM = np.diag([1e4, 1e4, 1e5])
 def grown(truth, drift=(0.0, 0.0, 0.0), length=2.5):
     """Return a graph of the motions between poses (n, 3), each off by some drift (3,)."""
     graph = PoseGraph()
-    graph.begin(truth[0], 1e-8 * np.eye(3))
+    graph.add_root(truth[0], 1e-8 * np.eye(3))
     for a, b in pairwise(truth):
-        graph.go_on(between(a, b) + np.array(drift), Q, length)
+        graph.extend(between(a, b) + np.array(drift), Q, length)
     return graph
 
 
@@ -57,12 +57,12 @@ def test_the_chain_is_that_of_uncertain_motions(rng):
 def test_a_graph_without_nodes_or_with_one_has_no_edges():
     graph = PoseGraph()
     assert (len(graph), graph.closures, len(graph.edges.i)) == (0, 0, 0)
-    graph.begin(np.array([1.0, 2.0, 3.0]), np.eye(3))
+    graph.add_root(np.array([1.0, 2.0, 3.0]), np.eye(3))
     assert (len(graph), graph.closures, len(graph.edges.i)) == (1, 0, 0)
-    np.testing.assert_array_equal(graph.ways(0), [0.0])
+    np.testing.assert_array_equal(graph.path_lengths(0), [0.0])
 
 
-def test_motions_are_certain_to_be_motions_and_closures_are_not(rng):
+def test_motions_are_quadratic_and_closures_robust(rng):
     truth = grid_walk(6, rng)
     graph = grown(truth)
     closed(graph, truth, 0, 5)
@@ -84,7 +84,7 @@ def test_a_closure_brings_the_ends_together():
     np.testing.assert_array_equal(graph.poses[0], truth[0])
 
 
-def test_a_closure_that_the_drift_does_not_allow_is_outvoted():
+def test_a_closure_beyond_the_drift_is_outvoted():
     """Nine standard deviations of the chain: the closure is the less likely one."""
     truth = square()
     graph = grown(truth)
@@ -111,7 +111,7 @@ def test_true_closures_of_an_exact_chain_move_nothing(rng):
         ((0, 0, -0.011), True),
     ],
 )
-def test_a_closure_says_something_new_by_how_far_it_moves(shift, new):
+def test_a_closure_triggers_a_solution_by_its_correction(shift, new):
     truth = square()
     graph = grown(truth)
     T = between(truth[2], truth[30]) + np.array(shift)
@@ -119,7 +119,7 @@ def test_a_closure_says_something_new_by_how_far_it_moves(shift, new):
     assert graph.closures == 1
 
 
-def test_a_heading_beyond_pi_is_no_news():
+def test_a_heading_beyond_pi_triggers_no_solution():
     graph = grown(np.array([[0.0, 0.0, 3.1], [1.0, 0.0, -3.1]]))
     T = between(graph.poses[0], graph.poses[1])
     assert not graph.close(0, 1, T + np.array([0.0, 0.0, 2.0 * math.pi]), FIRM)
@@ -171,7 +171,7 @@ def test_without_a_solution_the_nodes_stay_where_they_are():
     np.testing.assert_array_equal(graph.covariances, covariances)
 
 
-def test_closures_that_are_taken_back_leave_the_graph_as_it_was():
+def test_removed_closures_leave_the_graph_unchanged():
     truth = square()
     graph, twin = (grown(truth, drift=(0.0, 0.0, 0.004)) for _ in "ab")
     for one in (graph, twin):
@@ -179,14 +179,14 @@ def test_closures_that_are_taken_back_leave_the_graph_as_it_was():
     before = graph.edges
     graph.close(1, 31, np.full(3, np.nan), FIRM)
     graph.close(2, 30, np.full(3, np.nan), FIRM)
-    graph.take_back(2)
+    graph.remove_closures(2)
     assert graph.closures == 1
     for one in (graph, twin):
-        one.go_on(np.array([1.0, 0.0, 0.0]), Q, 1.0)
+        one.extend(np.array([1.0, 0.0, 0.0]), Q, 1.0)
         one.close(1, 33, np.zeros(3), FIRM)
         one.solve()
     np.testing.assert_array_equal(graph.poses, twin.poses)
-    np.testing.assert_array_equal(graph.ways(5), twin.ways(5))
+    np.testing.assert_array_equal(graph.path_lengths(5), twin.path_lengths(5))
     assert np.isfinite(before.T_i_j).all()
     assert len(before.i) == 33
 
@@ -194,20 +194,20 @@ def test_closures_that_are_taken_back_leave_the_graph_as_it_was():
 # --------------------------------------------------------------------------- ways
 
 
-def test_the_way_along_a_chain_is_its_length(rng):
+def test_the_path_along_a_chain_is_its_length(rng):
     graph = grown(grid_walk(7, rng), length=3.0)
     for node in (0, 3, 6):
-        np.testing.assert_allclose(graph.ways(node), 3.0 * np.abs(np.arange(7) - node))
+        np.testing.assert_allclose(graph.path_lengths(node), 3.0 * np.abs(np.arange(7) - node))
 
 
 def test_a_closure_is_a_short_cut(rng):
     graph = grown(grid_walk(11, rng), length=2.0)
     graph.close(1, 9, np.zeros(3), FIRM)
-    ways = graph.ways(10)
+    ways = graph.path_lengths(10)
     np.testing.assert_allclose(ways[[10, 9, 1, 0, 2, 5]], [0.0, 2.0, 2.5, 4.5, 4.5, 10.0])
 
 
-def test_ways_are_the_shortest(rng):
+def test_path_lengths_are_the_shortest(rng):
     """Against Floyd and Warshall, in a graph with many closures."""
     n = 25
     graph = grown(grid_walk(n, rng), length=2.5)
@@ -223,16 +223,16 @@ def test_ways_are_the_shortest(rng):
     for k in range(n):
         apart = np.minimum(apart, apart[:, k : k + 1] + apart[k : k + 1])
     for node in range(n):
-        np.testing.assert_allclose(graph.ways(node), apart[node])
+        np.testing.assert_allclose(graph.path_lengths(node), apart[node])
 
 
-def test_a_copy_stays_as_it_is_while_the_graph_goes_on():
+def test_a_copy_does_not_change_while_the_graph_grows():
     graph = PoseGraph()
-    graph.begin(np.zeros(3), 1e-4 * np.eye(3))
+    graph.add_root(np.zeros(3), 1e-4 * np.eye(3))
     step = np.array([1.0, 0.0, 0.0])
-    graph.go_on(step, 1e-4 * np.eye(3), 1.0)
+    graph.extend(step, 1e-4 * np.eye(3), 1.0)
     before = copy(graph)
-    graph.go_on(step, 1e-4 * np.eye(3), 1.0)
+    graph.extend(step, 1e-4 * np.eye(3), 1.0)
     graph.close(0, 2, np.array([2.0, 0.1, 0.0]), 1e4 * np.eye(3))
     assert (len(before), len(before.edges.i), before.closures) == (2, 1, 0)
     before.solve()
@@ -265,7 +265,7 @@ def test_edges_of_a_folded_node_are_those_of_its_host():
     assert np.abs(wrapped(graph.poses - truth, 2)).max() < 1e-9
 
 
-def test_an_edge_that_is_moved_errs_by_both_of_its_parts(rng):
+def test_a_moved_edge_has_the_errors_of_both_parts(rng):
     """The covariance of each edge of a folded node is that of samples."""
     truth = square(n=2)
     graph = grown(truth)
@@ -286,7 +286,7 @@ def test_an_edge_that_is_moved_errs_by_both_of_its_parts(rng):
         )
 
 
-def test_a_folded_leaf_leaves_what_is_known_of_the_others():
+def test_folding_a_leaf_does_not_change_the_others():
     truth = square(n=2)
     graph, twin = grown(truth), grown(truth[:-1])
     folded(graph, truth, 8, 0)
@@ -318,7 +318,7 @@ def test_a_building_driven_again_and_again_is_one_graph():
     graph = grown(truth[: len(lap)])
     edges = []
     for k in range(len(lap), len(truth)):
-        graph.go_on(between(truth[k - 1], truth[k]), Q, 2.5)
+        graph.extend(between(truth[k - 1], truth[k]), Q, 2.5)
         if k > len(lap) + 4:
             folded(graph, truth, k - 4, (k - 4) % len(lap))
         edges.append(len(graph.edges.i))
@@ -326,7 +326,7 @@ def test_a_building_driven_again_and_again_is_one_graph():
     assert max(edges) <= len(lap) + 6
     graph.solve()
     assert np.abs(wrapped(graph.poses - truth, 2)).max() < 1e-9
-    assert graph.ways(len(graph) - 5)[0] < 2.5 * len(lap)
+    assert graph.path_lengths(len(graph) - 5)[0] < 2.5 * len(lap)
 
 
 def test_a_folded_node_moves_with_its_host():
@@ -353,12 +353,12 @@ def test_nothing_is_folded_twice_or_into_itself():
     np.testing.assert_array_equal(graph.edges.i, known.i)
 
 
-def test_a_copy_stays_as_it_is():
+def test_a_copy_does_not_change():
     truth = square()
     graph = grown(truth[:20], drift=(0.0, 0.0, 0.004))
     still = copy(graph)
     before = still.edges
-    graph.go_on(np.array([1.0, 0.0, 0.0]), Q, 1.0)
+    graph.extend(np.array([1.0, 0.0, 0.0]), Q, 1.0)
     folded(graph, truth, 10, 3)
     graph.close(0, 20, np.zeros(3), FIRM)
     graph.solve()

@@ -6,7 +6,7 @@ import numpy as np
 from tests.sensors.test_gps import SETTINGS, T_MAP_EAST, drive, errors
 
 from impslam.config import load
-from impslam.estimators.refused_fixes import FAR, LEAST, RefusedFixes
+from impslam.estimators.refused_fixes import MIN_FIXES, MIN_SPAN, RefusedFixes
 from impslam.geometry.se2 import compose, inverse, transform
 from impslam.run import Run
 from impslam.types import Fix, Landmark, Observation
@@ -34,7 +34,7 @@ def refuse(pose_error, way=20.0, rng=None, sigma=0.5, scatter=None, count=30, ma
     return None
 
 
-def test_a_pose_that_is_off_is_found_with_the_size_of_its_error():
+def test_the_error_of_a_wrong_pose_is_estimated():
     off = np.array([12.0, -9.0, 0.2])
     found = refuse(off)
     assert found is not None
@@ -43,16 +43,16 @@ def test_a_pose_that_is_off_is_found_with_the_size_of_its_error():
     assert 12.0 < math.sqrt(found.covariance[0, 0]) < 20.0  # 15 m, and the turn about the origin
 
 
-def test_fixes_that_scatter_by_more_than_they_say_do_not_agree():
+def test_fixes_that_scatter_more_than_their_noise_do_not_agree():
     assert refuse(np.array([12.0, -9.0, 0.2]), scatter=5.0) is None
 
 
-def test_a_robot_that_stands_among_reflections_waits():
-    assert refuse(np.array([12.0, -9.0, 0.0]), way=0.5 * FAR * 0.5) is None
-    assert refuse(np.array([12.0, -9.0, 0.0]), count=LEAST - 1) is None
+def test_few_fixes_over_a_short_distance_are_not_enough():
+    assert refuse(np.array([12.0, -9.0, 0.0]), way=0.5 * MIN_SPAN * 0.5) is None
+    assert refuse(np.array([12.0, -9.0, 0.0]), count=MIN_FIXES - 1) is None
 
 
-def test_a_frame_that_nothing_has_confirmed_is_forgotten():
+def test_an_unconfirmed_frame_is_removed():
     assert refuse(np.array([12.0, -9.0, 0.2]), marks=1).frame_is_wrong
 
 
@@ -70,7 +70,7 @@ def carried(messages, truth, at=120.0, way=(20.0, -15.0)):
     return moved, truth
 
 
-def test_a_path_that_is_locked_out_comes_back(rng):
+def test_a_path_whose_fixes_are_refused_recovers(rng):
     messages, truth = carried(*drive(rng))
     run = Run(load("default", SETTINGS))
     known = run.play(messages)
@@ -84,7 +84,7 @@ def test_a_path_that_is_locked_out_comes_back(rng):
     assert run.estimator.counts() == {"poses doubted as refused GPS fixes agree": 1}
 
 
-def test_a_first_fix_far_off_does_not_shut_out_all_others(rng):
+def test_a_wrong_first_fix_does_not_exclude_all_others(rng):
     messages, truth = drive(rng)
     bad = [
         Fix(m.stamp, m.position + np.array([400.0, 0.0]), m.covariance)

@@ -38,7 +38,7 @@ def mapped(made, frames):
     return blended(known.revised(made.settle()))
 
 
-def test_what_follows_an_unknown_motion_is_not_placed(frames):
+def test_keyframes_after_an_unknown_motion_are_not_placed(frames):
     revisions = driven(begun(TRUTH[0]), frames)
     placed = [bool(np.all(r.placed)) for r in revisions]
     assert placed == [k < CUT for k in range(len(frames))]
@@ -47,7 +47,7 @@ def test_what_follows_an_unknown_motion_is_not_placed(frames):
     assert revisions[-1].covariances[0, 0, 0] > 1e5  # m^2: it may be anywhere
 
 
-def test_a_pending_session_leaves_the_map_as_it_is(frames):
+def test_a_pending_session_does_not_change_the_map(frames):
     """Grid and landmarks are those of a drive that ended before."""
     known = mapped(begun(TRUTH[0]), frames)
     before = mapped(begun(TRUTH[0]), frames[:CUT])
@@ -74,18 +74,18 @@ def test_a_closure_joins_a_session_to_the_map(frames):
     assert revision.covariances[:, 0, 0].max() < 1.0
 
 
-def test_a_map_of_two_sessions_goes_on_as_it_was(frames, tmp_path):
+def test_a_map_of_two_sessions_is_continued_unchanged(frames, tmp_path):
     made = begun(TRUTH[0])
     file = mapped(made, frames).save(tmp_path / "map.imp")
     again = Graph()
     again.start(np.zeros(3), Map.load(file), models=MODELS)
     assert np.all(again.edges().i == made.edges().i)
     np.testing.assert_array_equal(again._graph.roots, made._graph.roots)
-    np.testing.assert_allclose(again._keys.way, made._keys.way, atol=1e-9)
+    np.testing.assert_allclose(again._keys.distance, made._keys.distance, atol=1e-9)
 
 
 @pytest.mark.parametrize("stop", [40, 61, 90])
-def test_a_map_goes_on_as_if_it_had_never_stopped(stop, tmp_path):
+def test_a_continued_map_equals_an_uninterrupted_run(stop, tmp_path):
     frames = keyframes(RING, TRUTH)
     whole = mapped(begun(TRUTH[0]), frames)
     part = Map.load(mapped(begun(TRUTH[0]), frames[:stop]).save(tmp_path / "map.imp"))
@@ -102,7 +102,7 @@ def test_a_map_goes_on_as_if_it_had_never_stopped(stop, tmp_path):
     np.testing.assert_array_equal(resumed.keyframes.motions, whole.keyframes.motions)
 
 
-def test_a_map_with_motions_that_are_not_known_goes_on(tmp_path):
+def test_a_map_with_unknown_motions_is_continued(tmp_path):
     frames = keyframes(RING, TRUTH[:40])
     unknown = replace(frames[20].motion, d_pose=NOWHERE, covariance=np.full((3, 3), np.nan))
     frames[20] = replace(frames[20], motion=unknown)
@@ -123,7 +123,7 @@ def lap():
     return keyframes(RING, AGAIN, drift=(0.0, 0.0, 0.001))
 
 
-def test_a_session_that_begins_anywhere_is_found_on_known_ground(lap):
+def test_a_session_is_located_in_the_known_area(lap):
     cut = len(way(*LAP))
     lost = replace(lap[cut], motion=replace(lap[cut].motion, d_pose=NOWHERE), lost=True)
     made = begun(AGAIN[0])
@@ -136,7 +136,7 @@ def test_a_session_that_begins_anywhere_is_found_on_known_ground(lap):
     assert off[cut:].max() < 0.15
 
 
-def test_a_session_elsewhere_is_not_found(lap):
+def test_a_session_elsewhere_is_not_located(lap):
     """What is seen in another building is nowhere in the map."""
     other = room(0.0, 9.0, 0.0, 7.0)
     other = np.concatenate([other, box(2.0, 5.0, 1.5, 0.7), box(6.0, 1.0, 0.4, 2.2)])

@@ -13,7 +13,7 @@ from impslam.association.jcbb import Jcbb
 from impslam.association.mahalanobis import Mahalanobis
 from impslam.component import components
 from impslam.estimators.landmarks import Landmarks
-from impslam.estimators.slip import LEAST, SHARE, TRACK, Attempt, explains, slipped
+from impslam.estimators.slip import MIN_KNOWN, SLIP_SHARE, TRACK, Attempt, explains, slipped
 from impslam.filters.ekf import Ekf
 from impslam.geometry.se2 import compose
 from impslam.lifecycle.immediate import Immediate
@@ -56,7 +56,7 @@ def drive(slip, association=None, belief=None, more=(), posts=POSTS, lifecycle=N
 
 @pytest.mark.parametrize("association", [Mahalanobis, Jcbb])
 @pytest.mark.parametrize("slip", [0.2, 0.5, 1.0])
-def test_wheels_that_slip_cost_neither_the_pose_nor_the_map(slip, association):
+def test_wheel_slip_harms_neither_pose_nor_map(slip, association):
     slam, pose = drive(slip, association())
     assert len(slam.landmarks()) == len(POSTS)
     assert math.dist(slam._filter.pose[:2], pose[:2]) < 0.03
@@ -64,7 +64,7 @@ def test_wheels_that_slip_cost_neither_the_pose_nor_the_map(slip, association):
 
 
 @pytest.mark.parametrize("kind", sorted(components("filter")))
-def test_every_filter_predicts_anew(kind):
+def test_every_filter_can_repeat_a_prediction(kind):
     slam, pose = drive(0.5, belief=components("filter")[kind]())
     assert len(slam.landmarks()) == len(POSTS)
     assert math.dist(slam._filter.pose[:2], pose[:2]) < 0.03
@@ -93,7 +93,7 @@ def test_one_landmark_that_was_seen_just_before_is_enough(slip):
     assert slam.counts()[SLIPS] > 0
 
 
-def test_what_is_not_in_the_map_yet_tells_of_a_slip():
+def test_tentative_landmarks_reveal_a_slip():
     """New things are seen where the robot has moved to, not where its wheels say, and so agree."""
     known, new = POSTS[4:5], [(5.0, 2.0), (6.5, -1.5)]
     slam, pose = drive(0.3, posts=known, more=new, lifecycle=Tentative())
@@ -103,15 +103,15 @@ def test_what_is_not_in_the_map_yet_tells_of_a_slip():
     assert math.dist(slam._filter.pose[:2], pose[:2]) < 0.1
 
 
-def test_a_slip_explains_most_of_what_is_left_over_or_nothing():
+def test_slip_must_explain_most_of_the_unexplained():
     rolled = attempt(3, new=(4, 5), ambiguous=(6,))
-    assert rolled.left_over(8) == 4  # 3 and 7, which are near a landmark, 4 and 5
+    assert rolled.unexplained(8) == 4  # 3 and 7, which are near a landmark, 4 and 5
     assert not explains(attempt(4), rolled, 8, {3})
-    assert explains(attempt(3 + LEAST), rolled, 8, set())
-    assert not explains(attempt(3 + LEAST), attempt(3), 9, set())
+    assert explains(attempt(3 + MIN_KNOWN), rolled, 8, set())
+    assert not explains(attempt(3 + MIN_KNOWN), attempt(3), 9, set())
 
 
-def test_one_thing_explains_a_slip_if_it_was_seen_just_before():
+def test_one_recent_observation_suffices_for_slip():
     rolled = attempt(3, new=(3,))
     assert explains(attempt(4), rolled, 4, {3})
     assert not explains(attempt(4), rolled, 4, {0, 1, 2})
@@ -119,7 +119,7 @@ def test_one_thing_explains_a_slip_if_it_was_seen_just_before():
     assert not explains(attempt(4, tentative=0), attempt(3, tentative=1), 5, {3})
 
 
-def test_a_match_speaks_for_a_slip_only_where_few_other_things_may_be():
+def test_a_match_supports_slip_only_at_low_density():
     """A gate of metres holds other trees, too: to match there is no evidence."""
     assert attempt(1).evidence(lambda *_: (np.zeros(2), R_POINT), ()) > 5.0
     wide = np.eye(2) * 2.0**2
@@ -130,16 +130,16 @@ def test_a_match_speaks_for_a_slip_only_where_few_other_things_may_be():
 
 @pytest.mark.parametrize("d_pose", [(0.2, 0.0, 0.0), (0.1, 0.0, 0.5), (0.0, 0.0, 0.3)])
 def test_the_covariance_covers_a_wheel_that_slips(d_pose):
-    """One wheel that turns by 3 sigma of `SHARE` in vain, of a robot as wide as `TRACK`."""
+    """One wheel that turns by 3 sigma of `SLIP_SHARE` in vain, of a robot as wide as `TRACK`."""
     motion = Increment(0.0, np.array(d_pose), Q, 0.2)
     ways = d_pose[0] + np.array([-0.5, 0.5]) * TRACK * d_pose[2]
-    ways[0] *= 1.0 - 3.0 * SHARE
+    ways[0] *= 1.0 - 3.0 * SLIP_SHARE
     true = np.array([ways.mean(), 0.0, np.diff(ways)[0] / TRACK])
     error = (motion.d_pose - true)[[0, 2]]
     S = slipped(motion).covariance[np.ix_([0, 2], [0, 2])]
     assert error @ np.linalg.solve(S, error) < 13.8
 
 
-def test_a_robot_that_stands_does_not_slip():
+def test_a_stationary_robot_does_not_slip():
     motion = Increment.none(0.0)
     assert not slipped(motion).covariance.any()

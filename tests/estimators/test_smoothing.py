@@ -62,7 +62,7 @@ def test_the_settled_map_is_the_batch_optimum(gtsam, relinearise):
     assert np.abs(apart).max() < 0.01
 
 
-def test_settling_changes_nothing_that_follows(gtsam):
+def test_settling_does_not_affect_what_follows(gtsam):
     made, twin = started(), started()
     rng, again = np.random.default_rng(2), np.random.default_rng(2)
     for k, (pose, motion) in enumerate(drive(12, rng)):
@@ -89,8 +89,8 @@ def test_jacobians_are_central_differences(gtsam, kind):
         "cylinder", np.array([1.0, 2.0]), R_POINT + np.outer(shared, shared), shared=shared
     )
     seen = wall if kind == "wall" else point
-    smoother.begin(0, MODELS[kind], seen, pose)
-    smoother.observe(0, seen)
+    smoother.add_landmark(0, MODELS[kind], seen, pose)
+    smoother.add_observation(0, seen)
     factors = [smoother._factors.at(i) for i in range(smoother._factors.size())]
     values = gtsam.Values()
     values.insert(_x(0), gtsam.Pose2(1.2, -2.1, -3.1))
@@ -121,15 +121,15 @@ def _whitened(gtsam, factor, values, key, step):
     return -factor.linearize(moved).jacobian()[1]
 
 
-def test_an_error_that_observations_share_does_not_average_out(gtsam):
+def test_a_common_error_does_not_average_out(gtsam):
     smoother, shared = Smoother(np.zeros(3), 1e-6, 0.01), np.array([0.03, 0.0])
     R = 1e-4 * np.eye(2)
     seen = Observation(
         "cylinder", np.array([2.0, 0.0]), R + np.outer(shared, shared), shared=shared
     )
-    smoother.begin(0, MODELS["cylinder"], seen, np.zeros(3))
+    smoother.add_landmark(0, MODELS["cylinder"], seen, np.zeros(3))
     for _ in range(3):
-        smoother.observe(0, seen)
+        smoother.add_observation(0, seen)
     smoother.solve()
     _, P = smoother.optimum().landmarks[0]
     np.testing.assert_allclose(P, R / 4 + np.outer(shared, shared), atol=1e-8)
@@ -139,7 +139,7 @@ def test_a_wall_is_known_along_itself_as_it_was_first_seen(gtsam):
     smoother, pose = Smoother(np.array([0.5, 1.0, 1.0]), 1e-6, 0.01), np.array([0.5, 1.0, 1.0])
     z, in_base = wall_seen(pose, np.array([[6.0, -5.0], [6.0, 5.0]]))
     seen = Observation("wall", z, R_WALL, np.arange(50), in_base)
-    smoother.begin(0, Wall(), seen, pose)
+    smoother.add_landmark(0, Wall(), seen, pose)
     smoother.solve()
     m, P = smoother.optimum().landmarks[0]
     new = Wall().initialise(pose, seen)
@@ -153,6 +153,6 @@ def test_without_the_library_one_line_says_what_to_install(monkeypatch):
         started()
 
 
-def test_a_filter_that_cannot_be_led_is_refused(gtsam):
+def test_a_filter_that_cannot_follow_is_refused(gtsam):
     with pytest.raises(ConfigError, match=r"'ukf'.*filter\.kind=riekf"):
         started("ukf")

@@ -8,7 +8,7 @@ from tests.filters.worlds import MODELS
 from tests.numeric import wrapped
 
 from impslam.estimators.graph import Graph
-from impslam.estimators.loop_closing import RECENT
+from impslam.estimators.loop_closing import CONFIRMATION_DISTANCE
 from impslam.geometry.se2 import between, compose
 from impslam.map import Map
 
@@ -42,7 +42,7 @@ def still():
 def test_a_lap_driven_again_adds_nothing(still):
     made, _ = still
     keys, graph = made._keys, made._graph
-    late = keys.way > keys.way[-1] - RECENT
+    late = keys.distance > keys.distance[-1] - CONFIRMATION_DISTANCE
     again = (np.arange(len(keys)) > LAPS + 40) & ~late
     assert keys.is_kept[:LAPS].all()
     assert keys.is_kept[again].mean() < 0.1
@@ -52,7 +52,7 @@ def test_a_lap_driven_again_adds_nothing(still):
     assert len(graph.edges.i) < 3 * per_lap
 
 
-def test_what_is_dropped_is_told_once(still):
+def test_dropped_keyframes_are_reported_once(still):
     made, revisions = still
     told = [k for revision in revisions for k in revision.dropped]
     assert len(set(told)) == len(told)
@@ -84,11 +84,11 @@ def test_keyframes_that_show_a_change_are_kept(change):
     seen_first = np.count_nonzero(keys.is_kept[beside & second])
     assert seen_first >= 2
     third = np.arange(len(keys)) > 2 * LAPS
-    late = keys.way > keys.way[-1] - RECENT
+    late = keys.distance > keys.distance[-1] - CONFIRMATION_DISTANCE
     assert np.count_nonzero(keys.is_kept[beside & third & ~late]) < seen_first
 
 
-def test_another_room_is_not_this_one():
+def test_passes_that_the_graph_does_not_connect_are_kept():
     """Two passes that the graph does not tie to each other stay apart, alike as they look."""
     made = begun(START, loops={"attempts": 0})
     driven(made, keyframes(RING, TRUTH))
@@ -120,7 +120,7 @@ def test_a_map_keeps_its_place_without_the_scans_that_add_nothing(tmp_path):
     again.start(np.zeros(3), Map.load(known.save(tmp_path / "ring.imp")), models=MODELS)
     graph = again._graph
     assert graph.closures == np.isfinite(made._graph.edges.kernel).sum()
-    assert (graph.ways(0) >= 0.0).all()
-    assert graph.ways(0).max() < 60.0
+    assert (graph.path_lengths(0) >= 0.0).all()
+    assert graph.path_lengths(0).max() < 60.0
     settled = again.settle()
     assert np.hypot(*(settled.poses - TRUTH)[:, :2].T).max() < 0.1

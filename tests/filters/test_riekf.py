@@ -18,7 +18,7 @@ from impslam.types import Increment, Match, Observation
 
 
 @pytest.mark.parametrize("k", [0, 1, 3])
-def test_one_pass_corrects_and_carries_over(rng, k):
+def test_one_pass_corrects_and_transforms(rng, k):
     """P becomes S (P - W W^T) S^T with S = I + A xi_D_pose on the pose."""
     belief, P, _, _ = random_belief(rng)
     n, size = belief.n, len(belief.P)
@@ -111,7 +111,7 @@ class Weighed(LandmarkModel):
         return np.stack([m[..., :2], m[..., :2]], axis=-2)
 
 
-def test_kinds_that_extend_a_point_are_carried_too(rng):
+def test_kinds_that_extend_a_point_are_transformed_too(rng):
     """What is added to the place neither swings nor moves with the map."""
     plain, weighed = RightInvariantEkf(), RightInvariantEkf()
     plain.start(np.zeros(3), 0.1 * np.eye(3), {"cylinder": Point()})

@@ -43,7 +43,7 @@ def landmark_nees(kind, told=True, bias=BIAS, runs=25):
 
 
 @pytest.mark.parametrize("kind", ["ekf", "riekf"])
-def test_a_map_made_with_biased_ranges_knows_how_far_it_is_off(kind):
+def test_covariances_cover_the_error_of_biased_ranges(kind):
     """As well as without a bias in the same runs; taken for new in each scan, it is too sure."""
     without = landmark_nees(kind, bias=0.0)
     assert landmark_nees(kind) == pytest.approx(without, rel=0.2)

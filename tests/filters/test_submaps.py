@@ -107,7 +107,7 @@ def test_a_motion_without_noise_is_no_trouble():
         np.testing.assert_allclose(areas.covariance, dense.covariance, rtol=0, atol=1e-12)
 
 
-def test_walls_take_their_steps_later_and_to_first_order_the_same():
+def test_inactive_walls_are_updated_later_to_first_order():
     rng, dense, areas = np.random.default_rng(3), Ekf(), SubmapEkf(area=1.5)
     for belief in (dense, areas):
         belief.start(np.zeros(3), 1e-8 * np.eye(3), MODELS)

@@ -20,7 +20,7 @@ def test_the_transform_is_exact_to_the_fourth_moment_along_each_column():
     np.testing.assert_allclose(covariance, np.diag(s**2 + 2.0 * c**2 * s**4), rtol=1e-12)
 
 
-def test_the_mean_of_a_turn_that_is_unsure_is_that_of_the_arc():
+def test_the_mean_of_an_uncertain_turn_is_that_of_the_arc():
     """Driven on after a turn known to 0.4 rad, the robot is on average nearer: by E[cos]."""
     belief, sigma = UnscentedKalmanFilter(), 0.4
     belief.start(np.zeros(3), np.diag([1e-9, 1e-9, sigma]) ** 2, MODELS)
@@ -68,7 +68,7 @@ def test_a_correction_is_bayes_rule(rng):
     assert (np.triu(belief.S[3:, 3:], 1) == 0.0).all()
 
 
-def test_a_drive_adds_what_it_says(rng):
+def test_a_motion_adds_its_covariance(rng):
     belief = SquareRootBelief(np.array([1.0, 2.0, 0.7]), np.diag([0.1, 0.2, 0.3]))
     for m in rng.normal(size=(3, 2)):
         belief.extend(m, rng.normal(size=(2, 3)), np.diag([0.3, 0.1]))
@@ -81,7 +81,7 @@ def test_a_drive_adds_what_it_says(rng):
     np.testing.assert_allclose(belief.covariance, P, atol=1e-12)
 
 
-def test_a_robot_that_stands_and_is_sure_keeps_a_root():
+def test_a_stationary_robot_without_noise_keeps_a_root():
     """Neither pose nor motion has any noise: what a tentative landmark's filter begins with."""
     belief = UnscentedKalmanFilter()
     belief.start(np.zeros(3), np.zeros((3, 3)), MODELS)

@@ -61,7 +61,7 @@ def test_the_solution_is_that_of_dense_algebra(extra):
         assert steps <= 3  # a chain is solved by its own factors, damping aside
 
 
-def test_what_nothing_holds_stays():
+def test_unconstrained_poses_stay():
     system, *_ = random_system(10, 4, fixed=[0])
     system.diagonal[9], system.gradient[9] = 0.0, 0.0
     system.off[(system.i == 9) | (system.j == 9)] = 0.0

@@ -7,7 +7,15 @@ from impslam.geometry import se2
 from impslam.geometry.angles import wrap
 from impslam.graph.bearings import Scans, sort_by_bearing
 from impslam.graph.block_system import empty_system
-from impslam.graph.bundle import Edges, Fit, Refinement, lay, linearise, pair_edges, refine
+from impslam.graph.bundle import (
+    Edges,
+    Fit,
+    Refinement,
+    linearise,
+    linearise_pair,
+    pair_edges,
+    refine,
+)
 from impslam.graph.overlaps import Nearness, overlaps
 from impslam.graph.solve import marginals
 
@@ -72,20 +80,20 @@ def test_a_rigid_motion_of_everything_moves_the_result(T):
     assert (np.abs(se2.between(se2.compose(np.array(T), one), two)) < 1e-5).all()
 
 
-def test_gradient_by_differences_with_pairs_held():
+def test_gradient_by_differences_with_fixed_pairs():
     truth = drive()[:2]
     scans = scans_at(truth)
     fans = sort_by_bearing(scans._replace(lasers=np.tile(scans.lasers, (2, 1))))
     d = se2.between(truth[0], truth[1]) + np.array([0.011, -0.007, 0.004])
     H, g = np.empty((3, 3)), np.empty(3)
     limits = 0.3, 1e6  # so wide a kernel weighs all points alike: the cost is a sum of squares
-    lay(fans, 0, 1, d, limits, H, g)
+    linearise_pair(fans, 0, 1, d, limits, H, g)
     numeric = np.empty((3, 3))
     for a in range(3):
         up, down = np.empty(3), np.empty(3)
         step = np.eye(3)[a] * 1e-7  # too small for any point to change its partner
-        lay(fans, 0, 1, d + step, limits, np.empty((3, 3)), up)
-        lay(fans, 0, 1, d - step, limits, np.empty((3, 3)), down)
+        linearise_pair(fans, 0, 1, d + step, limits, np.empty((3, 3)), up)
+        linearise_pair(fans, 0, 1, d - step, limits, np.empty((3, 3)), down)
         numeric[:, a] = (up - down) / 2e-7
     # Gauss-Newton leaves out residuals times second derivatives, here up to 1 % of the turn's entry.
     np.testing.assert_allclose(H, numeric, rtol=0.03, atol=0.01 * np.abs(H).max())
@@ -98,7 +106,7 @@ def test_gradient_of_the_cost_by_differences():
     fans = sort_by_bearing(scans._replace(lasers=np.tile(scans.lasers, (2, 1))))
     features, starts = fans.scans.features.astype(float), fans.scans.starts
     d, g = se2.between(truth[0], truth[1]) + np.array([0.011, -0.007, 0.004]), np.empty(3)
-    lay(fans, 0, 1, d, (0.3, 1e6), np.empty((3, 3)), g)
+    linearise_pair(fans, 0, 1, d, (0.3, 1e6), np.empty((3, 3)), g)
     mine, other = features[: starts[1]], features[starts[1] :]
 
     def moved(pose):

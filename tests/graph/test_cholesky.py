@@ -60,7 +60,7 @@ def test_damping_multiplies_the_diagonal():
     np.testing.assert_allclose(x.ravel(), np.linalg.solve(H, system.gradient.ravel()), atol=1e-8)
 
 
-def test_a_pose_that_nothing_holds_is_named():
+def test_an_unconstrained_pose_is_named():
     system = random_system(12, 3, seed=4)
     system.diagonal[5], touching = 0.0, (system.i == 5) | (system.j == 5)
     system.off[touching] = 0.0

@@ -82,7 +82,7 @@ def test_the_order_of_edges_makes_no_difference():
     close(two.poses, one.poses, 1e-7)
 
 
-def test_an_edge_and_its_inverse_say_the_same():
+def test_an_edge_equals_its_inverse():
     _, edges, start = random_graph(40, 15, seed=6, noise=0.01)
     J = np.array([jacobian(se2.inverse, T_j_i) for T_j_i in se2.inverse(edges.T_i_j)])
     turned = Edges(
@@ -196,7 +196,7 @@ def test_what_has_no_solution_is_named(changes, said):
     np.testing.assert_array_equal(start, before)
 
 
-def test_poses_that_nothing_connects_are_named():
+def test_unconnected_poses_are_named():
     _, edges, start = random_graph(20, 0)
     loose = Edges(*(np.delete(a, 11, axis=0) for a in edges))
     for function in (solve, marginals):

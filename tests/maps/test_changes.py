@@ -29,7 +29,7 @@ def test_nothing_changes_in_a_room_that_is_mapped_twice():
 
 
 @pytest.mark.parametrize("error", [(0.08, -0.08, 0.0), (0.0, 0.0, 0.01)])
-def test_nor_where_the_maps_lie_on_each_other_within_centimetres(error):
+def test_no_changes_with_an_alignment_error_of_centimetres(error):
     plan = np.concatenate([ROOM, WALL])
     assert changes(drawn(plan), drawn(plan, seed=1, T=error)) == ((), ())
 
@@ -58,14 +58,14 @@ def test_a_cylinder_that_was_moved_is_gone_and_new():
     assert gone.length == pytest.approx(0.3, abs=0.1)
 
 
-def test_what_nobody_looks_at_any_more_is_not_gone():
+def test_walls_that_are_not_seen_later_are_not_gone():
     hidden = np.concatenate([ROOM, HIDING])
     found = changes(drawn(ROOM, np.array([[4.0, 5.5, 0.2]])), drawn(hidden, seed=1))
     assert not found.gone
     assert max(new.length for new in found.new) > 6.0
 
 
-def test_a_single_scan_tells_too_little():
+def test_a_single_scan_is_not_enough():
     after = mapped(ROOM, way(1.0, 1.0, 1.4, 1.0, 1), seed=1)
     assert changes(drawn(np.concatenate([ROOM, WALL])), after) == ((), ())
 

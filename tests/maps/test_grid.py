@@ -113,7 +113,7 @@ def test_what_is_drawn_at_once_is_what_is_drawn_scan_by_scan(rng):
     np.testing.assert_allclose(a.origin, b.origin)
 
 
-def test_a_past_that_moved_is_drawn_anew():
+def test_scans_that_moved_are_drawn_again():
     before, after = OccupancyGrid(0.1), OccupancyGrid(0.1)
     first, second = placed([0.05, 0.05, 0.0], [[1.0, 0.0]]), placed([1.05, 0.05, 0.0], [[1.0, 0.0]])
     moved = placed([0.05, 0.55, 0.0], [[1.0, 0.0]])
@@ -124,7 +124,7 @@ def test_a_past_that_moved_is_drawn_anew():
     assert value(before, 0.55, 0.05) == 0.0
 
 
-def test_certainty_is_bounded():
+def test_log_odds_are_bounded():
     grid = OccupancyGrid()
     draw(grid, *(placed([0.0, 0.011 * (i % 2), 0.0], [[1.0, 0.0]]) for i in range(100)))
     assert abs(grid.logodds).max() == pytest.approx(CLAMP)
@@ -181,15 +181,15 @@ def test_balanced_log_odds_count_hits_against_passes():
     assert seen(4, 4, BALANCED) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_robot_at_rest_is_entered_a_few_times_only():
+def test_only_a_few_scans_of_a_stationary_robot_are_drawn():
     grid = OccupancyGrid()
     draw(grid, *(placed([0, 0, 0], [[1.0, 0.0]]) for _ in range(50)))
-    assert grid.logodds.min() == pytest.approx(max(module.STILL_SCANS * MISS, -CLAMP))
+    assert grid.logodds.min() == pytest.approx(max(module.STATIONARY_SCANS * MISS, -CLAMP))
     assert (grid.logodds < np.log(0.196 / 0.804)).any()
 
 
 @pytest.mark.parametrize("pose", [[1e6, 0, 0], [np.nan, 0, 0], [0, np.inf, 0], [1e300, 0, 0]])
-def test_a_pose_that_ran_away_is_refused_and_counted(pose):
+def test_a_diverged_pose_is_rejected_and_counted(pose):
     grid, plain = OccupancyGrid(), OccupancyGrid()
     first = placed([0, 0, 0], [[1.0, 0.0]])
     last = placed([0.1, 0.0, 0.0], [[1.0, 0.0]])

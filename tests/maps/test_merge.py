@@ -60,7 +60,7 @@ def test_a_merged_map_is_a_map_like_any_other(tmp_path):
     assert [log["scans"] for log in logs] == [2 * len(w) for w in (LEFT, MIDDLE, RIGHT)]
 
 
-def test_the_second_map_says_as_much_of_its_errors_as_the_first():
+def test_covariances_of_the_second_map_are_as_valid_as_of_the_first():
     one, other = drives(LEFT, MIDDLE)
     both = merged(one, other)
     spread = np.sqrt(both.keyframes.covariances[:, 0, 0])

@@ -30,7 +30,7 @@ def wall(ends, covariance):
 
 
 @pytest.mark.parametrize("T", MOVES)
-def test_what_is_relative_stays_and_the_path_moves(T):
+def test_relative_data_stay_and_the_path_moves(T):
     known = mapped(OFFICE, way(-6.0, -0.5, 6.0, 0.2))
     moved = known.moved(np.array(T))
     before, after = known.rows(), moved.rows()
@@ -119,7 +119,7 @@ def test_the_grid_of_a_straightened_room_has_its_walls_on_the_axes():
     assert not inner.any()
 
 
-def test_oblique_walls_do_not_pull_at_the_main_direction():
+def test_oblique_walls_do_not_affect_the_main_direction():
     tent = np.array([[[7.0, 0.0], [9.0, 2.5]], [[9.0, 2.5], [7.0, 5.0]]])
     plan = np.concatenate([room(0, 7, 0, 5)[1:], tent])  # no right wall
     direction = mapped(plan, way(1.0, 1.5, 6.0, 3.0, 12)).direction()
@@ -142,7 +142,7 @@ def test_a_map_of_nothing_has_no_direction():
     assert np.isinf(known.direction().sigma)
 
 
-def test_what_is_not_placed_has_no_say_in_the_direction():
+def test_unplaced_keyframes_do_not_affect_the_direction():
     known = mapped(room(0, 7, 0, 5), way(1.0, 1.5, 6.0, 3.0, 12))
     poses, sessions = known.keyframes.poses.copy(), np.repeat([0, 1], [4, 8])
     poses[4:, 2] += 0.5

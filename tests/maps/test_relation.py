@@ -26,7 +26,7 @@ OTHER_WAY = np.concatenate(
 )
 
 
-def test_two_drives_through_an_office_are_laid_on_each_other():
+def test_maps_of_two_drives_through_an_office_are_aligned():
     one, other = mapped(OFFICE, ALONG), mapped(OFFICE, ROOMS, T=T, seed=1)
     told = []
     found = align_maps(one.keyframes, other.keyframes, told.append)
@@ -48,13 +48,13 @@ def test_two_buildings_have_no_place_in_common():
         aligned_to(one, other)
 
 
-def test_a_bare_corridor_tells_nothing():
+def test_a_bare_corridor_cannot_be_aligned():
     one = mapped(CORRIDOR, way(-30.0, 0.0, 30.0, 0.1, 40))
     other = mapped(CORRIDOR, way(-20.0, 0.2, 20.0, -0.1, 30), seed=1)
     assert align_maps(one.keyframes, other.keyframes).outcome is not Outcome.FOUND
 
 
-def test_a_map_of_one_place_is_too_short_to_be_laid_on_another():
+def test_a_map_of_one_place_is_too_short_to_be_aligned():
     one, other = mapped(OFFICE, ALONG), mapped(OFFICE, ALONG[:1], seed=1)
     assert align_maps(one.keyframes, other.keyframes).outcome is Outcome.APART
 
@@ -63,7 +63,7 @@ def links(poses, T, rows):
     return [Link(row, compose(T, poses[row])) for row in rows]
 
 
-def test_a_few_that_tell_something_else_are_outvoted_and_many_are_not():
+def test_few_contradicting_links_are_outvoted_and_many_are_not():
     true = links(ROOMS, T, (0, 8, 15, 22, 30))
     false = links(ROOMS, np.array([0.0, 5.0, 0.0]), (4, 12, 26))
     few = judge([*true, false[0]], ROOMS, 9)
@@ -88,7 +88,7 @@ def test_the_fit_is_exact_for_exact_links_and_close_for_noisy_ones(rng):
     np.testing.assert_allclose(fit(ROOMS, noisy), T, atol=0.06)
 
 
-def test_keyframes_that_are_not_placed_are_neither_sought_nor_searched():
+def test_unplaced_keyframes_are_ignored():
     one, other = mapped(OFFICE, ALONG), mapped(OFFICE, ROOMS, T=T, seed=1)
     k = len(other.keyframes)
     lost = mapped(OTHER, OTHER_WAY, seed=2).keyframes

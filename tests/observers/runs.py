@@ -110,7 +110,7 @@ class Scripted:
     def keyframes(self):
         return self.builder.keyframes()
 
-    def reading(self):
+    def draft_landmarks(self):
         marks = tuple(self.landmarks())
         return lambda: marks
 

@@ -219,7 +219,7 @@ def test_a_map_that_is_read_beside_the_scans_is_read_a_tenth_of_the_time(monkeyp
         reads.append(clock[0])
         return make_landmarks()
 
-    run.reading = lambda: read
+    run.draft_landmarks = lambda: read
     for i, result in enumerate(make_results(100)):
         clock[0] = max(clock[0], 1.0 + 0.1 * i)
         run.step(result)
@@ -231,7 +231,7 @@ def test_a_map_that_is_read_beside_the_scans_is_read_a_tenth_of_the_time(monkeyp
 def test_scans_do_not_wait_for_landmarks_or_for_the_grid(monkeypatch):
     view, run = begun()
     gate = threading.Event()
-    run.reading = lambda: lambda: gate.wait(10.0) and make_landmarks()
+    run.draft_landmarks = lambda: lambda: gate.wait(10.0) and make_landmarks()
     results = list(make_results(50))
     begin = time.monotonic()
     for result in results:

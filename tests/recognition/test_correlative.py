@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from impslam.geometry.angles import wrap
-from impslam.recognition.correlative import APART, TURNED, Window, search
+from impslam.recognition.correlative import HEADING_SEPARATION, SEPARATION, Window, search
 from impslam.recognition.pyramid import BLUR, CELL, Memory, build
 
 STEP = 0.1  # rad: coarse, for every pose is tried
@@ -32,7 +32,8 @@ def every(pyramid, points, guess, window, exclude=None):
             for v in shifts[1]:
                 pose = np.array([guess[0] + u * CELL, guess[1] + v * CELL, heading])
                 if exclude is not None and (
-                    math.dist(pose[:2], exclude[:2]) < APART and abs(heading - exclude[2]) < TURNED
+                    math.dist(pose[:2], exclude[:2]) < SEPARATION
+                    and abs(heading - exclude[2]) < HEADING_SEPARATION
                 ):
                     continue
                 inside = (column + u >= 0) & (column + u < width)

@@ -10,7 +10,7 @@ from tests.recognition.plans import walls, way
 
 from impslam.recognition.beams import Beams, explain
 from impslam.recognition.everywhere import COARSE_POINTS, HEADINGS, search_everywhere
-from impslam.recognition.ground import CHANCE, DIRECTIONS, SECTOR, survey
+from impslam.recognition.ground import CHANCE, DIRECTIONS, SECTOR, make_ground
 from impslam.recognition.pyramid import CELL, FULL
 from impslam.recognition.stored import stored_views
 from impslam.recognition.submap import view
@@ -21,12 +21,12 @@ PLAN = np.concatenate([room(-3.0, 2.0, -1.5, 2.2), walls([-1, -1.5, -1, 0.3], [0
 @pytest.fixture(scope="module")
 def ground():
     keyframes = mapped(PLAN, way(-2.0, 0.9, 1.5, 0.2, 6))
-    return survey(keyframes, stored_views(keyframes))
+    return make_ground(keyframes, stored_views(keyframes))
 
 
 def every_sum(ground, points):
     """Return the sums (HEADINGS, rows, columns) of likelihoods wherever a lidar may stand."""
-    level, free = ground.likelihood[0], ground.room[0] > 0
+    level, free = ground.likelihood[0], ground.allowed[0] > 0
     _, height, width = level.shape
     rows, columns = np.indices(free.shape)
     sums = np.zeros((HEADINGS, height, width), np.int64)
@@ -72,7 +72,7 @@ def test_beams_are_explained_where_they_were_taken(ground):
     assert told.through + told.short + told.unknown == pytest.approx(1.0 - told.matched)
 
 
-def test_beams_through_walls_and_in_free_space_speak_against_a_pose(ground):
+def test_beams_through_walls_and_into_free_space_lower_the_score(ground):
     beams = beams_of([-2.0, 1.0, 0.3])
     through = explain(ground, beams, np.array([1.2, 0.2, 0.3]))
     assert through.through > 0.2
@@ -82,7 +82,7 @@ def test_beams_through_walls_and_in_free_space_speak_against_a_pose(ground):
     assert max(through.score, short.score) < 0.1
 
 
-def test_beams_that_end_where_nobody_has_looked_tell_nothing(ground):
+def test_beams_that_end_in_unknown_space_have_no_effect(ground):
     beams = beams_of([-2.0, 1.0, 0.3])
     told = explain(ground, beams, np.array([500.0, 0.0, 0.0]))
     assert told.unknown == 1.0

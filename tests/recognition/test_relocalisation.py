@@ -10,10 +10,10 @@ from tests.recognition.plans import OFFICE, walls, way
 
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import between, compose
+from impslam.recognition.drive import DriveRelocaliser
 from impslam.recognition.relocalisation import Near, Relocaliser, Verdict
 from impslam.recognition.stored import stored_views
 from impslam.recognition.submap import view
-from impslam.recognition.way import WayRelocaliser
 
 WAY = np.concatenate([
     way(-7.0, -0.3, 8.0, -0.2, 20), way(-2.5, 0.0, -2.5, 5.0, 6), way(3.6, 0.0, 3.6, 5.0, 6),
@@ -62,9 +62,9 @@ def test_a_scan_of_another_building_is_nowhere(office):
     assert sum(h.odds for h in answer.hypotheses) < 0.02
 
 
-def test_like_rooms_are_ambiguous_until_the_way_tells_them_apart(twins):
+def test_similar_rooms_are_ambiguous_until_the_drive_distinguishes_them(twins):
     drive = np.concatenate([way(8.5, 4.0, 8.5, 1.2, 6), way(8.8, 1.0, 11.0, 1.0, 5)])
-    finder, before = WayRelocaliser(twins), drive[0]
+    finder, before = DriveRelocaliser(twins), drive[0]
     answers = []
     for k, pose in enumerate(drive):
         motion, spread = between(before, pose), np.diag([1e-4, 1e-4, 1e-6])
@@ -87,7 +87,7 @@ def _silently_wrong(answer, truth):
     )
 
 
-def test_a_hint_tells_like_rooms_apart(twins):
+def test_a_hint_distinguishes_similar_rooms(twins):
     truth = np.array([2.5, 4.0, -1.5])
     scan = view(seen(TWINS, truth))
     assert twins.find(scan).verdict == Verdict.AMBIGUOUS
@@ -134,8 +134,8 @@ def test_a_stored_scan_is_what_was_seen():
         np.testing.assert_allclose(kept[k].laser, LASER[:2])
 
 
-def test_motions_that_tell_little_are_not_joined(office):
-    finder, blind = WayRelocaliser(office), np.diag([1.0, 1.0, 0.1])
+def test_scans_with_uncertain_motions_are_not_joined(office):
+    finder, blind = DriveRelocaliser(office), np.diag([1.0, 1.0, 0.1])
     for truth in ([-4.5, -2.0, 2.0], [5.0, 0.2, -1.2]):  # carried away: the motion is false
         answer = finder.add(view(seen(OFFICE, truth)), NOTHING[0], blind)
         assert answer.verdict == Verdict.FOUND

@@ -26,7 +26,7 @@ def test_one_feature_in_each_cell_and_none_lost():
     assert len(np.unique(np.floor(everything / 0.1), axis=0)) == len(cells)
 
 
-def test_features_and_normals_stand_where_they_do_in_the_world(rng):
+def test_features_and_normals_are_those_of_the_world(rng):
     pose, frame = rng.normal(size=3), rng.normal(size=3)
     v = view(cast(SQUARE, pose=pose * [0.2, 0.2, 1.0]).scan)
     pose = pose * [0.2, 0.2, 1.0]
@@ -38,7 +38,7 @@ def test_features_and_normals_stand_where_they_do_in_the_world(rng):
     np.testing.assert_array_equal(found[:, 4], v.features[:, 4])
 
 
-def test_nothing_beyond_the_reach():
+def test_nothing_beyond_the_maximum_range():
     v = view(cast(SQUARE).scan)
     near = gather([v], ORIGIN[None], ORIGIN, 0.05, 2.1).features
     assert 0 < len(near) < len(v.features)
@@ -67,7 +67,7 @@ def test_free_space_reaches_to_the_nearest_surface_of_each_bearing():
             assert free[b] == 0.0
 
 
-def test_a_beam_without_an_echo_tells_nothing():
+def test_a_beam_without_an_echo_has_no_effect():
     open_ahead = cast(SQUARE[1:], angles=HALF, range_max=5.0).scan
     assert not open_ahead.valid.all()
     free = view(open_ahead).free

@@ -6,7 +6,7 @@ from tests.extractors.scans import room
 from tests.recognition.plans import OFFICE, place, walls, way
 
 from impslam.geometry.se2 import compose
-from impslam.recognition.verify import LEAST_SEEN, Support, Verdict, judge, verify
+from impslam.recognition.verify import MIN_SEEN, Support, Verdict, judge, verify
 from impslam.surfaces.surface_map import add, empty_surface_map
 
 SQUARE = room(-4.0, 4.0, -3.0, 3.0)
@@ -43,7 +43,7 @@ def test_what_the_query_saw_free_contradicts_the_reference():
     assert found.query > 0.98
 
 
-def test_what_the_reference_never_saw_says_nothing():
+def test_what_the_reference_never_saw_has_no_effect():
     """The query went on, into rooms that the reference knows nothing of."""
     reference = seen(OFFICE, way(-6.0, -0.3, -3.0, -0.3))
     query = seen(OFFICE, way(-4.0, -0.2, 2.0, -0.2), seed=1)
@@ -71,12 +71,12 @@ def test_frames_do_not_matter(rng):
 @pytest.mark.parametrize(
     ("found", "verdict"),
     [
-        (Support(0.4, 0.9, 0.85, LEAST_SEEN), Verdict.STRONG),
-        (Support(0.4, 0.9, 0.7, LEAST_SEEN), Verdict.WEAK),
-        (Support(0.4, 0.7, 0.9, LEAST_SEEN), Verdict.WEAK),
-        (Support(0.4, 0.9, 0.6, LEAST_SEEN), Verdict.REFUSED),
-        (Support(0.3, 1.0, 1.0, LEAST_SEEN), Verdict.REFUSED),
-        (Support(0.9, 1.0, 1.0, LEAST_SEEN - 1), Verdict.REFUSED),
+        (Support(0.4, 0.9, 0.85, MIN_SEEN), Verdict.STRONG),
+        (Support(0.4, 0.9, 0.7, MIN_SEEN), Verdict.WEAK),
+        (Support(0.4, 0.7, 0.9, MIN_SEEN), Verdict.WEAK),
+        (Support(0.4, 0.9, 0.6, MIN_SEEN), Verdict.REFUSED),
+        (Support(0.3, 1.0, 1.0, MIN_SEEN), Verdict.REFUSED),
+        (Support(0.9, 1.0, 1.0, MIN_SEEN - 1), Verdict.REFUSED),
     ],
 )
 def test_verdicts(found, verdict):
@@ -90,8 +90,8 @@ def test_verdicts(found, verdict):
         (Support(0.2, 0.9, 0.75, 40), Verdict.REFUSED),
         (Support(0.15, 1.0, 1.0, 40), Verdict.REFUSED),
         (Support(0.9, 1.0, 1.0, 30), Verdict.REFUSED),
-        (Support(0.4, 0.9, 0.85, LEAST_SEEN), Verdict.STRONG),
-        (Support(0.4, 0.9, 0.7, LEAST_SEEN), Verdict.WEAK),
+        (Support(0.4, 0.9, 0.85, MIN_SEEN), Verdict.STRONG),
+        (Support(0.4, 0.9, 0.7, MIN_SEEN), Verdict.WEAK),
     ],
 )
 def test_verdicts_where_submaps_share_little(found, verdict):

@@ -5,7 +5,7 @@ import pytest
 from tests.estimators.drives import scanned
 from tests.extractors.scans import room
 
-from impslam.estimators.surface_book import MOST, SurfaceBook
+from impslam.estimators.surface_book import MAX_POINTS, SurfaceBook
 from impslam.surfaces.features import features
 from impslam.surfaces.surface_map import add, empty_surface_map, no_evidence, normal_equations
 from impslam.surfaces.tiles import evidence, sort
@@ -32,7 +32,7 @@ def test_tiles_give_the_same_evidence_as_one_map():
     for pose in PLACES:
         rows = seen(pose)
         book.add(rows, pose[None], np.zeros(1, np.int64))
-        add(known, rows, pose, MOST)
+        add(known, rows, pose, MAX_POINTS)
     for scale in (0.05, 0.4):
         pose, one = PLACES[1] + [0.05, -0.03, 0.01], no_evidence()
         normal_equations(known, seen(PLACES[1]), pose, scale, 1, one)
@@ -47,7 +47,7 @@ def test_particles_share_a_map_until_they_diverge():
     book.add(seen(PLACES[0]), np.tile(PLACES[0], (3, 1)), lines)
     assert len(book.tables) == 1
     alone = book.used
-    book.survive(np.array([0, 0, 2]))
+    book.resample(np.array([0, 0, 2]))
     assert book.used == alone  # nothing is copied
     few, other = seen(PLACES[1])[:40], PLACES[1] + [0.1, 0.05, 0.02]
     book.add(few, np.array([PLACES[1], PLACES[1], other]), np.array([0, 0, 2]))
@@ -61,7 +61,7 @@ def test_particles_share_a_map_until_they_diverge():
     rows, pose = seen(PLACES[1]), PLACES[1]
     np.testing.assert_array_equal(told(book, 2, rows, pose).H, told(apart, 0, rows, pose).H)
     before = told(book, 0, rows, pose).H
-    book.survive(np.array([0, 0, 0]))
+    book.resample(np.array([0, 0, 0]))
     assert len(book.tables) == 1
     np.testing.assert_array_equal(told(book, 2, rows, pose).H, before)
 

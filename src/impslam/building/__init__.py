@@ -1,1 +1,1 @@
-"""Landmarks of a building whose keyframes' poses are known."""
+"""Estimation of landmarks from keyframes with given poses."""

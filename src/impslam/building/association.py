@@ -1,7 +1,7 @@
-"""Which sightings show one landmark: by statistical distance in map, and by extent.
+"""Group the sightings of each landmark, by Mahalanobis distance in map and by extent.
 
-Sightings join, in order, the nearest group in the gate, or begin one; groups that have grown towards each
-other are joined afterwards.
+In order, each sighting joins the nearest group in the gate or starts a new one; afterwards, groups that
+have grown together are joined.
 """
 
 from __future__ import annotations
@@ -14,64 +14,64 @@ from impslam.building.groups import (
     Rules,
     X,
     Y,
+    as_sighting,
     begin,
     distance2,
     include,
     local,
-    whole_group,
 )
 from impslam.building.sightings import Placed, add_relief
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Mask
 
 _GATE = 13.8  # chi-square of two degrees of freedom at 99.9 %
-_ROUNDS = 3  # a group that has been joined to another may now meet a third
+_JOIN_ROUNDS = 3  # a joined group may now match a third one
 
 
 @kernel
 def _nearest(
-    groups: Array, frame: Array, cov: Array, extra: Array, rules: Rules, barred: Mask
+    groups: Array, frame: Array, cov: Array, extra: Array, rules: Rules, excluded: Mask
 ) -> int:
-    """Return the group in the gate that a sighting is nearest to, or -1; `barred` (m,) are left out."""
-    best, nearest, room = -1, _GATE, np.empty((3, 3))
-    reach = frame[3] + rules.gap + 1.0
+    """Return the nearest group of a sighting inside the gate, or -1, except the `excluded` (m,)."""
+    best, nearest, scratch = -1, _GATE, np.empty((3, 3))
+    radius = frame[3] + rules.gap + 1.0
     for g in range(len(groups)):
         dx, dy = frame[0] - groups[g, X], frame[1] - groups[g, Y]
-        far = reach + max(groups[g, HIGH], -groups[g, LOW])
-        if dx * dx + dy * dy > far * far or barred[g]:
+        limit = radius + max(groups[g, HIGH], -groups[g, LOW])
+        if dx * dx + dy * dy > limit * limit or excluded[g]:
             continue
-        d2 = distance2(groups[g], frame, cov, extra, rules, room)
+        d2 = distance2(groups[g], frame, cov, extra, rules, scratch)
         if d2 < nearest:
             best, nearest = g, d2
     return best
 
 
 @kernel
-def _labelled(labels: Ints, first: Ints, label: int, barred: Mask) -> int:
-    """Return the group of a label, or -1, and bar the groups of others."""
+def _labelled(labels: Ints, first: Ints, label: int, excluded: Mask) -> int:
+    """Return the group of a label, or -1, and exclude the groups of other labels."""
     if label >= 0:
         for g in range(len(first)):
             if labels[first[g]] == label:
                 return g
-            barred[g] = barred[g] or labels[first[g]] >= 0
+            excluded[g] = excluded[g] or labels[first[g]] >= 0
     return -1
 
 
 @kernel
 def _join(groups: Array, extra: Array, parents: Ints, rules: Rules) -> bool:
-    """Join groups (m, 12) that have come to be one to the first of them; tell whether any were.
+    """Join groups (m, 12) that have grown together with the first of them; return whether any were.
 
-    `extra` (m, 3) are those of the groups; `parents` (m,) the group that each belongs to.
+    `extra` (m, 3) is as in `associate`, for each group; `parents` (m,) is the group that each belongs to.
     """
     frame, cov, value, any_joined = np.empty(4), np.empty(3), np.empty(2), False
     moved = np.empty(3)
     for j in range(1, len(groups)):
         if parents[j] != j:
             continue
-        whole_group(groups[j], rules.is_line, frame, cov)
+        as_sighting(groups[j], rules.is_line, frame, cov)
         add_relief(cov, 2.0 * frame[3], rules.relief)
-        barred = parents[:j] != np.arange(j)
-        i = _nearest(groups[:j], frame, cov, extra[j], rules, barred)
+        excluded = parents[:j] != np.arange(j)
+        i = _nearest(groups[:j], frame, cov, extra[j], rules, excluded)
         if i >= 0:
             parents[j], any_joined = i, True
             low, high = local(groups[i, :3], frame, cov, rules.is_line, value, moved)
@@ -83,20 +83,20 @@ def _join(groups: Array, extra: Array, parents: Ints, rules: Rules) -> bool:
 def associate(placed: Placed, keyframes: Ints, labels: Ints, extra: Array, rules: Rules) -> Ints:
     """Return the group (n,) of each sighting: the row of the group's first sighting.
 
-    `extra` (n, 3) is what the keyframes of the group add. Sightings of one label are one landmark,
-    those of two are two. A scan shows a point once.
+    `extra` (n, 3) is the covariance that the keyframes of the group add. Sightings with the same label are
+    one landmark, those with different labels are not. A scan shows a point landmark once.
     """
     n = len(keyframes)
     groups, first, last = np.empty((n, 12)), np.empty(n, np.int64), np.full(n, -1)
-    out, count, barred = np.empty(n, np.int64), 0, np.zeros(n, np.bool_)
+    out, count, excluded = np.empty(n, np.int64), 0, np.zeros(n, np.bool_)
     value, cov = np.empty(2), np.empty(3)
     for i in range(n):
         frame, seen = placed.frames[i], placed.relative[i]
         for g in range(count):
-            barred[g] = not rules.is_line and last[g] == keyframes[i]
-        best = _labelled(labels, first[:count], labels[i], barred)
+            excluded[g] = not rules.is_line and last[g] == keyframes[i]
+        best = _labelled(labels, first[:count], labels[i], excluded)
         if best < 0:
-            best = _nearest(groups[:count], frame, seen, extra[i], rules, barred)
+            best = _nearest(groups[:count], frame, seen, extra[i], rules, excluded)
         if best < 0:
             best, count = count, count + 1
             first[best] = i
@@ -108,7 +108,7 @@ def associate(placed: Placed, keyframes: Ints, labels: Ints, extra: Array, rules
         out[i] = best
     parents = np.arange(count)
     if labels.max() < 0:
-        for _ in range(_ROUNDS):
+        for _ in range(_JOIN_ROUNDS):
             if not _join(groups[:count], extra[first[:count]], parents, rules):
                 break
     for i in range(n):

@@ -1,14 +1,14 @@
-"""One estimate for the sightings of one landmark, and what may honestly be claimed of it.
+"""Fuse the sightings of each landmark into one estimate with a consistent covariance.
 
-The estimate is weighted least squares: sighting i has the weight W_i = L^-1 L_i, with L_i its
-information against the others and L the sum. Its error is the sum of W_i e_i, and the errors e_i are
-correlated in a way that nobody knows: the keyframes share the error of the path, and a surface its
-own shape and the sensor's bias. For any correlation, and any w_i > 0 whose sum is 1,
+The estimate is weighted least squares: sighting i has the weight W_i = L^-1 L_i, with L_i its information
+relative to the others and L their sum. Its error is the sum of W_i e_i. The errors e_i have unknown
+correlations: keyframes share the error of the path, and sightings the shape of the surface and the bias of
+the sensor. For any correlation, and any w_i > 0 with a sum of 1,
 
     cov(sum a_i) <= sum cov(a_i) / w_i
 
-(covariance intersection; Julier and Uhlmann 1997). With w_i in proportion to the root of the trace of
-cov(a_i) the trace of the bound is least. So many sightings never claim to average out an error.
+(covariance intersection; Julier and Uhlmann 1997). The trace of the bound is minimal for w_i proportional
+to the square root of the trace of cov(a_i). Many sightings thus never seem to average out an error.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
 
-_STEPS = 3  # Gauss-Newton; the first sighting of a line is within a few degrees of the last
-_SHORT = 0.25  # m: half the length that a turn of a line is counted over at least
+_STEPS = 3  # of Gauss-Newton; sightings of a line differ by a few degrees
+_MIN_ARM = 0.25  # m, minimum half length of a line to weight its direction
 
 
 class Fused(NamedTuple):
@@ -33,9 +33,9 @@ class Fused(NamedTuple):
 
     Attributes
     ----------
-    states : (L, 3) x, y, phi of the frame: a point's place, or the middle of a line and its normal
+    states : (L, 3) x, y, phi of the frame: position of a point, or middle and normal of a line
     covariances : (L, 3) distinct entries, of x, y of points, of offset and direction of lines
-    extents : (L, 2) m, where the line begins and ends, from the frame along it
+    extents : (L, 2) m, begin and end along the line, from its frame
     """
 
     states: Array
@@ -44,10 +44,10 @@ class Fused(NamedTuple):
 
 
 @kernel
-def _inverse(of: Array, out: Array) -> None:
+def _inverse(matrix: Array, out: Array) -> None:
     """Write the inverse of a symmetric matrix by its three distinct entries."""
-    det = of[0] * of[2] - of[1] * of[1]
-    out[0], out[1], out[2] = of[2] / det, -of[1] / det, of[0] / det
+    det = matrix[0] * matrix[2] - matrix[1] * matrix[1]
+    out[0], out[1], out[2] = matrix[2] / det, -matrix[1] / det, matrix[0] / det
 
 
 @kernel
@@ -97,7 +97,7 @@ def _extents(placed: Placed, index: Ints, is_line: bool, states: Array) -> Array
 
 @kernel
 def _shares(
-    placed: Placed, index: Ints, is_line: bool, fused: Fused, spread: Array, shares: Array
+    placed: Placed, index: Ints, is_line: bool, fused: Fused, covariances: Array, shares: Array
 ) -> None:
     """Write the distinct entries of cov(W_i e_i) of each sighting to shares (n, 3)."""
     value, cov, info = np.empty(2), np.empty(3), np.empty(3)
@@ -106,7 +106,7 @@ def _shares(
         g = index[i]
         local(fused.states[g], placed.frames[i], placed.relative[i], is_line, value, cov)
         _inverse(cov, info)
-        L = spread[g]
+        L = covariances[g]
         W[0, 0], W[0, 1] = L[0] * info[0] + L[1] * info[1], L[0] * info[1] + L[1] * info[2]
         W[1, 0], W[1, 1] = L[1] * info[0] + L[2] * info[1], L[1] * info[1] + L[2] * info[2]
         local(fused.states[g], placed.frames[i], placed.whole[i], is_line, value, cov)
@@ -121,24 +121,26 @@ def _shares(
 
 @kernel
 def fuse(placed: Placed, index: Ints, first: Ints, is_line: bool) -> Fused:
-    """Return the landmarks that sightings show; see the module.
+    """Return the landmarks of sightings; see the module.
 
     `index` (n,) is the landmark of each sighting and `first` (L,) the first sighting of each.
     """
     count = len(first)
-    states, spread = placed.frames[first, :3].copy(), np.empty((count, 3))
+    states, covariances = placed.frames[first, :3].copy(), np.empty((count, 3))
     for _ in range(_STEPS):
-        _step(placed, index, is_line, states, spread)
+        _step(placed, index, is_line, states, covariances)
     fused = Fused(states, np.zeros((count, 3)), _extents(placed, index, is_line, states))
-    _step(placed, index, is_line, states, spread)
+    _step(placed, index, is_line, states, covariances)
     shares, total = np.empty((len(index), 3)), np.zeros(count)
-    _shares(placed, index, is_line, fused, spread, shares)
-    for once in (True, False):
+    _shares(placed, index, is_line, fused, covariances, shares)
+    for is_first_pass in (True, False):
         for i in range(len(index)):
             g, share = index[i], shares[i]
-            arm = max(0.5 * (fused.extents[g, 1] - fused.extents[g, 0]), _SHORT) if is_line else 1.0
+            arm = (
+                max(0.5 * (fused.extents[g, 1] - fused.extents[g, 0]), _MIN_ARM) if is_line else 1.0
+            )
             root = math.sqrt(max(share[0] + arm * arm * share[2], 1e-300))
-            if once:
+            if is_first_pass:
                 total[g] += root
             else:
                 fused.covariances[g] += total[g] / root * share

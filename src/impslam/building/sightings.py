@@ -1,8 +1,8 @@
-"""What all keyframes saw of one kind of landmark, in columns, and where that lies in map.
+"""The observations of all keyframes as columns by kind, and their transformation to map.
 
-A sighting is a Gaussian on two values in its own frame: a point's place (x, y) along the map's axes;
-a line's offset along its normal at the middle of the piece, and its direction. Poses err by addition
-on [x, y, theta].
+A sighting is a Gaussian on two values in its own frame: the position (x, y) of a point along the map's
+axes; or the offset of a line along its normal at the middle of the piece, and its direction. Errors of
+poses are additive on [x, y, theta].
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ class Sightings(NamedTuple):
     Attributes
     ----------
     keyframes : (n,) row of the keyframe, ascending
-    numbers : (n,) place among the observations of all kinds and keyframes
+    numbers : (n,) index among the observations of all kinds and keyframes
     z, R : (n, 2) and (n, 2, 2), in base_link
     ends : (n, 2, 2) m, end points of lines in base_link; zero for points
-    headings : (n,) rad, the attribute "heading" in base_link; NaN where there is none
-    labels : (n,) identities that the sensor knows, -1 where it knows none
+    headings : (n,) rad, the attribute "heading" in base_link; NaN if missing
+    labels : (n,) identities read by the sensor, -1 if unknown
     """
 
     keyframes: Ints
@@ -47,9 +47,9 @@ class Placed(NamedTuple):
     Attributes
     ----------
     frames : (n, 4) x, y of a point or of the middle of a line's piece, m; direction of the line's
-        normal or a corner's heading, rad (NaN where there is none); half the piece's length, m
-    relative : (n, 3) distinct entries of the covariance against other sightings of the same place
-    whole : (n, 3) the same against map
+        normal or a corner's heading, rad (NaN if missing); half the piece's length, m
+    relative : (n, 3) distinct entries of the covariance relative to other sightings of the same place
+    whole : (n, 3) the same relative to map
     """
 
     frames: Array
@@ -57,11 +57,11 @@ class Placed(NamedTuple):
     whole: Array
 
 
-_NOWHERE = np.zeros((2, 2))
+_NO_ENDS = np.zeros((2, 2))
 
 
 class SightingsLog:
-    """Gathers the observations of keyframes, one keyframe after another."""
+    """Collects the observations of keyframes, one keyframe after another."""
 
     def __init__(self) -> None:
         self._seen: dict[str, list[tuple[int, int, Observation]]] = {}
@@ -70,7 +70,7 @@ class SightingsLog:
         self._count = 0
 
     def add(self, observations: Sequence[Observation], stamp: float) -> None:
-        """Add what the next keyframe saw at its stamp, s; the beams are not kept."""
+        """Add the observations of the next keyframe at its stamp, s; their beams are not kept."""
         for observation in observations:
             kept = self._seen.setdefault(observation.kind, [])
             kept.append((len(self.stamps), self._count, observation.without_beams()))
@@ -78,17 +78,17 @@ class SightingsLog:
         self.stamps.append(stamp)
 
     def copy(self) -> SightingsLog:
-        """Return a log to read, which later keyframes do not change; what is converted is shared."""
+        """Return a copy for reading, which later keyframes do not change; conversions are shared."""
         other = SightingsLog()
         other._seen = {kind: kept.copy() for kind, kept in self._seen.items()}
         other._columns, other.stamps, other._count = self._columns, self.stamps.copy(), self._count
         return other
 
     def part(self, rows: Ints) -> SightingsLog:
-        """Return the log of some keyframes (r,), ascending; the numbers of observations stay."""
-        other, place = SightingsLog(), {row: r for r, row in enumerate(rows.tolist())}
+        """Return the log of some keyframes (r,), ascending; the numbers of observations do not change."""
+        other, index = SightingsLog(), {row: r for r, row in enumerate(rows.tolist())}
         for kind, kept in self._seen.items():
-            if chosen := [(place[k], number, o) for k, number, o in kept if k in place]:
+            if chosen := [(index[k], number, o) for k, number, o in kept if k in index]:
                 other._seen[kind] = chosen
         other.stamps, other._count = [self.stamps[row] for row in rows.tolist()], self._count
         return other
@@ -102,7 +102,7 @@ class SightingsLog:
         return tuple(tuple(o for _, o in sorted(row, key=itemgetter(0))) for row in rows)
 
     def kinds(self) -> list[str]:
-        """Return the kinds in the order in which they were met."""
+        """Return the kinds in the order of their first observations."""
         return list(self._seen)
 
     def observations(self, kind: str) -> list[Observation]:
@@ -110,7 +110,7 @@ class SightingsLog:
         return [observation for _, _, observation in self._seen[kind]]
 
     def columns(self, kind: str) -> Sightings:
-        """Return the sightings of a kind; what was asked for before is not converted again."""
+        """Return the sightings of a kind; earlier conversions are reused."""
         known, count = self._columns.get(kind), len(self._seen[kind])
         begin = 0 if known is None else len(known.keyframes)
         if known is None or begin < count:
@@ -118,24 +118,24 @@ class SightingsLog:
             parts = [new] if known is None else [known, new]
             known = Sightings(*map(np.concatenate, zip(*parts, strict=True)))
             self._columns[kind] = known
-        return Sightings(*map(itemgetter(slice(count)), known))  # a copy may know more by now
+        return Sightings(*map(itemgetter(slice(count)), known))  # a copy may have more by now
 
 
 def _columns(seen: list[tuple[int, int, Observation]]) -> Sightings:
-    asked = [observation for _, _, observation in seen]
+    observations = [observation for _, _, observation in seen]
     return Sightings(
         np.array([keyframe for keyframe, _, _ in seen], np.int64),
         np.array([number for _, number, _ in seen], np.int64),
-        np.array([o.z for o in asked]),
-        np.array([o.R for o in asked]),
-        np.array([_NOWHERE if o.end_points is None else o.end_points for o in asked]),
-        np.array([o.attributes.get("heading", math.nan) for o in asked]),
-        np.array([-1 if o.label is None else o.label for o in asked], np.int64),
+        np.array([o.z for o in observations]),
+        np.array([o.R for o in observations]),
+        np.array([_NO_ENDS if o.end_points is None else o.end_points for o in observations]),
+        np.array([o.attributes.get("heading", math.nan) for o in observations]),
+        np.array([-1 if o.label is None else o.label for o in observations], np.int64),
     )
 
 
 @kernel
-def _propagated(J: Array, P: Array, out: Array) -> None:
+def _add_propagated(J: Array, P: Array, out: Array) -> None:
     """Add the distinct entries of J P J^T, J (2, d), to out (3,)."""
     for a in range(J.shape[1]):
         for b in range(J.shape[1]):
@@ -146,7 +146,7 @@ def _propagated(J: Array, P: Array, out: Array) -> None:
 
 @kernel
 def _point(pose: Array, z: Array, frame: Array, by_z: Array, by_pose: Array) -> None:
-    """Write where a point lies and its Jacobians by z and pose."""
+    """Write the position of a point in map, and its Jacobians by z and pose."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     dx, dy = c * z[0] - s * z[1], s * z[0] + c * z[1]
     frame[0], frame[1] = pose[0] + dx, pose[1] + dy
@@ -158,7 +158,7 @@ def _point(pose: Array, z: Array, frame: Array, by_z: Array, by_pose: Array) -> 
 
 @kernel
 def _line(pose: Array, z: Array, ends: Array, frame: Array, by_z: Array, by_pose: Array) -> None:
-    """Write where a line's piece lies and its Jacobians by z and pose."""
+    """Write the frame of a piece of a line in map, and its Jacobians by z and pose."""
     tx, ty = -math.sin(z[1]), math.cos(z[1])
     one, two = ends[0, 0] * tx + ends[0, 1] * ty, ends[1, 0] * tx + ends[1, 1] * ty
     middle = 0.5 * (one + two)
@@ -174,24 +174,24 @@ def _line(pose: Array, z: Array, ends: Array, frame: Array, by_z: Array, by_pose
 
 @kernel
 def add_relief(cov: Array, length: float, relief: float) -> None:
-    """Add to a line's covariance (3,) that its two ends stand off the surface by `relief`, m."""
+    """Add the standard deviation `relief`, m, of a surface from its line to a line's covariance (3,)."""
     if length > 0.0:
         cov[0] += 0.5 * relief * relief
         cov[2] += 2.0 * relief * relief / (length * length)
 
 
 @kernel
-def place(
-    sightings: Sightings, poses: Array, covariances: Array, most: Array, is_line: bool
+def transform_to_map(
+    sightings: Sightings, poses: Array, covariances: Array, limits: Array, is_line: bool
 ) -> Placed:
-    """Return where sightings lie, given poses (k, 3) and covariances (k, 3, 3) of the keyframes.
+    """Return sightings in map, given poses (k, 3) and covariances (k, 3, 3) of the keyframes.
 
-    `most` (3,) m, rad and m are the largest standard deviations of keyframes of one place against each
-    other (what they share moves them together), and that of a surface from its line.
+    `limits` (3,) m, rad and m are the maximum standard deviations between keyframes of one place (common
+    errors move them together), and that of a surface from its line.
     """
     n = len(sightings.keyframes)
     frames, relative, whole = np.empty((n, 4)), np.zeros((n, 3)), np.zeros((n, 3))
-    by_z, by_pose, among = np.empty((2, 2)), np.empty((2, 3)), np.zeros((3, 3))
+    by_z, by_pose, P_relative = np.empty((2, 2)), np.empty((2, 3)), np.zeros((3, 3))
     for i in range(n):
         k = sightings.keyframes[i]
         pose, P = poses[k], covariances[k]
@@ -200,11 +200,11 @@ def place(
         else:
             _point(pose, sightings.z[i], frames[i], by_z, by_pose)
             frames[i, 2] = pose[2] + sightings.headings[i]
-        _propagated(by_z, sightings.R[i], relative[i])
+        _add_propagated(by_z, sightings.R[i], relative[i])
         whole[i] = relative[i]
-        among[0, 0] = among[1, 1] = min(0.5 * (P[0, 0] + P[1, 1]), most[0] ** 2)
-        among[2, 2] = min(P[2, 2], most[1] ** 2)
-        _propagated(by_pose, among, relative[i])
-        add_relief(relative[i], 2.0 * frames[i, 3], most[2])
-        _propagated(by_pose, P, whole[i])
+        P_relative[0, 0] = P_relative[1, 1] = min(0.5 * (P[0, 0] + P[1, 1]), limits[0] ** 2)
+        P_relative[2, 2] = min(P[2, 2], limits[1] ** 2)
+        _add_propagated(by_pose, P_relative, relative[i])
+        add_relief(relative[i], 2.0 * frames[i, 3], limits[2])
+        _add_propagated(by_pose, P, whole[i])
     return Placed(frames, relative, whole)

@@ -11,7 +11,7 @@ from cyclopts import App, CycloptsError
 import impslam
 from impslam.cli import pipes, waiting
 from impslam.cli.console import configure, described
-from impslam.errors import ImpError, Interrupted, LeftError
+from impslam.errors import ImpError, Interrupted, QuitError
 
 OK, UNEXPECTED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 
@@ -141,7 +141,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code = error.code if isinstance(error, Interrupted) else INTERRUPTED
         said = str(error) or "interrupted; what is written so far is valid"
         return _end(code, error, said, debug)
-    except LeftError as error:
+    except QuitError as error:
         return _end(INTERRUPTED, error, str(error), debug)
     except (ImpError, CycloptsError) as error:
         return _end(UNUSABLE, error, f"error: {error}", debug)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from impslam.cli import console
-from impslam.errors import ConfigError, LeftError
+from impslam.errors import ConfigError, QuitError
 from impslam.extras import install
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def replay(
 
     Raises
     ------
-    LeftError
+    QuitError
         If it was left before the log's end.
     """
     need_web()
@@ -67,5 +67,5 @@ def replay(
             player.stop()
     known = player.wait(0.0)
     if known is None:
-        raise LeftError("the replay was stopped before the end of the log; nothing is written")
+        raise QuitError("the replay was stopped before the end of the log; nothing is written")
     return known

@@ -145,9 +145,9 @@ def _first_look(config: Config, source: Source, preset: str | None, *, quiet: bo
 
 def _going_on(config: Config, changes: list[str], *, quiet: bool) -> Config:
     """Return the config with an estimator that can continue a map; print it if it was replaced."""
-    from impslam.open_log import going_on
+    from impslam.open_log import for_continuing
 
-    able = going_on(config, changes)
+    able = for_continuing(config, changes)
     if able is not config and not quiet:
         console.say(f"estimator: graph, because {config.estimator['kind']} cannot continue a map")
     return able

@@ -1,1 +1,1 @@
-"""Estimators: where keyframes are, and what else is in the world."""
+"""Estimators of keyframe poses and of the map."""

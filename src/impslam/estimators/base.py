@@ -16,16 +16,16 @@ from impslam.tracking.base import KeyframeGate
 from impslam.types import NO_EDGES, Array, Edges, Increment, Landmark, Observation
 
 START_SIGMA = 1e-4
-"""m and rad: the start is the map's origin by definition; this only keeps P positive definite."""
+"""m and rad; the start defines the map frame, so this only keeps P positive definite."""
 
 
 class Draft(NamedTuple):
-    """What an estimator has estimated by a moment; later keyframes do not change it.
+    """A snapshot of an estimate; later keyframes do not change it.
 
     Attributes
     ----------
-    settle : returns all keyframes refined, or None; see `Estimator.settle`
-    landmarks : returns the landmarks; those at the refined poses after `settle`
+    settle : returns the refined poses of all keyframes, or None; see `Estimator.settle`
+    landmarks : returns the landmarks; after `settle`, those at the refined poses
     """
 
     settle: Callable[[], Revision | None]
@@ -38,16 +38,16 @@ class Estimator(Component):
     role: ClassVar[str] = "estimator"
     parts: ClassVar[tuple[str, ...]] = ()
     """Roles of the components that it uses; `start` receives one of each."""
-    goes_on: ClassVar[bool] = False
+    can_continue: ClassVar[bool] = False
     """Whether it can continue a known map."""
-    tells_landmarks: ClassVar[bool] = True
+    reports_landmarks: ClassVar[bool] = True
     """Whether revisions list the landmarks that are matched, added and removed."""
     takes_unique: ClassVar[bool] = False
-    """Whether it estimates landmarks that exist once, such as the frame of a GPS."""
+    """Whether it estimates landmarks of unique kinds, such as the frame of a GPS."""
     library: ClassVar[str] = ""
-    """Module of an optional extra without which it does not start."""
+    """Module of an optional extra that it needs to start."""
     keyframes: ClassVar[KeyframeGate] = KeyframeGate()
-    """Which scans are its keyframes, unless the config overrides them."""
+    """Which scans become keyframes, unless the config overrides it."""
 
     @abstractmethod
     def start(
@@ -61,14 +61,14 @@ class Estimator(Component):
         """Begin at a pose (3,) with an empty map, or continue a known map.
 
         Keyframe ids continue those of the map. With `frozen` the keyframes and landmarks of the map do not
-        change. `hint` (3,) or (2,) is roughly where in the map the next session begins, m, m, rad.
+        change. `hint` (3,) or (2,) is the approximate start of the next session in the map, m, m, rad.
 
         `parts` are the components named in the class's `parts`, by role, and `models`, the landmark
         models by kind.
         """
 
-    def _refuse(self, known: Map | None) -> None:
-        """Raise `ConfigError` if a map is given, for an estimator that cannot continue one."""
+    def _refuse_known(self, known: Map | None) -> None:
+        """Raise `ConfigError` if a map is given; for estimators that cannot continue one."""
         if known is not None:
             raise ConfigError(
                 f"estimator {self.name!r} cannot continue a map; choose another one "
@@ -79,11 +79,11 @@ class Estimator(Component):
     def add(self, keyframe: Keyframe) -> Revision:
         """Process a keyframe: the motion since the previous one, and its observations.
 
-        A keyframe that is `lost` begins a session: it and its successors are not placed in the map
-        until their place is found. An estimator without sessions uses the motion as a guess.
+        A `lost` keyframe begins a session: it and its successors are not placed in the map until they are
+        located in it. An estimator without sessions uses the motion as a guess.
 
-        A keyframe that cannot be used is reported in the revision, which then holds the pose by its
-        motion alone; the estimator is never left partly changed.
+        The revision reports a keyframe that cannot be used, with the pose predicted from its motion; the
+        estimator is never left partly changed.
         """
 
     def settle(self) -> Revision | None:
@@ -96,19 +96,19 @@ class Estimator(Component):
 
     @abstractmethod
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the landmarks in the form users read."""
+        """Return the landmarks in the form that users read."""
 
     def draft(self) -> Draft:
-        """Return the estimate as it is now; this takes at most milliseconds.
+        """Return a snapshot of the estimate; this takes at most milliseconds.
 
-        Longer work is done when the functions of the draft are called, in any one thread, while
-        this estimator continues. By default the landmarks are the present ones, and nothing is refined.
+        Longer work is deferred to the functions of the draft, which may run in one other thread while this
+        estimator continues. By default the landmarks are the current ones, and nothing is refined.
         """
         landmarks = self.landmarks()
         return Draft(lambda: None, lambda: landmarks)
 
     def edges(self) -> Edges:
-        """Return the pose graph, whose nodes are keyframes, by their ids; none without a graph."""
+        """Return the edges of the pose graph between keyframe ids, or none without a graph."""
         return NO_EDGES
 
     def observations(self) -> tuple[tuple[Observation, ...], ...]:
@@ -116,7 +116,7 @@ class Estimator(Component):
         return ()
 
     def belief(self) -> Mapping[str, npt.NDArray[Any]]:
-        """Return further arrays, by name and in the frame of the map, that are needed to continue it."""
+        """Return further arrays, by name and in map, that are needed to continue the map."""
         return {}
 
     def counts(self) -> Mapping[str, int]:
@@ -126,18 +126,18 @@ class Estimator(Component):
     @property
     @abstractmethod
     def state_size(self) -> int:
-        """Number of scalars that are estimated."""
+        """Number of estimated scalars."""
 
 
-def is_known(motion: Increment) -> bool:
-    """Tell whether a motion and its covariance are finite."""
+def is_finite(motion: Increment) -> bool:
+    """Return whether a motion and its covariance are finite."""
     return bool(np.isfinite(motion.d_pose).all() and np.isfinite(motion.covariance).all())
 
 
 def check_keyframe(keyframe: Keyframe) -> None:
-    """Raise `NumericalError` for a motion or an observation that is not finite."""
+    """Raise `NumericalError` if a motion or an observation is not finite."""
     numbers = [part.ravel() for o in keyframe.observations for part in (o.z, o.R)]
-    if not is_known(keyframe.motion):
+    if not is_finite(keyframe.motion):
         raise NumericalError("the motion or its covariance is not finite")
     if numbers and not np.isfinite(np.concatenate(numbers)).all():
         raise NumericalError("an extractor's observation is not finite")

@@ -1,4 +1,4 @@
-"""Observations of beams that are fired before or after a keyframe's moment."""
+"""The uncertainty of observations whose beams were fired before or after the keyframe's stamp."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from impslam.types import Increment, Observation
 def blurred(
     observations: tuple[Observation, ...], motion: Increment, models: Mapping[str, LandmarkModel]
 ) -> tuple[Observation, ...]:
-    """Add to R what the motion between a keyframe's moment and an observation's is unsure by."""
-    late: dict[str, list[int]] = {}
+    """Add the uncertainty of the motion between the stamps of keyframe and observation to R."""
+    delayed: dict[str, list[int]] = {}
     for i, o in enumerate(observations):
         if o.delay:
-            late.setdefault(o.kind, []).append(i)
-    if motion.duration == 0.0 or not late:
+            delayed.setdefault(o.kind, []).append(i)
+    if motion.duration == 0.0 or not delayed:
         return observations
     rate, out = motion.covariance / motion.duration, list(observations)
-    for kind, indices in late.items():
+    for kind, indices in delayed.items():
         J = models[kind].z_D_motion(np.array([observations[i].z for i in indices]))
         for i, added in zip(indices, J @ rate @ J.swapaxes(1, 2), strict=True):
             o = observations[i]

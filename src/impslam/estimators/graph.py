@@ -1,4 +1,4 @@
-"""Graph SLAM on one page: keyframes hang on nodes, nodes on a pose graph, which closures revise."""
+"""Graph SLAM: keyframes are relative to nodes of a pose graph, which loop closures revise."""
 
 from __future__ import annotations
 
@@ -15,12 +15,19 @@ from pydantic import PrivateAttr
 from impslam.building.landmarks import landmarks_of
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
-from impslam.estimators.base import Draft, Estimator, check_keyframe, is_known
-from impslam.estimators.finding import Finder
-from impslam.estimators.keyframe_log import KeyframeLog, Part, blended, refined, revised, spreads
+from impslam.estimators.base import Draft, Estimator, check_keyframe, is_finite
+from impslam.estimators.keyframe_log import (
+    KeyframeLog,
+    Part,
+    blended,
+    keyframe_covariances,
+    refined,
+    revised,
+)
 from impslam.estimators.loop_closing import LoopCloser, LoopSearch, Place
 from impslam.estimators.pose_graph import PoseGraph
-from impslam.estimators.restoring import SURE, restored
+from impslam.estimators.restoring import MIN_SIGMA, restored
+from impslam.estimators.session_finder import SessionFinder
 from impslam.estimators.thinning import Thinner
 from impslam.geometry.chain import advance
 from impslam.geometry.se2 import between, compose, compose_uncertain
@@ -31,13 +38,13 @@ from impslam.noise import UNKNOWN
 from impslam.tracking.base import KeyframeGate
 from impslam.types import Array, Edges, Increment, Landmark, Observation
 
-SOUGHT = 20.0
-"""m of way after which a session that was not found may go on by odometry: six times a query's."""
-MOST_CHECKED = 12  # nodes, of 30 m of way, that the map must not contradict
+MIN_SEARCH_DISTANCE = 20.0
+"""m driven before an unlocated session may be joined by odometry: six times the length of a query."""
+MAX_CHECKED_NODES = 12  # 30 m of driving that the map must not contradict
 
 
 class _Break(NamedTuple):
-    """Where scans stopped fitting: the first node after it, and the motion (3,) to it by odometry."""
+    """A place where scans stopped fitting: the first node after it, and odometry's motion (3,) to it."""
 
     node: int
     motion: Array
@@ -46,29 +53,29 @@ class _Break(NamedTuple):
 
 @register("graph")
 class Graph(Estimator):
-    """A pose graph over the drive, with loop closures; landmarks are estimated on its poses."""
+    """A pose graph of the drive with loop closures; landmarks are estimated from its poses."""
 
-    goes_on: ClassVar[bool] = True
-    tells_landmarks: ClassVar[bool] = False
+    can_continue: ClassVar[bool] = True
+    reports_landmarks: ClassVar[bool] = False
     keyframes: ClassVar[KeyframeGate] = KeyframeGate(distance=0.4, angle=0.4, seconds=math.inf)
 
     spacing: float = parameter(
-        2.5, "m", "way between nodes of the graph: drift over it is below a centimetre", gt=0
+        2.5, "m", "distance between nodes of the graph: drift over it is below a centimetre", gt=0
     )
     rounds: int = parameter(
         2, "1", "linearisations that refine all keyframes at the end", ge=1, le=100
     )
-    loops: LoopSearch = parameter(LoopSearch(), "", "where closures are sought")
+    loops: LoopSearch = parameter(LoopSearch(), "", "where to search for closures")
 
     _graph: PoseGraph = PrivateAttr(default_factory=PoseGraph)
     _closer: LoopCloser = PrivateAttr()
     _thinner: Thinner = PrivateAttr(default_factory=Thinner)
-    _finder: Finder = PrivateAttr()
+    _finder: SessionFinder = PrivateAttr()
     _keys: KeyframeLog = PrivateAttr(default_factory=KeyframeLog)
     _since: tuple[Array, Array] = PrivateAttr()
     _breaks: list[_Break] = PrivateAttr(default_factory=list)
     _assumed: int | None = PrivateAttr(default=None)
-    """The first node placed by odometry alone, as the robot was lost; None once a place is recognised."""
+    """The first node placed by odometry alone after the robot got lost; None once a place is recognised."""
     _start: Array = PrivateAttr()
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
     _known: Map | None = PrivateAttr(None)
@@ -82,24 +89,24 @@ class Graph(Estimator):
         hint: Array | None = None,
         **parts: Any,
     ) -> None:
-        """Begin at a pose (3,), or go on with a map; see `Estimator.start`."""
+        """Begin at a pose (3,), or continue a map; see `Estimator.start`."""
         self._start, self._models = pose, parts["models"]
         self._since = np.zeros(3), np.zeros((3, 3))
         if known is not None and len(known.keyframes):
             self._known = known if frozen else None
             self._keys, self._graph, self._since = restored(known, self.spacing, frozen=frozen)
-            self._thinner.go_on(self._keys, frozen=frozen)
-        self._finder = Finder(hint)
-        self._closer = LoopCloser(self.loops if self._known is None else _close_by(self.loops))
+            self._thinner.resume(self._keys, frozen=frozen)
+        self._finder = SessionFinder(hint)
+        self._closer = LoopCloser(self.loops if self._known is None else _everywhere(self.loops))
 
     def add(self, keyframe: Keyframe) -> Revision:
-        """Take in a keyframe; see `Estimator.add`."""
+        """Process a keyframe; see `Estimator.add`."""
         self._settled = None
         used, refused = _usable(keyframe)
-        self._drive(used, keyframe.motion)
+        self._extend_chain(used, keyframe.motion)
         moved = False
         dropped: tuple[int, ...] = ()
-        if self._is_new_node():
+        if self._add_node_if_due():
             dropped = self._thinner.thin(self._keys, self._graph)
             try:
                 moved = self._close_loops(len(self._graph) - 2)
@@ -109,7 +116,7 @@ class Graph(Estimator):
         facts: dict[str, Any] = {"refused": refused, "dropped": dropped}
         facts["assumed"] = self._assumed is not None
         if moved:
-            return replace(self._all(self._graph), **facts)
+            return replace(self._revise_all(self._graph), **facts)
         pose, covariance = compose_uncertain(
             self._graph.poses[-1], self._graph.covariances[-1], *self._since
         )
@@ -122,13 +129,13 @@ class Graph(Estimator):
         )
 
     def _is_pending(self) -> bool:
-        """Tell whether the newest keyframe is in a session that is not placed in the map."""
+        """Return whether the newest keyframe is in a session that is not placed in the map."""
         return bool(self._graph.roots[-1] != 0)
 
-    def _drive(self, keyframe: Keyframe, told: Increment) -> None:
-        """Let the chain go on by a keyframe's motion, or begin a session; keep what it saw.
+    def _extend_chain(self, keyframe: Keyframe, tracked: Increment) -> None:
+        """Extend the chain by a keyframe, or begin a session with it.
 
-        `told` is the motion as the tracker has it, by odometry alone where the scan does not fit.
+        `tracked` is the motion from the tracker; it is from odometry alone if the scan does not fit.
         """
         d_pose, covariance = keyframe.motion.d_pose, keyframe.motion.covariance
         if len(self._graph) and not keyframe.lost:
@@ -137,98 +144,98 @@ class Graph(Estimator):
             return
         start = compose(self._graph.poses[-1], self._since[0]) if len(self._graph) else self._start
         self._keys.add(keyframe, start)
-        if keyframe.reason == ELSEWHERE and is_known(told):
-            motion = compose_uncertain(*self._since, told.d_pose, told.covariance)
+        if keyframe.reason == ELSEWHERE and is_finite(tracked):
+            motion = compose_uncertain(*self._since, tracked.d_pose, tracked.covariance)
             self._breaks.append(_Break(len(self._graph), *motion))
-        self._graph.begin(self._keys.chain[-1], covariance)
+        self._graph.add_root(self._keys.chain[-1], covariance)
         self._since = np.zeros(3), np.zeros((3, 3))
 
-    def _is_new_node(self) -> bool:
-        """Make the newest keyframe a node where the last one is far enough."""
+    def _add_node_if_due(self) -> bool:
+        """Make the newest keyframe a node if the last one is far enough; return whether it is."""
         length = self._keys.since_node
         if length < self.spacing:
             return False
-        self._graph.go_on(*self._since, length)
+        self._graph.extend(*self._since, length)
         self._keys.mark_node()
         self._since = np.zeros(3), np.zeros((3, 3))
         return True
 
-    def seek_loops(self, begin: int) -> None:
-        """Seek closures of all nodes from a keyframe on, the newest one aside, as when they were driven."""
+    def search_loops(self, begin: int) -> None:
+        """Search closures of all nodes from a keyframe on except the newest, as during the drive."""
         for node in range(int(np.searchsorted(self._keys.nodes, begin)), len(self._graph) - 1):
-            with suppress(NumericalError):  # they are taken back
+            with suppress(NumericalError):  # such closures are removed
                 self._close_loops(node)
 
     def _close_loops(self, node: int) -> bool:
-        """Seek closures of a node, which is not the newest; tell whether the nodes have moved.
+        """Search closures of a node, which is not the newest; return whether the nodes have moved.
 
-        Those that leave the graph without a solution are taken back, or no later one would have any.
+        Closures that leave the graph without a solution are removed, else no later one would have any.
         """
         before, assumed = self._graph.closures, self._assumed
         if node < 1:
             return False
-        moved = self._closer.seek(node, self._keys, self._graph) or self._find_session(node)
+        moved = self._closer.search(node, self._keys, self._graph) or self._locate_session(node)
         if moved:
             try:
                 self._graph.solve()
             except NumericalError:
-                self._graph.take_back(self._graph.closures - before)
+                self._graph.remove_closures(self._graph.closures - before)
                 raise
         new = self._graph.closures - before
         if new and assumed is not None:
             edges = self._graph.edges
-            if np.minimum(edges.i[-new:], edges.j[-new:]).min() < assumed:  # a place from before
+            if np.minimum(edges.i[-new:], edges.j[-new:]).min() < assumed:  # a place known before
                 self._assumed = None
         return moved
 
-    def _find_session(self, node: int) -> bool:
-        """Seek where the pending session of the newest node lies; tell whether it is found."""
+    def _locate_session(self, node: int) -> bool:
+        """Try to locate the pending session of the newest node; return whether it is placed."""
         keys, graph = self._keys, self._graph
         if not self._is_pending():
             return False
-        found = self._finder.find(keys, graph)
-        if found is not None:
-            pose, likely = found
+        guess = self._finder.find(keys, graph)
+        if guess is not None:
+            pose, likely = guess
             pose = compose(pose, between(keys.chain[-1], keys.chain[keys.nodes[node]]))
             if self._closer.tie(Place(node, pose, likely), keys, graph):
-                self._tie_breaks()
+                self._join_breaks()
                 return True
-        if not self._may_go_on(node):
+        if not self._may_use_odometry(node):
             return False
         first = self._breaks[0].node
-        self._tie_breaks()
+        self._join_breaks()
         if self._is_pending():
             return False
         self._assumed = first if self._assumed is None else self._assumed
         return True
 
-    def _may_go_on(self, node: int) -> bool:
-        """Tell whether a session that was not found may go on from the map by odometry.
+    def _may_use_odometry(self, node: int) -> bool:
+        """Return whether a session that could not be located may be joined to the map by odometry.
 
-        So it may once it has been sought for long, unless the map shows something else where its nodes
-        are then: it was the view that changed, not the place.
+        It may after a long search, unless the map contradicts the scans of its nodes at the resulting
+        poses: then the view has changed, not the place.
         """
         keys, graph = self._keys, self._graph
-        driven = keys.way[keys.nodes]
-        if not self._breaks or driven[node] - driven[self._breaks[-1].node] < SOUGHT:
+        driven = keys.distance[keys.nodes]
+        if not self._breaks or driven[node] - driven[self._breaks[-1].node] < MIN_SEARCH_DISTANCE:
             return False
-        nodes = range(max(self._breaks[-1].node, node - MOST_CHECKED), node)
+        nodes = range(max(self._breaks[-1].node, node - MAX_CHECKED_NODES), node)
         begin = driven[self._breaks[-1].node]
-        against = sum(
+        contradicted = sum(
             self._closer.contradicts(n, float(driven[n] - begin), keys, graph) for n in nodes
         )
-        return 2 * against < len(nodes)
+        return 2 * contradicted < len(nodes)
 
-    def _tie_breaks(self) -> None:
-        """Join sessions by the motion to each by odometry, which counts little if it is wrong."""
-        for at in self._breaks:
-            information = np.asarray(np.linalg.inv(at.covariance))
-            self._graph.close(at.node - 1, at.node, at.motion, information)
+    def _join_breaks(self) -> None:
+        """Join sessions by the motions from odometry, robustly: wrong ones have little weight."""
+        for gap in self._breaks:
+            information = np.asarray(np.linalg.inv(gap.covariance))
+            self._graph.close(gap.node - 1, gap.node, gap.motion, information)
         self._breaks = []
 
-    def _all(self, graph: PoseGraph) -> Revision:
-        """Return all keyframes by a graph."""
-        poses, covariances = revised(self._keys, graph), spreads(self._keys, graph)
+    def _revise_all(self, graph: PoseGraph) -> Revision:
+        """Return the poses of all keyframes according to a graph."""
+        poses, covariances = revised(self._keys, graph), keyframe_covariances(self._keys, graph)
         placed = graph.roots[self._keys.node_before] == 0
         begin = 0 if self._known is None else len(self._known.keyframes)
         ids = np.arange(begin, len(poses))
@@ -244,31 +251,32 @@ class Graph(Estimator):
                 graph.solve()
         except NumericalError as error:
             refused = f"the last closures are not in the map: {error}"
-        settled = self._all(graph)
+        settled = self._revise_all(graph)
         part = _refinable(self._keys, graph)
         poses = refined(blended(self._keys, graph), self._keys, self.rounds, part)
         self._settled = replace(settled, poses=poses[settled.ids], refused=refused)
         return self._settled
 
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the landmarks on the keyframes' poses; after `settle` on the refined ones."""
+        """Return the landmarks at the keyframes' poses; after `settle`, at the refined ones."""
         if self._known is not None:
             return self._known.landmarks
         if len(self._graph) == 0:
             return ()
-        now = self._settled or self._all(self._graph)
-        poses, covariances, seen, rows = now.poses, now.covariances, self._keys.seen, None
-        if not np.all(now.placed):
-            rows = np.flatnonzero(now.placed)
-            poses, covariances, seen = poses[rows], covariances[rows], seen.part(rows)
+        revision = self._settled or self._revise_all(self._graph)
+        poses, covariances, rows = revision.poses, revision.covariances, None
+        sightings = self._keys.sightings
+        if not np.all(revision.placed):
+            rows = np.flatnonzero(revision.placed)
+            poses, covariances, sightings = poses[rows], covariances[rows], sightings.part(rows)
         scans = self._keys.placed_scans(poses, rows)
-        return landmarks_of(poses, covariances, seen, self._models, scans)
+        return landmarks_of(poses, covariances, sightings, self._models, scans)
 
     def draft(self) -> Draft:
-        """Return the estimate as it is now; see `Estimator.draft`."""
-        frozen = self.model_copy()
-        frozen._graph, frozen._keys = copy(self._graph), self._keys.copy()
-        return Draft(frozen.settle, frozen.landmarks)
+        """Return a snapshot of the estimate; see `Estimator.draft`."""
+        snapshot = self.model_copy()
+        snapshot._graph, snapshot._keys = copy(self._graph), self._keys.copy()
+        return Draft(snapshot.settle, snapshot.landmarks)
 
     def edges(self) -> Edges:
         """Return motions and closures between keyframes; see `Estimator.edges`."""
@@ -276,11 +284,11 @@ class Graph(Estimator):
         return edges._replace(i=nodes[edges.i], j=nodes[edges.j])
 
     def observations(self) -> tuple[tuple[Observation, ...], ...]:
-        """Return what the keyframes saw; see `Estimator.observations`."""
-        return self._keys.seen.by_keyframe()
+        """Return the observations of each keyframe; see `Estimator.observations`."""
+        return self._keys.sightings.by_keyframe()
 
     def counts(self) -> Mapping[str, int]:
-        """Return how many loop closures were sought, and how many the graph has."""
+        """Return the numbers of tried and accepted loop closures, and of sessions."""
         tried = self._closer.recogniser.counts["attempts"]
         counts = {"loops tried": tried, "loops closed": self._graph.closures}
         first = np.unique(self._keys.sessions, return_index=True)[1]
@@ -295,13 +303,13 @@ class Graph(Estimator):
         return self._graph.poses.size
 
 
-def _close_by(search: LoopSearch) -> LoopSearch:
-    """Return the search for a drive through a map that stays: every node is laid on it."""
+def _everywhere(search: LoopSearch) -> LoopSearch:
+    """Return the search in a frozen map, to which every node is aligned."""
     return search.model_copy(update={"way_back": 0.0})
 
 
 def _refinable(keys: KeyframeLog, graph: PoseGraph) -> Part:
-    """Return the keyframes that are placed and kept, with the closures that connect their sessions."""
+    """Return the keyframes that are placed and kept, with the closures between their sessions."""
     edges, nodes = graph.edges, keys.nodes
     rows = np.flatnonzero((graph.roots[keys.node_before] == 0) & keys.is_kept)
     i, j = nodes[edges.i], nodes[edges.j]
@@ -313,7 +321,7 @@ def _refinable(keys: KeyframeLog, graph: PoseGraph) -> Part:
 
 
 def _usable(keyframe: Keyframe) -> tuple[Keyframe, str]:
-    """Return what is usable of a keyframe, and what is wrong with the rest."""
+    """Return the usable part of a keyframe, and what is wrong with the rest, or ""."""
     motion, wrong = keyframe.motion, ""
     if keyframe.lost:
         d_pose = np.where(np.isfinite(motion.d_pose), motion.d_pose, 0.0)
@@ -322,21 +330,21 @@ def _usable(keyframe: Keyframe) -> tuple[Keyframe, str]:
     try:
         check_keyframe(keyframe)
         if not all(_is_definite(o.R) for o in keyframe.observations):
-            wrong = "an extractor's R is no covariance"
+            wrong = "an extractor's R is not a covariance"
     except NumericalError as error:
         wrong = str(error)
-    if not is_known(motion):
+    if not is_finite(motion):
         motion = replace(motion, d_pose=np.zeros(3), covariance=UNKNOWN * np.eye(3))
-    motion = replace(motion, covariance=motion.covariance + SURE**2 * np.eye(3))
+    motion = replace(motion, covariance=motion.covariance + MIN_SIGMA**2 * np.eye(3))
     if not wrong:
         return replace(keyframe, motion=motion), ""
-    why = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {wrong}"
-    return replace(keyframe, motion=motion, scan=None, observations=()), why
+    reason = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {wrong}"
+    return replace(keyframe, motion=motion, scan=None, observations=()), reason
 
 
 def _is_definite(R: Array) -> bool:
-    """Tell whether R (d, d) may be a covariance; by its first pivot and its determinant."""
-    if len(R) == 2:  # of nearly all observations; numpy's takes twenty times as long
+    """Return whether R (d, d) may be a covariance, by its first pivot and its determinant."""
+    if len(R) == 2:  # nearly all observations; 20 times as fast as numpy's determinant
         (a, b), (c, d) = R.tolist()
         return bool(a > 0.0 and a * d > b * c)
     return bool(R[0, 0] > 0.0 and np.linalg.det(R) > 0.0)

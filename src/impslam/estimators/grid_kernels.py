@@ -1,4 +1,4 @@
-"""Compiled loops of `grid_particles`: a scan is laid on the map of each of P particles."""
+"""Compiled loops of `grid_particles`: align a scan with the map of each of P particles."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ def propose(
     roots: Array,
     how: Alignment,
 ) -> tuple[Array, Array, Array]:
-    """Lay a scan on the map of each particle, from poses (P, 3) as moved, unsure by roots (P, 3, 3).
+    """Align a scan with the map of each particle, from predicted poses (P, 3) with roots (P, 3, 3).
 
-    `maps` are each particle's map (P,), the tables (M, rows, columns) and their origin (2,).
+    `maps` are the map index (P,) of each particle, the tables (M, rows, columns) and their origin (2,).
 
     Returns
     -------
-    u, information, cost : (P, 3), (P, 3, 3), (P,) the likeliest u of guess + root u, its information,
-        and -2 log of the posterior's density there, up to a constant that all particles share
+    u, information, cost : (P, 3), (P, 3, 3), (P,) the optimum u of guess + root u, its information,
+        and -2 log of the posterior density there, up to a common constant
     """
-    which, tables, origin = maps
+    indices, tables, origin = maps
     count = len(guesses)
     u, information, cost = np.zeros((count, 3)), np.zeros((count, 3, 3)), np.zeros(count)
     out = Evidence(np.empty((3, 3)), np.empty(3), np.empty(4))
     for p in range(count):
-        seen = sort(tables[which[p]], origin, features, guesses[p])
+        seen = sort(tables[indices[p]], origin, features, guesses[p])
         if len(seen.features) < len(features):
             cost[p] = how.information * how.narrow**2 * (len(features) - len(seen.features))
-        cost[p] += _lay(pool, seen, (guesses[p], roots[p]), how, out, (u[p], information[p]))
+        cost[p] += _align(pool, seen, (guesses[p], roots[p]), how, out, (u[p], information[p]))
     return u, information, cost
 
 
 @kernel
-def _lay(
+def _align(
     pool: Tiles,
     seen: Sorted,
     prior: tuple[Array, Array],
@@ -57,7 +57,7 @@ def _lay(
 ) -> float:
     """Move u (3,) to the optimum, fill its information (3, 3), and return the cost there.
 
-    These two are what is `found`; `prior` is where the motion leads (3,), and the root (3, 3).
+    `found` are these two outputs; `prior` is the predicted pose (3,) and its root (3, 3).
     """
     (guess, root), (u, information) = prior, found
     pose, b, step = guess.copy(), np.empty(3), np.empty(3)
@@ -65,24 +65,24 @@ def _lay(
         narrowing = min(1.0, i / (0.5 * how.iterations))
         scale = how.wide * (how.narrow / how.wide) ** narrowing
         evidence(pool, seen, pose, scale, out)
-        w = _in_root(out, root, u, how, information, b)
+        w = _normal_equations(out, root, u, how, information, b)
         step[0], step[1], step[2] = solve_3x3(information, b)
         u -= step
-        _place(guess, root, u, pose)
+        _add_to(guess, root, u, pose)
         if scale == how.narrow and np.abs(root @ step).max() < 1e-4:
             break
     evidence(pool, seen, pose, how.narrow, out)
-    w = _in_root(out, root, u, how, information, b)
-    off = len(seen.features) - out.sums[_INLIERS]
-    by_motion = (u * u).sum() if w == 1.0 else -how.slack2 * math.log(w)
-    return float(how.information * how.narrow**2 * off + by_motion)
+    w = _normal_equations(out, root, u, how, information, b)
+    outliers = len(seen.features) - out.sums[_INLIERS]
+    prior_cost = (u * u).sum() if w == 1.0 else -how.slack2 * math.log(w)
+    return float(how.information * how.narrow**2 * outliers + prior_cost)
 
 
 @kernel
-def _in_root(
+def _normal_equations(
     out: Evidence, root: Array, u: Array, how: Alignment, information: Array, b: Array
 ) -> float:
-    """Fill information (3, 3) and slope b (3,) by u, the prior's included; return the prior's weight."""
+    """Fill information (3, 3) and gradient b (3,) at u, including the prior; return the prior's weight."""
     w = 1.0 / (1.0 + (u * u).sum() / how.slack2)
     for i in range(3):
         b[i] = w * u[i]
@@ -97,7 +97,7 @@ def _in_root(
 
 
 @kernel
-def _place(guess: Array, root: Array, u: Array, pose: Array) -> None:
+def _add_to(guess: Array, root: Array, u: Array, pose: Array) -> None:
     """Fill a pose (3,) with guess + root u."""
     for i in range(3):
         pose[i] = guess[i] + root[i, 0] * u[0] + root[i, 1] * u[1] + root[i, 2] * u[2]
@@ -106,9 +106,9 @@ def _place(guess: Array, root: Array, u: Array, pose: Array) -> None:
 
 @kernel
 def ancestors(parents: Ints, rows: Ints, steps: int) -> Ints:
-    """Return who the particles in some rows (r,) of the newest keyframe were, so many keyframes before.
+    """Return the ancestors (r,) of the particles in some rows of the newest keyframe, `steps` earlier.
 
-    `parents` (n, P) tells for each keyframe whose place at the one before each particle took up.
+    `parents` (n, P) is the row, at the previous keyframe, of the parent of each particle.
     """
     out = rows.copy()
     for k in range(len(parents) - 1, len(parents) - 1 - steps, -1):
@@ -119,7 +119,7 @@ def ancestors(parents: Ints, rows: Ints, steps: int) -> Ints:
 
 @kernel
 def lineage(parents: Ints, row: int) -> Ints:
-    """Return the rows (n,) at all keyframes of the particle in a row of the newest one."""
+    """Return the rows (n,) at all keyframes of the ancestors of a particle of the newest one."""
     out = np.empty(len(parents), np.int64)
     for k in range(len(parents) - 1, -1, -1):
         out[k] = row

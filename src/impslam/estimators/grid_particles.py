@@ -1,25 +1,25 @@
 """A grid particle filter (Grisetti, Stachniss & Burgard 2007), on maps of surfaces.
 
-Given the path, the map is known: a particle is a path, and a map drawn on it. A loop closes by choice: the
-particles whose drift was right find the walls where their map has them, and the others die out.
+Given the path, the map is known: a particle is a path with the map drawn on it. Loops close by selection:
+particles with the right drift find the walls where their maps have them, and the others die out.
 
-Each particle lays the scan on its own map. With the pose x^ (+) V u that the motion leads to, u of unit
-covariance, the likeliest u^ of scan and motion and its information L by Gauss-Newton,
+Each particle aligns the scan with its own map. With the predicted pose x^ (+) V u, u of unit covariance,
+and the optimum u^ of scan and motion and its information L by Gauss-Newton,
 
     u ~ N(u^, L^-1),    -2 log w = c^2 / (s^2 n) sum(1 - share_i) + v log(1 + |u^|^2 / v) + log |L|:
 
-the improved proposal, whose normaliser is taken from its optimum rather than summed over samples (there
-Eq. 11 to 16). A point's share is 1 on a surface and falls to 0 by c (Geman-McClure): one that finds
-none weighs as one far off. Points share errors: n of them count as one. What a loop leaves
-of drift has heavier tails than a step's motion, hence Student's t with v degrees of freedom.
+the improved proposal, with its normaliser from the optimum instead of a sum over samples (there Eq. 11 to
+16). A point's share is 1 on a surface and falls to 0 by distance c (Geman-McClure); a point without a
+surface counts as far off. Points have common errors: n of them count as one. The drift over a loop has
+heavier tails than the motion of a step, hence Student's t with v degrees of freedom.
 
-The tracker has already laid the scan on what was seen in the last metres. That counts once: a scan
-enters the particles' maps when the robot has left it behind, by the particles' own poses of then. So one
-map serves all particles of the same line, and particles that are drawn anew copy nothing.
+The tracker has already aligned the scan with those of the last metres. To use these only once, a scan
+enters the particles' maps with a delay, at the particles' poses of its time. All particles of one lineage
+then share a map, and resampling copies nothing.
 
-The path reported is that of the likeliest line of particles; the covariance of a keyframe is the mean
-square of all of them about it when it was new. What comes later makes it no larger; particles that are
-left of it make it look far too small. The first particle is not drawn: it stays at its optimum.
+The reported path is that of the leading lineage. The covariance of a keyframe is the mean square of all
+particles about it when it was new: later data do not increase it, and the few surviving ancestors would
+make it far too small. The first particle is not sampled: it stays at its optimum.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from pydantic import PrivateAttr
 from impslam.building.landmarks import landmarks_of
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
-from impslam.estimators.base import START_SIGMA, Draft, Estimator, check_keyframe, is_known
+from impslam.estimators.base import START_SIGMA, Draft, Estimator, check_keyframe, is_finite
 from impslam.estimators.grid_kernels import ancestors, lineage, propose
 from impslam.estimators.keyframe_log import KeyframeLog
 from impslam.estimators.particle_kernels import axes, systematic
@@ -51,37 +51,37 @@ from impslam.surfaces.surface_map import Alignment
 from impslam.tracking.base import KeyframeGate
 from impslam.types import Array, Ints, Landmark, Observation
 
-LEAD = 2.0
-"""By so much, in log weight, another line has to lead before its path is reported: not at each draw."""
+MIN_LEAD = 2.0
+"""Log weight by which another lineage has to lead to be reported, which avoids frequent changes."""
 ITERATIONS = 12  # linearisations of a particle's pose
 
 
 @register("grid_particles")
 class GridParticles(Estimator):
-    """Particles of the path, each with a map of surfaces of its own (Grisetti et al. 2007)."""
+    """Particles of the path, each with its own map of surfaces (Grisetti et al. 2007)."""
 
-    tells_landmarks: ClassVar[bool] = False
+    reports_landmarks: ClassVar[bool] = False
     keyframes: ClassVar[KeyframeGate] = KeyframeGate(distance=0.4, angle=0.4, seconds=math.inf)
 
     particles: int = parameter(30, "1", "number of particles", ge=1)
     effective: float = parameter(
-        0.5, "1", "share of the particles; fewer effective ones are drawn anew", gt=0, le=1
+        0.5, "1", "share of effective particles below which they are resampled", gt=0, le=1
     )
     recent: float = parameter(
         12.0,
         "m",
-        "way after which a scan enters the particles' maps: the tracker has laid later ones on it "
-        "already; 0 with a tracker that does not match scans",
+        "distance after which a scan enters the particles' maps: the tracker has already aligned later "
+        "scans with it; 0 with a tracker that does not match scans",
         ge=0,
     )
     wide: float = parameter(
-        0.4, "m", "scale of the robust kernel at first: how far a particle may be off", gt=0
+        0.4, "m", "initial scale of the robust kernel: possible error of a particle", gt=0
     )
-    narrow: float = parameter(0.08, "m", "and in the end: three times a point's noise", gt=0)
+    narrow: float = parameter(0.08, "m", "final scale: three times the noise of a point", gt=0)
     sigma: float = parameter(
-        0.03, "m", "standard deviation of a point, and of the surface it is on", gt=0
+        0.03, "m", "standard deviation of a point and of the surface that it is on", gt=0
     )
-    shared: float = parameter(40.0, "1", "points of a scan that share one error", ge=1)
+    shared: float = parameter(40.0, "1", "number of points of a scan with a common error", ge=1)
     tails: float = parameter(
         4.0,
         "1",
@@ -89,25 +89,25 @@ class GridParticles(Estimator):
         gt=0,
         special="inf",
     )
-    seed: int = parameter(0, "1", "of the random draws", ge=0)
+    seed: int = parameter(0, "1", "seed of the sampling", ge=0)
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
     _rng: np.random.Generator = PrivateAttr()
     _keys: KeyframeLog = PrivateAttr()
     _book: SurfaceBook = PrivateAttr()
     _poses: Array = PrivateAttr()
-    """(P, 3) of the particles by now; in `_drawn` as they were at each keyframe, before drawn anew."""
+    """(P, 3) current poses; `_drawn` has those at each keyframe before resampling."""
     _drawn: GrowingArray = PrivateAttr()
     _parents: GrowingArray = PrivateAttr()
     _rows: Ints = PrivateAttr()
-    """(P,) whose place each particle has taken at the newest keyframe."""
+    """(P,) rows of the parents at the newest keyframe."""
     _log_weights: Array = PrivateAttr()
     _scores: Array = PrivateAttr()
     """(P,) log weights over the whole drive."""
-    _spreads: GrowingArray = PrivateAttr()
-    _told: int = PrivateAttr(0)
-    _line: Ints = PrivateAttr()
+    _covariances: GrowingArray = PrivateAttr()
+    _leader: int = PrivateAttr(0)
+    _lineage: Ints = PrivateAttr()
     _entered: int = PrivateAttr(0)
-    _draws: int = PrivateAttr(0)
+    _resamplings: int = PrivateAttr(0)
 
     def start(
         self,
@@ -118,15 +118,20 @@ class GridParticles(Estimator):
         **parts: Any,
     ) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
-        self._refuse(known)
+        self._refuse_known(known)
         P = self.particles
         self._models, self._rng = parts["models"], np.random.default_rng(self.seed)
         self._keys, self._book = KeyframeLog(), SurfaceBook(P)
         self._poses = np.tile(np.asarray(pose, np.float64), (P, 1))
-        self._drawn, self._spreads = GrowingArray(P, 3), GrowingArray(3, 3)
+        self._drawn, self._covariances = GrowingArray(P, 3), GrowingArray(3, 3)
         self._parents, self._rows = GrowingArray(P, dtype=np.int64), np.arange(P)
         self._log_weights, self._scores = np.zeros(P), np.zeros(P)
-        self._told, self._line, self._entered, self._draws = 0, np.empty(0, np.int64), 0, 0
+        self._leader, self._lineage, self._entered, self._resamplings = (
+            0,
+            np.empty(0, np.int64),
+            0,
+            0,
+        )
 
     def add(self, keyframe: Keyframe) -> Revision:
         """Process a keyframe; see `Estimator.add`."""
@@ -141,7 +146,7 @@ class GridParticles(Estimator):
             book, how = self._book, self._alignment()
             maps = book.maps, book.tables, book.origin
             u, L, cost = propose(book.tiles, maps, view.features, guesses, roots, how)
-            self._weigh(cost + np.linalg.slogdet(L)[1])
+            self._add_cost(cost + np.linalg.slogdet(L)[1])
         u[1:] += np.linalg.solve(
             np.linalg.cholesky(L).swapaxes(1, 2), self._rng.standard_normal((self.particles, 3, 1))
         )[1:, :, 0]
@@ -150,16 +155,16 @@ class GridParticles(Estimator):
         self._parents.append(self._rows)
         self._rows = np.arange(self.particles)
         revision = self._revision(keyframe, refused)
-        self._survive()
-        self._leave_behind()
+        self._resample_if_needed()
+        self._enter_scans()
         return revision
 
     def _alignment(self) -> Alignment:
         information = 1.0 / (self.sigma**2 * self.shared)
         return Alignment(ITERATIONS, self.wide, self.narrow, information, 1, self.tails)
 
-    def _weigh(self, cost: Array) -> None:
-        """Let particles count by -2 log of their likelihoods (P,)."""
+    def _add_cost(self, cost: Array) -> None:
+        """Update the log weights by -2 log likelihood (P,)."""
         self._log_weights -= 0.5 * cost
         self._scores -= 0.5 * cost
         self._scores -= self._scores.max()
@@ -169,37 +174,42 @@ class GridParticles(Estimator):
         return normalised(self._log_weights)
 
     def _revision(self, keyframe: Keyframe, refused: str) -> Revision:
-        """Return the newest pose of the line that leads, and earlier ones where another one leads now."""
-        if self._scores.max() > self._scores[self._told] + LEAD:
-            self._told = int(self._scores.argmax())
-        pose, weights = self._poses[self._told], self._weights()
-        off = self._poses - pose
-        off[:, 2] = wrap(off[:, 2])
-        self._spreads.append((weights[:, None] * off).T @ off + START_SIGMA**2 * np.eye(3))
-        line = lineage(self._parents.array, self._told)
-        same = np.append(line[:-1] == self._line, False)
-        self._line, first = line, keyframe.id + 1 - len(line)
-        rows = np.flatnonzero(~same)
+        """Return the newest pose of the leading lineage, and earlier poses that differ if it changed."""
+        if self._scores.max() > self._scores[self._leader] + MIN_LEAD:
+            self._leader = int(self._scores.argmax())
+        pose, weights = self._poses[self._leader], self._weights()
+        offsets = self._poses - pose
+        offsets[:, 2] = wrap(offsets[:, 2])
+        self._covariances.append(
+            (weights[:, None] * offsets).T @ offsets + START_SIGMA**2 * np.eye(3)
+        )
+        line = lineage(self._parents.array, self._leader)
+        is_same = np.append(line[:-1] == self._lineage, False)
+        self._lineage, first = line, keyframe.id + 1 - len(line)
+        rows = np.flatnonzero(~is_same)
         poses = self._drawn.array[rows, line[rows]]
-        return Revision(rows + first, poses, self._spreads.array[rows], refused=refused)
+        return Revision(rows + first, poses, self._covariances.array[rows], refused=refused)
 
-    def _survive(self) -> None:
-        """Draw particles anew if few count."""
+    def _resample_if_needed(self) -> None:
+        """Resample the particles if too few are effective."""
         weights = self._weights()
         if 1.0 / (weights @ weights) >= self.effective * self.particles:
             return
         parents = systematic(weights, self._rng.random())
         self._rows, self._poses = parents, self._poses[parents]
         self._scores, self._log_weights = self._scores[parents], np.zeros(self.particles)
-        self._book.survive(parents)
-        heirs = np.flatnonzero(parents == self._told)
-        self._told = int(heirs[0] if len(heirs) else self._scores.argmax())
-        self._draws += 1
+        self._book.resample(parents)
+        heirs = np.flatnonzero(parents == self._leader)
+        self._leader = int(heirs[0] if len(heirs) else self._scores.argmax())
+        self._resamplings += 1
 
-    def _leave_behind(self) -> None:
-        """Enter the scans into the maps that are as far behind as the tracker looks."""
+    def _enter_scans(self) -> None:
+        """Enter scans into the maps that are far enough behind the robot; see `recent`."""
         keys, newest = self._keys, len(self._keys) - 1
-        while self._entered <= newest and keys.way[newest] - keys.way[self._entered] >= self.recent:
+        while (
+            self._entered <= newest
+            and keys.distance[newest] - keys.distance[self._entered] >= self.recent
+        ):
             k, view = self._entered, keys.views[self._entered]
             self._entered += 1
             if view is None or not len(view.features):
@@ -208,34 +218,34 @@ class GridParticles(Estimator):
             self._book.add(view.features, self._drawn.array[k, lines], lines)
 
     def _path(self) -> Array:
-        """Return the poses (k, 3) of all keyframes on the line that leads."""
-        return np.asarray(self._drawn.array[np.arange(len(self._line)), self._line])
+        """Return the poses (k, 3) of all keyframes of the leading lineage."""
+        return np.asarray(self._drawn.array[np.arange(len(self._lineage)), self._lineage])
 
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the landmarks as the leading line has seen them."""
+        """Return the landmarks from the path of the leading lineage."""
         return self.draft().landmarks()
 
     def draft(self) -> Draft:
-        """Return the estimate as it is now; see `Estimator.draft`."""
+        """Return a snapshot of the estimate; see `Estimator.draft`."""
         if not len(self._keys):
             return Draft(lambda: None, tuple)
-        poses, spreads, keys = self._path(), self._spreads.array, self._keys.copy()
+        poses, covariances, keys = self._path(), self._covariances.array, self._keys.copy()
 
         def landmarks() -> tuple[Landmark, ...]:
             scans = keys.placed_scans(poses)
-            return landmarks_of(poses, spreads, keys.seen, self._models, scans)
+            return landmarks_of(poses, covariances, keys.sightings, self._models, scans)
 
         return Draft(lambda: None, landmarks)
 
     def observations(self) -> tuple[tuple[Observation, ...], ...]:
-        """Return what the keyframes saw; see `Estimator.observations`."""
-        return self._keys.seen.by_keyframe()
+        """Return the observations of each keyframe; see `Estimator.observations`."""
+        return self._keys.sightings.by_keyframe()
 
     def counts(self) -> Mapping[str, int]:
-        """Return how often particles were drawn anew, how many lines are left, and tiles of maps."""
+        """Return the numbers of resamplings, of remaining lineages, and of tiles of the maps."""
         lines = ancestors(self._parents.array, self._rows, len(self._keys)) if self._entered else ()
         return {
-            "times particles were drawn anew": self._draws,
+            "times particles were drawn anew": self._resamplings,
             "tiles of surfaces": self._book.used,
             "lines of particles at the start": len(np.unique(lines)),
         }
@@ -247,21 +257,21 @@ class GridParticles(Estimator):
 
 
 def _usable(keyframe: Keyframe) -> tuple[Keyframe, str]:
-    """Return what is usable of a keyframe, and what is wrong with the rest.
+    """Return the usable part of a keyframe, and what is wrong with the rest, or "".
 
-    Of a robot that is lost the motion is a guess, of which no covariance is known: all particles take it.
+    The motion of a lost robot is a guess of unknown covariance: all particles use it without noise.
     """
     motion, wrong = keyframe.motion, ""
     try:
         check_keyframe(keyframe)
         if any(np.linalg.eigvalsh(o.R)[0] <= 0.0 for o in keyframe.observations):
-            wrong = "an extractor's R is no covariance"
+            wrong = "an extractor's R is not a covariance"
     except NumericalError as error:
         wrong = str(error)
-    if keyframe.lost or not is_known(motion):
+    if keyframe.lost or not is_finite(motion):
         d_pose = np.where(np.isfinite(motion.d_pose).all(), motion.d_pose, 0.0)
         motion = replace(motion, d_pose=d_pose, covariance=np.zeros((3, 3)))
     if not wrong:
         return replace(keyframe, motion=motion), ""
-    why = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {wrong}"
-    return replace(keyframe, motion=motion, scan=None, observations=()), why
+    reason = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {wrong}"
+    return replace(keyframe, motion=motion, scan=None, observations=()), reason

@@ -1,23 +1,22 @@
-"""Multiple-hypothesis SLAM: what one scan cannot tell, later ones do (Reid 1979, IEEE TAC 24(6)).
+"""Multiple-hypothesis SLAM: later scans resolve ambiguous associations (Reid 1979, IEEE TAC 24(6)).
 
-A hypothesis says of every observation so far which landmark it shows or that it began one, and keeps
-a filter of its own. Each observation branches each hypothesis: it may be any landmark in the gate, at the
-density of its innovation N(nu; 0, S), or one that is not in the map yet, at the density of such
-landmarks. A landmark is seen once in a scan at most. The likeliest hypotheses are kept; those whose
-beliefs have become the same are one, with the sum of their weights, so that ambiguities that no
-longer matter use none of the limited number.
+A hypothesis assigns every observation so far to a landmark or to a new one, and has its own filter. Each
+observation branches each hypothesis: it may be any landmark in the gate, at the density of its innovation
+N(nu; 0, S), or one that is not in the map yet, at the density of such landmarks. A landmark is seen at most
+once in a scan. The likeliest hypotheses are kept. Those whose beliefs have become equal are merged and
+their weights added, so that ambiguities that no longer matter do not use up the limited number.
 
-The pose is that of the likeliest hypothesis; when another one becomes it, the keyframes on which they
-differ are revised. A covariance is that of the mixture: it includes the uncertainty of the association.
+The pose is that of the likeliest hypothesis; when another one becomes the likeliest, keyframes on which
+they differ are revised. Covariances are those of the mixture, with the uncertainty of the association.
 
-A match is told if hypotheses of nearly all weight agree on it, before any become one: beliefs become the
-same, too, where it makes no difference which landmark was seen. A scan is judged by its own noise there:
-errors that repeat (`repeats` of the filter) weaken corrections and weights, not what one scan can tell.
+A match is reported if hypotheses of nearly all weight agree on it before merging: beliefs also become equal
+if it makes no difference which landmark was seen. For this decision a scan has only its own noise: repeated
+errors (`repeats` of the filter) weaken corrections and weights, but not the evidence of a single scan.
 
-Landmarks are numbered by the observation that began them, so that hypotheses can be compared.
+The id of a landmark is the number of its first observation, so that hypotheses can be compared.
 
-Nothing says that a landmark should have been seen: of two at one place, one may never be seen again. So a
-landmark that was begun twice can stay, and hypotheses that differ in that alone weigh about the same.
+Missed detections are not modelled: of two landmarks at one place, one may never be seen again. A duplicate
+can therefore remain, and hypotheses that differ only in that have about the same weight.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from pydantic import PrivateAttr
 
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
-from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_known
+from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_finite
 from impslam.estimators.blur import blurred
 from impslam.estimators.sampling import normalised
 from impslam.filters.base import Filter
@@ -45,7 +44,7 @@ from impslam.types import Array, Increment, Landmark, Match, Observation
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Past:
-    """The newest pose of a hypothesis, its covariance, and those before; hypotheses share them."""
+    """Linked list of a hypothesis's poses and covariances, newest first; hypotheses share its tails."""
 
     keyframe: int
     pose: Array
@@ -60,75 +59,79 @@ class Hypothesis:
     Attributes
     ----------
     filter : the belief, given these assignments
-    log_weight : log of its probability, up to a constant that all share
-    names : ids of landmarks by those that the filter gave them
-    shown : of the newest scan's observations so far, the landmarks (ids) they are
-    matches : those of them that were known before
-    sharper : how much log_weight grows where the newest scan counts with its own noise
+    log_weight : log of its probability, up to a common constant
+    ids : ids of landmarks by their ids in the filter
+    observed : landmark ids of the newest scan's observations so far
+    matches : matches of those that were known before, by observation
+    scan_gain : increase of log_weight if the newest scan had only its own noise
     """
 
     filter: Filter
     log_weight: float = 0.0
-    names: dict[int, int] = field(default_factory=dict)
+    ids: dict[int, int] = field(default_factory=dict)
     past: Past | None = None
-    shown: list[int] = field(default_factory=list)
+    observed: list[int] = field(default_factory=list)
     matches: dict[int, Match] = field(default_factory=dict)
-    sharper: float = 0.0
+    scan_gain: float = 0.0
 
     def copy(self) -> Hypothesis:
-        """Return one that goes on by itself."""
-        names, shown, matches = dict(self.names), list(self.shown), dict(self.matches)
+        """Return an independent copy."""
+        ids, observed, matches = dict(self.ids), list(self.observed), dict(self.matches)
         belief = self.filter.copied()
-        return replace(self, filter=belief, names=names, shown=shown, matches=matches)
+        return replace(self, filter=belief, ids=ids, observed=observed, matches=matches)
 
 
 class Branch(NamedTuple):
-    """How a hypothesis may go on: log weight, and the match; None: the observation is new.
+    """A continuation of a hypothesis: log weight, and the match; None: the landmark is new.
 
-    `sharper` is how much the log weight grows where the observation counts with its own noise.
+    `scan_gain` is the increase of the log weight if the observation had only its own noise.
     """
 
     log_weight: float
-    of: Hypothesis
+    hypothesis: Hypothesis
     match: Match | None = None
-    sharper: float = 0.0
+    scan_gain: float = 0.0
 
 
 @register("hypotheses")
 class MultipleHypotheses(Estimator):
-    """Several hypotheses of what was seen, each a filter of its own (Reid 1979)."""
+    """Several hypotheses of the association, each with its own filter (Reid 1979)."""
 
     parts: ClassVar[tuple[str, ...]] = ("filter",)
-    tells_landmarks: ClassVar[bool] = False
+    reports_landmarks: ClassVar[bool] = False
 
-    most: int = parameter(20, "1", "hypotheses that are kept", ge=1)
+    most: int = parameter(20, "1", "maximum number of hypotheses", ge=1)
     gate: float = parameter(
         0.9999, "1", "probability that a true pairing passes the chi-square gate", gt=0, lt=1
     )
     density: float = parameter(
         0.03,
         "1/z",
-        "landmarks that are not in the map yet in a unit of measurement space (points: 1 m^2): a "
-        "tenth of the 0.3 that offices have in all, for most that are seen have been seen before",
+        "landmarks that are not in the map yet, per unit of measurement space (points: 1 m^2): a "
+        "tenth of the 0.3 of offices, because most observed landmarks are known",
         gt=0,
     )
     odds: float = parameter(
-        1e-5, "1", "a hypothesis so much less likely than the best is dropped", gt=0, lt=1
+        1e-5, "1", "a hypothesis is dropped below this probability relative to the best", gt=0, lt=1
     )
     same: float = parameter(
         0.2,
         "sigma",
-        "beliefs that differ by less in all means are one; together they are 1 % wider at most",
+        "beliefs are merged if all means differ by less; merging then widens them by at most 1 %",
         ge=0,
     )
     agreement: float = parameter(
-        0.99, "1", "a match is told when hypotheses of so much weight agree", gt=0.5, le=1
+        0.99,
+        "1",
+        "share of the weight that has to agree on a match before it is reported",
+        gt=0.5,
+        le=1,
     )
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
     _hypotheses: list[Hypothesis] = PrivateAttr()
-    _told: dict[int, Past] = PrivateAttr(default_factory=dict)
-    _observations: int = PrivateAttr(default=0)
-    _sure: tuple[Match, ...] = PrivateAttr(default=())
+    _reported: dict[int, Past] = PrivateAttr(default_factory=dict)
+    _observation_count: int = PrivateAttr(default=0)
+    _agreed_matches: tuple[Match, ...] = PrivateAttr(default=())
 
     def start(
         self,
@@ -139,85 +142,87 @@ class MultipleHypotheses(Estimator):
         **parts: Any,
     ) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
-        self._refuse(known)
+        self._refuse_known(known)
         self._models = parts["models"]
         parts["filter"].start(pose, START_SIGMA**2 * np.eye(3), self._models)
         self._hypotheses = [Hypothesis(parts["filter"])]
-        self._told, self._observations = {}, 0
+        self._reported, self._observation_count = {}, 0
 
     def add(self, keyframe: Keyframe) -> Revision:
-        """Take in a keyframe; see `Estimator.add`."""
-        seen, why = tuple[Observation, ...](), ""
+        """Process a keyframe; see `Estimator.add`."""
+        observations, reason = tuple[Observation, ...](), ""
         try:
             check_keyframe(keyframe)
             _check_noise(keyframe.observations)
-            seen = blurred(keyframe.observations, keyframe.motion, self._models)
+            observations = blurred(keyframe.observations, keyframe.motion, self._models)
         except NumericalError as error:
-            why = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {error}"
-        if is_known(keyframe.motion):
+            reason = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {error}"
+        if is_finite(keyframe.motion):
             self._move(keyframe.motion)
         try:
-            self._see(seen, keyframe.stamp)
+            self._branch(observations, keyframe.stamp)
         except NumericalError as error:
-            why = f"the scan at {keyframe.stamp:.3f} s is not used to its end for the map: {error}"
-        return self._revision(keyframe, why)
+            reason = f"the scan at {keyframe.stamp:.3f} s is only partly used for the map: {error}"
+        return self._revision(keyframe, reason)
 
     def _move(self, motion: Increment) -> None:
         for hypothesis in self._hypotheses:
             hypothesis.filter.predict(motion)
-            hypothesis.shown, hypothesis.matches, hypothesis.sharper = [], {}, 0.0
+            hypothesis.observed, hypothesis.matches, hypothesis.scan_gain = [], {}, 0.0
 
-    def _see(self, observations: tuple[Observation, ...], stamp: float) -> None:
+    def _branch(self, observations: tuple[Observation, ...], stamp: float) -> None:
         for observation in observations:
             branches = [b for h in self._hypotheses for b in self._branches(h, observation)]
             branches.sort(key=lambda branch: -branch.log_weight)
-            least = branches[0].log_weight + math.log(self.odds)
-            kept = [b for b in branches[: self.most] if b.log_weight >= least]
+            threshold = branches[0].log_weight + math.log(self.odds)
+            kept = [b for b in branches[: self.most] if b.log_weight >= threshold]
             self._hypotheses = [
-                self._grown(branch, own, observation, stamp)
+                self._extended(branch, own, observation, stamp)
                 for branch, own in zip(kept, _owned(kept), strict=True)
             ]
-            self._observations += 1
-        self._sure = self._agreed()
+            self._observation_count += 1
+        self._agreed_matches = self._agreed()
         self._merge()
 
-    def _branches(self, of: Hypothesis, observation: Observation) -> Iterator[Branch]:
-        """Yield what an observation may be in a hypothesis, the sensor's noise as a correction takes it."""
+    def _branches(self, parent: Hypothesis, observation: Observation) -> Iterator[Branch]:
+        """Yield the possible associations of an observation, with the noise used in corrections."""
         seen, matches = (observation,), list[Match]()
-        for group in of.filter.hypothesise(seen, lambda dof: quantile(self.gate, dof)):
+        for group in parent.filter.hypothesise(seen, lambda dof: quantile(self.gate, dof)):
             pairs = np.flatnonzero(group.possible).tolist()
-            matches += [m for m in group.matches(pairs) if of.names[m.landmark] not in of.shown]
-        yield Branch(of.log_weight + math.log(self.density), of)
+            matches += [
+                m for m in group.matches(pairs) if parent.ids[m.landmark] not in parent.observed
+            ]
+        yield Branch(parent.log_weight + math.log(self.density), parent)
         if matches:
-            densities = of.filter.log_densities(seen, matches)
-            alone = of.filter.log_densities(seen, matches, alone=True) - densities
-            for match, density, sharper in zip(matches, densities, alone, strict=True):
-                yield Branch(of.log_weight + float(density), of, match, float(sharper))
+            densities = parent.filter.log_densities(seen, matches)
+            gains = parent.filter.log_densities(seen, matches, alone=True) - densities
+            for match, density, scan_gain in zip(matches, densities, gains, strict=True):
+                yield Branch(parent.log_weight + float(density), parent, match, float(scan_gain))
 
-    def _grown(
+    def _extended(
         self, branch: Branch, own: Hypothesis, observation: Observation, stamp: float
     ) -> Hypothesis:
-        """Take an observation into a hypothesis that is the branch's alone."""
-        own.log_weight, own.sharper = branch.log_weight, own.sharper + branch.sharper
+        """Apply a branch to `own`, a hypothesis that no other branch uses."""
+        own.log_weight, own.scan_gain = branch.log_weight, own.scan_gain + branch.scan_gain
         if branch.match is None:
             (number,) = own.filter.extend((observation,), stamp)
-            own.names[number] = self._observations
+            own.ids[number] = self._observation_count
         else:
             number = branch.match.landmark
             own.filter.correct((observation,), (branch.match,))
             own.filter.note((observation,), (branch.match,), stamp)
-            own.matches[len(own.shown)] = branch.match
-        own.shown.append(own.names[number])
+            own.matches[len(own.observed)] = branch.match
+        own.observed.append(own.ids[number])
         return own
 
     def _merge(self) -> None:
-        """Make hypotheses whose beliefs are the same one; the likelier one's assignments are kept."""
+        """Merge hypotheses with equal beliefs; the assignments of the likelier one are kept."""
         kept: list[Hypothesis] = []
         for hypothesis in sorted(self._hypotheses, key=lambda h: -h.log_weight):
             for other in kept:
                 if other.filter.resembles(hypothesis.filter, self.same):
-                    both = np.logaddexp(other.log_weight, hypothesis.log_weight)
-                    other.log_weight = float(both)
+                    total = np.logaddexp(other.log_weight, hypothesis.log_weight)
+                    other.log_weight = float(total)
                     break
             else:
                 kept.append(hypothesis)
@@ -230,48 +235,48 @@ class MultipleHypotheses(Estimator):
         return normalised(np.array([h.log_weight for h in self._hypotheses]))
 
     def _revision(self, keyframe: Keyframe, refused: str) -> Revision:
-        """Return the keyframes on which the likeliest hypothesis differs from what was told."""
+        """Return the keyframes on which the likeliest hypothesis differs from the reported poses."""
         for h in self._hypotheses:
             h.past = Past(keyframe.id, h.filter.pose, h.filter.covariance, h.past)
         changed, past = list[Past](), self._hypotheses[0].past
-        while past is not None and self._told.get(past.keyframe) is not past:
-            self._told[past.keyframe] = past
+        while past is not None and self._reported.get(past.keyframe) is not past:
+            self._reported[past.keyframe] = past
             changed.append(past)
             past = past.before
         covariances = np.array([p.covariance for p in changed])
-        covariances[0] = self._spread()
+        covariances[0] = self._mixture_covariance()
         return Revision(
             np.array([p.keyframe for p in changed]),
             np.array([p.pose for p in changed]),
             covariances,
-            matches=() if refused else self._sure,
+            matches=() if refused else self._agreed_matches,
             refused=refused,
         )
 
-    def _spread(self) -> Array:
-        """Return the pose's covariance (3, 3) about the likeliest hypothesis, over all of them."""
+    def _mixture_covariance(self) -> Array:
+        """Return the covariance (3, 3) of all hypotheses about the pose of the likeliest one."""
         pose, total = self._hypotheses[0].filter.pose, np.zeros((3, 3))
         for weight, h in zip(self._weights(), self._hypotheses, strict=True):
-            off = h.filter.pose - pose
-            off[2] = wrap(float(off[2]))
-            total += weight * (h.filter.covariance + np.outer(off, off))
+            offset = h.filter.pose - pose
+            offset[2] = wrap(float(offset[2]))
+            total += weight * (h.filter.covariance + np.outer(offset, offset))
         return total
 
     def _agreed(self) -> tuple[Match, ...]:
         """Return the newest scan's matches on which hypotheses of nearly all weight agree."""
-        weights = normalised(np.array([h.log_weight + h.sharper for h in self._hypotheses]))
+        weights = normalised(np.array([h.log_weight + h.scan_gain for h in self._hypotheses]))
         likeliest, agreed = self._hypotheses[int(weights.argmax())], []
         for i, match in likeliest.matches.items():
-            name = likeliest.names[match.landmark]
-            share = weights @ [h.shown[i] == name for h in self._hypotheses]
+            number = likeliest.ids[match.landmark]
+            share = weights @ [h.observed[i] == number for h in self._hypotheses]
             if share >= self.agreement:
-                agreed.append(match._replace(observation=i, landmark=name))
+                agreed.append(match._replace(observation=i, landmark=number))
         return tuple(agreed)
 
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the landmarks of the likeliest hypothesis in the form users read."""
+        """Return the landmarks of the likeliest hypothesis in the form that users read."""
         best = self._hypotheses[0]
-        found = [replace(m, id=best.names[m.id]) for m in best.filter.landmarks()]
+        found = [replace(m, id=best.ids[m.id]) for m in best.filter.landmarks()]
         return tuple(sorted(found, key=lambda landmark: landmark.id))
 
     @property
@@ -281,13 +286,14 @@ class MultipleHypotheses(Estimator):
 
 
 def _owned(branches: list[Branch]) -> list[Hypothesis]:
-    """Return for each branch a hypothesis of its own: copies, and the original for the last one."""
-    last = {id(branch.of): i for i, branch in enumerate(branches)}
-    return [b.of if last[id(b.of)] == i else b.of.copy() for i, b in enumerate(branches)]
+    """Return a separate hypothesis per branch: copies, and the original for its last branch."""
+    last = {id(branch.hypothesis): i for i, branch in enumerate(branches)}
+    parents = [branch.hypothesis for branch in branches]
+    return [h if last[id(h)] == i else h.copy() for i, h in enumerate(parents)]
 
 
 def _check_noise(observations: tuple[Observation, ...]) -> None:
-    """Raise `NumericalError` for an R that is no covariance, before anything has changed."""
+    """Raise `NumericalError` for an R that is not a covariance, before any state changes."""
     for observation in observations:
         try:
             np.linalg.cholesky(observation.R)

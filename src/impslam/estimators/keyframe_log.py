@@ -1,4 +1,4 @@
-"""The keyframes of a drive, and their poses from those of the graph's nodes."""
+"""The keyframes of a drive, and their poses relative to the nodes of the graph."""
 
 from __future__ import annotations
 
@@ -29,79 +29,85 @@ from impslam.types import NO_EDGES, Array, Ints, Mask
 
 Points: TypeAlias = npt.NDArray[np.float32]
 NO_POINTS: Points = np.empty((0, 2), np.float32)
-TURN = 0.3
-"""m of way that a radian counts for: it changes the view by about as much."""
-APART = 1000.0
-"""m of way between two sessions, which is not known: farther than anything is sought along the way."""
+METRES_PER_RADIAN = 0.3
+"""A turn of a radian changes the view by about as much as this distance."""
+SESSION_GAP = 1000.0
+"""m, distance set between two sessions, where it is unknown: longer than any search along the drive."""
 
 
 class KeyframeLog:
-    """The keyframes so far: as tracked, which is never revised, and what each saw.
+    """The keyframes so far: their tracked motions, which are never revised, and their views.
 
     Attributes
     ----------
-    views : what each saw; None of a sensor that is no lidar, and of those that were dropped
-    points : (n, 2) float32 m, the end points of each one's valid beams, in base_link
-    seen : the observations of landmarks
+    views : features of each scan; None without a lidar scan, and for dropped keyframes
+    points : (n, 2) float32 m, end points of the valid beams of each, in base_link
+    sightings : the observations of landmarks
     """
 
     def __init__(self) -> None:
         self.views: list[View | None] = []
         self.points: list[Points] = []
-        self.seen = SightingsLog()
-        self._chain, self._way, self._steps = GrowingArray(3), GrowingArray(), GrowingArray(3, 3)
+        self.sightings = SightingsLog()
+        self._chain, self._distance, self._steps = (
+            GrowingArray(3),
+            GrowingArray(),
+            GrowingArray(3, 3),
+        )
         self._nodes, self._sessions = (GrowingArray(dtype=np.int64) for _ in range(2))
         self._hosts, self._T_host = GrowingArray(dtype=np.int64), GrowingArray(3)
-        self._seeing = GrowingArray(dtype=np.bool_)
+        self._has_view = GrowingArray(dtype=np.bool_)
 
     def __len__(self) -> int:
         """Return the number of keyframes."""
         return len(self.views)
 
     def add(self, keyframe: Keyframe, start: Array | None = None) -> None:
-        """Add a keyframe; the first one of a session, which is a node, with the pose (3,) it starts at."""
-        scan, seen, points = keyframe.scan, None, NO_POINTS
+        """Add a keyframe; the first one of a session becomes a node, with its start pose (3,)."""
+        scan, features, points = keyframe.scan, None, NO_POINTS
         if scan is not None:
-            seen, points = view(scan), valid_points(scan)
-        self.append(keyframe.motion.d_pose, keyframe.motion.covariance, seen, start)
+            features, points = view(scan), valid_points(scan)
+        self.append(keyframe.motion.d_pose, keyframe.motion.covariance, features, start)
         self.points.append(points)
-        self.seen.add(keyframe.observations, keyframe.stamp)
+        self.sightings.add(keyframe.observations, keyframe.stamp)
 
     def append(
-        self, d_pose: Array, covariance: Array, seen: View | None, start: Array | None = None
+        self, d_pose: Array, covariance: Array, features: View | None, start: Array | None = None
     ) -> None:
-        """Add a keyframe by its motion and view; the caller adds to `seen` and `points`."""
-        way, session = (self._way.array[-1], self._sessions.array[-1]) if len(self) else (0.0, -1)
+        """Add a keyframe by its motion and view; the caller adds to `sightings` and `points`."""
+        distance, session = 0.0, -1
+        if len(self):
+            distance, session = self._distance.array[-1], self._sessions.array[-1]
         if start is None:
-            way = way + np.hypot(d_pose[0], d_pose[1]) + TURN * abs(d_pose[2])
+            distance += np.hypot(d_pose[0], d_pose[1]) + METRES_PER_RADIAN * abs(d_pose[2])
             start = self._chain.array[-1]
         else:
-            way, session = way + APART if len(self) else 0.0, session + 1
+            distance, session = distance + SESSION_GAP if len(self) else 0.0, session + 1
             self._nodes.append(len(self))
         self._chain.append(compose(start, d_pose))
-        self._way.append(way)
+        self._distance.append(distance)
         self._sessions.append(session)
         self._steps.append(covariance)
         self._hosts.append(len(self))
         self._T_host.append(0.0)
-        self._seeing.append(seen is not None)
-        self.views.append(seen)
+        self._has_view.append(features is not None)
+        self.views.append(features)
 
     def copy(self) -> KeyframeLog:
-        """Return a log to read, which this one's later keyframes do not change."""
-        other = copy(self)  # arrays are shared: this one only writes behind the other's end
+        """Return a copy for reading, which later keyframes of this one do not change."""
+        other = copy(self)  # arrays are shared: this one only writes beyond the other's end
         for name in (
             "_chain",
-            "_way",
+            "_distance",
             "_steps",
             "_nodes",
             "_sessions",
             "_hosts",
             "_T_host",
-            "_seeing",
+            "_has_view",
         ):
             setattr(other, name, copy(getattr(self, name)))
-        other.views, other.seen = self.views.copy(), self.seen.copy()
+        other.views, other.sightings = self.views.copy(), self.sightings.copy()
         other.points = self.points.copy()
         return other
 
@@ -110,27 +116,27 @@ class KeyframeLog:
         self._nodes.append(len(self) - 1)
 
     def drop(self, rows: Ints, hosts: Ints, T_host_row: Array) -> None:
-        """Drop the views of keyframes (m,), which others, their hosts, see at T (m, 3)."""
+        """Remove the views of keyframes (m,), and define them by T (m, 3) relative to their hosts."""
         self._hosts.replace(rows, hosts)
         self._T_host.replace(rows, T_host_row)
-        self._seeing.replace(rows, np.zeros(len(rows), np.bool_))
+        self._has_view.replace(rows, np.zeros(len(rows), np.bool_))
         for row in rows.tolist():
             self.views[row], self.points[row] = None, NO_POINTS
 
     @property
     def hosts(self) -> Ints:
-        """The keyframe (k,) that each one's place is known from: itself unless it was dropped."""
+        """The keyframe (k,) to which the pose of each is relative: itself unless it was dropped."""
         return self._hosts.array
 
     @property
     def T_host(self) -> Array:
-        """Poses (k, 3) of all, seen from their hosts."""
+        """Poses (k, 3) of all, relative to their hosts."""
         return self._T_host.array
 
     @property
-    def seeing(self) -> Mask:
+    def has_view(self) -> Mask:
         """Whether each (k,) has a view."""
-        return self._seeing.array
+        return self._has_view.array
 
     @property
     def is_kept(self) -> Mask:
@@ -143,13 +149,13 @@ class KeyframeLog:
         return self._chain.array
 
     @property
-    def way(self) -> Array:
-        """Way (k,) m driven to each, where a radian counts for `TURN` m."""
-        return self._way.array
+    def distance(self) -> Array:
+        """Distance (k,) m driven up to each, with `METRES_PER_RADIAN` for turns."""
+        return self._distance.array
 
     @property
     def steps(self) -> Array:
-        """Covariances (k, 3, 3) of the motion to each from the one before."""
+        """Covariances (k, 3, 3) of the motion to each from the previous one."""
         return self._steps.array
 
     @property
@@ -169,8 +175,8 @@ class KeyframeLog:
 
     @property
     def since_node(self) -> float:
-        """Way since the newest node, m."""
-        return float(self.way[-1] - self.way[self.nodes[-1]])
+        """Distance since the newest node, m."""
+        return float(self.distance[-1] - self.distance[self.nodes[-1]])
 
     def scans(self, rows: Ints | None = None) -> Scans:
         """Return the features of all keyframes, or of those at some rows (r,)."""
@@ -182,13 +188,13 @@ class KeyframeLog:
         return Scans(np.concatenate([none, *features]), starts, np.array(lasers))
 
     def keyframes(self, poses: Array, rows: Ints) -> Keyframes:
-        """Return some rows (r,) of the keyframes, which lie at poses (k, 3), as a part of a map."""
+        """Return some rows (r,) of the keyframes, with poses (k, 3) of all, as part of a map."""
         points = [self.points[row] for row in rows.tolist()]
         lasers = [
             np.zeros(2) if (v := self.views[row]) is None else v.laser for row in rows.tolist()
         ]
         return Keyframes(
-            np.array(self.seen.stamps)[rows],
+            np.array(self.sightings.stamps)[rows],
             poses[rows],
             self.steps[rows],
             np.zeros((len(rows), 3)),
@@ -199,30 +205,30 @@ class KeyframeLog:
         )
 
     def placed_scans(self, poses: Array, rows: Ints | None = None) -> PlacedScans:
-        """Return the scans of keyframes at poses (k, 3); thinned as their features are."""
+        """Return the scans of keyframes at poses (k, 3), thinned like their features."""
         features, starts, lasers = self.scans(rows)
         return PlacedScans(poses, lasers, starts, np.ascontiguousarray(features[:, :2]))
 
 
 def revised(keys: KeyframeLog, graph: PoseGraph, rows: Ints | None = None) -> Array:
-    """Return the poses of all keyframes (k,), or of some rows: each goes with the node before it."""
+    """Return the poses of all keyframes (k,), or of some rows, relative to the nodes before them."""
     rows = np.arange(len(keys)) if rows is None else rows
     node = np.searchsorted(keys.nodes, rows, side="right") - 1
     offset = between(keys.chain[keys.nodes[node]], keys.chain[rows])
     return compose(graph.poses[node], offset)
 
 
-def spreads(keys: KeyframeLog, graph: PoseGraph) -> Array:
-    """Return the covariances (k, 3, 3) of all keyframes: of the node before, and of the motion since."""
+def keyframe_covariances(keys: KeyframeLog, graph: PoseGraph) -> Array:
+    """Return the covariances (k, 3, 3) of all keyframes: the node before, plus the motion since."""
     out = np.empty((len(keys), 3, 3))
     motions = np.zeros((len(keys), 3))
     motions[1:] = between(keys.chain[:-1], keys.chain[1:])
-    _spread(graph.poses, graph.covariances, keys.nodes, motions, keys.steps, out)
+    _propagate(graph.poses, graph.covariances, keys.nodes, motions, keys.steps, out)
     return out
 
 
 @kernel
-def _spread(
+def _propagate(
     poses: Array, covariances: Array, nodes: Ints, motions: Array, steps: Array, out: Array
 ) -> None:
     """Fill `out` from n nodes and the motions (k, 3) to each keyframe, with their covariances."""
@@ -237,13 +243,13 @@ def _spread(
 
 
 def blended(keys: KeyframeLog, graph: PoseGraph) -> Array:
-    """Return the poses (k, 3) of all keyframes: each between the nodes before and after it.
+    """Return the poses (k, 3) of all keyframes, interpolated between the nodes before and after.
 
-    After the last node of a session, they go on from it.
+    After the last node of a session, they are relative to that node.
     """
     before, after = (ends[keys.node_before] for ends in _legs(keys.sessions[keys.nodes]))
-    begin, end = keys.way[keys.nodes[before]], keys.way[keys.nodes[after]]
-    share = np.clip((keys.way - begin) / np.where(end > begin, end - begin, 1.0), 0.0, 1.0)
+    begin, end = keys.distance[keys.nodes[before]], keys.distance[keys.nodes[after]]
+    share = np.clip((keys.distance - begin) / np.where(end > begin, end - begin, 1.0), 0.0, 1.0)
     chain = keys.chain[keys.nodes]
     first = compose(graph.poses[before], between(chain[before], keys.chain))
     second = compose(graph.poses[after], between(chain[after], keys.chain))
@@ -257,22 +263,22 @@ def blended(keys: KeyframeLog, graph: PoseGraph) -> Array:
 def _legs(sessions: Ints) -> tuple[Ints, Ints]:
     """Return the nodes (n,) at both ends of the leg that begins at each of n nodes.
 
-    The last leg of a session goes on behind its last node, which is alone if there is no other.
+    At the last node of a session the previous leg is extrapolated; a single node is both ends.
     """
-    goes_on = np.append(sessions[1:] == sessions[:-1], False)
-    comes_from = np.append(False, goes_on[:-1])
-    before = np.arange(len(sessions)) - (~goes_on & comes_from)
-    return before, before + (goes_on | comes_from)
+    has_next = np.append(sessions[1:] == sessions[:-1], False)
+    has_previous = np.append(False, has_next[:-1])
+    before = np.arange(len(sessions)) - (~has_next & has_previous)
+    return before, before + (has_next | has_previous)
 
 
 class Part(NamedTuple):
-    """Which keyframes are refined.
+    """The keyframes to refine.
 
     Attributes
     ----------
     rows : (r,) of the keyframes, ascending
     links : between rows of different sessions, which no motion connects
-    frozen : so many of the first keyframes stay where they are, the very first one in any case
+    frozen : number of first keyframes that do not move; the very first one never does
     """
 
     rows: Ints
@@ -281,11 +287,11 @@ class Part(NamedTuple):
 
 
 def refined(poses: Array, keys: KeyframeLog, rounds: int = 2, part: Part | None = None) -> Array:
-    """Return poses (k, 3) with overlapping keyframes laid on each other, in so many rounds.
+    """Return poses (k, 3) after aligning overlapping keyframes with each other, in `rounds` rounds.
 
-    They may look any way: a lidar that sees to both sides meets the same walls on a pass there and on
-    one back, and pairs that see different ones are found out by their points. Closures within a
-    session are no part of it: they rest on the same points, which would count twice.
+    Any relative heading counts as overlap: a lidar that sees to both sides meets the same walls on a pass
+    there and back, and pairs that see different walls are rejected by their points. Closures within a
+    session are left out: they are based on the same points, which would count twice.
     """
     rows, links, frozen = part or Part(np.flatnonzero(keys.is_kept))
     edges = motions(keys, rows).joined(links)
@@ -300,25 +306,25 @@ def refined(poses: Array, keys: KeyframeLog, rounds: int = 2, part: Part | None 
     return out
 
 
-STILL = 1e-4
-"""m and rad, 1 sigma, added where a robot that stands has none: far below what a scan can tell."""
+STATIONARY_SIGMA = 1e-4
+"""m and rad, added to motions of a stationary robot without noise: far below the accuracy of a scan."""
 
 
 def motions(keys: KeyframeLog, rows: Ints) -> Edges:
-    """Return the motions between keyframes that follow each other, by their places in `rows` (r,).
+    """Return the motions between consecutive keyframes, with indices into `rows` (r,).
 
-    For one that was dropped its host stands. Motions between two of these are left out: there are as
-    many as are driven, and they tell of hosts what other motions tell.
+    A dropped keyframe is replaced by its host. Motions between two dropped ones are left out: their number
+    grows with the distance driven, and other motions connect the hosts.
     """
-    place = np.full(len(keys), -1)
-    place[rows] = np.arange(len(rows))
-    i, j = place[keys.hosts[:-1]], place[keys.hosts[1:]]
-    told = (i >= 0) & (j >= 0) & (i != j) & (np.diff(keys.sessions) == 0)
-    k = np.flatnonzero(told & (keys.is_kept[:-1] | keys.is_kept[1:]))
+    index = np.full(len(keys), -1)
+    index[rows] = np.arange(len(rows))
+    i, j = index[keys.hosts[:-1]], index[keys.hosts[1:]]
+    is_within = (i >= 0) & (j >= 0) & (i != j) & (np.diff(keys.sessions) == 0)
+    k = np.flatnonzero(is_within & (keys.is_kept[:-1] | keys.is_kept[1:]))
     T = compose(keys.T_host[k], between(keys.chain[k], keys.chain[k + 1]))
     T = compose(T, inverse(keys.T_host[k + 1]))
     steps = keys.steps[k + 1]
-    still = np.diagonal(steps, axis1=1, axis2=2).min(axis=1) < STILL**2
-    steps = steps + STILL**2 * still[:, None, None] * np.eye(3)
+    is_stationary = np.diagonal(steps, axis1=1, axis2=2).min(axis=1) < STATIONARY_SIGMA**2
+    steps = steps + STATIONARY_SIGMA**2 * is_stationary[:, None, None] * np.eye(3)
     information = np.asarray(np.linalg.inv(steps))
     return Edges(i[k], j[k], T, information, np.full(len(k), np.inf))

@@ -1,4 +1,4 @@
-"""EKF SLAM on one page: predict, observe, associate, correct, extend (thesis Fig. 1)."""
+"""EKF SLAM: predict, observe, associate, correct, extend (thesis Fig. 1)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pydantic import PrivateAttr
 from impslam.association.base import Assignment, Association
 from impslam.component import register
 from impslam.errors import NumericalError
-from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_known
+from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_finite
 from impslam.estimators.blur import blurred
-from impslam.estimators.duplicates import Duplicates, of_kept
+from impslam.estimators.duplicates import Duplicates, with_kept_landmark
 from impslam.estimators.refused_fixes import RefusedFixes
 from impslam.estimators.slip import RECENT, Attempt, explains, slipped
 from impslam.filters.base import Filter
@@ -37,10 +37,10 @@ class Landmarks(Estimator):
     _lifecycle: Lifecycle = PrivateAttr()
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
     _motion: Increment = PrivateAttr()
-    """To the newest keyframe, as it was predicted."""
+    """The predicted motion to the newest keyframe, possibly with slip."""
     _recent: deque[set[int]] = PrivateAttr(default_factory=lambda: deque(maxlen=RECENT))
-    """The landmarks that the newest keyframes were matched with."""
-    _met: set[str] = PrivateAttr(default_factory=set)
+    """The landmarks matched in the newest keyframes."""
+    _seen_kinds: set[str] = PrivateAttr(default_factory=set)
     _refused: RefusedFixes = PrivateAttr(default_factory=RefusedFixes)
     _duplicates: Duplicates = PrivateAttr(default_factory=Duplicates)
     _counts: Counter[str] = PrivateAttr(default_factory=Counter)
@@ -54,7 +54,7 @@ class Landmarks(Estimator):
         **parts: Any,
     ) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
-        self._refuse(known)
+        self._refuse_known(known)
         self._filter, self._association = parts["filter"], parts["association"]
         self._lifecycle, self._models = parts["lifecycle"], parts["models"]
         self._duplicates = Duplicates()
@@ -68,47 +68,46 @@ class Landmarks(Estimator):
             return self._add(keyframe)
         except NumericalError as error:
             self._motion = keyframe.motion
-            if is_known(keyframe.motion):
+            if is_finite(keyframe.motion):
                 self._filter.predict(keyframe.motion)
                 self._lifecycle.move(keyframe.motion)
-            why = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {error}"
-            return self._revision(keyframe, refused=why)
+            reason = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {error}"
+            return self._revision(keyframe, refused=reason)
 
     def _add(self, keyframe: Keyframe) -> Revision:
         check_keyframe(keyframe)
-        observations, stamp = (
-            blurred(keyframe.observations, keyframe.motion, self._models),
-            keyframe.stamp,
-        )
-        now = keyframe.motion.stamp  # continuous where a clock is set
+        observations = blurred(keyframe.observations, keyframe.motion, self._models)
+        stamp, now = keyframe.stamp, keyframe.motion.stamp  # `now` is continuous if clocks are set
 
         self._filter.predict(keyframe.motion)
         try:
             choice = self._associate(observations, keyframe.motion)
             innovation = self._filter.correct(observations, choice.matches)
         except NumericalError:
-            self._filter.take_back()
+            self._filter.undo_predict()
             raise
         self._recent.append({match.landmark for match in choice.matches})
         self._lifecycle.move(self._motion)
         self._filter.note(observations, choice.matches, stamp)
 
-        single = [i for i in choice.new if self._models[observations[i].kind].unique]
-        others = [i for i in choice.new if i not in single]
+        unique = [i for i in choice.new if self._models[observations[i].kind].unique]
+        others = [i for i in choice.new if i not in unique]
         unmatched = [observations[i] for i in others]
-        alone = self._filter.state_size == len(self._filter.pose)
-        chosen = [others[i] for i in self._lifecycle.promote(unmatched, now, alone)]
-        chosen += self._first(observations, single)
+        is_empty = self._filter.state_size == len(self._filter.pose)
+        chosen = [others[i] for i in self._lifecycle.promote(unmatched, now, is_empty)]
+        chosen += self._first_of_kind(observations, unique)
         born = self._filter.extend([observations[i] for i in chosen], stamp)
-        self._watch_refused(observations, choice.matches, chosen, now)
+        self._check_refused_fixes(observations, choice.matches, chosen, now)
 
         fused = self._duplicates.fuse(choice, self._filter, self._association)
-        matches, gone = tuple([of_kept(match, fused) for match in choice.matches]), list(fused)
+        matches, gone = tuple([with_kept_landmark(m, fused) for m in choice.matches]), list(fused)
         ids, outlines = self._filter.outlines()
         if keyframe.scan is not None and len(ids):
-            lost = self._lifecycle.review(keyframe.scan, self._filter.pose, ids, outlines, matches)
-            self._filter.remove(lost)
-            gone += lost
+            removed = self._lifecycle.review(
+                keyframe.scan, self._filter.pose, ids, outlines, matches
+            )
+            self._filter.remove(removed)
+            gone += removed
 
         if fused:
             self._counts["landmarks fused"] += len(fused)
@@ -117,19 +116,19 @@ class Landmarks(Estimator):
         return self._revision(keyframe, **facts, gone=tuple(gone), innovation=innovation)
 
     def _associate(self, observations: tuple[Observation, ...], motion: Increment) -> Assignment:
-        """Associate; predict anew, as of wheels that have slipped, if that explains more."""
+        """Associate; repeat the prediction with slipping wheels if that explains more."""
         rolled = self._attempt(observations, motion)
-        if rolled.left_over(len(observations)) == 0 or motion.duration > MAX_GAP:
+        if rolled.unexplained(len(observations)) == 0 or motion.duration > MAX_GAP:
             return rolled.choice
-        before = rolled.evidence(self._filter.joint, observations)
-        self._predict_anew(slipped(motion))
+        evidence = rolled.evidence(self._filter.joint, observations)
+        self._repeat_prediction(slipped(motion))
         attempt = self._attempt(observations, self._motion)
-        likely = attempt.evidence(self._filter.joint, observations) > before
+        is_likelier = attempt.evidence(self._filter.joint, observations) > evidence
         recent = set().union(*self._recent)
-        if likely and explains(attempt, rolled, len(observations), recent):
+        if is_likelier and explains(attempt, rolled, len(observations), recent):
             self._counts["keyframes at which the wheels have slipped"] += 1
             return attempt.choice
-        self._predict_anew(motion)
+        self._repeat_prediction(motion)
         return rolled.choice
 
     def _attempt(self, observations: tuple[Observation, ...], motion: Increment) -> Attempt:
@@ -137,52 +136,52 @@ class Landmarks(Estimator):
         others = tuple(observations[i] for i in choice.new)
         return Attempt(choice, self._lifecycle.recognise(others, motion))
 
-    def _predict_anew(self, motion: Increment) -> None:
+    def _repeat_prediction(self, motion: Increment) -> None:
         self._motion = motion
-        self._filter.take_back()
+        self._filter.undo_predict()
         self._filter.predict(motion)
 
-    def _first(self, observations: tuple[Observation, ...], single: list[int]) -> list[int]:
-        """Return which of these observations are the first of a landmark that exists once."""
+    def _first_of_kind(self, observations: tuple[Observation, ...], unique: list[int]) -> list[int]:
+        """Return the indices of the first observations of unique landmarks."""
         first = {
             observations[i].kind: i
-            for i in reversed(single)
-            if observations[i].kind not in self._met
+            for i in reversed(unique)
+            if observations[i].kind not in self._seen_kinds
         }
-        self._met |= set(first)
+        self._seen_kinds |= set(first)
         return list(first.values())
 
-    def _watch_refused(
+    def _check_refused_fixes(
         self,
         observations: tuple[Observation, ...],
         matches: Sequence[Match],
         born: list[int],
         now: float,
     ) -> None:
-        """Doubt the pose, or the frame, where refused fixes of a GPS agree with each other."""
+        """Widen the pose, or remove the GPS frame, if refused fixes agree with each other."""
         used = {match.observation for match in matches}
         for i, fix in enumerate(observations):
-            if not self._models[fix.kind].unique or fix.kind not in self._met:
+            if not self._models[fix.kind].unique or fix.kind not in self._seen_kinds:
                 continue
             if i in used or i in born:
                 self._refused.accept()
                 continue
             frame = next(mark for mark in self._filter.landmarks() if mark.kind == fix.kind)
-            # A frame that lies as map does, and in which the fix is 0, begins at the antenna.
+            # A frame parallel to map in which the fix is 0 has its origin at the antenna.
             antenna = self._models[fix.kind].invert(self._filter.pose, np.zeros((1, 2)))[0, :2]
-            found = self._refused.refuse(antenna, fix, frame)
-            if found is None:
+            error = self._refused.refuse(antenna, fix, frame)
+            if error is None:
                 continue
-            if found.frame_is_wrong:
+            if error.frame_is_wrong:
                 self._filter.remove([frame.id])
-                self._met.discard(fix.kind)
+                self._seen_kinds.discard(fix.kind)
                 self._counts["GPS frames begun anew"] += 1
             else:
-                self._filter.predict(Increment(now, np.zeros(3), found.covariance))
+                self._filter.predict(Increment(now, np.zeros(3), error.covariance))
                 self._counts["poses doubted as refused GPS fixes agree"] += 1
 
     def counts(self) -> Mapping[str, int]:
-        """Return how often landmarks were fused, wheels slipped, and refused fixes of a GPS agreed."""
+        """Return the counts of fused landmarks, slips, and corrections by refused GPS fixes."""
         return dict(self._counts)
 
     def _revision(self, keyframe: Keyframe, **facts: Any) -> Revision:
@@ -190,7 +189,7 @@ class Landmarks(Estimator):
         return Revision(np.array([keyframe.id]), pose, covariance, **facts)
 
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the landmarks in the form users read."""
+        """Return the landmarks in the form that users read."""
         return self._filter.landmarks()
 
     @property

@@ -1,8 +1,8 @@
-"""The landmarks of one kind of all particles: versions that particles share until one corrects its own.
+"""The landmarks of one kind in all particles: copy-on-write versions in a pool.
 
-A landmark of a particle is a row of a pool. A particle that survives twice is copied by its row numbers
-(4 to 8 bytes a landmark); only who sees a landmark writes a new version of it, and a version that nobody
-uses is written over. So a step costs what is seen in it, whatever the size of the map.
+A landmark of a particle is a row of the pool. Resampling copies only row numbers (4 to 8 bytes a landmark);
+a particle that observes a landmark writes a new version, and unused versions are overwritten. The cost of a
+step thus depends on the number of observations, not on the size of the map.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from impslam.estimators.particle_kernels import own
+from impslam.estimators.particle_kernels import unshare
 from impslam.landmarks.base import LandmarkModel
 from impslam.types import Array, Ints, Landmark, Mask
 
@@ -19,13 +19,13 @@ _POOL = 256  # rows; the pool grows by doubling
 
 
 class Book:
-    """The landmarks of a kind: L of them, in P particles.
+    """L landmarks of one kind in P particles.
 
     Attributes
     ----------
-    rows : (P, L) version of each in the pool, -1 where a particle does not know it
-    m, P, users : (r, dim), (r, dim, dim) and (r,) the pool: state, covariance, by how many it is used
-    ids, labels, extents, counts, stamps : (L, ...) what particles have in common
+    rows : (P, L) row of each version in the pool, -1 if the particle does not have the landmark
+    m, P, users : (r, dim), (r, dim, dim) and (r,) the pool: state, covariance, number of users
+    ids, labels, extents, counts, stamps : (L, ...) common to all particles
     """
 
     def __init__(self, kind: str, model: LandmarkModel, particles: int) -> None:
@@ -40,7 +40,7 @@ class Book:
         self.attributes: dict[int, dict[str, float]] = {}
 
     def add(self, number: int, label: int, stamp: float, holders: Ints, m: Array, P: Array) -> None:
-        """Enter a landmark that some particles (h,) know, each in its own way (h, dim), (h, dim, dim)."""
+        """Add a landmark to the particles `holders` (h,), with their m (h, dim) and P (h, dim, dim)."""
         rows = self._free(len(holders))
         self.m[rows], self.P[rows], self.users[rows] = m, P, 1
         column = np.full(len(self.rows), -1)
@@ -52,26 +52,24 @@ class Book:
         self.counts = np.append(self.counts, 1)
         self.attributes[number] = {}
 
-    def own(self, particles: Ints, slots: Ints) -> Ints:
-        """Return a version (n,) for each particle's landmark that it shares with none."""
+    def unshare(self, particles: Ints, slots: Ints) -> Ints:
+        """Return an unshared version (n,) of each particle's landmark, copied if necessary."""
         pairs = np.column_stack([particles, slots])
         shared = self.rows[particles, slots]
         free = self._free(len(pairs))
-        versions = own(self.rows, self.users, free, pairs)
-        moved = versions != shared
-        self.m[versions[moved]], self.P[versions[moved]] = (
-            self.m[shared[moved]],
-            self.P[shared[moved]],
-        )
+        versions = unshare(self.rows, self.users, free, pairs)
+        copied = versions != shared
+        self.m[versions[copied]] = self.m[shared[copied]]
+        self.P[versions[copied]] = self.P[shared[copied]]
         return versions
 
-    def survive(self, parents: Ints) -> None:
-        """Let particles be those that they were (P,); landmarks that none knows any more go."""
+    def resample(self, parents: Ints) -> None:
+        """Replace the particles by their parents (P,), and free unused versions."""
         self.rows = self.rows[parents]
         self._count()
 
     def forget(self, slots: Mask) -> None:
-        """Strike landmarks (L,) out of all particles."""
+        """Remove landmarks, given as a mask (L,), from all particles."""
         for number in self.ids[slots].tolist():
             del self.attributes[number]
         keep = ~slots
@@ -81,11 +79,11 @@ class Book:
         self._count()
 
     def shares(self, weights: Array) -> Array:
-        """Return the weight (L,) of those who know each landmark."""
+        """Return the total weight (L,) of the particles that have each landmark."""
         return weights @ (self.rows >= 0)
 
     def note(self, slot: int, stamp: float, attributes: Mapping[str, float]) -> None:
-        """Count a sighting, and average what was measured beside z."""
+        """Count an observation, and average its attributes."""
         self.counts[slot] += 1
         self.stamps[slot, 1] = stamp
         average = self.attributes[int(self.ids[slot])]
@@ -94,20 +92,20 @@ class Book:
             average[name] = old + (value - old) / float(self.counts[slot])
 
     def landmark(self, slot: int, weights: Array) -> Landmark:
-        """Return a landmark in the form users read: mean and covariance over those who know it.
+        """Return a landmark in the form that users read: mean and covariance over its particles.
 
-        In the perturbation of the model, about the version of the likeliest; of every particle counts
-        what it is unsure by, and how far it is from the mean.
+        They are computed in the perturbation of the model about the likeliest version; the covariance
+        includes that of each particle and the spread of the means.
         """
         holders = np.flatnonzero(self.rows[:, slot] >= 0)
         rows, w = self.rows[holders, slot], weights[holders]
         w = w / w.sum()
         best = self.m[rows[np.argmax(w)]]
-        apart = self.model.difference(np.broadcast_to(best, (len(rows), len(best))), self.m[rows])
-        mean = w @ apart
+        offsets = self.model.difference(np.broadcast_to(best, (len(rows), len(best))), self.m[rows])
+        mean = w @ offsets
         m = self.model.retract(best[None], mean[None])[0]
-        off = apart - mean
-        P = np.einsum("h,hij->ij", w, self.P[rows]) + (w[:, None] * off).T @ off
+        residuals = offsets - mean
+        P = np.einsum("h,hij->ij", w, self.P[rows]) + (w[:, None] * residuals).T @ residuals
         report, extent = self.model.report(m), self.extents[slot]
         number = int(self.ids[slot])
         return Landmark(

@@ -1,4 +1,4 @@
-"""Compiled loops of `particles`: P particles, each with its own landmarks, at once."""
+"""Compiled loops of `particles` over P particles, each with its own landmarks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ POSE = 3
 
 @kernel
 def _factorise(S: Array) -> bool:
-    """Replace S (n, n) by its Cholesky factor, below the diagonal; tell whether it has one."""
+    """Replace the lower triangle of S (n, n) by its Cholesky factor; return whether it has one."""
     for a in range(len(S)):
         for b in range(a + 1):
             total = S[a, b]
@@ -32,7 +32,7 @@ def _factorise(S: Array) -> bool:
 
 @kernel
 def _solve_lower(L: Array, y: Array) -> None:
-    """Turn y (n,) into L^-1 y."""
+    """Replace y (n,) by L^-1 y."""
     for a in range(len(y)):
         for b in range(a):
             y[a] -= L[a, b] * y[b]
@@ -51,7 +51,7 @@ def _add_product(out: Array, J: Array, P: Array) -> None:
 
 @kernel
 def axes(poses: Array, root: Array) -> Array:
-    """Return (P, 3, 3): a root (3, 3) of a motion's covariance, turned into map at each pose."""
+    """Return (P, 3, 3): a root (3, 3) of a motion's covariance, rotated into map at each pose."""
     out = np.empty((len(poses), POSE, POSE))
     for p in range(len(poses)):
         c, s = math.cos(poses[p, 2]), math.sin(poses[p, 2])
@@ -64,7 +64,7 @@ def axes(poses: Array, root: Array) -> Array:
 
 @kernel
 def _innovation(z: Array, predicted: Array, angles: Mask, out: Array) -> None:
-    """Fill out (dz,) with what is seen minus what is predicted, angles wrapped."""
+    """Fill out (dz,) with observation minus prediction, with angles wrapped."""
     for a in range(len(z)):
         value = z[a] - predicted[a]
         out[a] = wrap_in_kernel(value) if angles[a] else value
@@ -72,15 +72,15 @@ def _innovation(z: Array, predicted: Array, angles: Mask, out: Array) -> None:
 
 @kernel
 def _may_fit(nu: Array, HPH: Array, R: Array, gate: float) -> bool:
-    """Tell whether nu may be in the gate: nu^T S^-1 nu is at least nu_a^2 / S_aa for every a."""
-    inside = True
+    """Return whether nu may be in the gate: nu^T S^-1 nu is at least nu_a^2 / S_aa for every a."""
+    may_fit = True
     for a in range(len(nu)):
-        inside &= not nu[a] * nu[a] > gate * (HPH[a, a] + R[a, a])
-    return inside
+        may_fit &= not nu[a] * nu[a] > gate * (HPH[a, a] + R[a, a])
+    return may_fit
 
 
 @kernel
-def judge(
+def gated_pairs(
     predicted: tuple[Array, Array, Array],
     known: tuple[Ints, Array, Array],
     seen: tuple[Array, Array],
@@ -88,15 +88,15 @@ def judge(
     angles: Mask,
     gate: float,
 ) -> tuple[Ints, Array, Array, Array, Array]:
-    """Return the pairs in the gate, and how they fit, in the order of particle, observation, landmark.
+    """Return the pairs in the gate and their scores, in the order of particle, observation, landmark.
 
     Parameters
     ----------
     predicted : z (P, k, dz), z_D_pose (P, k, dz, 3), z_D_m (P, k, dz, dim)
-    known : each particle's row (P, k) of the landmarks, -1 for none; covariances (rows, dim, dim); roots
-        (P, 3, 3) of what the poses are unsure by
+    known : row (P, k) of each landmark in each particle, -1 for none; covariances (rows, dim, dim);
+        roots (P, 3, 3) of the covariances of the poses
     seen : z (a, dz) and R (a, dz, dz)
-    possible : (a, k) which pairs extents allow
+    possible : (a, k) whether the extents allow each pair
 
     Returns
     -------
@@ -104,8 +104,8 @@ def judge(
     innovation, S, distance2, log_det : (n, dz), (n, dz, dz), (n,), (n,)
     """
     (z, R), (rows, P, roots) = seen, known
-    (count, k, dz), asked = predicted[0].shape, len(z)
-    HPH, near = np.zeros((count, k, dz, dz)), np.zeros((count, asked, k), np.bool_)
+    (count, k, dz), observed = predicted[0].shape, len(z)
+    HPH, near = np.zeros((count, k, dz, dz)), np.zeros((count, observed, k), np.bool_)
     nu = np.empty(dz)
     for p in range(count):
         for j in range(k):
@@ -113,7 +113,7 @@ def judge(
                 continue
             _add_product(HPH[p, j], predicted[2][p, j], P[rows[p, j]])
             _add_product(HPH[p, j], predicted[1][p, j] @ roots[p], np.eye(POSE))
-            for i in range(asked):
+            for i in range(observed):
                 _innovation(z[i], predicted[0][p, j], angles, nu)
                 near[p, i, j] = possible[i, j] and _may_fit(nu, HPH[p, j], R[i], gate)
     pairs = np.stack(near.nonzero(), axis=1)
@@ -135,37 +135,37 @@ def judge(
 
 
 @kernel
-def inform(
-    which: Ints,
+def add_information(
+    particles: Ints,
     roots: Array,
     seen: tuple[Array, Array],
-    slopes: tuple[Array, Array],
+    jacobians: tuple[Array, Array],
     P: Array,
     out: tuple[Array, Array, Array],
 ) -> bool:
-    """Add what matches tell of poses: of u in pose + root u, u of unit covariance beforehand.
+    """Add the information of matches on the poses: on u in pose + root u, with u ~ N(0, I) a priori.
 
     Parameters
     ----------
-    which : (n,) particle of each match
+    particles : (n,) particle of each match
     roots : (P, 3, 3)
     seen : innovations (n, dz) and R (n, dz, dz)
-    slopes : z_D_pose (n, dz, 3) and z_D_m (n, dz, dim)
+    jacobians : z_D_pose (n, dz, 3) and z_D_m (n, dz, dim)
     P : (n, dim, dim) of the landmarks
     out : information (P, 3, 3) and vector (P, 3), and -2 log likelihood (P,) if u were 0
 
     Returns
     -------
-    False if a covariance is not positive definite; `out` is then of no use.
+    False if a covariance is not positive definite; `out` is then invalid.
     """
     (nu, R), (information, vector, cost) = seen, out
     dz = nu.shape[1]
-    for n in range(len(which)):
-        p, Z = which[n], R[n].copy()
-        _add_product(Z, slopes[1][n], P[n])
+    for n in range(len(particles)):
+        p, Z = particles[n], R[n].copy()
+        _add_product(Z, jacobians[1][n], P[n])
         if not _factorise(Z):
             return False
-        y, A = nu[n].copy(), slopes[0][n] @ roots[p]
+        y, A = nu[n].copy(), jacobians[0][n] @ roots[p]
         _solve_lower(Z, y)
         for c in range(POSE):
             column = A[:, c].copy()
@@ -182,7 +182,7 @@ def inform(
 
 @kernel
 def correct(nu: Array, R: Array, z_D_m: Array, P: Array) -> Array:
-    """Correct P (n, dim, dim) of landmarks seen from known poses, in place; return the steps (n, dim)."""
+    """Correct P (n, dim, dim) of landmarks from known poses in place; return the steps (n, dim)."""
     n, dim = len(nu), P.shape[1]
     out = np.zeros((n, dim))
     for k in range(n):
@@ -204,10 +204,10 @@ def correct(nu: Array, R: Array, z_D_m: Array, P: Array) -> Array:
 
 
 @kernel
-def own(rows: Ints, users: Ints, free: Ints, pairs: Ints) -> Ints:
-    """Give each (particle, landmark) of pairs (n, 2) a version of its own; return the versions (n,).
+def unshare(rows: Ints, users: Ints, free: Ints, pairs: Ints) -> Ints:
+    """Give each (particle, landmark) of pairs (n, 2) an unshared version; return the versions (n,).
 
-    A version that others use, too, is left to them: one of `free` (at least n) takes its place.
+    A version with other users is replaced by one of `free` (at least n).
     """
     out, taken = np.empty(len(pairs), np.int64), 0
     for n in range(len(pairs)):
@@ -224,7 +224,7 @@ def own(rows: Ints, users: Ints, free: Ints, pairs: Ints) -> Ints:
 
 @kernel
 def systematic(weights: Array, start: float) -> Ints:
-    """Return who survives (P,), ascending: draws a step of 1/P apart, from `start` of a step."""
+    """Return the survivors (P,), ascending, by systematic resampling that starts at `start` / P."""
     count = len(weights)
     out, total, p = np.empty(count, np.int64), weights[0], 0
     for n in range(count):

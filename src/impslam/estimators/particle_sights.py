@@ -1,4 +1,4 @@
-"""What a scan shows to all particles at once: which landmarks are near, and which pairs are likely."""
+"""Data association of a scan for all particles at once."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ import numpy as np
 from impslam.association.base import Association, Hypotheses
 from impslam.errors import NumericalError
 from impslam.estimators.particle_book import Book
-from impslam.estimators.particle_kernels import judge
+from impslam.estimators.particle_kernels import gated_pairs
 from impslam.landmarks.base import Prediction
 from impslam.types import Array, Ints, Mask, Match, Observation
 
-REACH = 1.0
-"""m: two pieces that are one wall may be a door apart."""
-SIGMAS = 5.0
-"""Standard deviations, beyond any gate, of how far a landmark may be from where it is thought to be."""
+MAX_GAP = 1.0
+"""m between two pieces of one wall: a door."""
+MAX_SIGMAS = 5.0
+"""Standard deviations by which a landmark may be misplaced; beyond any gate."""
 _BASE = np.zeros(3)
 
 
 class Cloud(NamedTuple):
-    """Where the robot may be: poses (P, 3) and roots (P, 3, 3) of what they are unsure by.
+    """The particles' poses (P, 3), and roots (P, 3, 3) of their covariances.
 
-    `best` is the likeliest particle's number.
+    `best` is the index of the likeliest particle.
     """
 
     poses: Array
@@ -33,7 +33,7 @@ class Cloud(NamedTuple):
     best: int
 
     def spread(self) -> tuple[float, float]:
-        """Return how far particles are from the best one and unsure, rms: m and rad."""
+        """Return the rms deviation from the best particle, including its uncertainty: m and rad."""
         off = self.poses - self.poses[self.best]
         off[:, 2] = np.sin(off[:, 2])
         squares = off**2 + (self.roots**2).sum(2)
@@ -42,17 +42,17 @@ class Cloud(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """The observations of a kind: `indices` (a,) into the scan, z (a, dz), R (a, dz, dz) and ends."""
+    """The observations of one kind: `indices` (a,) in the scan, z (a, dz), R (a, dz, dz) and ends."""
 
     book: Book
     indices: Ints
     z: Array
     R: Array
-    ends: Array  # (a, 2, 2) m in base_link, where pieces of walls begin and end
+    ends: Array  # (a, 2, 2) m in base_link, end points of pieces of walls
 
     @classmethod
     def of(cls, book: Book, observations: Sequence[Observation], indices: list[int]) -> Sight:
-        """Return this of some observations.
+        """Return the sight of some observations.
 
         Raises
         ------
@@ -85,7 +85,7 @@ class Pairs(NamedTuple):
     slots: Ints
 
     def predict(self, poses: Array) -> Prediction:
-        """Return how each landmark is seen from its particle's pose; (n, ...) each."""
+        """Return the predicted observation of each landmark from its particle's pose; (n, ...) each."""
         book = self.sight.book
         m = book.m[book.rows[self.particles, self.slots]]
         found = book.model.predict(poses[self.particles], m[:, None])
@@ -101,13 +101,13 @@ def sights(observations: Sequence[Observation], books: Mapping[str, Book]) -> li
 
 
 class Choice(NamedTuple):
-    """What all particles take the observations for.
+    """The associations of all particles.
 
     Attributes
     ----------
     pairs : matches by kind
-    matched, new : (P, a) which observations are matched, and which may begin a landmark
-    best : matches of the likeliest particle, by the ids of landmarks
+    matched, new : (P, a) which observations are matched, and which may be new landmarks
+    best : matches of the likeliest particle, by landmark id
     """
 
     pairs: list[Pairs]
@@ -122,26 +122,28 @@ def associate(
     cloud: Cloud,
     association: Association,
 ) -> Choice:
-    """Associate for every particle.
+    """Associate the observations for every particle.
 
-    One call for all: to the association, each particle's landmarks and observations are others.
+    This is one call of the association, with distinct ids for each particle's landmarks and observations.
     """
-    count, asked = len(cloud.poses), len(observations)
+    count, observed = len(cloud.poses), len(observations)
     stride = 1 + max((len(sight.book.ids) for sight in seen), default=0)
     hypotheses = [
-        _hypotheses(sight, cloud, asked, stride, association.max_distance2(sight.book.model.dim_z))
+        _hypotheses(
+            sight, cloud, observed, stride, association.max_distance2(sight.book.model.dim_z)
+        )
         for sight in seen
         if len(sight.book.ids)
     ]
     chosen = association.assign(observations * count, hypotheses, _joint)
-    new, matched = np.zeros(count * asked, np.bool_), np.zeros(count * asked, np.bool_)
+    new, matched = np.zeros(count * observed, np.bool_), np.zeros(count * observed, np.bool_)
     new[list(chosen.new)] = True
     table = np.array([(m.observation, m.landmark) for m in chosen.matches], np.int64).reshape(-1, 2)
     matched[table[:, 0]] = True
-    particles, which = np.divmod(table[:, 0], max(asked, 1))
+    particles, which = np.divmod(table[:, 0], max(observed, 1))
     pairs, best = [], list[Match]()
     for sight in seen:
-        row_of = np.full(asked, -1)
+        row_of = np.full(observed, -1)
         row_of[sight.indices] = np.arange(len(sight.indices))
         (mine,) = np.nonzero(row_of[which] >= 0)
         if len(mine):
@@ -151,23 +153,23 @@ def associate(
                 number, match = int(sight.book.ids[slots[n]]), chosen.matches[mine[n]]
                 best.append(match._replace(observation=int(which[mine[n]]), landmark=number))
     best.sort(key=attrgetter("observation"))
-    shape = count, asked
+    shape = count, observed
     return Choice(pairs, matched.reshape(shape), new.reshape(shape), tuple(best))
 
 
 def _joint(*_: object) -> tuple[Array, Array]:
-    raise NotImplementedError("particles judge pairings one by one")
+    raise NotImplementedError("particles evaluate pairings independently")
 
 
-def _hypotheses(sight: Sight, cloud: Cloud, asked: int, stride: int, gate: float) -> Hypotheses:
-    """Return the pairings in a gate of all particles."""
+def _hypotheses(sight: Sight, cloud: Cloud, observed: int, stride: int, gate: float) -> Hypotheses:
+    """Return the pairings of all particles inside the gate."""
     book, model, count = sight.book, sight.book.model, len(cloud.poses)
     near = _near(sight, cloud) if np.isfinite(gate) else np.arange(len(book.ids))
     rows = np.ascontiguousarray(book.rows[:, near])
     predicted = model.predict(cloud.poses, book.m[rows])
     angles = np.zeros(model.dim_z, np.bool_)
     angles[list(model.z_angles)] = True
-    pairs, *scored = judge(
+    pairs, *scored = gated_pairs(
         (predicted.z, predicted.z_D_pose, predicted.z_D_m),
         (rows, book.P, cloud.roots),
         (sight.z, sight.R),
@@ -185,11 +187,11 @@ def _hypotheses(sight: Sight, cloud: Cloud, asked: int, stride: int, gate: float
         return model.distance(book.m[rows[p, k]], model.invert(poses, z)[:, 0])
 
     slots = near[k]
-    every = np.arange(count)[:, None] * asked + sight.indices
+    every = np.arange(count)[:, None] * observed + sight.indices
     return Hypotheses(
         book.kind,
         every.ravel(),
-        p * asked + sight.indices[a],
+        p * observed + sight.indices[a],
         p * stride + slots,
         book.labels[slots],
         innovation,
@@ -202,7 +204,7 @@ def _hypotheses(sight: Sight, cloud: Cloud, asked: int, stride: int, gate: float
 
 
 def _near(sight: Sight, cloud: Cloud) -> Ints:
-    """Return the landmarks (k,) that any particle may see among the observations."""
+    """Return the landmarks (k,) that any particle may have observed."""
     book, pose = sight.book, cloud.poses[cloud.best]
     rows = book.rows[cloud.best]
     ends = book.model.outline(book.m[rows], book.extents) - pose[:2]
@@ -211,21 +213,21 @@ def _near(sight: Sight, cloud: Cloud) -> Ints:
     share = np.clip(-(ends[:, 0] * along).sum(1) / length2, 0.0, 1.0)
     distance = np.hypot(*(ends[:, 0] + share[:, None] * along).T)
     seen = float(np.hypot(sight.ends[..., 0], sight.ends[..., 1]).max())
-    place, turn = cloud.spread()
-    unsure = place + turn * seen + np.sqrt(np.trace(book.P[rows], axis1=1, axis2=2))
-    return np.flatnonzero((distance < seen + REACH + SIGMAS * unsure) | (rows < 0))
+    distance_sigma, turn_sigma = cloud.spread()
+    sigma = distance_sigma + turn_sigma * seen + np.sqrt(np.trace(book.P[rows], axis1=1, axis2=2))
+    return np.flatnonzero((distance < seen + MAX_GAP + MAX_SIGMAS * sigma) | (rows < 0))
 
 
 def _possible(sight: Sight, cloud: Cloud, near: Ints) -> Mask:
-    """Tell which pairs (a, k) extents allow to the likeliest particle, within two standard deviations."""
-    book, model, asked = sight.book, sight.book.model, len(sight.z)
-    out = np.ones((asked, len(near)), np.bool_)
+    """Return which pairs (a, k) the extents allow, within 2 sigma, for the likeliest particle."""
+    book, model, observed = sight.book, sight.book.model, len(sight.z)
+    out = np.ones((observed, len(near)), np.bool_)
     rows = book.rows[cloud.best, near]
     known = np.flatnonzero(rows >= 0)
     if not model.has_extent or not len(known):
         return out
     pose, root = cloud.poses[cloud.best], cloud.roots[cloud.best]
-    a, k = (index.ravel() for index in np.meshgrid(np.arange(asked), known, indexing="ij"))
+    a, k = (index.ravel() for index in np.meshgrid(np.arange(observed), known, indexing="ij"))
     m, P = book.m[rows[k]], book.P[rows[k]]
     overlap = model.overlap(pose, m, book.extents[near[k]], model.extents(pose, m, sight.ends[a]))
     variance = ((overlap.gap_D_pose @ root) ** 2).sum(1)

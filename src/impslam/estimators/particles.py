@@ -1,21 +1,22 @@
 """FastSLAM: particles of the robot's path, each with its own landmarks and its own association.
 
 Given the path, landmarks are independent of each other: a particle is a path and a small filter for each
-landmark (Montemerlo, Thrun, Koller & Wegbreit 2002). A scan costs what is seen in it, times the
-particles, whatever the size of the map, and a false match costs the particles that made it.
+landmark (Montemerlo, Thrun, Koller & Wegbreit 2002). The cost of a scan is proportional to its number of
+observations and to that of particles, for any size of the map, and a false match affects only the
+particles that made it.
 
-FastSLAM 1 draws the pose from the motion. FastSLAM 2 (Montemerlo et al. 2003) draws from the motion and
-what is seen: with a pose x^ (+) V u, u of unit covariance, and an innovation nu of H_x u and noise
+FastSLAM 1 samples the pose from the motion. FastSLAM 2 (Montemerlo et al. 2003) samples it from the motion
+and the observations: with a pose x^ (+) V u, u of unit covariance, and an innovation nu of H_x u and noise
 Z = H_m P_m H_m^T + R for each match,
 
     L = I + sum H_x^T Z^-1 H_x,    b = sum H_x^T Z^-1 nu,    u ~ N(L^-1 b, L^-1),
     -2 log w = sum (nu^T Z^-1 nu + log |2 pi Z|) - b^T L^-1 b + log |L|,
 
-which needs no inverse of the motion's covariance: a robot may stand. An observation that a particle takes
-for nothing it knows weighs as one at the gate. Landmarks are then corrected at the pose drawn. Particles
-are drawn anew, systematically, when their effective number falls below a share of them.
+which needs no inverse of the motion's covariance, so the robot may be stationary. An unmatched observation
+is weighted like one at the gate. Landmarks are then corrected at the sampled pose. Particles are resampled
+systematically when their effective number falls below a share of them.
 
-What is kept forgets: a particle's past is that of few ancestors, so covariances come out too small after
+Resampling depletes the past: all particles descend from few ancestors, so covariances are too small after
 long loops (Bailey, Nieto & Nebot 2006). `imp reproduce filters` shows it.
 """
 
@@ -31,10 +32,10 @@ from pydantic import PrivateAttr
 from impslam.association.base import Association
 from impslam.component import parameter, register
 from impslam.errors import ConfigError, NumericalError
-from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_known
+from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_finite
 from impslam.estimators.blur import blurred
 from impslam.estimators.particle_book import Book
-from impslam.estimators.particle_kernels import axes, correct, inform, systematic
+from impslam.estimators.particle_kernels import add_information, axes, correct, systematic
 from impslam.estimators.particle_sights import Cloud, Pairs, associate, sights
 from impslam.estimators.sampling import moved, normalised
 from impslam.filters.base import Filter
@@ -46,26 +47,30 @@ from impslam.lifecycle.base import Lifecycle
 from impslam.map import Keyframe, Map, Revision
 from impslam.types import Array, Increment, Ints, Landmark, Match, Observation
 
-OUTSIDE = 13.8
-"""Squared Mahalanobis distance, 99.9 % of two dimensions: what matches nothing weighs as if so far off."""
-MOST = 0.5
-"""Weight of the particles that know a landmark of the map."""
+UNMATCHED_DISTANCE2 = 13.8
+"""Squared Mahalanobis distance assumed for unmatched observations: 99.9 % in two dimensions."""
+MIN_WEIGHT = 0.5
+"""Total weight of the particles that have a landmark of the map."""
 
 
 @register("particles")
 class Particles(Estimator):
-    """FastSLAM 1 and 2: each particle a path and landmarks of its own (Montemerlo et al. 2002, 2003)."""
+    """FastSLAM 1 and 2: particles with their own path and landmarks (Montemerlo et al. 2002, 2003)."""
 
     parts: ClassVar[tuple[str, ...]] = ("filter", "association", "lifecycle")
 
     particles: int = parameter(100, "1", "number of particles", ge=1)
     version: int = parameter(
-        2, "1", "1: poses are drawn from the motion alone; 2: from what is seen, too", ge=1, le=2
+        2,
+        "1",
+        "1: poses are sampled from the motion alone; 2: from motion and observations",
+        ge=1,
+        le=2,
     )
     effective: float = parameter(
-        0.5, "1", "share of the particles; fewer effective ones are drawn anew", gt=0, le=1
+        0.5, "1", "share of effective particles below which they are resampled", gt=0, le=1
     )
-    seed: int = parameter(0, "1", "of the random draws", ge=0)
+    seed: int = parameter(0, "1", "seed of the sampling", ge=0)
     _association: Association = PrivateAttr()
     _lifecycle: Lifecycle = PrivateAttr()
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
@@ -73,7 +78,7 @@ class Particles(Estimator):
     _poses: Array = PrivateAttr()
     _log_weights: Array = PrivateAttr()
     _books: dict[str, Book] = PrivateAttr()
-    _told: set[int] = PrivateAttr()
+    _mapped: set[int] = PrivateAttr()
     _next_id: int = PrivateAttr(default=0)
 
     def start(
@@ -85,99 +90,98 @@ class Particles(Estimator):
         **parts: Any,
     ) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
-        self._refuse(known)
-        asked: Association = parts["association"]
-        self._association, self._lifecycle = asked.for_known_pose(), parts["lifecycle"]
+        self._refuse_known(known)
+        association: Association = parts["association"]
+        self._association, self._lifecycle = association.for_known_pose(), parts["lifecycle"]
         if self._association.is_joint:
             raise ConfigError(
-                f"estimator 'particles' cannot ask association {self._association.name!r}, which judges a "
+                f"estimator 'particles' cannot use association {self._association.name!r}, which matches a "
                 "scan as a whole; choose another one with --set association.kind=mahalanobis"
             )
         tentative: Filter = parts["filter"]
         self._models, self._rng = parts["models"], np.random.default_rng(self.seed)
         self._poses = np.tile(np.asarray(pose, np.float64), (self.particles, 1))
         self._log_weights = np.zeros(self.particles)
-        self._books, self._told, self._next_id = {}, set(), 0
-        self._lifecycle.start(self._models, asked, tentative.fresh())
+        self._books, self._mapped, self._next_id = {}, set(), 0
+        self._lifecycle.start(self._models, association, tentative.fresh())
 
     def add(self, keyframe: Keyframe) -> Revision:
-        """Take in a keyframe; see `Estimator.add`."""
-        drawn = self._rng.bit_generator.state
+        """Process a keyframe; see `Estimator.add`."""
+        random_state = self._rng.bit_generator.state
         try:
             check_keyframe(keyframe)
             return self._add(
                 keyframe, blurred(keyframe.observations, keyframe.motion, self._models)
             )
         except NumericalError as error:
-            self._rng.bit_generator.state = drawn
-            why = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {error}"
-        if is_known(keyframe.motion):
-            self._poses, _ = self._draw((), self._ahead(keyframe.motion))
+            self._rng.bit_generator.state = random_state
+            reason = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {error}"
+        if is_finite(keyframe.motion):
+            self._poses, _ = self._sample((), self._predicted(keyframe.motion))
             self._lifecycle.move(keyframe.motion)
-        return self._revision(keyframe, refused=why)
+        return self._revision(keyframe, refused=reason)
 
     def _add(self, keyframe: Keyframe, seen: tuple[Observation, ...]) -> Revision:
         kinds = sights(seen, {o.kind: self._book(o.kind) for o in seen})
-        cloud = self._ahead(keyframe.motion)
+        cloud = self._predicted(keyframe.motion)
         choice = associate(seen, kinds, cloud, self._association)
-        poses, cost = self._draw(choice.pairs, cloud)
+        poses, cost = self._sample(choice.pairs, cloud)
 
         self._poses = poses
-        self._log_weights -= 0.5 * (cost + ~choice.matched @ _outside(seen))
+        self._log_weights -= 0.5 * (cost + ~choice.matched @ _unmatched_cost(seen))
         self._lifecycle.move(keyframe.motion)
         for pairs in choice.pairs:
             self._correct(pairs)
         weights = self._weights()
-        shown = self._note(seen, choice.best, keyframe.stamp)
+        observed = self._note(seen, choice.best, keyframe.stamp)
         for i in self._promote(seen, weights @ choice.new, keyframe.motion.stamp):
             holders = np.flatnonzero(~choice.matched[:, i])
-            shown[self._enter(seen[i], holders, keyframe.stamp)] = i
+            observed[self._add_landmark(seen[i], holders, keyframe.stamp)] = i
 
         shares = self._shares(weights)
-        gone = [number for number in self._told if shares[number] <= MOST]
-        gone += self._through(keyframe, weights, choice.best)
-        born = [i for i in shown if i not in self._told and i not in gone and shares[i] > MOST]
-        matches = tuple(match for match in choice.best if match.landmark in self._told)
+        gone = [number for number in self._mapped if shares[number] <= MIN_WEIGHT]
+        gone += self._missed(keyframe, weights, choice.best)
+        born = [
+            i
+            for i in observed
+            if i not in self._mapped and i not in gone and shares[i] > MIN_WEIGHT
+        ]
+        matches = tuple(match for match in choice.best if match.landmark in self._mapped)
         revision = self._revision(
             keyframe,
             matches=matches,
             born=tuple(born),
-            origins=tuple(shown[number] for number in born),
+            origins=tuple(observed[number] for number in born),
             gone=tuple(gone),
         )
-        self._told = (self._told | set(born)) - set(gone)
-        self._survive(weights, set(gone))
+        self._mapped = (self._mapped | set(born)) - set(gone)
+        self._resample(weights, set(gone))
         return revision
 
-    def _ahead(self, motion: Increment) -> Cloud:
-        """Return where particles get to by a motion, drawn (version 1) or with what it is unsure by."""
-        poses, roots = (
-            compose(self._poses, motion.d_pose),
-            axes(self._poses, root(motion.covariance)),
-        )
+    def _predicted(self, motion: Increment) -> Cloud:
+        """Return the poses after a motion: sampled (version 1), or with their uncertainty."""
+        poses = compose(self._poses, motion.d_pose)
+        roots = axes(self._poses, root(motion.covariance))
         if self.version == 1:
             poses, roots = moved(poses, roots, self._normals()), np.zeros_like(roots)
         return Cloud(poses, roots, int(np.argmax(self._log_weights)))
 
-    def _draw(self, pairs: Sequence[Pairs], cloud: Cloud) -> tuple[Array, Array]:
-        """Return poses (P, 3) drawn by motion and matches, and -2 log likelihood (P,) of the matches.
+    def _sample(self, pairs: Sequence[Pairs], cloud: Cloud) -> tuple[Array, Array]:
+        """Return poses (P, 3) sampled by motion and matches, and -2 log likelihood (P,) of the matches.
 
         Raises
         ------
         NumericalError
             If the covariance of an innovation is not positive definite.
         """
-        information, vector = (
-            np.tile(np.eye(3), (self.particles, 1, 1)),
-            np.zeros((self.particles, 3)),
-        )
-        cost = np.zeros(self.particles)
+        information = np.tile(np.eye(3), (self.particles, 1, 1))
+        vector, cost = np.zeros((self.particles, 3)), np.zeros(self.particles)
         for some in pairs:
-            found, (book, _, z, R, _) = some.predict(cloud.poses), some.sight
-            nu = book.model.residual(z[some.rows], found.z)
+            predicted, (book, _, z, R, _) = some.predict(cloud.poses), some.sight
+            seen = book.model.residual(z[some.rows], predicted.z), R[some.rows]
             P = book.P[book.rows[some.particles, some.slots]]
-            slopes, out = (found.z_D_pose, found.z_D_m), (information, vector, cost)
-            if not inform(some.particles, cloud.roots, (nu, R[some.rows]), slopes, P, out):
+            jacobians, out = (predicted.z_D_pose, predicted.z_D_m), (information, vector, cost)
+            if not add_information(some.particles, cloud.roots, seen, jacobians, P, out):
                 raise NumericalError("the covariance of an innovation is not positive definite")
         L = np.linalg.cholesky(information)
         y = np.linalg.solve(L, vector[..., None])
@@ -186,27 +190,27 @@ class Particles(Estimator):
         return moved(cloud.poses, cloud.roots, u), cost
 
     def _correct(self, pairs: Pairs) -> None:
-        """Correct the landmarks that particles have matched, from the poses drawn."""
-        found, (book, _, z, R, _) = pairs.predict(self._poses), pairs.sight
-        nu = book.model.residual(z[pairs.rows], found.z)
-        rows = book.own(pairs.particles, pairs.slots)
+        """Correct the matched landmarks from the sampled poses."""
+        predicted, (book, _, z, R, _) = pairs.predict(self._poses), pairs.sight
+        nu = book.model.residual(z[pairs.rows], predicted.z)
+        rows = book.unshare(pairs.particles, pairs.slots)
         P = book.P[rows]
-        steps = correct(nu, R[pairs.rows], found.z_D_m, P)
+        steps = correct(nu, R[pairs.rows], predicted.z_D_m, P)
         book.m[rows], book.P[rows] = book.model.retract(book.m[rows], steps), P
 
     def _note(
         self, seen: Sequence[Observation], matches: Sequence[Match], stamp: float
     ) -> dict[int, int]:
-        """Keep the books of what the likeliest particle has matched; return which shows which."""
+        """Record the matches of the likeliest particle; return their observations by landmark id."""
         for match in matches:
             observation = seen[match.observation]
-            book, slot = self._place(match.landmark)
+            book, slot = self._find(match.landmark)
             book.note(slot, stamp, observation.attributes)
             self._widen(book, slot, observation)
         return {match.landmark: match.observation for match in matches}
 
     def _widen(self, book: Book, slot: int, observation: Observation) -> None:
-        """Take in where a landmark has been seen, as a particle that knows it has it."""
+        """Extend the extent of a landmark by an observation, in the map of one of its particles."""
         if not book.model.has_extent or observation.end_points is None:
             return
         (p,) = np.flatnonzero(book.rows[:, slot] >= 0)[:1]
@@ -215,13 +219,13 @@ class Particles(Estimator):
         extent[:] = min(extent[0], begin), max(extent[1], end)
 
     def _promote(self, seen: Sequence[Observation], share: Array, now: float) -> list[int]:
-        """Return which observations, new to most, become landmarks."""
-        unmatched = np.flatnonzero(share > MOST).tolist()
-        alone = not any(len(book.ids) for book in self._books.values())
-        promoted = self._lifecycle.promote([seen[i] for i in unmatched], now, alone)
+        """Return which observations that are new to most particles become landmarks."""
+        unmatched = np.flatnonzero(share > MIN_WEIGHT).tolist()
+        is_empty = not any(len(book.ids) for book in self._books.values())
+        promoted = self._lifecycle.promote([seen[i] for i in unmatched], now, is_empty)
         return [unmatched[k] for k in promoted]
 
-    def _enter(self, observation: Observation, holders: Ints, stamp: float) -> int:
+    def _add_landmark(self, observation: Observation, holders: Ints, stamp: float) -> int:
         """Add a landmark to some particles (h,); return its id."""
         book, number = self._book(observation.kind), self._next_id
         self._next_id += 1
@@ -233,12 +237,12 @@ class Particles(Estimator):
         self._widen(book, len(book.ids) - 1, observation)
         return number
 
-    def _through(self, keyframe: Keyframe, weights: Array, matches: Sequence[Match]) -> list[int]:
-        """Return the landmarks that should be seen from the likeliest pose, and are not."""
+    def _missed(self, keyframe: Keyframe, weights: Array, matches: Sequence[Match]) -> list[int]:
+        """Return the landmarks to remove because the likeliest particle should see them but does not."""
         best = int(np.argmax(weights))
         ids, outlines = [], []
         for book in self._books.values():
-            (slots,) = np.nonzero((book.rows[best] >= 0) & np.isin(book.ids, list(self._told)))
+            (slots,) = np.nonzero((book.rows[best] >= 0) & np.isin(book.ids, list(self._mapped)))
             ids.append(book.ids[slots])
             outlines.append(book.model.outline(book.m[book.rows[best, slots]], book.extents[slots]))
         if keyframe.scan is None or not sum(map(len, ids)):
@@ -246,17 +250,17 @@ class Particles(Estimator):
         known, ends = np.concatenate(ids), np.concatenate(outlines)
         return self._lifecycle.review(keyframe.scan, self._poses[best], known, ends, matches)
 
-    def _survive(self, weights: Array, gone: set[int]) -> None:
-        """Draw particles anew if few count; forget what is gone, and what none knows any more."""
+    def _resample(self, weights: Array, gone: set[int]) -> None:
+        """Resample if few particles are effective; remove gone landmarks, and those of no particle."""
         if 1.0 / (weights @ weights) < self.effective * self.particles:
             parents = systematic(weights, self._rng.random())
             self._poses, self._log_weights = self._poses[parents], np.zeros(self.particles)
             for book in self._books.values():
-                book.survive(parents)
+                book.resample(parents)
         for book in self._books.values():
-            dead = (book.rows < 0).all(0) | np.isin(book.ids, list(gone))
-            if dead.any():
-                book.forget(dead)
+            unused = (book.rows < 0).all(0) | np.isin(book.ids, list(gone))
+            if unused.any():
+                book.forget(unused)
 
     def _revision(self, keyframe: Keyframe, **facts: Any) -> Revision:
         """Return the mean and the covariance of the particles' poses."""
@@ -271,16 +275,16 @@ class Particles(Estimator):
         return Revision(np.array([keyframe.id]), pose[None], covariance[None], **facts)
 
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the landmarks that most particles know, in the form users read."""
+        """Return the landmarks of most particles, in the form that users read."""
         weights = self._weights()
         return tuple(
-            book.landmark(slot, weights) for book, slot in map(self._place, sorted(self._told))
+            book.landmark(slot, weights) for book, slot in map(self._find, sorted(self._mapped))
         )
 
     @property
     def state_size(self) -> int:
         """Number of scalars in one particle."""
-        return 3 + sum(self._place(number)[0].model.dim for number in self._told)
+        return 3 + sum(self._find(number)[0].model.dim for number in self._mapped)
 
     def _book(self, kind: str) -> Book:
         if kind not in self._books:
@@ -291,8 +295,8 @@ class Particles(Estimator):
             self._books[kind] = Book(kind, self._models[kind], self.particles)
         return self._books[kind]
 
-    def _place(self, number: int) -> tuple[Book, int]:
-        """Return the book of a landmark, and its slot there; ids ascend."""
+    def _find(self, number: int) -> tuple[Book, int]:
+        """Return the book of a landmark and its slot there; ids ascend."""
         for book in self._books.values():
             slot = int(np.searchsorted(book.ids, number))
             if slot < len(book.ids) and book.ids[slot] == number:
@@ -300,7 +304,7 @@ class Particles(Estimator):
         raise KeyError(number)
 
     def _shares(self, weights: Array) -> dict[int, float]:
-        """Return the weight of the particles that know each landmark."""
+        """Return the total weight of the particles that have each landmark."""
         shares: dict[int, float] = {}
         for book in self._books.values():
             shares.update(zip(book.ids.tolist(), book.shares(weights).tolist(), strict=True))
@@ -314,6 +318,8 @@ class Particles(Estimator):
         return self._rng.standard_normal((self.particles, 3))
 
 
-def _outside(seen: Sequence[Observation]) -> Array:
-    """Return -2 log of what each observation (a,) weighs that matches nothing."""
-    return np.array([OUTSIDE + np.linalg.slogdet(2.0 * math.pi * o.R)[1] for o in seen], np.float64)
+def _unmatched_cost(seen: Sequence[Observation]) -> Array:
+    """Return -2 log likelihood of each observation (a,) if it is unmatched."""
+    return np.array(
+        [UNMATCHED_DISTANCE2 + np.linalg.slogdet(2.0 * math.pi * o.R)[1] for o in seen], np.float64
+    )

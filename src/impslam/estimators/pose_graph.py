@@ -1,7 +1,7 @@
-"""The pose graph that grows with the drive: nodes along the way, and closures between them.
+"""The pose graph of a drive: nodes along the path, and loop closures between them.
 
-Sessions are drives whose relation is not measured: parts of the graph that no edge connects. Each lies
-in a frame of its own, which its first node holds. A closure from one to another joins them.
+Sessions are parts of the graph that no edge connects. Each has a frame of its own, defined by its first
+node. A closure between two sessions joins them.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from impslam.growing import GrowingArray
 from impslam.types import Array, Ints, Mask
 
 KERNEL = 25.0
-"""Squared Mahalanobis distance beyond which a closure counts for less and less: 5 sigma."""
+"""Squared Mahalanobis distance beyond which the weight of a closure decreases: 5 sigma."""
 CLOSURE_LENGTH = 0.5
-"""m of way that a closure counts for: its own error is that of so much driving."""
-SHIFT = 0.1, 0.01
-"""m, rad: a closure that says less is kept, and moves nothing until the next solution."""
+"""m, path length of a closure: its error is that of so much driving."""
+MIN_SHIFT = 0.1, 0.01
+"""m, rad: closures with smaller corrections do not trigger a solution."""
 
 
 class PoseGraph:
     """Nodes with their poses, the chains of motions between them, and closures.
 
-    The first node is fixed: it says where the map lies. So is the first one of each session that
-    nothing connects to it, and so are the first `frozen` ones, a map that is to stay as it is. A node
-    where another one is already can be folded into that one: what its edges say is then said of the
-    other, and it moves with it (the reduced pose graph, Johannsson et al. 2013).
+    The first node is fixed: it defines the map frame. Also fixed are the first nodes of pending sessions,
+    and the first `frozen` nodes, those of a frozen map. A node close to another one can be folded into it:
+    its edges are transferred to the other node, its host, and it moves with that (the reduced pose graph,
+    Johannsson et al. 2013).
 
     Attributes
     ----------
-    poses : (n, 3) `T_map_node`; of a session that is not connected to the first node, in its frame
-    covariances : (n, 3, 3), as of the last solution and by the chain from there
-    hosts : (n,) the node that each is folded into; itself where it is not
+    poses : (n, 3) `T_map_node`; in a pending session relative to its own frame
+    covariances : (n, 3, 3), from the last solution and propagated from there
+    hosts : (n,) the node that each is folded into; itself if it is not folded
     closures : number of closures
     """
 
@@ -55,64 +55,64 @@ class PoseGraph:
     def __init__(self) -> None:
         self.poses, self.covariances = np.empty((0, 3)), np.empty((0, 3, 3))
         self.hosts, self.closures = np.empty(0, np.int64), 0
-        self._T_host_node, self._spreads = np.empty((0, 3)), np.empty((0, 3, 3))
+        self._T_host_node, self._host_covariances = np.empty((0, 3)), np.empty((0, 3, 3))
         self._edges = _columns()
 
     def __copy__(self) -> PoseGraph:
-        """Return the graph as it is now; this one only writes behind the other's end."""
+        """Return a snapshot; the original only writes beyond the end of its arrays."""
         other = type(self).__new__(type(self))
         vars(other).update(vars(self), _edges=tuple(copy(column) for column in self._edges))
         return other
 
     def __len__(self) -> int:
-        """Return the number of nodes, folded ones among them."""
+        """Return the number of nodes, including folded ones."""
         return len(self.poses)
 
     @classmethod
-    def of(
+    def from_nodes(
         cls, poses: Array, covariances: Array, hosts: Ints, edges: Edges, lengths: Array
     ) -> PoseGraph:
         """Return a graph of nodes (n, 3), their hosts (n,), and edges between those not folded.
 
-        Each edge counts for `lengths` (e,) m of way.
+        `lengths` (e,) m are the path lengths of the edges.
         """
         graph = cls()
         graph.poses, graph.covariances = poses, covariances
         graph.hosts, graph._T_host_node = hosts, between(poses[hosts], poses)
-        graph._spreads = np.zeros_like(covariances)
+        graph._host_covariances = np.zeros_like(covariances)
         for column, rows in zip(graph._edges, (*edges, lengths), strict=True):
             column.append(rows, len(rows))
         graph.closures = int(np.isfinite(edges.kernel).sum())
         return graph
 
-    def begin(self, pose: Array, covariance: Array) -> None:
-        """Add the first node of a session, at a pose (3,)."""
+    def add_root(self, pose: Array, covariance: Array) -> None:
+        """Add a node at a pose (3,) without an edge: the first one of a session."""
         self.hosts = np.append(self.hosts, len(self))
         for name, row in (
             ("poses", pose), ("covariances", covariance),
-            ("_T_host_node", np.zeros(3)), ("_spreads", np.zeros((3, 3))),
+            ("_T_host_node", np.zeros(3)), ("_host_covariances", np.zeros((3, 3))),
         ):  # fmt: skip
             setattr(self, name, np.concatenate([getattr(self, name), row[None]]))
 
-    def go_on(self, T: Array, covariance: Array, length: float) -> None:
-        """Add a node after the motion T (3,), its covariance (3, 3), along `length` m of way."""
-        self.begin(*compose_uncertain(self.poses[-1], self.covariances[-1], T, covariance))
+    def extend(self, T: Array, covariance: Array, length: float) -> None:
+        """Add a node after the motion T (3,) of covariance (3, 3) and path length `length`, m."""
+        self.add_root(*compose_uncertain(self.poses[-1], self.covariances[-1], T, covariance))
         information = np.asarray(np.linalg.inv(covariance))
         self._add(len(self) - 2, len(self) - 1, T, information, math.inf, length)
 
     def close(self, i: int, j: int, T_i_j: Array, information: Array) -> bool:
-        """Add a closure; tell whether it says anything new.
+        """Add a closure; return whether the graph must be solved.
 
-        If it is the first one between two sessions, the later one is moved to where it says.
+        The first closure between two sessions moves the later one accordingly.
         """
         joins = self._join(i, j, T_i_j)
         self.closures += 1
-        self._add(*self._hung(i, j, T_i_j, information), KERNEL, CLOSURE_LENGTH)
+        self._add(*self._between_hosts(i, j, T_i_j, information), KERNEL, CLOSURE_LENGTH)
         d = between(between(self.poses[i], self.poses[j]), T_i_j)
-        return joins or bool(math.hypot(d[0], d[1]) > SHIFT[0] or abs(d[2]) > SHIFT[1])
+        return joins or bool(math.hypot(d[0], d[1]) > MIN_SHIFT[0] or abs(d[2]) > MIN_SHIFT[1])
 
     def _join(self, i: int, j: int, T_i_j: Array) -> bool:
-        """Move the later session of two to where an edge has it; tell whether there are two."""
+        """Move the later session of two to satisfy an edge; return whether there are two."""
         root = self.roots
         if root[i] == root[j]:
             return False
@@ -127,8 +127,8 @@ class PoseGraph:
         self.covariances[later] = turn @ self.covariances[later] @ turn.T
         return True
 
-    def take_back(self, closures: int) -> None:
-        """Forget the newest closures, which no motion follows."""
+    def remove_closures(self, closures: int) -> None:
+        """Remove the newest closures; there must be no later motion."""
         self.closures -= closures
         for column in self._edges:
             column.shorten(closures)
@@ -148,14 +148,14 @@ class PoseGraph:
         return Edges(*(column.array for column in self._edges[:5]))
 
     def fold(self, node: int, host: int, T_host_node: Array, covariance: Array) -> None:
-        """Fold a node into another one, from which it is seen at T (3,) with covariance (3, 3).
+        """Fold a node into another one, relative to which it is at T (3,) with covariance (3, 3).
 
-        Each edge of the node is moved to the host, as if T were measured anew for each. Of edges of one
-        sort between the same two nodes the one that says most is kept: what is seen again in one
-        place errs alike, and edges have to be as few as places.
+        Each edge of the node is moved to the host, with an independent error of T for each. Of several
+        edges of a kind between the same nodes only the most accurate is kept: repeated measurements of one
+        place have similar errors, and the number of edges must not exceed that of places.
         """
         T_host_node, covariance = compose_uncertain(
-            self._T_host_node[host], self._spreads[host], T_host_node, covariance
+            self._T_host_node[host], self._host_covariances[host], T_host_node, covariance
         )
         host = int(self.hosts[host])
         if node in (0, host) or self.is_folded[node]:
@@ -163,7 +163,7 @@ class PoseGraph:
         for name, value in (
             ("hosts", host),
             ("_T_host_node", T_host_node),
-            ("_spreads", covariance),
+            ("_host_covariances", covariance),
         ):
             column = getattr(self, name).copy()
             column[node] = value
@@ -173,30 +173,28 @@ class PoseGraph:
         for column, values in zip(self._edges, old, strict=True):
             column.append(values[~moved], int(np.count_nonzero(~moved)))
         for i, j, T_i_j, information, kernel2, length in zip(*(v[moved] for v in old), strict=True):
-            self._merge(*self._hung(i, j, T_i_j, information), kernel2, length + CLOSURE_LENGTH)
+            self._merge(
+                *self._between_hosts(i, j, T_i_j, information), kernel2, length + CLOSURE_LENGTH
+            )
 
-    def _hung(self, i: int, j: int, T_i_j: Array, information: Array) -> tuple[Any, ...]:
+    def _between_hosts(self, i: int, j: int, T_i_j: Array, information: Array) -> tuple[Any, ...]:
         """Return an edge between the hosts of its ends."""
         if not (self.is_folded[i] or self.is_folded[j]):
             return i, j, T_i_j, information
-        T, P, at, spread = (
-            T_i_j,
-            np.asarray(np.linalg.inv(information)),
-            self._T_host_node,
-            self._spreads,
-        )
-        T, P = compose_uncertain(at[i], spread[i], T, P)
-        T, P = _reversed(*compose_uncertain(at[j], spread[j], *_reversed(T, P)))
+        T, P = T_i_j, np.asarray(np.linalg.inv(information))
+        T_host, P_host = self._T_host_node, self._host_covariances
+        T, P = compose_uncertain(T_host[i], P_host[i], T, P)
+        T, P = _reversed(*compose_uncertain(T_host[j], P_host[j], *_reversed(T, P)))
         return self.hosts[i], self.hosts[j], T, np.asarray(np.linalg.inv(P))
 
     def _merge(self, *edge: Any) -> None:
-        """Add an edge; where one of its sort is already, the one that says less goes."""
+        """Add an edge; if there is one of its kind already, keep only the more accurate one."""
         i, j, _, information, kernel2, _ = edge
         if i == j:
             return
-        ends, others, _, known, kernels, _ = (column.array for column in self._edges)
-        same = ((ends == i) & (others == j)) | ((ends == j) & (others == i))
-        rows = np.flatnonzero(same & (kernels == kernel2))
+        begins, ends, _, known, kernels, _ = (column.array for column in self._edges)
+        is_parallel = ((begins == i) & (ends == j)) | ((begins == j) & (ends == i))
+        rows = np.flatnonzero(is_parallel & (kernels == kernel2))
         if not len(rows):
             self._add(*edge)
         elif np.linalg.det(known[rows[0]]) < np.linalg.det(information):
@@ -205,12 +203,12 @@ class PoseGraph:
 
     @property
     def roots(self) -> Ints:
-        """First node (n,) that is connected to each; 0 of those that are placed in the map."""
+        """First node (n,) that is connected to each; 0 for those that are placed in the map."""
         i, j, *_ = self.edges
         return np.asarray(roots(len(self), i, j)[self.hosts])
 
     def solve(self) -> None:
-        """Move the nodes to where motions and closures agree best.
+        """Move the nodes to the optimum of motions and closures.
 
         Raises
         ------
@@ -226,10 +224,10 @@ class PoseGraph:
         self.poses = compose(solution.poses[self.hosts], self._T_host_node)
         self.covariances = covariances
 
-    def ways(self, node: int) -> Array:
-        """Return the shortest way (n,) m from a node to each, along motions and closures."""
+    def path_lengths(self, node: int) -> Array:
+        """Return the length (n,) m of the shortest path from a node to each, along the edges."""
         i, j, *_, length = (column.array for column in self._edges)
-        return _ways(len(self), i, j, length, int(self.hosts[node]))[self.hosts]
+        return _shortest_paths(len(self), i, j, length, int(self.hosts[node]))[self.hosts]
 
 
 def _columns() -> tuple[GrowingArray, ...]:
@@ -247,22 +245,22 @@ def _reversed(T_i_j: Array, covariance: Array) -> tuple[Array, Array]:
 
 
 @kernel
-def _ways(n: int, i: Ints, j: Ints, length: Array, start: int) -> Array:
-    """Return the shortest ways (n,) from a node by sweeps over the edges (Bellman 1958).
+def _shortest_paths(n: int, i: Ints, j: Ints, length: Array, start: int) -> Array:
+    """Return shortest path lengths (n,) from a node by sweeps over the edges (Bellman 1958).
 
-    The edges are in the order of the drive, so that a sweep ahead and one back settle a chain.
+    The edges are in the order of the drive, so a sweep forward and one backward suffice for a chain.
     """
-    ways = np.full(n, np.inf)
-    ways[start] = 0.0
+    distances = np.full(n, np.inf)
+    distances[start] = 0.0
     changed = True
     while changed:
         changed = False
         for sweep in range(2):
             for k in range(len(i)):
                 e = k if sweep == 0 else len(i) - 1 - k
-                a, b = ways[i[e]], ways[j[e]]
+                a, b = distances[i[e]], distances[j[e]]
                 if a + length[e] < b:
-                    ways[j[e]], changed = a + length[e], True
+                    distances[j[e]], changed = a + length[e], True
                 elif b + length[e] < a:
-                    ways[i[e]], changed = b + length[e], True
-    return ways
+                    distances[i[e]], changed = b + length[e], True
+    return distances

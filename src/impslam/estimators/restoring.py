@@ -1,4 +1,4 @@
-"""Goes on with a map: its keyframes, and the pose graph over them, as the run that made it had them."""
+"""Restore the keyframes and the pose graph of a map as they were in the run that made it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.errors import NumericalError
-from impslam.estimators.keyframe_log import TURN, KeyframeLog
+from impslam.estimators.keyframe_log import METRES_PER_RADIAN, KeyframeLog
 from impslam.estimators.pose_graph import CLOSURE_LENGTH, PoseGraph
 from impslam.geometry.chain import advance
 from impslam.geometry.se2 import between, compose, inverse
@@ -21,16 +21,16 @@ from impslam.noise import UNKNOWN
 from impslam.recognition.stored import points_view
 from impslam.types import Array, Edges, Ints, Mask
 
-SURE = 1e-4
-"""m and rad: no motion is surer, and neither is the start; this only keeps covariances definite."""
-BESIDE = 0.6
-"""m: a keyframe was dropped for one that is so near; refined, both have moved by centimetres."""
-FOLDED = 4.0
-"""m: a node is folded into the one before a keyframe beside it, so that they are this far apart at most."""
+MIN_SIGMA = 1e-4
+"""m and rad, added to motions and the start to keep covariances positive definite."""
+MAX_HOST_DISTANCE = 0.6
+"""m between a dropped keyframe and its host; refinement has moved both by centimetres."""
+MAX_FOLD_DISTANCE = 4.0
+"""m between a folded node and its host, which is the node before a nearby keyframe."""
 
 
 class Restored(NamedTuple):
-    """What an estimator goes on with; `since` is the motion from the newest node, (3,) and (3, 3)."""
+    """The restored state; `since` is the motion from the newest node, (3,) and (3, 3)."""
 
     keys: KeyframeLog
     graph: PoseGraph
@@ -38,49 +38,51 @@ class Restored(NamedTuple):
 
 
 def restored(known: Map, spacing: float, *, frozen: bool = False) -> Restored:
-    """Return the keyframes and the graph of a map, with nodes every `spacing` m as when it was made.
+    """Return the keyframes and the graph of a map, with nodes every `spacing` m as in the original run.
 
-    Poses are those of the graph's solution, as they were before all keyframes were refined: motions go
-    on from there. With `frozen` they are those of the map, which are to stay.
+    Poses are from the solution of the graph, i.e. before the joint refinement of all keyframes, because
+    motions continue from there. With `frozen` they are those of the map, and do not change.
     """
     rows = _usable(known.keyframes)
     if frozen:
         rows = replace(rows, motions=undriven(rows.poses)["motions"])
     nodes = _nodes(rows, known.edges, spacing)
-    keys = _keys(rows, nodes)
+    keys = _keyframe_log(rows, nodes)
     _drop(keys, rows)
     observations = known.observations or ((),) * len(rows)
     for seen, stamp in zip(observations, rows.stamps.tolist(), strict=True):
-        keys.seen.add(seen, stamp)
+        keys.sightings.add(seen, stamp)
     i, j = np.searchsorted(nodes, known.edges.i), np.searchsorted(nodes, known.edges.j)
     edges = known.edges._replace(i=i, j=j)
     hosts = _hosts(rows, nodes, edges)
     edges = _connected(rows, nodes, hosts, edges)
     poses, covariances = rows.poses[nodes], rows.covariances[nodes]
-    graph = PoseGraph.of(poses, covariances, hosts, edges, _lengths(edges, keys.way[nodes]))
+    graph = PoseGraph.from_nodes(
+        poses, covariances, hosts, edges, _lengths(edges, keys.distance[nodes])
+    )
     if frozen:
         graph.frozen = len(nodes)
     elif len(edges.i):
-        with suppress(NumericalError):  # the poses of the map are as good
+        with suppress(NumericalError):  # then keep the poses of the map
             graph.solve()
     return Restored(keys, graph, _motion(rows, int(nodes[-1]), len(rows) - 1))
 
 
 def _usable(rows: Keyframes) -> Keyframes:
-    """Return keyframes with motions that can be used, as the estimator takes them; see `SURE`."""
-    T, P = rows.motions, rows.motion_covariances + SURE**2 * np.eye(3)
-    is_known = np.asarray(np.isfinite(np.column_stack([T, P.reshape(-1, 9)])).all(axis=1))
+    """Return keyframes with usable motions, as in the estimator; see `MIN_SIGMA`."""
+    T, P = rows.motions, rows.motion_covariances + MIN_SIGMA**2 * np.eye(3)
+    is_finite = np.asarray(np.isfinite(np.column_stack([T, P.reshape(-1, 9)])).all(axis=1))
     return replace(
         rows,
-        motions=np.where(is_known[:, None], T, 0.0),
-        motion_covariances=np.where(is_known[:, None, None], P, UNKNOWN * np.eye(3)),
+        motions=np.where(is_finite[:, None], T, 0.0),
+        motion_covariances=np.where(is_finite[:, None, None], P, UNKNOWN * np.eye(3)),
     )
 
 
-def _keys(rows: Keyframes, nodes: Ints) -> KeyframeLog:
-    """Return the keyframes as tracked; each session begins at the pose of its first one."""
+def _keyframe_log(rows: Keyframes, nodes: Ints) -> KeyframeLog:
+    """Return the keyframes as tracked; each session starts at the pose of its first keyframe."""
     keys, first = KeyframeLog(), _begins(rows.sessions)
-    at = set(nodes.tolist())
+    node_rows = set(nodes.tolist())
     starts = rows.starts.tolist()
     for k in range(len(rows)):
         motion, start = rows.motions[k], None
@@ -90,7 +92,7 @@ def _keys(rows: Keyframes, nodes: Ints) -> KeyframeLog:
         seen = points_view(points, rows.origins[k]) if len(points) else None
         keys.append(motion, rows.motion_covariances[k], seen, start)
         keys.points.append(points)
-        if k in at and not first[k]:
+        if k in node_rows and not first[k]:
             keys.mark_node()
     return keys
 
@@ -100,24 +102,26 @@ def _begins(sessions: Ints) -> Mask:
 
 
 def _drop(keys: KeyframeLog, rows: Keyframes) -> None:
-    """Let keyframes without points go with earlier ones beside them, as those do that were dropped."""
-    seeing = np.diff(rows.starts) > 0
-    others = np.flatnonzero(seeing & rows.placed)
+    """Restore dropped keyframes: those without points, with a nearby earlier one as host."""
+    has_points = np.diff(rows.starts) > 0
+    others = np.flatnonzero(has_points & rows.placed)
     dropped = []
-    for k in np.flatnonzero(~seeing & rows.placed).tolist():
+    for k in np.flatnonzero(~has_points & rows.placed).tolist():
         earlier = others[: int(np.searchsorted(others, k))]
         if len(earlier):
-            apart = np.hypot(*(rows.poses[earlier, :2] - rows.poses[k, :2]).T)
-            if apart.min() < BESIDE:
-                dropped.append((k, int(earlier[np.argmin(apart)])))
+            distances = np.hypot(*(rows.poses[earlier, :2] - rows.poses[k, :2]).T)
+            if distances.min() < MAX_HOST_DISTANCE:
+                dropped.append((k, int(earlier[np.argmin(distances)])))
     if dropped:
         at, hosts = np.array(dropped).T
         keys.drop(at, hosts, between(rows.poses[hosts], rows.poses[at]))
 
 
 def _nodes(rows: Keyframes, edges: Edges, spacing: float) -> Ints:
-    """Return the keyframes that are nodes: those with edges, and others as far apart as nodes are."""
-    steps = np.hypot(rows.motions[:, 0], rows.motions[:, 1]) + TURN * np.abs(rows.motions[:, 2])
+    """Return the keyframes that are nodes: those with edges, and others `spacing` m apart."""
+    steps = np.hypot(rows.motions[:, 0], rows.motions[:, 1]) + METRES_PER_RADIAN * np.abs(
+        rows.motions[:, 2]
+    )
     chosen, since = _begins(rows.sessions), 0.0
     chosen[edges.i] = chosen[edges.j] = True
     for k, step in enumerate(steps.tolist()):
@@ -128,28 +132,28 @@ def _nodes(rows: Keyframes, edges: Edges, spacing: float) -> Ints:
 
 
 def _hosts(rows: Keyframes, nodes: Ints, edges: Edges) -> Ints:
-    """Return the node (n,) that each is folded into; itself if it is not.
+    """Return the node (n,) that each is folded into; itself if it is not folded.
 
-    Nodes without an edge were folded, into earlier ones close by.
+    Nodes without an edge were folded into nearby earlier ones.
     """
     hosts, poses = np.arange(len(nodes)), rows.poses[nodes]
     tied = _begins(rows.sessions)[nodes]
     tied[edges.i] = tied[edges.j] = True
     others, placed = np.flatnonzero(tied), rows.placed[nodes]
     for n in np.flatnonzero(~tied & placed).tolist():
-        apart = np.hypot(*(poses[others, :2] - poses[n, :2]).T)
-        apart[~placed[others] | (others > n)] = np.inf
-        if len(edges.i) and apart.min() < FOLDED:
-            hosts[n] = others[np.argmin(apart)]
+        distances = np.hypot(*(poses[others, :2] - poses[n, :2]).T)
+        distances[~placed[others] | (others > n)] = np.inf
+        if len(edges.i) and distances.min() < MAX_FOLD_DISTANCE:
+            hosts[n] = others[np.argmin(distances)]
     return hosts
 
 
 def _connected(rows: Keyframes, nodes: Ints, hosts: Ints, edges: Edges) -> Edges:
-    """Return the edges between nodes, with motions along each session where none connects its nodes."""
-    alone = np.flatnonzero(hosts == np.arange(len(nodes)))
+    """Return the edges, plus motions where no edge connects the nodes of a session."""
+    unfolded = np.flatnonzero(hosts == np.arange(len(nodes)))
     root = roots(len(nodes), edges.i, edges.j)
     motions = []
-    for before, n in zip(alone[:-1].tolist(), alone[1:].tolist(), strict=True):
+    for before, n in zip(unfolded[:-1].tolist(), unfolded[1:].tolist(), strict=True):
         if rows.sessions[nodes[before]] == rows.sessions[nodes[n]] and root[before] != root[n]:
             T, covariance = _motion(rows, int(nodes[before]), int(nodes[n]))
             motions.append((before, n, T, np.linalg.inv(covariance), math.inf))
@@ -160,13 +164,17 @@ def _connected(rows: Keyframes, nodes: Ints, hosts: Ints, edges: Edges) -> Edges
     return more.joined(edges)
 
 
-def _lengths(edges: Edges, way: Array) -> Array:
-    """Return the way (e,) m that each edge counts for, with that of the nodes.
+def _lengths(edges: Edges, distance: Array) -> Array:
+    """Return the path length (e,) m of each edge, given the distance driven up to each node.
 
-    Motions of nodes that were folded are between others, which were not driven one after the other.
+    Motions of folded nodes connect their hosts, which are not consecutive.
     """
-    folded = np.hypot(edges.T_i_j[:, 0], edges.T_i_j[:, 1]) + TURN * np.abs(edges.T_i_j[:, 2])
-    driven = np.where(edges.j == edges.i + 1, way[edges.j] - way[edges.i], folded + CLOSURE_LENGTH)
+    folded = np.hypot(edges.T_i_j[:, 0], edges.T_i_j[:, 1]) + METRES_PER_RADIAN * np.abs(
+        edges.T_i_j[:, 2]
+    )
+    driven = np.where(
+        edges.j == edges.i + 1, distance[edges.j] - distance[edges.i], folded + CLOSURE_LENGTH
+    )
     return np.where(np.isinf(edges.kernel), driven, CLOSURE_LENGTH)
 
 

@@ -1,4 +1,4 @@
-"""What estimators with several hypotheses of the path share: their weights, and how poses are drawn."""
+"""Shared by estimators with several hypotheses of the path: normalised weights, sampled poses."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""What a motion is worth if the wheels have slipped.
+"""Detect wheel slip from the observations of landmarks.
 
-Wheels that slip tell a way that was not gone, with the small covariance of wheels that roll. Landmarks are
-then outside of their gates, and not matched; the error stays, and the next slip adds to it. So where
-observations show nothing that is known, the motion is tried once more with the covariance of wheels that
-have slipped, and is taken so if that explains most of them and makes all that is seen more likely.
+Slipping wheels report a motion that did not happen, with the small covariance of rolling wheels. Landmarks
+are then outside their gates and not matched; the error remains, and the next slip adds to it. Therefore, if
+observations match nothing known, the motion is tried again with the covariance of slipping wheels, and kept
+so if that explains most of them and makes all observations more likely.
 """
 
 from __future__ import annotations
@@ -19,38 +19,38 @@ from impslam.association.base import Assignment, Joint, log_normal
 from impslam.errors import NumericalError
 from impslam.types import Increment, Match, Observation
 
-SHARE = 0.3
-"""Of the way and the turn that wheels tell, what slips: one standard deviation. Wheels on a smooth floor
-slip by 10 to 30 %, and the gate lets three times as much pass."""
+SLIP_SHARE = 0.3
+"""Standard deviation of slip as a share of the measured motion. Wheels on a smooth floor slip by 10 to
+30 %, and the gate passes three times as much."""
 TRACK = 0.4
-"""m: one wheel that slips turns the robot by its slip over the track; that of small robots."""
+"""m, of small robots: a single slipping wheel turns the robot by its slip over the track."""
 DENSITY = 0.1
-"""Things that a landmark can be mistaken for: one on 10 m^2 of a room; of walls, one in 10 m rad."""
+"""Objects that can be mistaken for a landmark: one in 10 m^2 of a room; for walls, one in 10 m rad."""
 RECENT = 5
-"""Keyframes, 0.6 m of way, for which a landmark that is not seen is one that was seen just before."""
-LEAST = 2
-"""Observations that have to be known then, if not seen just before: one may be new beside a landmark."""
+"""Keyframes, over 0.6 m, within which a matched landmark counts as seen just before."""
+MIN_KNOWN = 2
+"""Observations of landmarks not seen just before that are needed: a single one may be a new neighbour."""
 
 
 class Attempt(NamedTuple):
-    """What a motion makes of a scan.
+    """The association of a scan under one assumption on the motion.
 
     Attributes
     ----------
-    choice : its observations and landmarks
-    tentative : others that show again what is not in the map yet
+    choice : the matches with landmarks
+    tentative : matches of other observations with tentative landmarks
     """
 
     choice: Assignment
     tentative: Sequence[Match]
 
-    def left_over(self, count: int) -> int:
-        """Return how many of `count` observations show nothing that is known."""
+    def unexplained(self, count: int) -> int:
+        """Return how many of `count` observations show nothing known."""
         known = len(self.choice.matches) + len(self.choice.ambiguous) + len(self.tentative)
         return count - known
 
     def evidence(self, joint: Joint, observations: Sequence[Observation]) -> float:
-        """Return the log likelihood of what is seen, over that of as many things not seen before.
+        """Return the log likelihood ratio of all matches against as many new objects.
 
         Raises
         ------
@@ -69,29 +69,36 @@ class Attempt(NamedTuple):
 
 
 def explains(slipped: Attempt, rolled: Attempt, count: int, recent: Set[int]) -> bool:
-    """Tell whether most of what is left over of `count` observations is known if the wheels have slipped.
+    """Return whether slip explains most of the unexplained ones of `count` observations.
 
-    One observation is enough if it shows what was seen just before: one of the `recent` landmarks, or
-    something tentative.
+    A single observation suffices if it shows something seen just before: one of the `recent` landmarks, or
+    a tentative one.
     """
-    ours, theirs = (
+    if_slipped, if_rolled = (
         {m.observation for m in attempt.choice.matches} for attempt in (slipped, rolled)
     )
-    gained = {m.landmark for m in slipped.choice.matches if m.observation not in theirs}
-    again = len(slipped.tentative) - len(rolled.tentative)
-    known = len(gained) + again
-    if known < max(1.0, rolled.left_over(count) / 2) or again < 0 or not theirs <= ours:
+    gained = {m.landmark for m in slipped.choice.matches if m.observation not in if_rolled}
+    tentative = len(slipped.tentative) - len(rolled.tentative)
+    known = len(gained) + tentative
+    if known < max(1.0, rolled.unexplained(count) / 2):
         return False
-    return known >= LEAST or gained <= recent
+    if tentative < 0 or not if_rolled <= if_slipped:
+        return False
+    return known >= MIN_KNOWN or gained <= recent
 
 
 def slipped(motion: Increment) -> Increment:
-    """Return a motion with the covariance of wheels that have slipped: both alike, or each by itself."""
-    way, turn = math.hypot(motion.d_pose[0], motion.d_pose[1]), motion.d_pose[2]
-    wheels = SHARE * np.array([way - 0.5 * TRACK * turn, way + 0.5 * TRACK * turn])
-    # A turn that is wrong all the way carries the robot aside by half the way.
+    """Return a motion with the covariance of slipping wheels: both alike, or each independently."""
+    distance, turn = math.hypot(motion.d_pose[0], motion.d_pose[1]), motion.d_pose[2]
+    wheels = SLIP_SHARE * np.array([distance - 0.5 * TRACK * turn, distance + 0.5 * TRACK * turn])
+    # A heading error that grows over the distance moves the robot aside by half of it.
     by_wheel = np.array(
-        [[0.5, 0.5], [-0.5 * way / TRACK, 0.5 * way / TRACK], [-1.0 / TRACK, 1.0 / TRACK]]
+        [
+            [0.5, 0.5],
+            [-0.5 * distance / TRACK, 0.5 * distance / TRACK],
+            [-1.0 / TRACK, 1.0 / TRACK],
+        ]
     )
-    alike, alone = SHARE * motion.d_pose, by_wheel * wheels
-    return replace(motion, covariance=motion.covariance + np.outer(alike, alike) + alone @ alone.T)
+    common, single = SLIP_SHARE * motion.d_pose, by_wheel * wheels
+    covariance = motion.covariance + np.outer(common, common) + single @ single.T
+    return replace(motion, covariance=covariance)

@@ -1,18 +1,18 @@
-"""All poses of a drive and all landmarks as one factor graph, solved incrementally by iSAM2.
+"""All poses of a drive and all landmarks as one factor graph, solved incrementally with iSAM2.
 
-iSAM2 (Kaess, Johannsson, Roberts, Ila, Leonard & Dellaert 2012) keeps the factorised graph as a Bayes
-tree. What is new changes its top alone, and only what has moved by more than a threshold is linearised
-again. It is that of gtsam. With z = h(pose, m) of a landmark's model, the factors are
+iSAM2 (Kaess, Johannsson, Roberts, Ila, Leonard & Dellaert 2012), here that of gtsam, keeps the factorised
+graph as a Bayes tree. New factors change only its top, and only variables that moved by more than a
+threshold are relinearised. With z = h(pose, m) of a landmark's model, the factors are
 
     motion       between(x_k-1, x_k) - d            noise Q,
     observation  h(x_k, m) + s b - z                noise R - s s^T,
-    beginning    m [-] initialise(x_k, z)           noise m_D_z (R - s s^T) m_D_z^T + slack,
+    first one    m [-] initialise(x_k, z)           noise m_D_z (R - s s^T) m_D_z^T + slack,
 
-the last one for kinds that one observation does not fix. b, of unit variance, is the error that the
-observations of a sensor share, s what z is off by for it.
+the last one for kinds that a single observation does not determine. b, of unit variance, is the common
+error of a sensor's observations, and s the error of z per unit of b.
 
-Poses are perturbed in their own frame, as gtsam has it: additive errors are T(theta) times these, with
-T = diag(R(theta), 1). A landmark is `retract(anchor, delta)` of where it began, and delta a plain vector.
+Poses are perturbed in their own frame, as in gtsam: additive errors are T(theta) times these, with
+T = diag(R(theta), 1). A landmark is `retract(anchor, delta)` with its initial state as anchor.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from impslam.landmarks.base import LandmarkModel
 from impslam.types import Array, Observation
 
 Error: TypeAlias = Callable[[Any, Any, Any], Array]
-"""Of a factor: takes the factor, the values, and None or room for Jacobians; returns the residual."""
+"""Error of a factor: takes factor, values, and None or a list for Jacobians; returns the residual."""
 
-_STEP = 1e-5  # m, rad: of central differences; their error is then some 1e-10 of the values
-_TINY = 1e-6  # m, rad: floor of a motion's standard deviations, so that it has an information
-_CONVERGED = 1e-6  # m, rad: the last step of Gauss-Newton
-_ROUNDS = 20  # of Gauss-Newton, at most, to the optimum
+_STEP = 1e-5  # m, rad, of central differences; gives a relative error of some 1e-10
+_MIN_SIGMA = 1e-6  # m, rad, of a motion, so that its covariance is invertible
+_CONVERGED = 1e-6  # m, rad, last step of Gauss-Newton
+_MAX_ITERATIONS = 20  # of Gauss-Newton
 
 
 def library() -> Any:
@@ -59,21 +59,21 @@ def library() -> Any:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mark:
-    """A landmark in the graph: its model, and the state (dim,) it began with."""
+    """A landmark in the graph: its model and its initial state (dim,)."""
 
     model: LandmarkModel
     anchor: Array
 
-    def at(self, delta: Array) -> Array:
+    def state(self, delta: Array) -> Array:
         """Return the state (dim,)."""
         return np.asarray(self.model.retract(self.anchor[None], delta[None])[0])
 
-    def slope(self, delta: Array) -> Array:
-        """Return how the state changes, in its own perturbation, with delta; (dim, dim)."""
+    def jacobian(self, delta: Array) -> Array:
+        """Return the derivative (dim, dim) of the state, in its own perturbation, by delta."""
         steps = _STEP * np.eye(len(delta))
         if type(self.model).retract is LandmarkModel.retract:
             return np.eye(len(delta))
-        here = np.broadcast_to(self.at(delta), (2 * len(delta), len(delta)))
+        here = np.broadcast_to(self.state(delta), (2 * len(delta), len(delta)))
         there = self.model.retract(
             np.broadcast_to(self.anchor, here.shape), delta + np.concatenate([steps, -steps])
         )
@@ -91,47 +91,54 @@ class Estimate:
 
 
 class Smoother:
-    """A graph that grows; `poses` counts its poses, which are numbered as they come."""
+    """An incrementally growing graph; `poses` is the number of its poses, which are numbered in order."""
 
     def __init__(self, pose: Array, sigma: float, threshold: float) -> None:
-        """Begin at a pose (3,), known to `sigma` m and rad; see `Smoothing.relinearise`."""
+        """Begin at a pose (3,) of standard deviation `sigma`, m and rad; see `Smoothing.relinearise`."""
         self._gtsam = g = library()
         self._isam, self._marks = _isam2(g, threshold), dict[int, Mark]()
         self._factors, self._values = g.NonlinearFactorGraph(), g.Values()
         self._errors: dict[str, int] = {}
         self.poses = 1
         self._values.insert(_x(0), g.Pose2(*pose))
-        sure = g.noiseModel.Isotropic.Sigma(3, sigma)
-        self._factors.add(g.PriorFactorPose2(_x(0), g.Pose2(*pose), sure))
+        noise = g.noiseModel.Isotropic.Sigma(3, sigma)
+        self._factors.add(g.PriorFactorPose2(_x(0), g.Pose2(*pose), noise))
         self.solve()
 
-    def move(self, d_pose: Array, covariance: Array) -> None:
-        """Add the pose after a motion (3,), whose error (3, 3) is additive."""
+    def add_motion(self, d_pose: Array, covariance: Array) -> None:
+        """Add the pose after a motion (3,) with the covariance (3, 3) of its additive error."""
         g, begin, end = self._gtsam, _x(self.poses - 1), _x(self.poses)
-        before, noise = self._isam.calculateEstimatePose2(begin), covariance + _TINY**2 * np.eye(3)
-        self._factors.add(g.CustomFactor(_gaussian(g, noise), [begin, end], _moved(d_pose)))
+        before = self._isam.calculateEstimatePose2(begin)
+        noise = covariance + _MIN_SIGMA**2 * np.eye(3)
+        self._factors.add(g.CustomFactor(_gaussian(g, noise), [begin, end], _motion_error(d_pose)))
         self._values.insert(end, before.compose(g.Pose2(*d_pose)))
         self.poses += 1
 
-    def begin(self, number: int, model: LandmarkModel, seen: Observation, pose: Array) -> None:
-        """Add a landmark by its first observation, from the newest pose, which is (3,) by now."""
-        new = model.initialise(pose, seen)
+    def add_landmark(
+        self, number: int, model: LandmarkModel, observation: Observation, pose: Array
+    ) -> None:
+        """Add a landmark by its first observation from the newest pose (3,), as currently estimated."""
+        new = model.initialise(pose, observation)
         self._marks[number] = mark = Mark(model, new.m)
         self._values.insert(_m(number), np.zeros(model.dim))
         if model.dim == model.dim_z:
-            self.observe(number, seen)
+            self.add_observation(number, observation)
             return
-        s, R = self._shared(seen)
+        s, R = self._shared(observation)
         noise = new.m_D_z @ R @ new.m_D_z.T + new.slack
-        self._add(number, seen, noise, _began(mark, seen, new.m_D_z @ s))
+        error = _first_observation_error(mark, observation, new.m_D_z @ s)
+        self._add(number, observation, noise, error)
 
-    def observe(self, number: int, seen: Observation, doubt: float = 1.0) -> None:
-        """Add an observation of a landmark from the newest pose; R counts `doubt` times."""
-        s, R = self._shared(seen)
-        self._add(number, seen, doubt * R, _measured(self._marks[number], seen.z, s))
+    def add_observation(
+        self, number: int, observation: Observation, inflation: float = 1.0
+    ) -> None:
+        """Add an observation of a landmark from the newest pose, with R times `inflation`."""
+        s, R = self._shared(observation)
+        error = _observation_error(self._marks[number], observation.z, s)
+        self._add(number, observation, inflation * R, error)
 
     def solve(self) -> int:
-        """Take in what was added; return how many variables were linearised again."""
+        """Update the solution with the added factors; return the number of relinearised variables."""
         result = self._isam.update(self._factors, self._values)
         self._factors, self._values = self._gtsam.NonlinearFactorGraph(), self._gtsam.Values()
         return int(result.getVariablesRelinearized())
@@ -148,15 +155,15 @@ class Smoother:
 
     def landmark(self, number: int) -> Array:
         """Return the state (dim,) of a landmark."""
-        return self._marks[number].at(self._isam.calculateEstimateVector(_m(number)))
+        return self._marks[number].state(self._isam.calculateEstimateVector(_m(number)))
 
     def optimum(self) -> Estimate:
-        """Return the optimum of the whole graph and the marginals there; this object stays as it is.
+        """Return the optimum of the whole graph with its marginals; this object does not change.
 
         Raises
         ------
         NumericalError
-            If it has none.
+            If there is no optimum.
         """
         try:
             return self._optimum()
@@ -164,9 +171,9 @@ class Smoother:
             raise NumericalError(in_a_line(error)) from None
 
     def _optimum(self) -> Estimate:
-        g, isam = self._gtsam, _isam2(self._gtsam, _CONVERGED)  # a new one: by QR, as the old one
+        g, isam = self._gtsam, _isam2(self._gtsam, _CONVERGED)  # with the options of the old one
         isam.update(self._isam.getFactorsUnsafe(), self._isam.calculateBestEstimate())
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ITERATIONS):
             if isam.update().getVariablesRelinearized() == 0:
                 break
         best = isam.calculateBestEstimate()
@@ -175,34 +182,35 @@ class Smoother:
         found = {}
         for number, mark in self._marks.items():
             delta = best.atVector(_m(number))
-            D = mark.slope(delta)
-            found[number] = mark.at(delta), D @ isam.marginalCovariance(_m(number)) @ D.T
+            D = mark.jacobian(delta)
+            found[number] = mark.state(delta), D @ isam.marginalCovariance(_m(number)) @ D.T
         return Estimate(poses, np.array(P), found)
 
-    def _shared(self, seen: Observation) -> tuple[Array, Array]:
-        """Return what z (dz,) is off by for its sensor's shared error, or 0, and R without it."""
-        if seen.shared is None:
-            return np.zeros(len(seen.z)), seen.R
-        if seen.sensor not in self._errors:
-            self._errors[seen.sensor] = key = _b(len(self._errors))
-            one = self._gtsam.noiseModel.Isotropic.Sigma(1, 1.0)
+    def _shared(self, observation: Observation) -> tuple[Array, Array]:
+        """Return the error of z (dz,) per unit of its sensor's common error, or 0, and R without it."""
+        if observation.shared is None:
+            return np.zeros(len(observation.z)), observation.R
+        if observation.sensor not in self._errors:
+            self._errors[observation.sensor] = key = _b(len(self._errors))
+            unit = self._gtsam.noiseModel.Isotropic.Sigma(1, 1.0)
             self._values.insert(key, np.zeros(1))
-            self._factors.add(self._gtsam.PriorFactorVector(key, np.zeros(1), one))
-        return seen.shared, seen.R - np.outer(seen.shared, seen.shared)
+            self._factors.add(self._gtsam.PriorFactorVector(key, np.zeros(1), unit))
+        s = observation.shared
+        return s, observation.R - np.outer(s, s)
 
-    def _add(self, number: int, seen: Observation, noise: Array, error: Error) -> None:
+    def _add(self, number: int, observation: Observation, noise: Array, error: Error) -> None:
         keys = [_x(self.poses - 1), _m(number)]
-        if seen.shared is not None:
-            keys.append(self._errors[seen.sensor])
+        if observation.shared is not None:
+            keys.append(self._errors[observation.sensor])
         model = _gaussian(self._gtsam, noise)
         self._factors.add(self._gtsam.CustomFactor(model, keys, error))
 
 
-def _moved(d_pose: Array) -> Error:
-    """Return the error of a motion (3,).
+def _motion_error(d_pose: Array) -> Error:
+    """Return the error function of a motion (3,).
 
-    The library's own factor leaves the error's turn out of its Jacobians, which matters where a robot
-    turns unsurely and is sure not to slip sideways.
+    The factor of gtsam omits the rotation of the error from its Jacobians, which matters if the turn is
+    uncertain but sideways slip is not.
     """
 
     def error(factor: Any, values: Any, jacobians: Any) -> Array:
@@ -212,7 +220,7 @@ def _moved(d_pose: Array) -> Error:
         if jacobians is not None:
             x, y, theta = motion.tolist()
             jacobians[0] = np.array([[-1.0, 0.0, y], [0.0, -1.0, -x], [0.0, 0.0, -1.0]], order="F")
-            jacobians[1] = np.asfortranarray(_turn(theta))
+            jacobians[1] = np.asfortranarray(_rotation(theta))
         out = motion - d_pose
         out[2] = wrap(float(out[2]))
         return np.asarray(out)
@@ -220,50 +228,50 @@ def _moved(d_pose: Array) -> Error:
     return error
 
 
-def _measured(mark: Mark, z: Array, s: Array) -> Error:
-    """Return the error of an observation z (dz,)."""
+def _observation_error(mark: Mark, z: Array, s: Array) -> Error:
+    """Return the error function of an observation z (dz,)."""
 
     def error(factor: Any, values: Any, jacobians: Any) -> Array:
         keys = factor.keys()
         pose, delta = _array(values.atPose2(keys[0])), values.atVector(keys[1])
-        found = mark.model.predict(pose, mark.at(delta)[None])
-        out = -mark.model.residual(z[None], found.z)[0]
+        predicted = mark.model.predict(pose, mark.state(delta)[None])
+        out = -mark.model.residual(z[None], predicted.z)[0]
         if jacobians is not None:
-            jacobians[0] = np.asfortranarray(found.z_D_pose[0] @ _turn(float(pose[2])))
-            jacobians[1] = np.asfortranarray(found.z_D_m[0] @ mark.slope(delta))
+            jacobians[0] = np.asfortranarray(predicted.z_D_pose[0] @ _rotation(float(pose[2])))
+            jacobians[1] = np.asfortranarray(predicted.z_D_m[0] @ mark.jacobian(delta))
         return _with_shared(out, s, keys, values, jacobians)
 
     return error
 
 
-def _began(mark: Mark, seen: Observation, s: Array) -> Error:
-    """Return the error of a landmark's beginning; Jacobians are central differences."""
+def _first_observation_error(mark: Mark, observation: Observation, s: Array) -> Error:
+    """Return the error function of a first observation; its Jacobians are central differences."""
     steps = _STEP * np.concatenate([np.eye(3), -np.eye(3)])
 
-    def apart(pose: Array, m: Array) -> Array:
-        began = mark.model.initialise(pose, seen).m
-        return np.asarray(mark.model.difference(began[None], m[None])[0])
+    def difference(pose: Array, m: Array) -> Array:
+        initial = mark.model.initialise(pose, observation).m
+        return np.asarray(mark.model.difference(initial[None], m[None])[0])
 
     def error(factor: Any, values: Any, jacobians: Any) -> Array:
         keys = factor.keys()
         pose, delta = _array(values.atPose2(keys[0])), values.atVector(keys[1])
-        m = mark.at(delta)
+        m = mark.state(delta)
         if jacobians is not None:
-            moved = np.array([apart(compose(pose, step), m) for step in steps])
+            moved = np.array([difference(compose(pose, step), m) for step in steps])
             jacobians[0] = np.asfortranarray((moved[:3] - moved[3:]).T / (2.0 * _STEP))
             h = _STEP * np.eye(len(delta))
             moved = np.array(
-                [apart(pose, mark.at(delta + sign * d)) for sign in (1, -1) for d in h]
+                [difference(pose, mark.state(delta + sign * d)) for sign in (1, -1) for d in h]
             )
             ahead, back = np.split(moved, 2)
             jacobians[1] = np.asfortranarray((ahead - back).T / (2.0 * _STEP))
-        return _with_shared(apart(pose, m), s, keys, values, jacobians)
+        return _with_shared(difference(pose, m), s, keys, values, jacobians)
 
     return error
 
 
 def _with_shared(error: Array, s: Array, keys: Any, values: Any, jacobians: Any) -> Array:
-    """Return an error (d,) with what the shared error adds, s (d,) for a standard deviation."""
+    """Return an error (d,) plus the common error, s (d,) per standard deviation."""
     if len(keys) == 2:
         return error
     if jacobians is not None:
@@ -287,7 +295,7 @@ def _array(pose: Any) -> Array:
     return np.array([pose.x(), pose.y(), pose.theta()])
 
 
-def _turn(theta: float) -> Array:
+def _rotation(theta: float) -> Array:
     """Return T = diag(R(theta), 1)."""
     c, s = math.cos(theta), math.sin(theta)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -295,19 +303,19 @@ def _turn(theta: float) -> Array:
 
 def _additive(pose: Array, P: Array) -> Array:
     """Return a covariance (3, 3) in a pose's own frame as one of additive errors in map."""
-    T = _turn(float(pose[2]))
+    T = _rotation(float(pose[2]))
     out = T @ P @ T.T
     return np.asarray(0.5 * (out + out.T))
 
 
 def _isam2(gtsam: Any, threshold: float) -> Any:
-    """Return an empty iSAM2 that linearises again what has moved farther than a threshold, m and rad."""
+    """Return an empty iSAM2 that relinearises variables that moved by more than `threshold`, m and rad."""
     params, steps = gtsam.ISAM2Params(), gtsam.ISAM2GaussNewtonParams()
     steps.setWildfireThreshold(1e-2 * threshold)
     params.setOptimizationParams(steps)
     params.setRelinearizeThreshold(threshold)
     params.relinearizeSkip = 1
-    params.setFactorization("QR")  # Cholesky fails where a robot is sure not to slip sideways
+    params.setFactorization("QR")  # Cholesky fails if sideways slip is ruled out
     return gtsam.ISAM2(params)
 
 

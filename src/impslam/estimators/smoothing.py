@@ -1,10 +1,10 @@
 """Smoothing: the whole path and all landmarks, by iSAM2 (Kaess et al. 2012).
 
-Matching and the life of landmarks are those of `landmarks`, part for part. What differs is the estimate:
-each motion and each match becomes a factor of a graph, which is linearised again where its variables
-have moved, the past included. A filter linearises once and cannot take it back. After each keyframe the
-filter is put where the graph has the newest pose and the landmarks, and there the next scan is matched,
-with the filter's covariance; what is reported at the end are the marginals of the graph's optimum.
+Association and lifecycle of landmarks are those of `landmarks`. Only the estimate differs: each motion and
+each match becomes a factor of a graph, which is relinearised when its variables move, also past ones; a
+filter linearises only once. After each keyframe the filter is moved to the newest pose and the landmarks of
+the graph, and the next scan is matched there with the covariance of the filter. The final result has the
+marginals at the optimum of the graph.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pydantic import PrivateAttr
 
 from impslam.component import parameter, register
 from impslam.errors import ConfigError, NumericalError
-from impslam.estimators.base import START_SIGMA, Draft, is_known
+from impslam.estimators.base import START_SIGMA, Draft, is_finite
 from impslam.estimators.blur import blurred
 from impslam.estimators.landmarks import Landmarks
 from impslam.estimators.smoother import Estimate, Smoother
@@ -37,14 +37,14 @@ class Smoothing(Landmarks):
     relinearise: float = parameter(
         0.1,
         "m, rad",
-        "what has moved farther is linearised again; in the end all is, to the optimum",
+        "variables that moved farther are relinearised; at the end, all are iterated to the optimum",
         gt=0,
     )
     _smoother: Smoother = PrivateAttr()
     _nodes: list[int] = PrivateAttr(default_factory=list)
-    """The graph's pose of each keyframe: one of an unknown motion has that of the keyframe before."""
-    _spreads: GrowingArray = PrivateAttr()
-    _sizes: dict[int, int] = PrivateAttr(default_factory=dict)
+    """The graph's pose of each keyframe; after an unknown motion, that of the previous keyframe."""
+    _covariances: GrowingArray = PrivateAttr()
+    _dims: dict[int, int] = PrivateAttr(default_factory=dict)
     _settled: Estimate | None = PrivateAttr(None)
 
     def start(
@@ -63,86 +63,88 @@ class Smoothing(Landmarks):
                 "one with --set filter.kind=riekf"
             )
         self._smoother = Smoother(pose, START_SIGMA, self.relinearise)
-        self._nodes, self._sizes, self._settled = [], {}, None
-        self._spreads = GrowingArray(3, 3)
+        self._nodes, self._dims, self._settled = [], {}, None
+        self._covariances = GrowingArray(3, 3)
 
     def add(self, keyframe: Keyframe) -> Revision:
         """Process a keyframe; see `Estimator.add`."""
         self._settled = None
         revision = super().add(keyframe)
-        if is_known(keyframe.motion):
-            self._smoother.move(self._motion.d_pose, self._motion.covariance)
+        if is_finite(keyframe.motion):
+            self._smoother.add_motion(self._motion.d_pose, self._motion.covariance)
         self._nodes.append(self._smoother.poses - 1)
         if not revision.refused:
-            seen = blurred(keyframe.observations, keyframe.motion, self._models)
-            self._take(seen, revision)
+            observations = blurred(keyframe.observations, keyframe.motion, self._models)
+            self._add_factors(observations, revision)
         moved = self._smoother.solve()
-        return self._told(keyframe, revision, everything=moved > 0)
+        return self._synchronise(keyframe, revision, has_moved=moved > 0)
 
     def _add(self, keyframe: Keyframe) -> Revision:
         for o in keyframe.observations:
             shared = 0.0 if o.shared is None else np.outer(o.shared, o.shared)
             if np.isfinite(o.R).all() and np.linalg.eigvalsh(o.R - shared)[0] <= 0.0:
-                raise NumericalError(f"the R of a {o.kind} is no covariance")
+                raise NumericalError(f"the R of a {o.kind} is not a covariance")
         return super()._add(keyframe)
 
-    def _take(self, seen: tuple[Observation, ...], revision: Revision) -> None:
-        """Add the factors of what is seen, as it was matched."""
-        doubt = self._filter.doubt(revision.matches) if revision.matches else None
+    def _add_factors(self, observations: tuple[Observation, ...], revision: Revision) -> None:
+        """Add the factors of the observations according to their matches."""
+        factors = self._filter.noise_factors(revision.matches) if revision.matches else None
         for i, match in enumerate(revision.matches):
-            times = 1.0 if doubt is None else float(doubt[i])
-            self._smoother.observe(match.landmark, seen[match.observation], times)
+            inflation = 1.0 if factors is None else float(factors[i])
+            self._smoother.add_observation(
+                match.landmark, observations[match.observation], inflation
+            )
         pose = self._filter.pose
         for number, origin in zip(revision.born, revision.origins, strict=True):
-            model = self._models[seen[origin].kind]
-            self._smoother.begin(number, model, seen[origin], pose)
-            self._sizes[number] = model.dim
+            model = self._models[observations[origin].kind]
+            self._smoother.add_landmark(number, model, observations[origin], pose)
+            self._dims[number] = model.dim
         for number in revision.gone:
-            del self._sizes[number]
+            del self._dims[number]
 
-    def _told(self, keyframe: Keyframe, revision: Revision, *, everything: bool) -> Revision:
-        """Return the revision with the poses of the graph, to which the filter is moved."""
+    def _synchronise(self, keyframe: Keyframe, revision: Revision, *, has_moved: bool) -> Revision:
+        """Move the filter to the estimate of the graph; return the revision with the graph's poses."""
         pose, covariance = self._smoother.pose()
-        self._filter.follow(pose, {n: self._smoother.landmark(n) for n in self._sizes})
-        self._spreads.append(covariance)
-        if not everything:
+        self._filter.follow(pose, {n: self._smoother.landmark(n) for n in self._dims})
+        self._covariances.append(covariance)
+        if not has_moved:
             return replace(revision, poses=pose[None], covariances=covariance[None])
         poses = self._smoother.path()[self._nodes]
         first = keyframe.id + 1 - len(poses)
         ids = np.arange(first, keyframe.id + 1)
-        return replace(revision, ids=ids, poses=poses, covariances=self._spreads.array.copy())
+        return replace(revision, ids=ids, poses=poses, covariances=self._covariances.array.copy())
 
     def settle(self) -> Revision | None:
-        """Return all poses at the optimum, with their marginals; see `Estimator.settle`."""
+        """Return all poses at the optimum with their marginals; see `Estimator.settle`."""
         if not self._nodes:
             return None
         ids = np.arange(len(self._nodes))
         try:
             self._settled = best = self._smoother.optimum()
         except NumericalError as error:
-            told = self._smoother.path()[self._nodes], self._spreads.array.copy()
-            return Revision(ids, *told, refused=f"the map is not refined: {error}")
+            current = self._smoother.path()[self._nodes], self._covariances.array.copy()
+            return Revision(ids, *current, refused=f"the map is not refined: {error}")
         return Revision(ids, best.poses[self._nodes], best.covariances[self._nodes])
 
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the landmarks of the graph; after `settle`, with their marginals at the optimum."""
+        """Return the landmarks of the graph; after `settle`, with marginals at the optimum."""
         if self._settled is None:
             return super().landmarks()
         best, moved = self._settled.landmarks, self._filter.copied()
-        moved.follow(self._settled.poses[-1], {n: best[n][0] for n in self._sizes})
+        moved.follow(self._settled.poses[-1], {n: best[n][0] for n in self._dims})
         return tuple(self._with_marginal(mark, *best[mark.id]) for mark in moved.landmarks())
 
     def _with_marginal(self, mark: Landmark, m: Array, P: Array) -> Landmark:
-        """Return a landmark of state (dim,) with the covariance (dim, dim) of that state."""
+        """Return a landmark of state m (dim,) with the covariance P (dim, dim) of that state."""
         J = self._models[mark.kind].report(m).values_D_m
         return replace(mark, covariance=J @ P @ J.T)
 
     def draft(self) -> Draft:
-        """Return the estimate as it is now, as `landmarks` does; see `Estimator.draft`."""
+        """Return a snapshot of the estimate; see `Estimator.draft`."""
         landmarks, poses = super().landmarks(), self._smoother.path()[self._nodes]
-        spreads = self._spreads.array.copy()
-        told = Revision(np.arange(len(poses)), poses, spreads) if len(poses) else None
-        return Draft(lambda: told, lambda: landmarks)
+        covariances = self._covariances.array.copy()
+        revision = Revision(np.arange(len(poses)), poses, covariances) if len(poses) else None
+        return Draft(lambda: revision, lambda: landmarks)
 
     def counts(self) -> Mapping[str, int]:
         """Return the size of the graph."""
@@ -150,5 +152,5 @@ class Smoothing(Landmarks):
 
     @property
     def state_size(self) -> int:
-        """Number of scalars that are estimated."""
-        return 3 * (self._smoother.poses - 1) + sum(self._sizes.values())
+        """Number of estimated scalars."""
+        return 3 * (self._smoother.poses - 1) + sum(self._dims.values())

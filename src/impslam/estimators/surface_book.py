@@ -1,7 +1,7 @@
-"""The maps of all particles: tables of tiles that they share until one of them writes into a tile.
+"""The maps of all particles: tables of copy-on-write tiles.
 
-A particle that survives twice shares the whole map with its twin. Where two that share a map go
-different ways, the table is copied (a number a tile) and, as either writes, the few tiles in sight.
+Particles with the same parent share the whole map. When their paths diverge, the table is copied (one
+number per tile), and a tile when one of them writes to it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from impslam.surfaces.features import Features
 from impslam.surfaces.tiles import Tiles, add_to_tiles, begin, copy, empty_tiles, touched_tiles
 from impslam.types import Array, Ints
 
-MOST = 20.0  # points that a surfel averages over
+MAX_POINTS = 20.0  # over which a surfel averages
 _POOL = 64  # tiles; the pool grows by doubling
 _SPARE = 4  # rows and columns of tiles that a table grows by
 
@@ -22,10 +22,10 @@ class SurfaceBook:
 
     Attributes
     ----------
-    maps : (P,) the map of each particle
-    tables : (M, rows, columns) the tile of each place, -1 where there is none
-    origin : (2,) column and row of tiles where the tables begin
-    tiles, users : the pool, and by how many maps each of its tiles is used
+    maps : (P,) index of the map of each particle
+    tables : (M, rows, columns) index of the tile at each place, -1 for none
+    origin : (2,) column and row of the first tile of the tables
+    tiles, users : the pool, and the number of maps that use each of its tiles
     """
 
     def __init__(self, particles: int) -> None:
@@ -37,11 +37,11 @@ class SurfaceBook:
 
     @property
     def used(self) -> int:
-        """Number of tiles that all maps have together."""
+        """Number of distinct tiles of all maps."""
         return int(np.count_nonzero(self.users))
 
-    def survive(self, parents: Ints) -> None:
-        """Let particles be those that they were (P,); maps that none has any more go."""
+    def resample(self, parents: Ints) -> None:
+        """Replace the particles by their parents (P,), and remove unused maps."""
         self.maps = self.maps[parents]
         kept, self.maps = np.unique(self.maps, return_inverse=True)
         self.tables = self.tables[kept]
@@ -50,10 +50,10 @@ class SurfaceBook:
     def add(self, features: Features, poses: Array, lines: Ints) -> None:
         """Add a scan to all maps, at the particles' poses (P, 3).
 
-        Particles of one line (P,) have the same pose and the same map.
+        Particles of one lineage (P,) have the same pose and the same map.
         """
         _, first, group = np.unique(lines, return_index=True, return_inverse=True)
-        tables = self.tables[self.maps[first]]  # a copy, one for each line
+        tables = self.tables[self.maps[first]]  # a copy for each lineage
         self.tables, self.maps = tables, group.astype(np.int64)
         self._count()
         for k, pose in enumerate(poses[first]):
@@ -78,10 +78,10 @@ class SurfaceBook:
             self.users[new] = 1
         known[shared] = free
         self.tables[k, rows, columns] = known
-        add_to_tiles(self.tiles, known, features, pose, MOST)
+        add_to_tiles(self.tiles, known, features, pose, MAX_POINTS)
 
     def _cover(self, places: Ints) -> None:
-        """Let the tables reach to some places (n, 2), column and row."""
+        """Extend the tables to include some places (n, 2), column and row."""
         low, high = places.min(0), places.max(0) + 1
         shape = np.array(self.tables.shape[:0:-1])
         before = np.where(low < self.origin, self.origin - low + _SPARE, 0)

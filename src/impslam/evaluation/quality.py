@@ -93,7 +93,7 @@ def quality(known: Map) -> Quality:
     keyframes = _spaced(known.keyframes)
     lasers = profile(keyframes)
     poses = keyframes.poses
-    pairs = overlaps(lasers.lasers, Nearness(turn=math.pi, pass_way=PASS_DISTANCE))
+    pairs = overlaps(lasers.lasers, Nearness(turn=math.pi, pass_distance=PASS_DISTANCE))
     step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     travel = np.concatenate([np.zeros(1), np.cumsum(step)])
     again = np.abs(travel[pairs[:, 0]] - travel[pairs[:, 1]]) >= PASS_DISTANCE

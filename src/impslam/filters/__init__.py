@@ -1,1 +1,1 @@
-"""The joint belief over robot and landmarks."""
+"""Filters: the joint belief over robot and landmarks."""

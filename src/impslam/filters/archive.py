@@ -1,4 +1,4 @@
-"""All landmarks of a map of which a filter handles a few at a time, in columns by id."""
+"""Column storage by id of all landmarks of a map, for filters that handle only a few at a time."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ from impslam.filters.atlas import Atlas, Table
 from impslam.landmarks.base import LandmarkModel
 from impslam.types import Array, Ints, Landmark
 
-_WIDEST = 4
-"""Scalars of a landmark at most: 2 bits of their codes say which one it is."""
+_MAX_DIM = 4
+"""Scalars of a landmark; 2 bits of a code are the index of the scalar."""
 
 
 def codes_of(ids: Ints, dim: int) -> Ints:
-    """Return by what codes (k, dim) the scalars of variables are known."""
+    """Return the codes (k, dim) of the scalars of variables."""
     return (ids[:, None] << 2) + np.arange(dim)
 
 
 class Archive:
-    """What is known of landmarks beside the covariance, as it was when they were last handled.
+    """The state of landmarks without covariances, as of when they were last handled.
 
-    Landmarks are linear here: `shift` (n, dim) is the sum of the steps that their perturbations had made
-    when they were at `state` (n, dim). A later shift puts them at `retract(state, later - shift)`.
+    Landmarks are linear here: `shift` (n, dim) is the sum of the steps of their perturbations up to `state`
+    (n, dim). After a later shift they are at `retract(state, later - shift)`.
 
     Attributes
     ----------
-    kinds : (n,) numbers of the models, -1 for a landmark that was removed
-    homes : (n,) the area each was first seen from, by its number
-    places, sizes : (n, 2) where it was when its area was last brought up to date, m, and how far it extends
+    kinds : (n,) numbers of the models, -1 for a removed landmark
+    homes : (n,) number of the area from which each was first seen
+    places, sizes : (n, 2) and (n,) m, position at the last update of its area, and extent
     """
 
     def __init__(self, models: Mapping[str, LandmarkModel]) -> None:
         self.names = list(models)
         for name, model in models.items():
-            if model.dim > _WIDEST:
+            if model.dim > _MAX_DIM:
                 raise ConfigError(
-                    f"landmarks of kind {name!r} have {model.dim} scalars, and submaps take {_WIDEST} at "
+                    f"landmarks of kind {name!r} have {model.dim} scalars, and submaps take {_MAX_DIM} at "
                     "most; choose another filter, for instance filter.kind=ekf"
                 )
         self._models = models
@@ -50,16 +50,16 @@ class Archive:
         self.counts: Ints = np.empty(0, np.int64)
         self.extents: Array = np.empty((0, 2))
         self.stamps: Array = np.empty((0, 2))
-        self.state: Array = np.empty((0, _WIDEST))
-        self.shift: Array = np.empty((0, _WIDEST))
+        self.state: Array = np.empty((0, _MAX_DIM))
+        self.shift: Array = np.empty((0, _MAX_DIM))
         self.places: Array = np.empty((0, 2))
         self.sizes: Array = np.empty(0)
         self._columns = [
             name for name, value in vars(self).items() if isinstance(value, np.ndarray)
         ]
 
-    def enter(self, ids: Sequence[int], kinds: Sequence[str], area: int) -> None:
-        """Make room for new landmarks of consecutive ids, first seen from an area."""
+    def add(self, ids: Sequence[int], kinds: Sequence[str], area: int) -> None:
+        """Add new landmarks with consecutive ids, first seen from an area."""
         self.n += len(ids)
         if self.n > len(self.kinds):
             for name in self._columns:
@@ -81,7 +81,7 @@ class Archive:
         return self._models[self.names[kind]]
 
     def put(self, table: Table, state: Array, shift: Array) -> None:
-        """Keep the landmarks of a table, which stand at states (k, dim) after a shift (k, dim)."""
+        """Store the landmarks of a table, with states (k, dim) after a shift (k, dim)."""
         ids, dim = table.ids, table.model.dim
         self.labels[ids], self.counts[ids] = table.labels, table.counts
         self.extents[ids], self.stamps[ids] = table.extents, table.stamps
@@ -89,19 +89,19 @@ class Archive:
         self.places[ids], self.sizes[ids] = state[:, :2], np.abs(table.extents).max(1, initial=0.0)
 
     def take(self, atlas: Atlas, kind: int, ids: Ints, offsets: Ints) -> Table:
-        """Fill the table of a kind with landmarks that begin at these places of a state; return it."""
+        """Fill the table of a kind with landmarks at these offsets of a state; return the table."""
         table = atlas.table(self.names[kind])
         rows = self.labels[ids], self.extents[ids], self.counts[ids], self.stamps[ids]
         table.fill(ids, offsets, *rows)
         return table
 
     def states(self, ids: Ints, kind: int, shift: Array) -> Array:
-        """Return where landmarks of one kind stand, (k, dim), after a shift (k, dim)."""
+        """Return the states (k, dim) of landmarks of one kind after a shift (k, dim)."""
         model = self.model(kind)
         return model.retract(self.state[ids, : model.dim], shift - self.shift[ids, : model.dim])
 
     def by_kind(self, ids: Ints) -> list[tuple[int, Ints]]:
-        """Return kinds with those of the landmarks that are of the kind; the removed ones are left out."""
+        """Return the landmarks by kind, without removed ones."""
         kinds = self.kinds[ids]
         found = ((kind, ids[kinds == kind]) for kind in range(len(self.names)))
         return [(kind, some) for kind, some in found if len(some)]
@@ -110,11 +110,11 @@ class Archive:
         """Return `by_kind` of the landmarks first seen from an area."""
         return self.by_kind(np.flatnonzero(self.homes[: self.n] == area))
 
-    def near(self, centre: Array, half: float, reach: float) -> Ints:
-        """Return the ids of landmarks within reach of a square, and of those that exist once."""
+    def near(self, centre: Array, half: float, distance: float) -> Ints:
+        """Return the ids of landmarks within a distance of a square, and of those of unique kinds."""
         n = self.n
-        apart = np.maximum(np.abs(self.places[:n] - centre) - half, 0.0)
-        near = np.square(apart).sum(1) <= np.square(reach + self.sizes[:n])
+        outside = np.maximum(np.abs(self.places[:n] - centre) - half, 0.0)
+        near = np.square(outside).sum(1) <= np.square(distance + self.sizes[:n])
         for kind, name in enumerate(self.names):
             if self._models[name].unique:
                 near |= self.kinds[:n] == kind
@@ -129,9 +129,10 @@ class Archive:
     def report(
         self, atlas: Atlas, shift: Array, blocks: Mapping[int, Array]
     ) -> tuple[Landmark, ...]:
-        """Return the map in the form users read, by id.
+        """Return the landmarks in the form that users read, by id.
 
-        Given all shifts (n, dim) and by ids the covariances (dim, dim); `atlas` has the averages.
+        `shift` (n, dim) are the shifts of all, `blocks` the covariances (dim, dim) by id; `atlas` has the
+        averages.
         """
         whole, begin, means, by_offset = Atlas(self._models), 0, [np.empty(0)], dict[int, Array]()
         for kind, ids in self.by_kind(np.arange(self.n)):
@@ -146,7 +147,7 @@ class Archive:
 
 
 class _Blocks(NamedTuple):
-    """A mean, and each landmark's own covariance by where it begins in it."""
+    """A mean, and each landmark's own covariance by its offset in it."""
 
     mean: Array
     blocks: Mapping[int, Array]

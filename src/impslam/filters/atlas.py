@@ -1,4 +1,4 @@
-"""The books of a filter's landmarks: which stands where in the state, and its life story."""
+"""Bookkeeping of a filter's landmarks: their offsets in the state, extents, counts and attributes."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class Table:
         self.move(np.empty(0, np.int64))
 
     def move(self, offsets: Ints) -> None:
-        """Say where in the state each landmark begins; `columns` (k, dim) are all its indices."""
+        """Set the offsets of the landmarks in the state; `columns` (k, dim) are all indices of each."""
         self.offsets: Ints = offsets
         self.columns: Ints = offsets[:, None] + np.arange(self.model.dim)
 
     def states(self, mean: Array, places: Ints | None = None) -> Array:
-        """Return the states (k, dim) of all landmarks, or of those at some places."""
+        """Return the states (k, dim) of all landmarks, or of those in some rows."""
         return mean[self.columns if places is None else self.columns.take(places, 0)]
 
     def append(self, row: tuple[int, int, int], extent: Array, stamp: float) -> None:
@@ -52,21 +52,21 @@ class Table:
     def fill(
         self, ids: Ints, offsets: Ints, labels: Ints, extents: Array, counts: Ints, stamps: Array
     ) -> None:
-        """Hold these landmarks, ids ascending, and no others; averages of others are kept."""
+        """Replace all landmarks by these, ids ascending; averages of others are kept."""
         self.places = {number: place for place, number in enumerate(ids.tolist())}
         self.ids, self.labels, self.extents = ids, labels, extents
         self.counts, self.stamps = counts, stamps
         self.move(offsets)
 
     def average(self, place: int, attributes: Mapping[str, float]) -> None:
-        """Take what was measured beside z into a landmark's averages; it is counted already."""
+        """Average attributes of an observation into those of a landmark, which counts it already."""
         average = self.attributes[int(self.ids[place])]
         for name, value in attributes.items():
             old = average.get(name, value)
             average[name] = old + (value - old) / float(self.counts[place])
 
-    def strike(self, places: list[int]) -> None:
-        """Forget the landmarks at these places."""
+    def remove(self, places: list[int]) -> None:
+        """Remove the landmarks in these rows."""
         for number in self.ids[places].tolist():
             del self.attributes[number]
         keep = np.ones(len(self.ids), np.bool_)
@@ -78,12 +78,12 @@ class Table:
 
 
 class Pairs(NamedTuple):
-    """Matched landmarks of one kind and what is seen of them.
+    """Matched landmarks of one kind and their observations.
 
     Attributes
     ----------
-    table, places : the landmarks and where they stand in it
-    seen, rows : the observations of the kind, and which of them was matched with which landmark
+    table, places : the landmarks, and their rows in the table
+    seen, rows : the observations of the kind, and the row of each landmark's observation
     which : indices of the matches
     """
 
@@ -105,7 +105,7 @@ class Atlas:
         self._next_id = 0
 
     def tables(self) -> list[Table]:
-        """Return the tables that hold landmarks."""
+        """Return the tables that are not empty."""
         return [table for table in self._tables.values() if table.places]
 
     def table(self, kind: str) -> Table:
@@ -119,7 +119,7 @@ class Atlas:
         return self._tables[kind]
 
     def columns(self, observations: Sequence[Observation]) -> ScanColumns:
-        """Return observations as columns; those of the newest scan are kept."""
+        """Return observations as columns; those of the newest scan are cached."""
         known, columns = self._newest
         if observations is not known or not isinstance(known, tuple):
             columns = ScanColumns(observations)
@@ -127,14 +127,14 @@ class Atlas:
         return columns
 
     def by_kind(self, observations: Sequence[Observation]) -> Iterator[tuple[Table, Columns]]:
-        """Yield each kind's table, where it has landmarks, with the observations of the kind."""
+        """Yield the non-empty tables with the observations of their kinds."""
         for kind, columns in self.columns(observations).kinds.items():
             table = self.table(kind)
             if table.places:
                 yield table, columns
 
     def pairs(self, observations: Sequence[Observation], matches: Sequence[Match]) -> list[Pairs]:
-        """Return kind by kind the landmarks that are matched; those of the newest scan are kept."""
+        """Return the matched landmarks by kind; those of the newest scan are cached."""
         scan, (known, pairs) = self.columns(observations), self._paired
         if matches is not known or not isinstance(known, tuple):
             found = (self._pairs_in(table, scan, matches) for table in self._tables.values())
@@ -153,7 +153,7 @@ class Atlas:
     def add(
         self, pose: Array, observation: Observation, offset: int, m: Array, stamp: float
     ) -> int:
-        """Enter a new landmark; return its id."""
+        """Add a new landmark; return its id."""
         table = self.table(observation.kind)
         number, self._next_id = self._next_id, self._next_id + 1
         self._paired = (), []
@@ -164,33 +164,33 @@ class Atlas:
         return number
 
     def clear(self) -> None:
-        """Hold no landmark; averages are kept."""
+        """Remove all landmarks; averages are kept."""
         self._paired = (), []
         none = np.empty(0, np.int64)
         for table in self._tables.values():
             table.fill(none, none, none, np.empty((0, 2)), none, np.empty((0, 2)))
 
     def forget(self, ids: Sequence[int]) -> None:
-        """Strike landmarks out; the state keeps their entries."""
+        """Remove landmarks, but not their entries of the state."""
         gone, self._paired = set(ids), ((), [])
         for table in self._tables.values():
-            leaving = [k for k, number in enumerate(table.ids.tolist()) if number in gone]
-            if leaving:
-                table.strike(leaving)
+            removed = [k for k, number in enumerate(table.ids.tolist()) if number in gone]
+            if removed:
+                table.remove(removed)
 
     def remove(self, ids: Sequence[int], n: int) -> Ints:
-        """Strike landmarks out of a state of n scalars; return the indices that stay, sorted."""
+        """Remove landmarks from a state of n scalars; return the remaining indices, sorted."""
         gone, self._paired = set(ids), ((), [])
-        stays = np.ones(n, np.bool_)
+        remaining = np.ones(n, np.bool_)
         for table in self._tables.values():
-            leaving = [k for k, number in enumerate(table.ids.tolist()) if number in gone]
-            if leaving:
-                stays[table.columns[leaving]] = False
-                table.strike(leaving)
-        position = np.cumsum(stays) - 1
+            removed = [k for k, number in enumerate(table.ids.tolist()) if number in gone]
+            if removed:
+                remaining[table.columns[removed]] = False
+                table.remove(removed)
+        position = np.cumsum(remaining) - 1
         for table in self._tables.values():
             table.move(position[table.offsets])
-        return np.flatnonzero(stays)
+        return np.flatnonzero(remaining)
 
     def note(
         self,
@@ -200,7 +200,7 @@ class Atlas:
         matches: Sequence[Match],
         stamp: float,
     ) -> None:
-        """Widen extents, count, stamp and average the attributes of matched landmarks."""
+        """Update extents, counts, stamps and average attributes of matched landmarks."""
         for table, places, seen, rows, which in self.pairs(observations, matches):
             if table.model.has_extent:
                 own = table.model.extents(pose, table.states(mean, places), seen.ends[rows])
@@ -215,12 +215,12 @@ class Atlas:
                     table.average(place, attributes)
 
     def of(self, ids: Sequence[int]) -> tuple[Table, Ints]:
-        """Return the table of landmarks of one kind, and their places in it."""
+        """Return the table of landmarks of one kind, and their rows in it."""
         table = next(table for table in self._tables.values() if ids[0] in table.places)
         return table, np.array([table.places[number] for number in ids])
 
     def join(self, mean: Array, kept: int, gone: int) -> None:
-        """Give one landmark what is known of another one: extent, count, stamps, label and averages."""
+        """Merge extent, count, stamps, label and averages of landmark `gone` into those of `kept`."""
         table, (k, g) = self.of((kept, gone))
         states = table.states(mean, np.array([k, g]))
         ends = table.model.outline(states[1:], table.extents[[g]])
@@ -247,7 +247,7 @@ class Atlas:
         return np.concatenate([table.ids for table in tables]), np.concatenate(ends)
 
     def landmarks(self, belief: HasBlocks) -> tuple[Landmark, ...]:
-        """Return the map in the form users read, by id."""
+        """Return the landmarks in the form that users read, by id."""
         found = []
         for kind, table in self._tables.items():
             states = table.states(belief.mean)

@@ -1,4 +1,4 @@
-"""The role of a filter: it holds the joint belief over robot and landmarks."""
+"""The role of a filter: the joint belief over robot and landmarks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Reach: TypeAlias = Callable[[int], float]
 
 
 def everything(dof: int) -> float:
-    """Return no bound: the `Reach` that excludes no pairing."""
+    """Return infinity: a `Reach` that excludes no pairing."""
     del dof
     return math.inf
 
@@ -27,27 +27,27 @@ def everything(dof: int) -> float:
 class Filter(Component):
     """The joint estimate of robot and landmarks.
 
-    Association is called through the filter, so that a filter may hold several hypotheses.
+    Association is called through the filter, so that a filter may have several hypotheses.
     """
 
     role: ClassVar[str] = "filter"
     follows: ClassVar[bool] = False
-    """Whether its mean can be put where another estimate has it; see `follow`."""
+    """Whether its mean can be set to that of another estimate; see `follow`."""
     considers_shared_errors: ClassVar[bool] = False
-    """Whether `Observation.shared` is one error of its sensor; else it is taken for new each time."""
+    """Whether `Observation.shared` is one constant error of its sensor, or independent each time."""
 
     def fresh(self) -> Self:
         """Return a new filter with these parameters, not started."""
         return type(self)(**dict(self))
 
     def copied(self) -> Self:
-        """Return a filter of the same belief that goes on by itself; landmark models are shared."""
+        """Return an independent copy; landmark models are shared."""
         return copy.deepcopy(self)
 
     def resembles(self, other: Filter, share: float) -> bool:
-        """Tell whether another belief is of the same landmarks and differs by a share of sigma at most.
+        """Return whether another belief has the same landmarks and differs by at most `share` sigma.
 
-        A filter that cannot tell says no.
+        Returns False from a filter that cannot compare.
         """
         del other, share
         return False
@@ -57,23 +57,23 @@ class Filter(Component):
     ) -> Array:
         """Return the log density (matches,) of each match's innovation, with the noise of `correct`.
 
-        With `alone` the noise is that of one observation, even if a correction takes it larger because
+        With `alone` the noise is that of a single observation, even if corrections inflate it because
         errors repeat.
         """
         del observations, alone
         return np.array([log_normal(match.distance2, match.S) for match in matches])
 
-    def doubt(self, matches: Sequence[Match]) -> Array | None:
-        """Return how many times R counts (matches,) in `correct`; None: once."""
+    def noise_factors(self, matches: Sequence[Match]) -> Array | None:
+        """Return the factors (matches,) by which `correct` multiplies R; None: all 1."""
         del matches
         return None
 
     def follow(self, pose: Array, landmarks: Mapping[int, Array]) -> None:
-        """Take a pose (3,), and the states (dim,) of landmarks by id, for its mean.
+        """Set the mean to a pose (3,) and the states (dim,) of landmarks by id.
 
-        What it knows of their errors stays.
+        The covariance does not change.
         """
-        raise NotImplementedError(f"the filter {self.name!r} follows no other estimate")
+        raise NotImplementedError(f"the filter {self.name!r} cannot follow another estimate")
 
     @abstractmethod
     def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
@@ -84,7 +84,7 @@ class Filter(Component):
         """Move the robot (thesis Eq. 2.23-2.26)."""
 
     @abstractmethod
-    def take_back(self) -> None:
+    def undo_predict(self) -> None:
         """Undo the last `predict` exactly; nothing else may have changed the state since."""
 
     @abstractmethod
@@ -93,7 +93,7 @@ class Filter(Component):
     ) -> list[Hypotheses]:
         """Score the pairings of observations with landmarks of their kind.
 
-        `reach` gives for degrees of freedom a squared Mahalanobis distance; what is beyond may be left out.
+        `reach` maps degrees of freedom to a squared Mahalanobis distance; pairings beyond may be left out.
         """
 
     @abstractmethod
@@ -102,8 +102,8 @@ class Filter(Component):
     ) -> tuple[Array, Array]:
         """Return the stacked innovation (rows,) of some pairs and its joint covariance (rows, rows).
 
-        Rows stand in the order of the pairs. An observation or landmark may be in several pairs: the
-        block between two pairs of one observation is meaningless, because they exclude each other.
+        Rows are in the order of the pairs. An observation or landmark may be in several pairs; the block
+        between two pairs of one observation is meaningless, because they exclude each other.
         """
 
     def associate(
@@ -135,16 +135,16 @@ class Filter(Component):
     def remove(self, ids: Sequence[int]) -> None:
         """Remove landmarks from the state."""
 
-    def apart(self, one: int, other: int) -> tuple[Array, Array] | None:
-        """Return how far apart two landmarks of a kind are as seen, (dim_z,), and its covariance.
+    def difference(self, one: int, other: int) -> tuple[Array, Array] | None:
+        """Return the difference (dim_z,) of two landmarks of a kind as observed, and its covariance.
 
-        None from a filter that cannot tell.
+        None from a filter that cannot compute it.
         """
         del one, other
         return None
 
     def fuse(self, kept: int, gone: int) -> None:
-        """Make two landmarks one that `apart` tells about: their difference is zero, exactly.
+        """Fuse two landmarks by a noise-free correction with a `difference` of zero.
 
         Raises
         ------
@@ -173,12 +173,12 @@ class Filter(Component):
     def outlines(self) -> tuple[Ints, Array]:
         """Return the ids (k,) of landmarks and their visible ends (k, 2, 2) in map.
 
-        Of all, or at least of those that may be in view.
+        All landmarks, or at least those that may be in view.
         """
 
     @abstractmethod
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the map in the form users read."""
+        """Return the landmarks in the form that users read."""
 
     @property
     @abstractmethod

@@ -1,8 +1,8 @@
 """A Gaussian belief over a pose and landmarks, stored for speed.
 
-The mean is a vector, the covariance P the *lower triangle* of a preallocated Fortran-ordered array:
-what bounds a large filter is the traffic of P through memory, and half of P is half the traffic. The
-pose comes first. Everything here touches P in place and in order; nothing forms (I - K H) P.
+The mean is a vector, the covariance P the *lower triangle* of a preallocated Fortran-ordered array: the
+speed of a large filter is limited by the memory traffic of P, which this halves. The pose comes first. All
+operations access P in place and in order; none forms (I - K H) P.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from impslam.geometry.kernels import kernel, plain
 from impslam.types import Array, Ints
 
 POSE = 3
-_ODD = 8  # more, for columns a power of two apart would share a few lines of the cache
-_BLOCK = 64  # P grows in steps of this; more would be updated in vain at every scan
+_PADDING = 8  # columns a power of two apart would compete for a few cache lines
+_BLOCK = 64  # step by which P grows; a larger one would waste time at every scan
 
 
 @kernel
@@ -35,7 +35,7 @@ def _gather(P: Array, o: int, block: Array) -> None:
 
 @kernel
 def innovation_blocks(P: Array, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
-    """Return H P H^T (k, dz, dz) of k landmarks, each measured alone."""
+    """Return H P H^T (k, dz, dz) of k landmarks, each independently."""
     k, dz, dm = z_D_m.shape
     size = POSE + dm
     out = np.empty((k, dz, dz))
@@ -120,7 +120,7 @@ def _drive(mean: Array, P: Array, n: int, d: Array, Q: Array) -> None:
 
 
 class HasBlocks(Protocol):
-    """What a report of landmarks asks for."""
+    """What is needed to report landmarks."""
 
     @property
     def mean(self) -> Array:
@@ -131,12 +131,12 @@ class HasBlocks(Protocol):
 
 
 class Belief(Protocol):
-    """What is asked of any Gaussian over [pose, landmark, landmark, ...]."""
+    """Interface of a Gaussian over [pose, landmark, landmark, ...]."""
 
     n: int
     mean: Array
     errors: dict[str, int]
-    """Where in the state the errors stand that observations of a sensor share, by sensor."""
+    """Indices in the state of the common errors of sensors, by sensor."""
 
     @property
     def covariance(self) -> Array:
@@ -149,25 +149,25 @@ class Belief(Protocol):
         """Return a landmark's own covariance (dim, dim)."""
 
     def innovation_blocks(self, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
-        """Return H P H^T (k, dz, dz) of k landmarks, each measured alone."""
+        """Return H P H^T (k, dz, dz) of k landmarks, each independently."""
 
     def keep(self, indices: Ints) -> None:
-        """Keep these entries of the state (sorted), forget the others."""
+        """Keep only these entries of the state (sorted)."""
 
 
 class GaussianBelief:
-    """Mean and covariance of [pose, landmark, landmark, ...]; knows sizes, not kinds."""
+    """Mean and covariance of [pose, landmark, landmark, ...], independent of kinds."""
 
     def __init__(self, pose: Array, covariance: Array) -> None:
         self.n, self.errors = POSE, dict[str, int]()
-        self.mean = np.zeros(_BLOCK + _ODD)
-        self.P = np.zeros((_BLOCK + _ODD, _BLOCK + _ODD), order="F")
+        self.mean = np.zeros(_BLOCK + _PADDING)
+        self.P = np.zeros((_BLOCK + _PADDING, _BLOCK + _PADDING), order="F")
         self.mean[:POSE] = pose
         self.P[:POSE, :POSE] = covariance
 
     @classmethod
     def of(cls, mean: Array, P: Array) -> GaussianBelief:
-        """Return that of a mean (n,) and its covariance (n, n)."""
+        """Return the belief with a mean (n,) and covariance (n, n)."""
         belief = cls(mean[:POSE], P[:POSE, :POSE])
         belief._reserve(len(mean))
         belief.n, belief.mean[: len(mean)] = len(mean), mean
@@ -188,7 +188,7 @@ class GaussianBelief:
         return _symmetric(self.P, offset, dim)
 
     def move(self, fx: float, fy: float, noise: Array) -> None:
-        """Propagate P by F, the identity but for d(x, y)/d(theta) = (fx, fy), and add noise."""
+        """Propagate P by F, the identity except d(x, y)/d(theta) = (fx, fy), and add noise."""
         _rotate_pose(self.P, self.n, fx, fy)
         self.P[:POSE, :POSE] += noise
 
@@ -197,21 +197,21 @@ class GaussianBelief:
         _drive(self.mean, self.P, self.n, plain(d_pose), plain(covariance))
 
     def pose_entries(self) -> tuple[Array, Array]:
-        """Return copies of all that `move` changes: the pose (3,) and P's first columns (n, 3)."""
+        """Return copies of what `move` changes: the pose (3,) and P's first columns (n, 3)."""
         return self.mean[:POSE].copy(), self.P[: self.n, :POSE].copy(order="F")
 
     def restore(self, entries: tuple[Array, Array]) -> None:
-        """Put back what `pose_entries` returned."""
+        """Restore the entries that `pose_entries` returned."""
         self.mean[:POSE], self.P[: self.n, :POSE] = entries
 
     def innovation_blocks(self, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
-        """Return H P H^T (k, dz, dz) of k landmarks, each measured alone."""
+        """Return H P H^T (k, dz, dz) of k landmarks, each independently."""
         return innovation_blocks(self.P, offsets, z_D_pose, z_D_m)
 
     def subtract(self, left: Array, right: Array | None = None) -> None:
         """Subtract a symmetric product left^T right from P, both (k, n); left^T left without `right`.
 
-        Shared errors stay as unsure as they are (Schmidt 1966).
+        The variances of common errors do not change (Schmidt 1966).
         """
         if right is None:
             subtract_square(self.P, self.n, left)
@@ -227,7 +227,7 @@ class GaussianBelief:
         return self.append(m, np.arange(POSE), m_D_pose, noise)
 
     def append(self, m: Array, on: Ints, J: Array, noise: Array) -> int:
-        """Append a landmark (dim,); it depends as J (dim, k) on entries (k,), and on noise (dim, dim)."""
+        """Append a landmark (dim,) that depends on entries (k,) by J (dim, k), and on noise (dim, dim)."""
         o, dim = self.n, len(m)
         self._reserve(o + dim)
         rows = J @ rows_of(self.P, on, o)
@@ -238,14 +238,14 @@ class GaussianBelief:
         return o
 
     def error(self, sensor: str) -> int:
-        """Return where the error stands that a sensor's observations share; of unit variance at first."""
+        """Return the index of a sensor's common error; add it with unit variance if it is new."""
         if sensor not in self.errors:
             none = np.zeros((1, 0))
             self.errors[sensor] = self.append(np.zeros(1), np.arange(0), none, np.eye(1))
         return self.errors[sensor]
 
     def keep(self, indices: Ints) -> None:
-        """Keep these entries of the state (sorted), forget the others."""
+        """Keep only these entries of the state (sorted)."""
         self.n = len(indices)
         places = np.searchsorted(indices, list(self.errors.values())).tolist()
         self.errors = dict(zip(self.errors, places, strict=True))
@@ -259,7 +259,7 @@ class GaussianBelief:
             self._resize(n)
 
     def _resize(self, n: int) -> None:
-        size = -(-n // _BLOCK) * _BLOCK + _ODD
+        size = -(-n // _BLOCK) * _BLOCK + _PADDING
         mean, P = np.zeros(size), np.zeros((size, size), order="F")
         mean[: self.n] = self.mean[: self.n]
         P[: self.n, : self.n] = self.P[: self.n, : self.n]

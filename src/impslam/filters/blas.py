@@ -1,6 +1,7 @@
-"""BLAS of scipy for kernels, without the rest of `scipy.linalg`, whose import costs a run 0.1 s.
+"""scipy's BLAS for kernels, without importing `scipy.linalg`, which takes 0.1 s.
 
-It is called as Fortran is, all arguments by address: so it works on parts of a matrix, in place.
+Routines are called with the Fortran convention, all arguments by address, so they work in place on parts of
+a matrix.
 """
 
 from __future__ import annotations
@@ -17,16 +18,16 @@ from impslam.geometry.scipy_extension import load
 from impslam.types import Array
 
 _blas = load("scipy.linalg._fblas", "scipy.linalg.blas")
-_PANEL = 64  # columns at a time: a triangle is done as what it has of such columns
+_PANEL = 64  # columns of a triangle that are processed at a time
 _L, _N, _T = b"LNT"
 
 
 def _routine(name: str, arguments: int) -> Any:
-    """Return the routine behind scipy's; compiled code knows it by a name, and can be kept."""
+    """Return the routine behind scipy's; compiled code refers to it by name, so it can be cached."""
     pointer = ctypes.pythonapi.PyCapsule_GetPointer
     pointer.restype, pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
     address = pointer(getattr(_blas, name)._cpointer, None)
-    if getattr(config, "DISABLE_JIT", False):  # Python calls it then
+    if getattr(config, "DISABLE_JIT", False):  # called from Python
         return ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(address)
     llvm.add_symbol(f"impslam_{name}", address)
     return types.ExternalFunction(f"impslam_{name}", types.void(*[types.voidptr] * arguments))
@@ -53,8 +54,8 @@ def subtract_square(P: Array, n: int, W: Array) -> None:
 def subtract_product(P: Array, n: int, L: Array, R: Array) -> None:
     """Subtract L^T R from the lower triangle of P[:n, :n] in place, in one pass over its memory.
 
-    P (size, size) is in Fortran order, L and R (k, >= n) in C order; what lies above the diagonal is
-    overwritten here and there.
+    P (size, size) is in Fortran order, L and R (k, >= n) in C order; parts above the diagonal are
+    overwritten.
     """
     letters, numbers = np.array([_N, _T], np.uint8), np.array([-1.0, 1.0])
     sizes = np.array([0, 0, len(L), L.shape[1], len(P)], np.int32)

@@ -1,11 +1,11 @@
-"""A joint Gaussian of a few variables, and how what is known of some of them reaches the others.
+"""A joint Gaussian of a few variables, and the propagation of updates of some of them to the others.
 
-Let a clique hold the joint of S and R, and let nothing that was observed since depend on R but through S.
-Then p(R | S) is still true when the joint of S has become another one, with mean s' and covariance P'_SS:
+Let a clique contain the joint of S and R, and let later observations depend on R only through S. Then
+p(R | S) is still valid after the joint of S has changed to mean s' and covariance P'_SS:
 
     K = P_RS P_SS^-1,    r' = r + K (s' - s),    P'_RS = K P'_SS,    P'_RR = P_RR - K P_RS^T + K P'_SS K^T
 
-(Lauritzen 1992; Pinies & Tardos 2008, Eq. 15-17). No variable that is not in the clique is touched.
+(Lauritzen 1992; Pinies & Tardos 2008, Eq. 15-17). Variables outside the clique are not involved.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from impslam.geometry.scipy_extension import load
 from impslam.types import Array, Ints
 
 dtrsm = load("scipy.linalg._fblas", "scipy.linalg.blas").dtrsm
-_DETERMINED = 1e-13  # of a variance: what is left of it is rounding, the others determine it
+_DETERMINED = 1e-13  # of a variance: a smaller rest is rounding, and other variables determine it
 
 
 def _determined(P_SS: Array, P_SR: Array) -> tuple[Array, Array]:
-    """Return `regression` where some of S are determined by those before them; both are overwritten.
+    """Return `regression` if some of S are determined by previous ones; both arguments are overwritten.
 
-    A pose reached without noise is one. None of the rest depends on such: a generalised inverse.
+    An example is a pose after a motion without noise. By a generalised inverse, the rest does not depend on
+    such variables.
     """
     least, K_T = _DETERMINED * P_SS.diagonal(), np.zeros(P_SR.shape)
     known = []
@@ -57,7 +58,7 @@ def regression(P_SS: Array, P_RS: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clique:
-    """The joint Gaussian of scalars that are known by `codes` (n,): mean (n,), P (n, n)."""
+    """The joint Gaussian of scalars identified by `codes` (n,): mean (n,), P (n, n)."""
 
     codes: Ints
     mean: Array
@@ -65,11 +66,11 @@ class Clique:
 
     @classmethod
     def empty(cls) -> Clique:
-        """Return that of nothing."""
+        """Return a clique without variables."""
         return cls(np.empty(0, np.int64), np.empty(0), np.empty((0, 0)))
 
     def places(self, codes: Ints) -> Ints:
-        """Return where these scalars (k,), all of this clique, stand in it."""
+        """Return the indices (k,) of scalars of this clique."""
         order = np.argsort(self.codes)
         return order[np.searchsorted(self.codes, codes, sorter=order)]
 
@@ -79,7 +80,7 @@ class Clique:
         return Clique(codes, self.mean[at], self.P.take(at, 0).take(at, 1))
 
     def absorbed(self, newer: Clique, carried: Ints) -> Clique:
-        """Return this with what a neighbour knows of common scalars, and with `carried` (k,) ones of it."""
+        """Return this clique updated by a neighbour's, with the scalars `carried` (k,) of that added."""
         common = _both(self.codes, newer.codes)
         new = carried[~np.isin(carried, common)]
         fresh = newer.marginal(np.concatenate([common, new]))
@@ -87,7 +88,7 @@ class Clique:
         return fresh.extended(self, rest) if len(rest) else fresh
 
     def extended(self, older: Clique, rest: Ints) -> Clique:
-        """Return this and scalars (k,) of a neighbour, which knows less of what both have in common."""
+        """Return this clique with scalars (k,) of a neighbour, whose common scalars are less up to date."""
         common = _both(older.codes, self.codes)
         own, S, R = self.places(common), older.places(common), older.places(rest)
         of_S, of_R = older.P.take(S, 0), older.P.take(R, 0)
@@ -97,12 +98,12 @@ class Clique:
         P[:n, :n], P[n:, :n] = self.P, K_T.T @ self.P.take(own, 0)
         P[:n, n:] = P[n:, :n].T
         of_rest = of_R.take(R, 1) - V.T @ V + P[n:, :n].take(own, 1) @ K_T
-        P[n:, n:] = 0.5 * (of_rest + of_rest.T)  # rounding that is not symmetric would grow
+        P[n:, n:] = 0.5 * (of_rest + of_rest.T)  # asymmetric rounding errors would grow
         mean = older.mean[R] + (self.mean[own] - older.mean[S]) @ K_T
         codes = np.concatenate([self.codes, rest])
         return Clique(codes, np.concatenate([self.mean, mean]), P)
 
 
 def _both(one: Ints, other: Ints) -> Ints:
-    """Return what is in both (k,)."""
+    """Return the common codes (k,)."""
     return one[np.isin(one, other)]

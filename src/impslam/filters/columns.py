@@ -1,4 +1,4 @@
-"""Observations of one scan as columns, kind by kind: made once, read by every step of a filter."""
+"""Observations of one scan as columns by kind, shared by all steps of a filter."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class Columns(NamedTuple):
     ----------
     indices : (k,) into all observations of the scan
     z, R : (k, dim_z) and (k, dim_z, dim_z)
-    ends : (k, 2, 2) m, where in base_link they begin and end; 0 for those of points
-    shared : (k, dim_z) what z is off by for a standard deviation of its sensor's shared error, or 0
-    sensors : whose error that is, "" for none
+    ends : (k, 2, 2) m, end points in base_link; 0 for points
+    shared : (k, dim_z) error of z per standard deviation of its sensor's common error, or 0
+    sensors : the sensors with that error, "" for none
     """
 
     indices: Ints
@@ -50,11 +50,11 @@ NONE = Columns(
     np.empty((0, 0)),
     [],
 )
-"""Of a kind that the scan does not show."""
+"""Columns of a kind that is not in the scan."""
 
 
 def end_points(observations: Sequence[Observation]) -> Array:
-    """Return where in base_link observations begin and end (k, 2, 2), m; 0 for those of points."""
+    """Return the end points (k, 2, 2) m of observations in base_link; 0 for points."""
     out = np.zeros((len(observations), 2, 2))
     for row, o in enumerate(observations):
         if o.end_points is not None:
@@ -67,8 +67,8 @@ class ScanColumns:
 
     Attributes
     ----------
-    kinds : columns by kind, in the order in which the scan shows the kinds
-    rows : of each observation, its row in the columns of its kind
+    kinds : columns by kind, in the order of their first observations
+    rows : row of each observation in the columns of its kind
     """
 
     def __init__(self, observations: Sequence[Observation]) -> None:

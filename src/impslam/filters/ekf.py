@@ -1,10 +1,10 @@
 """The extended Kalman filter for SLAM (thesis Eq. 2.22-2.29; Smith, Self & Cheeseman 1990).
 
 The state is the pose `T_map_base` [x, y, theta], perturbed by addition, and every landmark in the
-perturbation of its own model. A scan is taken in as one batch: all matched landmarks are predicted
-at the same mean, which the Jacobians are evaluated at too (the thesis prints x(k-1) in Eq. 2.20;
-the predicted state is meant). With more than one iteration a correction that turns the robot far is
-linearised again about its own result, Gauss-Newton on the posterior (Bell & Cathey 1993).
+perturbation of its own model. A scan is processed as one batch: all matched landmarks are predicted at the
+same mean, at which the Jacobians are also evaluated (the thesis prints x(k-1) in Eq. 2.20; the predicted
+state is meant). With more than one iteration, a correction with a large turn is relinearised about its own
+result, i.e. Gauss-Newton on the posterior (Bell & Cathey 1993).
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ class Ekf(GaussianFilter):
         1, "1", "linearisations of a correction, each about the last result (1: textbook EKF)", ge=1
     )
     tolerance: float = parameter(
-        1e-3, "rad", "a heading that moves less than this is not linearised again", gt=0
+        1e-3, "rad", "no further linearisation if the heading changes by less than this", gt=0
     )
     _belief: GaussianBelief = PrivateAttr()
     _before: tuple[Array, Array] = PrivateAttr()
-    """What the last prediction changed, as it was."""
+    """The entries that the last prediction changed, before it."""
 
     def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
-        """Begin anew; see `Filter.start`."""
+        """Start with a new state; see `Filter.start`."""
         self._belief = GaussianBelief(pose, covariance)
         self._atlas = Atlas(models)
 
@@ -59,17 +59,17 @@ class Ekf(GaussianFilter):
             return False
         n = self._belief.n
         sigma = np.sqrt(self._belief.P.diagonal()[:n])
-        off = self._belief.mean[:n] - other._belief.mean[:n]
-        off[2] = wrap(float(off[2]))
-        return bool((np.abs(off) <= share * sigma).all())
+        difference = self._belief.mean[:n] - other._belief.mean[:n]
+        difference[2] = wrap(float(difference[2]))
+        return bool((np.abs(difference) <= share * sigma).all())
 
     def predict(self, increment: Increment) -> None:
-        """Move the robot: x' = x (+) u, P' = F P F^T + V Q V^T (thesis Eq. 2.23-2.26)."""
+        """Predict the pose: x' = x (+) u, P' = F P F^T + V Q V^T (thesis Eq. 2.23-2.26)."""
         self._before = self._belief.pose_entries()
         self._belief.drive(increment.d_pose, increment.covariance)
 
-    def take_back(self) -> None:
-        """Undo the last prediction; see `Filter.take_back`."""
+    def undo_predict(self) -> None:
+        """Undo the last prediction; see `Filter.undo_predict`."""
         self._belief.restore(self._before)
 
     def hypothesise(
@@ -77,14 +77,14 @@ class Ekf(GaussianFilter):
     ) -> list[Hypotheses]:
         """Score the pairings of observations with landmarks of their kind, within a gate."""
         return [
-            score(self._belief, table, asked, reach(table.model.dim_z))
-            for table, asked in self._atlas.by_kind(observations)
+            score(self._belief, table, seen, reach(table.model.dim_z))
+            for table, seen in self._atlas.by_kind(observations)
         ]
 
     def joint(
         self, observations: Sequence[Observation], pairs: Sequence[Match]
     ) -> tuple[Array, Array]:
-        """Return innovation and S = H P H^T + R of all pairs, correlations between them included."""
+        """Return innovation and S = H P H^T + R of all pairs, including their correlations."""
         scene = Scene(
             self._belief.mean, self._atlas.pairs(observations, pairs), self._belief.errors
         )
@@ -95,17 +95,17 @@ class Ekf(GaussianFilter):
     def correct(
         self, observations: Sequence[Observation], matches: Sequence[Match]
     ) -> Innovation | None:
-        """Take all matches of a scan in, in one batch (thesis Eq. 2.27-2.29).
+        """Correct by all matches of a scan in one batch (thesis Eq. 2.27-2.29).
 
-        The linearisations need P among the pose and the matched landmarks only. Once they have
-        settled the gain goes to the whole state. The innovation is that of the first one; where R is
-        taken larger (`tails`, `repeats`), it is not told, for that would be of another noise.
+        The linearisations only need P of the pose and the matched landmarks. After convergence, the gain is
+        applied to the whole state. The returned innovation is that of the first linearisation; if R is
+        inflated (`tails`, `repeats`), it is None, because it would be for another noise.
         """
         if not matches:
             return None
         belief, pairs = self._belief, self._atlas.pairs(observations, matches)
-        doubt = self.doubt(matches)
-        scene, told = Scene(belief.mean, pairs, belief.errors, doubt), None
+        factors = self.noise_factors(matches)
+        scene, innovation = Scene(belief.mean, pairs, belief.errors, factors), None
         pose, states = scene.pose, scene.states
         step = np.zeros(len(scene.entries))
         for iteration in range(self.iterations):
@@ -115,13 +115,13 @@ class Ekf(GaussianFilter):
             G, moved, (nis, log_det) = solve(system, belief.P, scene.entries, scene.moving, step)
             if math.isnan(log_det):
                 raise NumericalError(INDEFINITE)
-            if told is None and doubt is None:
-                told = Innovation(nis, scene.rows, log_det)
+            if innovation is None and factors is None:
+                innovation = Innovation(nis, scene.rows, log_det)
             turned, step = abs(moved[2] - step[2]), moved
             if turned < self.tolerance:
                 break
         self._finish(*gain(belief.P, belief.n, scene.entries, G))
-        return told
+        return innovation
 
     def _finish(self, W_T: Array, step: Array, of_pose: Array) -> None:
         """Move the mean by a step (n,) and correct the covariance by W^T (rows, n).
@@ -157,37 +157,39 @@ class Ekf(GaussianFilter):
                 on = np.append(on, self._belief.error(observation.sensor))
                 J = np.column_stack(
                     [J, -new.m_D_z @ observation.shared]
-                )  # it lies at z less the error
+                )  # it is at z minus the error
             noise = new.m_D_z @ R @ new.m_D_z.T + new.slack
             offset = self._belief.append(new.m, on, J, noise)
             ids.append(self._atlas.add(self.pose, observation, offset, new.m, stamp))
         return tuple(ids)
 
-    def apart(self, one: int, other: int) -> tuple[Array, Array] | None:
-        """Return the difference of two landmarks of a kind as seen, and its covariance."""
+    def difference(self, one: int, other: int) -> tuple[Array, Array] | None:
+        """Return the difference of two landmarks of a kind as observed, and its covariance."""
         difference, entries, J = self._difference(one, other)
         return difference, J @ among(self._belief.P, entries) @ J.T
 
     def fuse(self, kept: int, gone: int) -> None:
-        """Correct by a difference of zero, without noise, and keep one of both; see `Filter.fuse`."""
+        """Correct by a difference of zero without noise, and remove one; see `Filter.fuse`."""
         belief = self._belief
         difference, entries, J = self._difference(kept, gone)
-        of_seen = rows_of(belief.P, entries, belief.n)
-        HP = J @ of_seen
+        P_rows = rows_of(belief.P, entries, belief.n)
+        HP = J @ P_rows
         try:
             L = np.linalg.cholesky(HP[:, entries] @ J.T)
         except np.linalg.LinAlgError:
-            raise NumericalError(f"landmarks {kept} and {gone} cannot be told apart") from None
+            raise NumericalError(
+                f"the difference of landmarks {kept} and {gone} is singular"
+            ) from None
         W_T = np.linalg.solve(L, HP)
-        self._finish(W_T, -np.linalg.solve(L, difference) @ W_T, of_seen[:POSE])
+        self._finish(W_T, -np.linalg.solve(L, difference) @ W_T, P_rows[:POSE])
         self._atlas.join(belief.mean, kept, gone)
         self.remove([gone])
 
     def _difference(self, one: int, other: int) -> tuple[Array, Ints, Array]:
-        """Return by how much the second of two landmarks is seen elsewhere than the first, (dim_z,).
+        """Return the difference (dim_z,) of the second of two landmarks to the first, as observed.
 
-        Also the indices (q,) of the pose and both in the state, and the Jacobian (dim_z, q). A motion of
-        everything does not change what is seen: so nothing that cannot be observed is learned of it.
+        Also return the indices (q,) of the pose and both in the state, and the Jacobian (dim_z, q). The
+        difference is invariant to a common motion, so it adds no information on unobservable directions.
         """
         table, places = self._atlas.of((one, other))
         pose, states = self.pose, table.states(self._belief.mean, places)
@@ -199,7 +201,7 @@ class Ekf(GaussianFilter):
     def _linearise(
         self, scene: Scene, pose: Array, states: list[Array]
     ) -> tuple[Array, Array, Array]:
-        """Return H, R and nu at some estimates of the pose (3,) and of each kind's landmarks."""
+        """Return H, R and nu at estimates of the pose (3,) and of each kind's landmarks."""
         system, row, entry = scene.system(), 0, POSE
         for sight, seen, m in zip(scene.sights, scene.seen, states, strict=True):
             z, z_D_pose, z_D_m = self._expect(sight, pose, m)
@@ -209,11 +211,11 @@ class Ekf(GaussianFilter):
         return system
 
     def _expect(self, sight: Sight, pose: Array, states: Array) -> Prediction:
-        """Return how landmarks are seen from estimates of a correction; Jacobians at the same."""
+        """Return predicted observations and Jacobians at the estimates of a correction."""
         return sight.table.model.predict(pose, states)
 
     def _initialise(self, table: Table, observation: Observation) -> Initial:
-        """Return the landmark an observation begins; Jacobians at the newest estimate."""
+        """Return the new landmark of an observation, with Jacobians at the newest estimate."""
         return table.model.initialise(self.pose, observation)
 
     def _retract(self, step: Array) -> None:

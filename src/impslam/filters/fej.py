@@ -1,17 +1,16 @@
 """The first-estimates Jacobian EKF for SLAM (Huang, Mourikis & Roumeliotis 2008, 2010).
 
-Robot and map, moved rigidly together, look the same. The textbook EKF evaluates each Jacobian at the
-newest estimate, so that the directions which nothing observes differ from step to step, and it gains
-information along them. Here every Jacobian is evaluated at the first estimate there ever was of a
-thing, which never changes: of a landmark, the state it was entered with; of a pose, the one that was
-predicted before the scan corrected it. The innovations use the newest estimates all the same.
+A rigid motion of robot and map is unobservable. The textbook EKF evaluates each Jacobian at the newest
+estimate, so that the unobservable directions differ from step to step, and it gains information along them.
+Here every Jacobian is evaluated at the first estimate of a variable, which never changes: the initial state
+of a landmark, and the predicted pose before its correction. The innovations still use the newest estimates.
 
     prediction:  F = d(pose')/d(pose) between the *predicted* poses, [I, J (p' - p_predicted)],
     correction:  H at the predicted pose and the first states of the landmarks,
-    extension:   a new landmark hangs on the predicted pose.
+    extension:   a new landmark depends on the predicted pose.
 
-The price is that the Jacobians keep the first estimates' errors: with poor first sightings the filter
-is worse than one that keeps the symmetry in its coordinates (`riekf`).
+The drawback is that the Jacobians keep the errors of the first estimates: with poor first observations the
+filter is worse than one with the symmetry in its coordinates (`riekf`).
 """
 
 from __future__ import annotations
@@ -35,15 +34,15 @@ from impslam.types import Array, Increment, Observation
 
 @register("fej")
 class FirstEstimatesEkf(Ekf):
-    """The EKF with Jacobians at first estimates: what nothing observes stays in one place."""
+    """The EKF with Jacobians at first estimates, which keep the unobservable directions constant."""
 
     _first: Array = PrivateAttr()
-    """(n,), the predicted pose and the landmarks' first states."""
+    """(n,) the predicted pose and the landmarks' initial states."""
     _first_before: Array = PrivateAttr()
     """The predicted pose (3,) before the last one."""
 
     def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
-        """Begin anew; see `Filter.start`."""
+        """Start with a new state; see `Filter.start`."""
         super().start(pose, covariance, models)
         self._first = self.pose
 
@@ -58,13 +57,13 @@ class FirstEstimatesEkf(Ekf):
         belief.move(predicted[1] - after[1], after[0] - predicted[0], noise)
         belief.mean[:POSE] = self._first[:POSE] = after
 
-    def take_back(self) -> None:
-        """Undo the last prediction; see `Filter.take_back`."""
-        super().take_back()
+    def undo_predict(self) -> None:
+        """Undo the last prediction; see `Filter.undo_predict`."""
+        super().undo_predict()
         self._first[:POSE] = self._first_before
 
     def extend(self, observations: Sequence[Observation], stamp: float) -> tuple[int, ...]:
-        """Add landmarks, and remember where they were first thought to be."""
+        """Add landmarks, and store their initial states."""
         ids = super().extend(observations, stamp)
         new = self._belief.mean[len(self._first) : self._belief.n]
         self._first = np.concatenate([self._first, new])
@@ -73,9 +72,9 @@ class FirstEstimatesEkf(Ekf):
     def remove(self, ids: Sequence[int]) -> None:
         """Marginalise landmarks out."""
         if ids:
-            stays = self._atlas.remove(ids, self._belief.n)
-            self._belief.keep(stays)
-            self._first = self._first[stays]
+            remaining = self._atlas.remove(ids, self._belief.n)
+            self._belief.keep(remaining)
+            self._first = self._first[remaining]
 
     def _expect(self, sight: Sight, pose: Array, states: Array) -> Prediction:
         now = super()._expect(sight, pose, states)

@@ -1,18 +1,18 @@
 """The observability-constrained EKF for SLAM (Huang, Mourikis & Roumeliotis 2010; Hesch et al. 2014).
 
-A rigid motion of robot and map together changes nothing that is seen: H N = 0 for the directions N of
-the state along it. The textbook EKF's N changes with every estimate. Here, as in `fej`, N is that of the
-predicted pose and the landmarks' first states for ever, carried by the same F. But the measurement
-Jacobians are those of the *newest* estimates, changed as little as it takes to leave N unobserved:
+A rigid motion of robot and map is unobservable: H N = 0 for the directions N of the state along it. The
+textbook EKF's N changes with every estimate. Here, as in `fej`, N is always that of the predicted pose and
+the landmarks' initial states, propagated by the same F. But the measurement Jacobians are those of the
+*newest* estimates, with the smallest change that makes N unobservable:
 
     H* = argmin |H* - H|  so that  H* N = 0,    H* = H - H N (N^T N)^-1 N^T,
 
-the projection of each row onto what is orthogonal to N (Hesch et al. 2014, Eq. 30), over the pose and
-the one landmark that the row sees. Rotations about any point and translations span the same N, and the
-Frobenius norm favours no direction, so that the result does not depend on where the map's frame lies.
+the projection of each row onto the complement of N (Hesch et al. 2014, Eq. 30), over the pose and the one
+landmark of the row. Rotations about any point and translations span the same N, and the Frobenius norm is
+isotropic, so the result does not depend on the map frame.
 
-The price of `fej`, Jacobians with the first estimates' errors in them, is paid only as far as the
-constraint asks for it.
+The errors of the first estimates affect the Jacobians only as far as the constraint requires, less than in
+`fej`.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from impslam.types import Array
 
 
 def unobserving(J: Array, N: Array) -> Array:
-    """Return the Jacobians (k, dim_z, n) nearest to J that are zero along N (k, n, 3)."""
+    """Return the Jacobians (k, dim_z, n) closest to J that are zero along N (k, n, 3)."""
     N_T = N.transpose(0, 2, 1)
     return np.asarray(J - J @ N @ np.linalg.solve(N_T @ N, N_T))
 
 
 @register("oc")
 class ObservabilityConstrainedEkf(FirstEstimatesEkf):
-    """The EKF with Jacobians changed least so that what nothing observes stays unobserved."""
+    """The EKF with minimally changed Jacobians that keep unobservable directions unobservable."""
 
     def _expect(self, sight: Sight, pose: Array, states: Array) -> Prediction:
         now = Ekf._expect(self, sight, pose, states)

@@ -1,38 +1,37 @@
 """The right-invariant EKF for SLAM (Barrau & Bonnabel 2015; Zhang et al. 2017).
 
-Robot and map, moved rigidly together, look the same: three directions of the state that nothing
-observes. In the coordinates of the textbook EKF they are the columns of G(x) = d(state)/d(motion) and
-depend on the estimate through the lever arms from the map origin. Each correction changes x, so what
-was unobservable is not quite any more, and out of the mismatch the EKF learns a heading that nothing
-tells (Julier & Uhlmann 2001; Huang, Mourikis & Roumeliotis 2010).
+A rigid motion of robot and map is unobservable in its three directions. In the coordinates of the textbook
+EKF they are the columns of G(x) = d(state)/d(motion) and depend on the estimate through the lever arms from
+the map origin. Each correction changes x, so the unobservable directions change, and the EKF gains spurious
+information on the heading (Julier & Uhlmann 2001; Huang, Mourikis & Roumeliotis 2010).
 
-Here the error is (xi, e): xi = [x, y, theta] moves everything, e_i is what remains of a landmark's,
+Here the error is (xi, e): xi = [x, y, theta] moves everything, e_i is the remaining error of a landmark,
 
     T = exp(xi) T^,    m_i = exp(xi) m^_i [+] e_i,
 
-in which the three directions are xi alone, for ever. Zhang et al.'s error of a point is e_i plus the
-translation of xi: a constant change of coordinates, which no EKF notices. A wall's e_i is in the wall's
-own frame, as its perturbation is.
+in which the three directions are always xi alone. Zhang et al.'s error of a point is e_i plus the
+translation of xi: a constant change of coordinates, which has no effect on an EKF. A wall's e_i is in the
+wall's own frame, like its perturbation.
 
-**Kept in additive coordinates.** To first order the perturbation that the rest of the package speaks
-is delta = G(x) xi + (0, e). A prediction moves the pose alone; it is that of the EKF exactly, three
-rows of P and no more. A correction moves the state from x to x+ while (xi, e) keep their covariance, so
-that of the perturbation becomes that of
+**Additive coordinates.** To first order, the perturbation in the rest of the package is delta = G(x) xi +
+(0, e). A prediction changes only the pose; it is exactly that of the EKF, on three rows of P. A correction
+moves the state from x to x+ while the covariance of (xi, e) stays, so that of the perturbation becomes that
+of
 
     delta+ = delta + (G(x+) - G(x)) xi,
 
-an update of P of rank two (six with walls): one more pass over half of P for each scan. That alone tells
-the filter from `ekf`. The group's exponential would also turn a correction's translation by half its
-rotation; over 400 steps at 3 degrees each that changes no figure's third digit, so it is left out.
+an update of P of rank two (six with walls): one more pass over half of P for each scan. This is the only
+difference to `ekf`. The exponential map would also rotate a correction's translation by half its rotation;
+over 400 steps of 3 degrees each this does not change the third digit of any result, so it is left out.
 
-**Second order.** A correction is linearised again about its own result, by default: places swing
-round an arc as a heading errs, and a single linearisation finds them nearer, on average, than they
-are. The new Jacobians are carried back to the perturbations before the correction, which P speaks of;
-taken as they are they would undo what this filter is for.
+**Second order.** By default, a correction is relinearised about its own result: with a heading error,
+positions move along an arc, and a single linearisation estimates them too close, on average. The new
+Jacobians are transformed back to the perturbations before the correction, in which P is expressed;
+otherwise they would violate the invariance.
 
-The covariances of places that users read are mean squares about the estimate, the arc included. What
-moves by delta to first order as the heading errs by theta moves by 1/2 theta J delta more, J a quarter
-turn: P + 3/4 (J c) (J c)^T with c = cov(place, theta), since E[theta^4] = 3 var(theta)^2.
+The reported covariances of positions are mean squares about the estimate, including the arc. A displacement
+delta, to first order, by a heading error theta is accompanied by 1/2 theta J delta, with J a quarter turn:
+P + 3/4 (J c) (J c)^T with c = cov(position, theta), since E[theta^4] = 3 var(theta)^2.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ from impslam.types import Array, Ints, Landmark
 
 @kernel
 def _enter(columns: Ints, states: tuple[Array, Array], change: tuple[Array, Array]) -> None:
-    """Put states (k, dim) into the mean, and the change (k, dim, 3) of their m_D_motion into A^T."""
+    """Write states (k, dim) to the mean, and the change (k, dim, 3) of their m_D_motion to A^T."""
     (mean, after), (A_T, D) = states, change
     for i in range(len(columns)):
         for c in range(columns.shape[1]):
@@ -74,10 +73,10 @@ def _add_product(out: Array, A: Array, B: Array) -> None:
 
 @kernel
 def factors(W_T: Array, A_T: Array, xi_D_pose: Array, of_pose: Array) -> tuple[Array, Array]:
-    """Return L and R (rows + 2 k, n): P - L^T R is P - W W^T, carried on to delta + A xi.
+    """Return L and R (rows + 2 k, n): P - L^T R is P - W W^T, transformed to delta + A xi.
 
-    A^T is (3, n), xi = xi_D_pose delta_pose with xi_D_pose (3, 3); `of_pose` (3, n) are P's first rows.
-    k rows of A^T are not zero: points alone leave only the heading's. The change is A b^T + b A^T with
+    A^T is (3, n), xi = xi_D_pose delta_pose with xi_D_pose (3, 3); `of_pose` (3, n) are P's first rows. k
+    rows of A^T are not zero: with points alone, only that of the heading. The change is A b^T + b A^T with
     b = cov(delta, xi) + 1/2 A cov(xi), after P - W W^T.
     """
     rows, n = W_T.shape
@@ -101,7 +100,7 @@ def _carried_back(
 ) -> Array:
     """Return z_D_pose + (z_D_pose A_pose + z_D_m A_m) xi_D_pose, (k, dim_z, 3).
 
-    A is how G has changed between two `poses` and from m_D_motion[:k] to [k:] of the landmarks.
+    A is the change of G between two `poses` and from m_D_motion[:k] to [k:] of the landmarks.
     """
     (k, dz, dim), (before, after) = z_D_m.shape, poses
     x, y = before[0], before[1]
@@ -120,21 +119,24 @@ def _carried_back(
 
 
 def _arc(with_heading: Array) -> Array:
-    """Return the mean square (2, 2) of the way from tangent to arc, given cov(place, theta)."""
+    """Return the mean square (2, 2) of the offset from tangent to arc, given cov(position, theta)."""
     x, y = with_heading.tolist()
     return 0.75 * np.array([[y * y, -x * y], [-x * y, x * x]])
 
 
 @register("riekf")
 class RightInvariantEkf(Ekf):
-    """The right-invariant EKF: it cannot learn which way the map lies from looking at it."""
+    """The right-invariant EKF: it gains no spurious information on the orientation of the map."""
 
     iterations: int = parameter(
-        4, "1", "linearisations of a correction at most; the second brings it to millimetres", ge=1
+        4,
+        "1",
+        "maximum linearisations of a correction; the second is accurate to millimetres",
+        ge=1,
     )
 
     def _finish(self, W_T: Array, step: Array, of_pose: Array) -> None:
-        """Correct, and carry the covariance over to the new state in the same pass over P."""
+        """Correct, and transform the covariance to the new state in the same pass over P."""
         before, A_T = self.pose, np.zeros((POSE, len(step)))
         mean = self._move_pose(step)
         for table in self._atlas.tables():
@@ -151,7 +153,7 @@ class RightInvariantEkf(Ekf):
         return P
 
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the map in the form users read, covariances as for the pose."""
+        """Return the landmarks in the form that users read, with covariances as for the pose."""
         P = self._belief.P
         arcs = {
             int(number): _arc(P[offset : offset + 2, 2])
@@ -165,7 +167,7 @@ class RightInvariantEkf(Ekf):
         )
 
     def _expect(self, sight: Sight, pose: Array, states: Array) -> Prediction:
-        """Return what is seen; Jacobians in the perturbations before the correction, P's own."""
+        """Return predicted observations, with Jacobians in the perturbations before the correction."""
         now = super()._expect(sight, pose, states)
         if pose is sight.pose:
             return now

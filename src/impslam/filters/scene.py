@@ -1,4 +1,4 @@
-"""What a correction looks at: the matched landmarks of a scan, kind by kind, in columns."""
+"""Inputs of a correction: the matched landmarks of a scan, by kind, in columns."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ _POSE = np.arange(POSE)
 class Sight(NamedTuple):
     """k matched landmarks of one kind: `places` (k,) in their table, and the prior's estimates.
 
-    `pose` (3,) and `states` (k, dim) are where pose and landmarks are thought to be before the
-    correction.
+    `pose` (3,) and `states` (k, dim) are the estimates before the correction.
     """
 
     table: Table
@@ -30,15 +29,15 @@ class Sight(NamedTuple):
 
 
 class Scene:
-    """All that is seen at once; rows of H and entries of the state stand in the sights' order.
+    """All matches of a scan; rows of H and entries of the state are in the order of the sights.
 
     Attributes
     ----------
     sights, seen : one for each kind, and z (k, dim_z) and R (k, dim_z, dim_z) of the same
-    entries : (q,) indices into the state: the pose, each matched landmark, the shared errors
-    rows : how many scalars are seen
-    moving : how many of the entries a correction moves: all but the errors
-    order : (rows,) indices of the rows that put them in the order of the matches
+    entries : (q,) indices into the state: the pose, each matched landmark, the common errors
+    rows : number of observed scalars
+    moving : number of entries that a correction changes: all but the common errors
+    order : (rows,) indices of the rows in the order of the matches
     """
 
     def __init__(
@@ -46,25 +45,25 @@ class Scene:
         mean: Array,
         pairs: Iterable[Pairs],
         known: Mapping[str, int],
-        doubt: Array | None = None,
+        factors: Array | None = None,
     ) -> None:
-        """Look at pairs from a mean; R counts `doubt` (matches,) times.
+        """Prepare pairs at a mean, with R multiplied by `factors` (matches,).
 
-        `known` is where in the state the error stands that a sensor's observations share.
+        `known` are the indices in the state of the sensors' common errors.
         """
         self.pose = mean[:POSE].copy()
         self.sights: list[Sight] = []
         self.seen: list[tuple[Array, Array]] = []
         self._which: list[list[int]] = []
-        self._off_by: list[Array] = []
+        self._error_jacobians: list[Array] = []
         entries = [_POSE]
         for table, places, seen, rows, which in pairs:
             columns = table.columns.take(places, 0)
             z, R = seen.z.take(rows, 0), seen.R.take(rows, 0)
             if known:
-                self._off_by.append(_taken_out(R, seen, rows, known))
-            if doubt is not None:
-                R *= doubt[which, None, None]
+                self._error_jacobians.append(_remove_common_errors(R, seen, rows, known))
+            if factors is not None:
+                R *= factors[which, None, None]
             self.sights.append(Sight(table, places, self.pose, mean[columns]))
             self.seen.append((z, R))
             self._which.append(which)
@@ -75,15 +74,15 @@ class Scene:
             self.entries = np.concatenate([self.entries, list(known.values())])
 
     def system(self) -> tuple[Array, Array, Array]:
-        """Return H (rows, q), R (rows, rows) and nu (rows,), zero but for H of the shared errors."""
+        """Return H (rows, q), R (rows, rows) and nu (rows,), zero except H of the common errors."""
         H, R = np.zeros((self.rows, len(self.entries))), np.zeros((self.rows, self.rows))
-        if self._off_by:
-            H[:, self.moving :] = np.concatenate(self._off_by)
+        if self._error_jacobians:
+            H[:, self.moving :] = np.concatenate(self._error_jacobians)
         return H, R, np.zeros(self.rows)
 
     @property
     def order(self) -> Ints:
-        """Which row is the first of the first match, and so on."""
+        """Indices of the rows in the order of the matches."""
         seen = zip(self._which, self.seen, strict=True)
         keys = [np.repeat(which, z.shape[1]) for which, (z, _) in seen]
         return np.argsort(np.concatenate(keys), kind="stable")
@@ -105,13 +104,13 @@ class Scene:
         return pose, states
 
 
-def _taken_out(R: Array, seen: Columns, rows: Ints, known: Mapping[str, int]) -> Array:
-    """Take the part out of R (k, dz, dz) that known shared errors make.
+def _remove_common_errors(R: Array, seen: Columns, rows: Ints, known: Mapping[str, int]) -> Array:
+    """Subtract the contribution of known common errors from R (k, dz, dz).
 
-    Return what each scalar is off by for a standard deviation of each of them, (k dz, errors).
+    Return the error (k dz, errors) of each scalar per standard deviation of each common error.
     """
     own = np.array([[seen.sensors[row] == sensor for sensor in known] for row in rows])
-    off_by = seen.shared[rows][:, :, None] * own[:, None]
-    R -= off_by @ off_by.swapaxes(1, 2)
-    by_scalar: Array = off_by.reshape(-1, len(known))
+    jacobian = seen.shared[rows][:, :, None] * own[:, None]
+    R -= jacobian @ jacobian.swapaxes(1, 2)
+    by_scalar: Array = jacobian.reshape(-1, len(known))
     return by_scalar

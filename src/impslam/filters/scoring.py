@@ -23,7 +23,7 @@ _NONE: Ints = np.empty(0, np.int64)
 
 
 @kernel
-def _spread(P: Array, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
+def _variance_bound(P: Array, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
     """Return a bound (k, dz) on the diagonal of each landmark's H P H^T, from few entries of P.
 
     With a row h = [h_pose, h_m] and any positive semidefinite P, h P h^T is at most twice
@@ -49,12 +49,12 @@ def _spread(P: Array, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
 
 @kernel
 def _near(
-    z: Array, known: Array, spread: Array, R: Array, angles: Mask, gate: float
+    z: Array, known: Array, bound: Array, R: Array, angles: Mask, gate: float
 ) -> tuple[Ints, Ints, Ints]:
-    """Return the pairs that may be in the gate: observations (p,) and landmarks (p,), and the latter once.
+    """Return the pairs that may be in the gate: observations (p,), landmarks (p,), and distinct landmarks.
 
-    Landmarks are numbered among those `used` (u,). nu^T S^-1 nu is at least nu_p^2 / S_pp for every p,
-    so that pairs with one nu_p^2 beyond gate S_pp are out.
+    The landmarks of pairs are indices into the distinct ones (u,). nu^T S^-1 nu is at least nu_p^2 / S_pp
+    for every p, so pairs with any nu_p^2 beyond gate S_pp are excluded.
     """
     (a, dz), k = z.shape, len(known)
     first, second = np.empty(a * k, np.int64), np.empty(a * k, np.int64)
@@ -66,7 +66,7 @@ def _near(
                 value = z[i, p] - known[j, p]
                 if angles[p]:
                     value = wrap_in_kernel(value)
-                if value * value > gate * (spread[j, p] + R[i, p, p]):
+                if value * value > gate * (bound[j, p] + R[i, p, p]):
                     inside = False
                     break
             if inside or gate == math.inf:
@@ -82,8 +82,10 @@ def _near(
 
 
 @kernel
-def _across(P: Array, offset: int, error: int, z_D_pose: Array, z_D_m: Array, out: Array) -> None:
-    """Fill out (dz,) with the covariance of what is predicted of a landmark and a shared error."""
+def _error_covariance(
+    P: Array, offset: int, error: int, z_D_pose: Array, z_D_m: Array, out: Array
+) -> None:
+    """Fill out (dz,) with the covariance of a landmark's predicted observation and a common error."""
     for a in range(len(out)):
         out[a] = 0.0
         for p in range(POSE):
@@ -117,7 +119,7 @@ def _distances(nu: Array, S: Array) -> tuple[Array, Array]:
     distance2, log_det = np.empty(count), np.empty(count)
     L, y = np.zeros((dz, dz)), np.empty(dz)
     for n in range(count):
-        total, root = 0.0, 1.0  # root: that of det S
+        total, root = 0.0, 1.0  # root of det S
         for p in range(dz):
             value = nu[n, p]
             for q in range(p + 1):
@@ -156,24 +158,24 @@ def _scored(
 ) -> tuple[Ints, Ints, tuple[Array, Array, Array, Array]]:
     """Return observations (p,) and landmarks (p,) of the pairs in the gate, and their scores.
 
-    What is `seen` are z, R, what z is off by for the sensor's shared error, and where that stands (a,):
-    -1 where it is not known, (0,) where none is.
+    `seen` are z, R, the error of z per unit of the sensor's common error, and the index (a,) of that in the
+    state: -1 if it is not in the state, (0,) if none is.
     """
     (z, R, shared, errors), (predicted, z_D_pose, z_D_m) = seen, known
-    spread, R_most = _spread(P, offsets, z_D_pose, z_D_m), R
+    bound, R_bound = _variance_bound(P, offsets, z_D_pose, z_D_m), R
     if len(errors):  # cov(a + b) is at most 2 cov(a) + 2 cov(b)
-        spread, R_most = 2.0 * spread, 2.0 * R
-    a, k, places = _near(z, predicted, spread, R_most, angles, gate)
+        bound, R_bound = 2.0 * bound, 2.0 * R
+    a, k, places = _near(z, predicted, bound, R_bound, angles, gate)
     HPH = innovation_blocks(P, offsets[places], z_D_pose[places], z_D_m[places])
     nu, S = _innovations((a, k), z, predicted[places], HPH, R, angles)
-    across = np.empty(z.shape[1])
+    cross = np.empty(z.shape[1])
     for n in range(len(a) if len(errors) else 0):
         i, j = a[n], places[k[n]]
         if errors[i] >= 0:
-            _across(P, offsets[j], errors[i], z_D_pose[j], z_D_m[j], across)
-            for p in range(len(across)):
-                for q in range(len(across)):
-                    S[n, p, q] += across[p] * shared[i, q] + across[q] * shared[i, p]
+            _error_covariance(P, offsets[j], errors[i], z_D_pose[j], z_D_m[j], cross)
+            for p in range(len(cross)):
+                for q in range(len(cross)):
+                    S[n, p, q] += cross[p] * shared[i, q] + cross[q] * shared[i, p]
     return _inside((a, places[k]), nu, S, gate)
 
 
@@ -181,50 +183,50 @@ def _scored(
 def _compared(
     seen: tuple[Array, Array], known: tuple[Array, Array], angles: Mask, gate: float
 ) -> tuple[Ints, Ints, tuple[Array, Array, Array, Array]]:
-    """Return what `_scored` does, where H P H^T (k, dz, dz) of all landmarks is known."""
+    """Return the same as `_scored`, given H P H^T (k, dz, dz) of all landmarks."""
     (z, R), (predicted, HPH) = seen, known
-    spread = np.empty_like(predicted)
+    variances = np.empty_like(predicted)
     for i, row in enumerate(HPH):
         for p in range(len(row)):
-            spread[i, p] = row[p, p]
-    a, k, places = _near(z, predicted, spread, R, angles, gate)
+            variances[i, p] = row[p, p]
+    a, k, places = _near(z, predicted, variances, R, angles, gate)
     nu, S = _innovations((a, k), z, predicted[places], HPH[places], R, angles)
     return _inside((a, places[k]), nu, S, gate)
 
 
-def score(belief: GaussianBelief, table: Table, asked: Columns, gate: float) -> Hypotheses:
+def score(belief: GaussianBelief, table: Table, seen: Columns, gate: float) -> Hypotheses:
     """Return the pairings of the observations of a kind with its landmarks in a gate.
 
-    All landmarks are predicted, for that is cheap; P is read for those near enough.
+    All landmarks are predicted, which is cheap; P is only read for nearby ones.
     """
     model, errors = table.model, _NONE
     z, z_D_pose, z_D_m = model.predict(belief.mean[:POSE].copy(), table.states(belief.mean))
     if belief.errors:
-        errors = np.array([belief.errors.get(sensor, -1) for sensor in asked.sensors])
-    seen = asked.z, asked.R, asked.shared, errors
+        errors = np.array([belief.errors.get(sensor, -1) for sensor in seen.sensors])
+    observed = seen.z, seen.R, seen.shared, errors
     known, angles = (z, z_D_pose, z_D_m), angle_mask(type(model))
-    scored = _scored(belief.P, table.offsets, seen, known, angles, gate)
-    return _hypotheses(belief, table, asked, z, scored)
+    scored = _scored(belief.P, table.offsets, observed, known, angles, gate)
+    return _hypotheses(belief, table, seen, z, scored)
 
 
 def score_predicted(
-    belief: Belief, table: Table, asked: Columns, gate: float, known: tuple[Array, Array]
+    belief: Belief, table: Table, seen: Columns, gate: float, known: tuple[Array, Array]
 ) -> Hypotheses:
-    """Return the same, given z (k, dz) as predicted and its covariance (k, dz, dz) without R."""
+    """Return the same as `score`, given predicted z (k, dz) with covariances (k, dz, dz) without R."""
     angles = angle_mask(type(table.model))
-    scored = _compared((asked.z, asked.R), known, angles, gate)
-    return _hypotheses(belief, table, asked, known[0], scored)
+    scored = _compared((seen.z, seen.R), known, angles, gate)
+    return _hypotheses(belief, table, seen, known[0], scored)
 
 
 def _hypotheses(
     belief: Belief,
     table: Table,
-    asked: Columns,
+    seen: Columns,
     predicted: Array,
     scored: tuple[Ints, Ints, tuple[Array, Array, Array, Array]],
 ) -> Hypotheses:
-    """Return scored pairs with all that is told of them."""
-    (indices, z, _, ends, _, _), (a, rows, scores) = asked, scored
+    """Return scored pairs as `Hypotheses`."""
+    (indices, z, _, ends, _, _), (a, rows, scores) = seen, scored
     model, mean = table.model, belief.mean
 
     def apart(from_robot: bool) -> tuple[Array, Array]:
@@ -236,21 +238,21 @@ def _hypotheses(
     possible = np.ones(len(a), np.bool_)
     if model.has_extent and len(a):
         possible = _possible(belief, table, ends[a], rows)
-    asked_of = indices, indices.take(a), table.ids.take(rows), table.labels.take(rows)
-    kind_is = model.unique, model.has_extent
-    return Hypotheses(table.kind, *asked_of, *scores, apart, possible, *kind_is)
+    ids = indices, indices.take(a), table.ids.take(rows), table.labels.take(rows)
+    kind_flags = model.unique, model.has_extent
+    return Hypotheses(table.kind, *ids, *scores, apart, possible, *kind_flags)
 
 
 @cache
 def angle_mask(model: type[LandmarkModel]) -> Mask:
-    """Tell which components of a kind's z are angles, (dim_z,)."""
+    """Return which components (dim_z,) of a kind's z are angles."""
     mask = np.zeros(model.dim_z, np.bool_)
     mask[list(model.z_angles)] = True
     return mask
 
 
 def _possible(belief: Belief, table: Table, ends: Array, rows: Ints) -> Mask:
-    """Tell (p,) which pairings the extents allow, within two standard deviations along them.
+    """Return (p,) which pairings the extents allow, within two standard deviations along them.
 
     `ends` (p, 2, 2) are the observations' end points, `rows` (p,) are the landmarks.
     """

@@ -1,12 +1,11 @@
-"""A Gaussian belief over a pose and landmarks that keeps a square root of its covariance.
+"""A Gaussian belief over a pose and landmarks in square-root form.
 
-P = S S^T, so that P cannot lose its positive definiteness, and the state is x + S u with u of unit
-covariance: columns of S are what sigma points are made of. S is lower triangular, with the pose's rows
-taken as heading, ahead and aside: the first column alone turns the robot, and no column depends on
-how the map's axes lie.
+P = S S^T, so P stays positive definite, and the state is x + S u with u of unit covariance: sigma points
+are made of columns of S. S is lower triangular, with the pose's rows as heading, forward and left: only the
+first column rotates the robot, and no column depends on the axes of the map.
 
-Everything is an orthogonal transformation of columns, in place and of quadratic cost (Kaminski, Bryson
-& Schmidt 1971); a new landmark is a few rows more.
+All operations are orthogonal transformations of columns, in place and of quadratic cost (Kaminski, Bryson &
+Schmidt 1971); a new landmark adds a few rows.
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ from impslam.types import Array, Ints
 
 
 def _axes(theta: float) -> Array:
-    """Return (3, 3), which takes a change [x, y, theta] to that of heading, ahead and aside."""
+    """Return (3, 3), which maps a change [x, y, theta] to that of heading, forward and left."""
     c, s = math.cos(theta), math.sin(theta)
     return np.array([[0.0, 0.0, 1.0], [c, s, 0.0], [-s, c, 0.0]])
 
 
 def _triangular(A: Array) -> Array:
-    """Return the L (n, n), lower triangular, of A A^T = L L^T, its diagonal not negative; A (n, k)."""
+    """Return the lower triangular L (n, n) of A A^T = L L^T with a non-negative diagonal; A (n, k)."""
     n = len(A)
     R = np.asarray(np.linalg.qr(A.T, mode="r"))
     L = np.zeros((n, n))
@@ -59,13 +58,13 @@ def _add_square(S: Array, B: Array) -> None:
 def absorb(S: Array, n: int, H: Array, y: Array) -> Array:
     """Correct S, in place, by y (m,) = H u + noise of unit covariance; return the step (n,) S E[u].
 
-    H (m, n) and y are overwritten. One scalar after the other, each in coordinates u that the ones
-    before have made of unit covariance again: I - h h^T / (1 + h h^T) = T T^T with a triangular T, so
-    that S T is triangular, too (Carlson 1973). Column by column, all scalars at each.
+    H (m, n) and y are overwritten. Scalars are processed one after the other, each in coordinates u that
+    the previous ones have normalised to unit covariance: I - h h^T / (1 + h h^T) = T T^T with a triangular
+    T, so S T is triangular, too (Carlson 1973). The outer loop is over columns.
     """
     m = len(y)
     c, sums = np.ones(m), np.zeros((m, n))  # 1 + h h^T and S h^T so far, over the columns passed
-    by_others = np.zeros((m, m))  # H h^T alike
+    by_others = np.zeros((m, m))  # the same for H h^T
     for j in range(n - 1, -1, -1):
         begin = 0 if j < POSE else j
         for r in range(m):
@@ -95,7 +94,7 @@ def absorb(S: Array, n: int, H: Array, y: Array) -> Array:
 
 @kernel
 def own_roots(S: Array, offsets: Ints, dim: int) -> Array:
-    """Return roots C (k, dim, dim) of what landmarks are unsure by where the pose is known.
+    """Return roots C (k, dim, dim) of the landmarks' covariances given the pose.
 
     C C^T = D D^T with D = S[m, 3:], the rows of the landmark at an offset.
     """
@@ -119,11 +118,11 @@ def own_roots(S: Array, offsets: Ints, dim: int) -> Array:
 
 
 @kernel
-def spread_out(S: Array, offset: int, C: Array, h: Array, out: Array) -> None:
-    """Fill out (dz, n) with the rows over u of what depends as h (dz, 3 + dim) on pose and landmark.
+def expand_columns(S: Array, offset: int, C: Array, h: Array, out: Array) -> None:
+    """Fill out (dz, n) with the rows over u of a quantity with rows h (dz, 3 + dim) on pose and landmark.
 
-    h is over the pose's three columns and over v, of unit covariance: the landmark's rows are
-    S[m, :3] u + C v, hence v = C^-1 S[m, 3:] u.
+    h is over the pose's three columns and over v of unit covariance: the landmark is S[m, :3] u + C v,
+    hence v = C^-1 S[m, 3:] u.
     """
     dz, dim = len(h), len(C)
     v = np.empty(dim)
@@ -165,22 +164,22 @@ class SquareRootBelief:
         return np.asarray(rows @ rows.T)
 
     def innovation_blocks(self, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
-        """Return H P H^T (k, dz, dz) of k landmarks, each measured alone."""
+        """Return H P H^T (k, dz, dz) of k landmarks, each independently."""
         entries = offsets[:, None] + np.arange(z_D_m.shape[2])
         rows = z_D_pose @ self.S[:POSE] + z_D_m @ self.S[entries]
         return np.asarray(rows @ rows.swapaxes(1, 2))
 
     def copy(self) -> SquareRootBelief:
-        """Return a belief of its own."""
+        """Return an independent copy."""
         other = SquareRootBelief(self.mean[:POSE], np.zeros((POSE, POSE)))
         other.n, other.mean, other.S = self.n, self.mean.copy(), self.S.copy(order="F")
         other._axes = self._axes
         return other
 
     def drive(self, pose: Array, slopes: Array, noise: Array) -> None:
-        """Move the pose to (3,): the new one depends as `slopes` (3, 3) on the first three columns.
+        """Move the pose to (3,), which depends on the first three columns by `slopes` (3, 3).
 
-        `noise` (3, k) is a root of the covariance of what else it depends on.
+        `noise` (3, k) is a root of the covariance of its other dependencies.
         """
         self.mean[:POSE], self._axes = pose, _axes(float(pose[2]))
         both = np.column_stack([slopes, noise])
@@ -198,7 +197,7 @@ class SquareRootBelief:
     def extend(self, m: Array, slopes: Array, noise: Array) -> int:
         """Append a landmark; return its offset.
 
-        It depends as `slopes` (dim, 3) on the first three columns, and on noise (dim, dim).
+        It depends on the first three columns by `slopes` (dim, 3), and on noise (dim, dim).
         """
         o, dim = self.n, len(m)
         self.n = o + dim
@@ -209,7 +208,7 @@ class SquareRootBelief:
         return o
 
     def keep(self, indices: Ints) -> None:
-        """Keep these entries of the state (sorted), forget the others."""
+        """Keep only these entries of the state (sorted)."""
         rows = self.S[indices]
         rows[:POSE] = self._axes @ rows[:POSE]
         self.S = np.asfortranarray(_triangular(rows))

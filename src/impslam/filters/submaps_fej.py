@@ -1,7 +1,7 @@
 """Submaps with Jacobians at first estimates: consistent, and at a cost that hardly grows with the map.
 
-`fej` evaluates every Jacobian at an estimate that never changes, so that landmarks which are not handled
-need no change of coordinates, as those of `riekf` do at each correction. So it is as exact as `submaps`.
+`fej` evaluates every Jacobian at an estimate that never changes, so inactive landmarks need no change of
+coordinates, unlike in `riekf`, where each correction changes them. It is therefore as exact as `submaps`.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ class SubmapFirstEstimatesEkf(SubmapEkf, FirstEstimatesEkf):
     """The first-estimates Jacobian EKF at a cost that hardly grows with the map."""
 
     _firsts: dict[int, Array] = PrivateAttr(default_factory=dict)
-    """Of each landmark the state that it was entered with, by id."""
+    """Initial states of landmarks, by id."""
 
-    def _keep(self, stays: Ints) -> None:
-        super()._keep(stays)
-        self._first = self._first[stays]
+    def _keep(self, remaining: Ints) -> None:
+        super()._keep(remaining)
+        self._first = self._first[remaining]
 
     def _store(self) -> None:
-        """Keep what tables hold, and first states."""
+        """Store the active landmarks and their initial states."""
         super()._store()
         for table in self._atlas.tables():
             self._firsts |= zip(table.ids.tolist(), table.states(self._first), strict=True)
 
     def _load(self) -> None:
-        """Handle the variables of this area, with their first states."""
+        """Activate the variables of this area, with their initial states."""
         super()._load()
         first = np.zeros(self._belief.n)
         first[:POSE] = self._first[:POSE]

@@ -1,6 +1,6 @@
-"""What no observation tells of: where robot and map lie as a whole.
+"""The unobservable directions: rigid motions of robot and map.
 
-A rigid motion xi = [x, y, theta] of everything about the map origin changes nothing that is seen. The
+A rigid motion xi = [x, y, theta] of everything about the map origin does not change observations. The
 columns of G = d(state)/d(xi), in the perturbations of pose and landmarks, span these directions.
 """
 

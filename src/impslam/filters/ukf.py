@@ -1,26 +1,26 @@
 """The unscented Kalman filter for SLAM, in square-root form (Julier & Uhlmann 1997; van der Merwe 2001).
 
-The state is x [+] S u with u of unit covariance, `[+]` the perturbations of pose and landmarks: the pose
-[x, y, theta] by addition, a wall in its own frame. A function of it is looked at where sigma points lie,
-sqrt(3) along each column of S and back (n + kappa = 3, which matches a Gaussian's fourth moment). With
-a_j and b_j the odd and the even part of the function's change along column j,
+The state is x [+] S u with u of unit covariance and `[+]` the perturbations of pose and landmarks: additive
+for the pose [x, y, theta], in its own frame for a wall. A function of it is evaluated at sigma points,
++-sqrt(3) along each column of S (n + kappa = 3, which matches a Gaussian's fourth moment). With a_j and b_j
+the odd and even parts of the function's change along column j,
 
     mean = f(x) + 1/3 sum b_j,    slopes a_j / sqrt(3),
     covariance = 1/3 sum a_j a_j^T + 2/9 sum b_j b_j^T.
 
 The mean is that of Julier and Uhlmann; the covariance is that of Nørgaard, Poulsen & Ravn 2000, which
-cannot become negative, as the former can by its negative weight of the middle for n > 3. Both agree, and
-are exact to the fourth moment, where one column alone bends the function: as the heading does, which has
+cannot become negative, unlike the former with its negative centre weight for n > 3. Both agree, and are
+exact to the fourth moment, if the function is nonlinear in only one column, as in the heading, which has
 the first column of S to itself.
 
-A landmark is seen from the pose alone, so that 3 + dim columns say all of it: those of the pose, which
-the landmark moves along with, and dim of what it is unsure by once the pose is known. The slopes over
-them are a linear regression, whose residual 2/9 sum b_j b_j^T is noise (Lefebvre, Bruyninckx & De
-Schutter 2002). So a scan costs O(n^2), as with the EKF (Huang, Mourikis & Roumeliotis 2013), and no
-sigma point of the whole state is ever made.
+An observation depends only on the pose and its landmark, so 3 + dim columns suffice: those of the pose,
+with which the landmark is correlated, and dim for the landmark given the pose. The slopes over them are a
+linear regression with the residual 2/9 sum b_j b_j^T as noise (Lefebvre, Bruyninckx & De Schutter 2002). So
+a scan costs O(n^2), as with the EKF (Huang, Mourikis & Roumeliotis 2013), without sigma points of the whole
+state.
 
-That robot and map can be moved together unseen is not in these coordinates, as little as in those of the
-textbook EKF: where headings err far, `riekf` is the consistent one.
+The unobservable directions are not constant in these coordinates, as in those of the textbook EKF: with
+large heading errors, `riekf` is the consistent filter.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from impslam.filters.base import Reach, everything
 from impslam.filters.belief import POSE
 from impslam.filters.gaussian import INDEFINITE, GaussianFilter
 from impslam.filters.scoring import score_predicted
-from impslam.filters.square_root import SquareRootBelief, own_roots, spread_out
+from impslam.filters.square_root import SquareRootBelief, expand_columns, own_roots
 from impslam.geometry.angles import wrap
 from impslam.geometry.roots import root
 from impslam.geometry.se2 import compose
@@ -52,11 +52,11 @@ SPREAD = math.sqrt(3.0)
 
 
 class Unscented(NamedTuple):
-    """What a function's changes at sigma points tell of it.
+    """Unscented transform of a function's changes at sigma points.
 
     Attributes
     ----------
-    shift : (..., d) of the mean from the value in the middle
+    shift : (..., d) of the mean from the value at the centre
     slopes : (..., d, c) over the columns
     bends : (..., d, c), a root of the residual's covariance
     """
@@ -67,15 +67,15 @@ class Unscented(NamedTuple):
 
     @classmethod
     def of(cls, changes: Array) -> Unscented:
-        """Return this of changes (2 c, ..., d): at all points ahead, then at all those behind."""
+        """Return the transform of changes (2 c, ..., d) at all positive points, then all negative ones."""
         plus, minus = np.moveaxis(changes.reshape(2, -1, *changes.shape[1:]), 1, -1)
         even = 0.5 * (plus + minus)
         bends = math.sqrt(2.0) / 3.0 * even
         return cls(even.sum(-1) / 3.0, 0.5 / SPREAD * (plus - minus), bends)
 
 
-class Seen(NamedTuple):
-    """How k landmarks are expected to be seen.
+class Expected(NamedTuple):
+    """Predicted observations of k landmarks.
 
     z (k, dz), its slopes (k, dz, 3 + dim) over the columns of pose and landmark, the landmarks' own
     `roots` (k, dim, dim), and the residual's covariance `noise` (k, dz, dz).
@@ -88,25 +88,25 @@ class Seen(NamedTuple):
 
 
 def points(columns: Array) -> Array:
-    """Return sigma points' perturbations (2 c, d) from columns (d, c): all ahead, then all behind."""
+    """Return sigma points' perturbations (2 c, d) from columns (d, c): all positive, then all negative."""
     ahead = SPREAD * columns.T
     return np.concatenate([ahead, -ahead])
 
 
 @register("ukf")
 class UnscentedKalmanFilter(GaussianFilter):
-    """The unscented filter: no Jacobians, and means of what is bent; square-root form."""
+    """The unscented filter in square-root form: no Jacobians, and second-order means."""
 
     _belief: SquareRootBelief = PrivateAttr()
     _before: SquareRootBelief = PrivateAttr()
 
     def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
-        """Begin anew; see `Filter.start`."""
+        """Start with a new state; see `Filter.start`."""
         self._belief = SquareRootBelief(pose, covariance)
         self._atlas = Atlas(models)
 
     def predict(self, increment: Increment) -> None:
-        """Move the robot: sigma points of pose and motion are composed."""
+        """Predict the pose by composing sigma points of pose and motion."""
         belief = self._belief
         self._before = belief.copy()
         spread = np.zeros((2 * POSE, 2 * POSE))
@@ -120,8 +120,8 @@ class UnscentedKalmanFilter(GaussianFilter):
         noise = np.column_stack([moved.slopes[:, POSE:], moved.bends])
         belief.drive(_wrapped(pose + moved.shift), moved.slopes[:, :POSE], noise)
 
-    def take_back(self) -> None:
-        """Undo the last prediction; see `Filter.take_back`."""
+    def undo_predict(self) -> None:
+        """Undo the last prediction; see `Filter.undo_predict`."""
         self._belief = self._before
 
     def hypothesise(
@@ -129,17 +129,17 @@ class UnscentedKalmanFilter(GaussianFilter):
     ) -> list[Hypotheses]:
         """Score the pairings of observations with landmarks of their kind, within a gate."""
         scores = []
-        for table, asked in self._atlas.by_kind(observations):
-            seen = self._expect(table, np.arange(len(table.ids)))
-            known = seen.z, seen.slopes @ seen.slopes.swapaxes(1, 2) + seen.noise
-            gate = reach(table.model.dim_z)
-            scores.append(score_predicted(self._belief, table, asked, gate, known))
+        for table, seen in self._atlas.by_kind(observations):
+            expected = self._expect(table, np.arange(len(table.ids)))
+            covariance = expected.slopes @ expected.slopes.swapaxes(1, 2) + expected.noise
+            gate, known = reach(table.model.dim_z), (expected.z, covariance)
+            scores.append(score_predicted(self._belief, table, seen, gate, known))
         return scores
 
     def joint(
         self, observations: Sequence[Observation], pairs: Sequence[Match]
     ) -> tuple[Array, Array]:
-        """Return the innovations of all pairs and their covariance, correlations included."""
+        """Return the innovations of all pairs and their covariance, including correlations."""
         H, innovation, R = self._measured(observations, pairs)
         S = H @ H.T
         begin = 0
@@ -150,10 +150,10 @@ class UnscentedKalmanFilter(GaussianFilter):
         return innovation, S
 
     def correct(self, observations: Sequence[Observation], matches: Sequence[Match]) -> None:
-        """Take all matches of a scan in, in one batch."""
+        """Correct by all matches of a scan in one batch."""
         if not matches:
             return
-        H, y, R = self._measured(observations, matches, self.doubt(matches))
+        H, y, R = self._measured(observations, matches, self.noise_factors(matches))
         begin = 0
         for block in R:
             rows = slice(begin, begin + len(block))
@@ -189,8 +189,8 @@ class UnscentedKalmanFilter(GaussianFilter):
             ids.append(self._atlas.add(self.pose, observation, offset, m, stamp))
         return tuple(ids)
 
-    def _expect(self, table: Table, places: Ints) -> Seen:
-        """Return how some landmarks of a kind are expected to be seen."""
+    def _expect(self, table: Table, places: Ints) -> Expected:
+        """Return the predicted observations of some landmarks of a kind."""
         belief, model, offsets = self._belief, table.model, table.offsets[places]
         k, dim = len(offsets), model.dim
         roots = own_roots(belief.S, offsets, dim)
@@ -207,36 +207,36 @@ class UnscentedKalmanFilter(GaussianFilter):
         z = model.observe(pose, states)
         found = Unscented.of(model.residual(model.observe(pose + poses.reshape(-1, POSE), m), z))
         noise = found.bends @ found.bends.swapaxes(1, 2)
-        return Seen(z + found.shift, found.slopes, roots, noise)
+        return Expected(z + found.shift, found.slopes, roots, noise)
 
     def _measured(
         self,
         observations: Sequence[Observation],
         matches: Sequence[Match],
-        doubt: Array | None = None,
+        factors: Array | None = None,
     ) -> tuple[Array, Array, list[Array]]:
         """Return H (rows, n) over u, the innovations (rows,) and R of each, in the matches' order.
 
-        R counts `doubt` (matches,) times.
+        R is multiplied by `factors` (matches,).
         """
         found: dict[int, tuple[Array, Array, Array]] = {}
         for pairs in self._atlas.pairs(observations, matches):
-            found.update(self._rows(pairs, doubt))
+            found.update(self._rows(pairs, factors))
         H, innovation, R = zip(*(found[i] for i in range(len(matches))), strict=True)
         return np.concatenate(H), np.concatenate(innovation), list(R)
 
-    def _rows(self, pairs: Pairs, doubt: Array | None) -> dict[int, tuple[Array, Array, Array]]:
+    def _rows(self, pairs: Pairs, factors: Array | None) -> dict[int, tuple[Array, Array, Array]]:
         """Return H, innovation and R of the matches of one kind, by their index."""
         table, places, columns, rows, which = pairs
         seen = self._expect(table, places)
         z, R = columns.z[rows], columns.R[rows]
-        if doubt is not None:
-            R = doubt[which, None, None] * R
+        if factors is not None:
+            R = factors[which, None, None] * R
         innovation, R = table.model.residual(z, seen.z), R + seen.noise
         H = np.zeros((len(which), z.shape[1], self._belief.n))
         for k, place in enumerate(places):
             offset = table.offsets[place]
-            spread_out(self._belief.S, offset, seen.roots[k], seen.slopes[k], H[k])
+            expand_columns(self._belief.S, offset, seen.roots[k], seen.slopes[k], H[k])
         return {i: (H[k], innovation[k], R[k]) for k, i in enumerate(which)}
 
 
@@ -251,7 +251,7 @@ def _whitening(R: Array) -> Array:
         whiten = np.asarray(np.linalg.inv(np.linalg.cholesky(R)))
     except np.linalg.LinAlgError:
         raise NumericalError(INDEFINITE) from None
-    if not np.isfinite(whiten).all():  # what LAPACK makes of NaN
+    if not np.isfinite(whiten).all():  # LAPACK does not fail for NaN
         raise NumericalError(INDEFINITE)
     return whiten
 

@@ -1,8 +1,8 @@
-"""The arithmetic of a correction, on the few entries of the state that a scan sees.
+"""Compiled arithmetic of a correction, on the few entries of the state that a scan observes.
 
-The q entries are the pose, the matched landmarks one after another, and the errors that sensors'
-observations share. H (rows, q) measures them; most of it is zero, and passed over. All that a
-linearisation needs is P among these entries; the whole of P is read once when the correction is done.
+The q entries are the pose, the matched landmarks one after another, and the common errors of sensors. H
+(rows, q) is the Jacobian by these; its many zeros are skipped. A linearisation only needs P of these
+entries; the whole of P is read once at the end of the correction.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ def put_sight(
     predicted: tuple[Array, Array, Array],
     angles: Mask,
 ) -> None:
-    """Write into H, R and nu what k landmarks of a kind add, from a row and an entry on.
+    """Write the rows of k landmarks of a kind to H, R and nu, from a row and an entry on.
 
-    Of z (k, dz) and R (k, dz, dz) seen where z, z_D_pose (k, dz, 3) and z_D_m (k, dz, dim) are predicted.
+    `seen` are z (k, dz) and R (k, dz, dz); `predicted` are z, z_D_pose (k, dz, 3) and z_D_m (k, dz, dim).
     """
     (H, R, nu), (row, entry), (z, noise), (expected, z_D_pose, z_D_m) = system, at, seen, predicted
     k, dz, dim = z_D_m.shape
@@ -80,7 +80,7 @@ def innovation_covariance(H: Array, P: Array, R: Array) -> Array:
 
 @kernel
 def factorise(S: Array) -> bool:
-    """Replace S by the factor U^T, lower triangular, of S = U^T U; tell whether it has one."""
+    """Replace S by the factor U of S = U^T U, in its upper triangle; return whether it has one."""
     n = len(S)
     for j in range(n):
         if not S[j, j] > 0.0 or not S[j, j] < np.inf:
@@ -115,13 +115,13 @@ def _whiten(U: Array, G: Array, y: Array) -> None:
 def solve(
     system: tuple[Array, Array, Array], P: Array, entries: Ints, moving: int, before: Array
 ) -> tuple[Array, Array, tuple[float, float]]:
-    """Return what corrects by H, R and nu, with S = U^T U, and nu^T S^-1 nu and log det S.
+    """Return the correction by H, R and nu, with S = U^T U, and nu^T S^-1 nu and log det S.
 
-    That is G = U^-T H (rows, q) and below it g = (U^-T nu)^T G: the mean moves by g P, and P becomes
-    P - (G P)^T G P. The step (q,) of the entries is returned, too, of which the first `moving` make one.
-    Where there is no U, log det S is NaN.
+    The first result is G = U^-T H (rows, q) with g = (U^-T nu)^T G as last row: the mean moves by g P, and
+    P becomes P - (G P)^T G P. The second is the step (q,) of the entries, zero after the first `moving`
+    ones. If there is no U, log det S is NaN.
 
-    d = `before` (q,) is the step at whose end H and nu were taken (Gauss-Newton); zero at first.
+    `before` (q,) is the step after which H and nu were evaluated (Gauss-Newton), at first zero.
     """
     H, R, nu = system
     (rows, q), P_seen, y = H.shape, among(P, entries), nu.copy()
@@ -149,6 +149,6 @@ def gain(P: Array, n: int, entries: Ints, G: Array) -> tuple[Array, Array, Array
 
     P - W W^T is the covariance after the correction.
     """
-    of_seen = rows_of(P, entries, n)
-    W_T = G @ of_seen
-    return W_T[:-1], W_T[-1], of_seen[:POSE]
+    P_rows = rows_of(P, entries, n)
+    W_T = G @ P_rows
+    return W_T[:-1], W_T[-1], P_rows[:POSE]

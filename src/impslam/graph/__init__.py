@@ -1,1 +1,1 @@
-"""The pose graph: a pure function from constraints to poses and their covariances."""
+"""Pose graph optimisation: pure functions from edges to poses and their covariances."""

@@ -1,12 +1,12 @@
-"""Scans sorted by bearing around their lidar, to find the point nearest to another one.
+"""Scans sorted by bearing around their lidar, for nearest-neighbour search.
 
-What hides a surface lies on the same ray, so neighbours in bearing are the only ones worth looking
-at (Censi 2008, the search for correspondences along the beams). Bearings are counted into bins, and a
-search goes from bin to bin on either side until no ray farther on can be nearer. So the order of
-beams, where they begin, how the lidar is mounted and whether it sees all around make no difference.
+Occluding points have the same bearing, so only neighbours in bearing need to be searched (Censi 2008, the
+search for correspondences along the beams). Points are sorted into bins of bearings, and a search proceeds
+from bin to bin on both sides until no farther ray can be nearer. The result does not depend on the order of
+beams, their start angle, the mount of the lidar or its field of view.
 
-The bearing is measured along the sides of a square (|x| + |y| = 1) instead of in radians: as
-monotone, and without an arc tangent.
+Bearings are measured along the sides of a square (|x| + |y| = 1) instead of in radians, which is also
+monotonic and needs no arc tangent.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Scans(NamedTuple):
     ----------
     features : (p, 5) in base_link; see `Features`
     starts : (k + 1,) rows of scan i are starts[i] to starts[i + 1]
-    lasers : (k, 2) m, where in base_link the lidar was
+    lasers : (k, 2) m, position of the lidar in base_link
     """
 
     features: Features
@@ -99,19 +99,19 @@ def _rays() -> Array:
 
 
 @kernel
-def nearest_feature(fans: Fans, i: int, x: float, y: float, within: float) -> int:
+def nearest_feature(fans: Fans, i: int, x: float, y: float, radius: float) -> int:
     """Return the row of the feature of scan i nearest to a point x, y m in base_link.
 
-    -1 if none is within so many metres.
+    -1 if none is within `radius` m.
     """
     features, table, rays = fans.scans.features, fans.table, fans.rays
     qx, qy = x - fans.scans.lasers[i, 0], y - fans.scans.lasers[i, 1]
     home = bearing_bin(qx, qy)
-    best, found = within * within, -1
+    best, found = radius * radius, -1
     for side in (1, -1):
         for step in range(0 if side > 0 else 1, BINS // 2 + 1):
             b = (home + side * step) & (BINS - 1)
-            if step > 0:  # how near can points of this bin, or of one farther on, be?
+            if step > 0:  # minimum distance of points in this bin, or in a farther one
                 edge = b if side > 0 else (b + 1) & (BINS - 1)
                 across = qx * rays[edge, 1] - qy * rays[edge, 0]
                 ahead = qx * rays[edge, 0] + qy * rays[edge, 1] > 0.0

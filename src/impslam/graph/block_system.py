@@ -1,8 +1,8 @@
 """Normal equations of poses in blocks of three, solved by preconditioned conjugate gradients.
 
-Rows are poses [x, y, theta] with additive errors. The chain of a drive is most of what holds poses
-together, so its part, blocks (i, i) and (i, i + 1), preconditions the whole; it is factorised exactly
-(Saad 2003, Algorithm 9.1).
+Rows are poses [x, y, theta] with additive errors. The chain of a drive contributes most constraints, so its
+part, blocks (i, i) and (i, i + 1), is the preconditioner; it is factorised exactly (Saad 2003, Algorithm
+9.1).
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from impslam.geometry.algebra import rotate_covariance
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Mask
 
-TOLERANCE, MOST_STEPS = 1e-3, 60
-"""Residual over that of the start at which a solution is good enough, since the next linearisation
-mends the rest; and steps at most. A step carries what a pose knows to those it is paired with, so few
-steps leave alone what is held only over many poses; a thousand steps moved the shape of buildings by
-a decimetre, and made their maps no more accurate."""
-_DAMPING = 1e-6  # of rows that nothing holds, so that they have an inverse and stay where they are
+TOLERANCE, MAX_STEPS = 1e-3, 60
+"""Relative residual at which a solution is accurate enough, since the next linearisation corrects the rest;
+and maximum number of steps. A step propagates information to adjacent poses, so few steps do not change
+what is constrained only over many poses; a thousand steps moved the shape of buildings by a decimetre,
+without making their maps more accurate."""
+_DAMPING = 1e-6  # makes rows of unconstrained poses invertible, and these poses stay
 
 
 class BlockSystem(NamedTuple):
@@ -33,7 +33,7 @@ class BlockSystem(NamedTuple):
     off : (m, 3, 3) blocks (i, j) of H; several may be the same
     i, j : (m,) their row and column
     gradient : (k, 3) g
-    fixed : (k,) poses that are held: their rows of x are zero
+    fixed : (k,) poses that do not move: their rows of x are zero
     """
 
     diagonal: Array
@@ -46,14 +46,14 @@ class BlockSystem(NamedTuple):
 
 @kernel
 def empty_system(i: Ints, j: Ints, fixed: Mask) -> BlockSystem:
-    """Return room for the normal equations of so many poses and pairs of them."""
+    """Allocate the normal equations of poses and of pairs of them."""
     k, m = len(fixed), len(i)
     return BlockSystem(np.empty((k, 3, 3)), np.empty((m, 3, 3)), i, j, np.empty((k, 3)), fixed)
 
 
 @kernel
 def clear_system(system: BlockSystem) -> None:
-    """Set H and g to zero, but for ones on the diagonal of fixed poses."""
+    """Set H and g to zero, except ones on the diagonal of fixed poses."""
     system.diagonal[:], system.off[:], system.gradient[:] = 0.0, 0.0, 0.0
     for i in np.flatnonzero(system.fixed):
         for a in range(3):
@@ -62,11 +62,11 @@ def clear_system(system: BlockSystem) -> None:
 
 @kernel
 def add_relative(system: BlockSystem, row: int, poses: Array, H: Array, g: Array) -> None:
-    """Add what is known of pose j seen from pose i, of off-diagonal block `row`.
+    """Add a constraint on pose j relative to pose i, which are those of off-diagonal block `row`.
 
     H (3, 3) and g (3,) are the normal equations of `between(poses[i], poses[j])`. That is
-    B (x_j - K x_i) to first order, B the rotation into frame i and K = [1 0 -dy; 0 1 dx; 0 0 1]; so H
-    is turned into the map's axes, and K^T carries it over to pose i. Fixed poses take no part.
+    B (x_j - K x_i) to first order, with B the rotation into frame i and K = [1 0 -dy; 0 1 dx; 0 0 1]; so H
+    is rotated into the map's axes, and K^T propagates it to pose i. Fixed poses are left out.
     """
     i, j, fixed = system.i[row], system.j[row], system.fixed
     c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
@@ -100,13 +100,13 @@ def add_relative(system: BlockSystem, row: int, poses: Array, H: Array, g: Array
 
 @kernel
 def solve_system(system: BlockSystem, x: Array) -> int:
-    """Fill x (k, 3) with the solution, zero where nothing holds a pose; return the steps taken."""
+    """Fill x (k, 3) with the solution, zero for unconstrained poses; return the number of steps."""
     inverses, lower = _factorise(system)
     residual, z, product = -system.gradient, np.empty_like(x), np.empty_like(x)
     direction = np.zeros_like(x)
     x[:] = 0.0
     target, before = TOLERANCE * math.sqrt(_dot(residual, residual)), 1.0
-    for step in range(MOST_STEPS):
+    for step in range(MAX_STEPS):
         if not math.sqrt(_dot(residual, residual)) > target:
             return step
         _precondition(inverses, lower, residual, z)
@@ -122,7 +122,7 @@ def solve_system(system: BlockSystem, x: Array) -> int:
             for a in range(3):
                 x[i, a] += length * direction[i, a]
                 residual[i, a] -= length * product[i, a]
-    return MOST_STEPS
+    return MAX_STEPS
 
 
 @kernel
@@ -135,7 +135,7 @@ def _dot(a: Array, b: Array) -> float:
 
 @kernel
 def _multiply_add(z: Array, factor: float, out: Array) -> None:
-    """Turn `out` into z + factor * out."""
+    """Replace `out` by z + factor * out."""
     for i in range(len(z)):
         for a in range(3):
             out[i, a] = z[i, a] + factor * out[i, a]
@@ -159,7 +159,7 @@ def _multiply(system: BlockSystem, x: Array, out: Array) -> None:
 def _factorise(system: BlockSystem) -> tuple[Array, Array]:
     """Return the chain's L D^-1 L^T: D^-1 (k, 3, 3), and L's blocks (i, i - 1) (k, 3, 3)."""
     k = len(system.diagonal)
-    beside, inverses, lower = _beside(system), np.empty((k, 3, 3)), np.zeros((k, 3, 3))
+    adjacent, inverses, lower = _adjacent(system), np.empty((k, 3, 3)), np.zeros((k, 3, 3))
     M = np.empty((3, 3))
     for i in range(k):
         M[:] = system.diagonal[i]
@@ -168,16 +168,16 @@ def _factorise(system: BlockSystem) -> tuple[Array, Array]:
         for a in range(3 if i > 0 else 0):
             for b in range(3):
                 for c in range(3):
-                    lower[i, a, b] += beside[i, a, c] * inverses[i - 1, c, b]
+                    lower[i, a, b] += adjacent[i, a, c] * inverses[i - 1, c, b]
             for b in range(3):
                 for c in range(3):
-                    M[a, b] -= lower[i, a, c] * beside[i, b, c]
+                    M[a, b] -= lower[i, a, c] * adjacent[i, b, c]
         _invert(M, inverses[i])
     return inverses, lower
 
 
 @kernel
-def _beside(system: BlockSystem) -> Array:
+def _adjacent(system: BlockSystem) -> Array:
     """Return the blocks (i, i - 1) of H, (k, 3, 3)."""
     out = np.zeros_like(system.diagonal)
     for e in range(len(system.off)):

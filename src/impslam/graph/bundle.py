@@ -1,10 +1,10 @@
-"""Joint refinement of keyframes: all pairs that overlap, and the graph's edges, in one least squares.
+"""Joint refinement of keyframes: least squares over all overlapping pairs and the edges of the graph.
 
-Points of keyframe j lie on the surfaces that keyframe i has seen: each adds its distance to the line
-through the nearest point of i, n . (T_i_j p - q) (point to line, Censi 2008), weighed down by the
-squared Geman-McClure weight, in one Gauss-Newton problem over all poses (Lu and Milios 1997; with
-points in place of a chain of alignments: Borrmann et al. 2008). Errors are additive on [x, y, theta].
-The gates narrow from round to round, as poses settle.
+Points of keyframe j lie on surfaces seen by keyframe i: each contributes its distance to the line through
+the nearest point of i, n . (T_i_j p - q) (point to line, Censi 2008), with the squared Geman-McClure
+weight, to one Gauss-Newton problem over all poses (Lu and Milios 1997; with points instead of a chain of
+alignments: Borrmann et al. 2008). Errors are additive on [x, y, theta]. The gates narrow in each round, as
+poses converge.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ from impslam.graph.pose_graph import Edges
 from impslam.surfaces.features import check_rows
 from impslam.types import Array, Ints, Mask, check_shape
 
-__all__ = ["Edges", "Fit", "Refinement", "lay", "linearise", "pair_edges", "refine"]
+__all__ = ["Edges", "Fit", "Refinement", "linearise", "linearise_pair", "pair_edges", "refine"]
 
 
 class Fit(NamedTuple):
-    """How keyframes are laid on each other.
+    """Parameters of the refinement.
 
     Attributes
     ----------
     rounds : linearisations; after the second, poses move by millimetres
-    gates : m, distance of partners in the first and in the last round: what loops leave of error
-        between passes, and what the first round leaves
-    scales : m, of the robust kernel in the first and in the last round; the last is that of the noise
-        of a point, 1 to 3 cm
+    gates : m, maximum distance of partners in the first and last round: the errors between passes after
+        loop closing, and after the first round
+    scales : m, of the robust kernel in the first and last round; the last is the noise of a point, 1 to
+        3 cm
     information : 1/m^2, of the distance of one point; see `refine`
-    share : of the points of j that have to find partners; with fewer, i and j look at different rooms
+    share : minimum share of the points of j with partners; with fewer, i and j see different rooms
     """
 
     rounds: int = 2
@@ -55,19 +55,19 @@ class Fit(NamedTuple):
     share: float = 0.35
 
 
-FACING = 0.7  # cosine of 45 degrees: normals farther apart belong to two surfaces
+MIN_FACING = 0.7  # cosine of 45 degrees between normals of one surface
 
 
 class Refinement(NamedTuple):
-    """Keyframes refined.
+    """The result of a refinement.
 
     Attributes
     ----------
     poses : (k, 3)
-    pairs : (m, 2) keyframes i, j that were laid on each other
-    information : (m, 3, 3) of T_i_j by the points of each pair, in the last round; zero where they
-        did not fit. As that of `Edges`
-    shares : (m,) of the points of j that found partners
+    pairs : (m, 2) aligned keyframes i, j
+    information : (m, 3, 3) of T_i_j from the points of each pair, in the last round, as in `Edges`; zero
+        if they did not fit
+    shares : (m,) share of the points of j with partners
     """
 
     poses: Array
@@ -84,33 +84,35 @@ def refine(
     fixed: Ints | None = None,
     fit: Fit | None = None,
 ) -> Refinement:
-    """Return keyframes refined; poses (k, 3) of their bases, pairs (m, 2) as `overlaps` tells them.
+    """Refine keyframes, given poses (k, 3) of their bases and pairs (m, 2) from `overlaps`.
 
-    Those of `fixed` (f,) are held where they are: by default the first one, since nothing else says
-    where the map lies. A keyframe without overlap is moved by its edges alone.
+    Keyframes in `fixed` (f,) do not move: by default the first one, which defines the map frame. A keyframe
+    without overlap moves only by its edges.
 
-    Solutions stop early (see `block_system`): what spans some sixty keyframes or less is refined, and
-    the shape of a whole building stays as the edges of the graph have made it. So give all edges,
-    loops too. On Intel and fr079, poses are everywhere less than one standard deviation, as claimed
-    below, from those of an exact solution (2026-11-22).
+    Solutions stop early (see `block_system`): errors over up to some sixty keyframes are refined, while the
+    shape of a whole building remains that of the edges of the graph. Therefore pass all edges, including
+    loops. On Intel and fr079, all poses are less than one standard deviation, as estimated below, from
+    those of an exact solution (2026-11-22).
 
-    A point is taken for a fifth of an independent one of 3 cm: points lie 4 cm apart, normals are
-    fitted over 25 cm, and a surface's own error (its brightness, its texture, the angle of
-    incidence) repeats from beam to beam over about so much. The same scan is in several pairs, which
-    `information` counts each time. With both, the covariance of poses (`solve.marginals`, of the edges
-    and of `pair_edges`) covers the errors of simulated scans with 3 cm of independent noise, or half
-    of it and 1 cm more that repeats over eight beams, about twice over. Errors that all scans have in
-    common (a scale of ranges, a mount that is bent) are not in it, nor what moves between the passes.
+    A point counts as a fifth of an independent one with 3 cm of noise: points are 4 cm apart, normals are
+    fitted over 25 cm, and errors due to the surface (brightness, texture, angle of incidence) are
+    correlated between beams over a similar length. A scan that is in several pairs counts each time in
+    `information`. With both, the covariance of poses (`solve.marginals`, of the edges and of `pair_edges`)
+    covers the errors of simulated scans with 3 cm of independent noise, or half of it plus 1 cm correlated
+    over eight beams, about twice over. Errors common to all scans (a scale of ranges, a bent mount) are not
+    included, and neither are objects that moved between the passes.
     """
-    held = np.isin(np.arange(len(poses)), 0 if fixed is None else fixed)
+    is_fixed = np.isin(np.arange(len(poses)), 0 if fixed is None else fixed)
     check_rows(scans.features, scans.starts, len(poses))
     _check_ids(len(poses), pairs, edges)
     m = len(pairs)
     done = Refinement(plain(poses).copy(), pairs, np.zeros((m, 3, 3)), np.zeros(m))
     if len(poses) > 1:
         lasers = plain(np.broadcast_to(scans.lasers, (len(poses), 2)))
-        edges = edges._replace(information=plain(edges.information))  # one kernel for all callers
-        _refine(done, scans._replace(lasers=lasers), edges, held, Fit() if fit is None else fit)
+        edges = edges._replace(
+            information=plain(edges.information)
+        )  # one compiled version for all callers
+        _refine(done, scans._replace(lasers=lasers), edges, is_fixed, Fit() if fit is None else fit)
     return done
 
 
@@ -129,9 +131,9 @@ def _check_ids(keyframes: int, pairs: Ints, edges: Edges) -> None:
 
 
 def pair_edges(done: Refinement) -> Edges:
-    """Return what the points of all pairs say of refined poses, as edges without error there.
+    """Return the constraints by the points of all pairs as edges, with zero error at the refined poses.
 
-    Beside the edges that were given to `refine` they make the covariance of the poses. The information
+    With the edges that were passed to `refine`, they determine the covariance of the poses. The information
     of a pair in a bare corridor has no inverse.
     """
     i, j = np.ascontiguousarray(done.pairs[:, 0]), np.ascontiguousarray(done.pairs[:, 1])
@@ -141,7 +143,7 @@ def pair_edges(done: Refinement) -> Edges:
 
 @kernel
 def _refine(done: Refinement, scans: Scans, edges: Edges, fixed: Mask, fit: Fit) -> None:
-    """Refine `done.poses` in place, and fill in the rest."""
+    """Refine `done.poses` in place, and fill the other fields of `done`."""
     fans, poses = sort_by_bearing(scans), done.poses
     i = np.concatenate((done.pairs[:, 0], edges.i))
     j = np.concatenate((done.pairs[:, 1], edges.j))
@@ -170,8 +172,8 @@ def linearise(
 ) -> None:
     """Fill `system` with the normal equations at `done.poses`: of all pairs, then of all edges.
 
-    Also fills in what `done` says of the pairs. `limits` are the distance of partners and the scale of
-    the kernel, m.
+    Also fills the information and shares of the pairs in `done`. `limits` are the maximum distance of
+    partners and the scale of the kernel, m.
     """
     poses, pairs, starts = done.poses, len(done.pairs), fans.scans.starts
     W, g, d = np.empty((3, 3)), np.empty(3), np.empty(3)
@@ -181,7 +183,7 @@ def linearise(
         between_in_kernel(poses[i], poses[j], d)
         if row < pairs:
             H = done.information[row]
-            found = lay(fans, i, j, d, limits, H, g)
+            found = linearise_pair(fans, i, j, d, limits, H, g)
             done.shares[row] = found / max(1, starts[j + 1] - starts[j])
             if done.shares[row] < fit.share:
                 H[:] = 0.0
@@ -190,13 +192,13 @@ def linearise(
             g *= fit.information
         else:
             H = W
-            _weigh(edges, row - pairs, d, H, g)
+            _linearise_edge(edges, row - pairs, d, H, g)
         add_relative(system, row, poses, H, g)
 
 
 @kernel
-def _weigh(edges: Edges, row: int, d: Array, H: Array, g: Array) -> None:
-    """Fill H (3, 3) and g (3,) with what an edge says of the relative pose, which is d (3,) now."""
+def _linearise_edge(edges: Edges, row: int, d: Array, H: Array, g: Array) -> None:
+    """Fill H (3, 3) and g (3,) with the normal equations of an edge at the relative pose d (3,)."""
     T, known, kernel_ = edges.T_i_j[row], edges.information[row], edges.kernel[row]
     ex, ey, et = d[0] - T[0], d[1] - T[1], wrap_in_kernel(d[2] - T[2])
     for a in range(3):
@@ -208,12 +210,13 @@ def _weigh(edges: Edges, row: int, d: Array, H: Array, g: Array) -> None:
 
 
 @kernel
-def lay(
+def linearise_pair(
     fans: Fans, i: int, j: int, T_i_j: Array, limits: tuple[float, float], H: Array, g: Array
 ) -> int:
-    """Fill H (3, 3) and g (3,) with what the points of scan j on the lines of i say of T_i_j (3,).
+    """Fill H (3, 3) and g (3,) with the normal equations of a pair at T_i_j (3,), per point.
 
-    In units of one point; `limits` as for `linearise`. Returns how many points have a partner.
+    The points of scan j are matched with lines of scan i; `limits` are as in `linearise`. Returns the
+    number of points with a partner.
     """
     features, starts = fans.scans.features, fans.scans.starts
     c, s = math.cos(T_i_j[2]), math.sin(T_i_j[2])
@@ -228,7 +231,7 @@ def lay(
         nx, ny = float(features[q, 2]), float(features[q, 3])
         along = c * (features[p, 2] * nx + features[p, 3] * ny)
         along += s * (features[p, 2] * ny - features[p, 3] * nx)
-        if features[p, 4] > 0.0 and along < FACING:
+        if features[p, 4] > 0.0 and along < MIN_FACING:
             continue
         e = nx * (x - features[q, 0]) + ny * (y - features[q, 1])
         w = features[q, 4] / (1.0 + (e / limits[1]) ** 2) ** 2

@@ -1,4 +1,4 @@
-"""A pose graph that was given, checked, as kernels take it."""
+"""Validation of a pose graph, and conversion for kernels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from impslam.types import Array, Ints, Mask, check_shape
 
 
 def checked(poses: Array, edges: Edges, fixed: Ints) -> tuple[Array, Edges, Mask]:
-    """Return what kernels take, and fixed poses as a mask; raise `NumericalError` if it is unusable."""
+    """Return arrays for kernels, with `fixed` as a mask; raise `NumericalError` if they are unusable."""
     poses = plain(poses)
     check_shape("poses", poses, None, 3)
     i, j = (np.require(ends, np.int64, ["C", "W"]) for ends in (edges.i, edges.j))
@@ -34,6 +34,6 @@ def checked(poses: Array, edges: Edges, fixed: Ints) -> tuple[Array, Edges, Mask
     if (i == j).any():
         bad = int(np.argmax(i == j))
         raise NumericalError(f"pose graph: edge {bad} joins pose {i[bad]} to itself")
-    held = np.zeros(n, np.bool_)
-    held[fixed] = True
-    return poses, edges, held
+    is_fixed = np.zeros(n, np.bool_)
+    is_fixed[fixed] = True
+    return poses, edges, is_fixed

@@ -1,8 +1,8 @@
 """Sparse factors L D L^T of normal equations in blocks of three: exact solutions and covariances.
 
-Column by column, each updated by those to its left that meet it (Davis 2006, section 4.8). L has
-unit blocks on its diagonal. Covariances of all poses come from the selected inverse, the entries of
-the inverse where L is not zero, without the rest of it (Takahashi 1973; Kaess and Dellaert 2009).
+Each column is updated by those to its left that affect it (Davis 2006, section 4.8). L has unit blocks on
+its diagonal. Covariances of all poses come from the selected inverse, i.e. the entries of the inverse where
+L is not zero (Takahashi 1973; Kaess and Dellaert 2009).
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from impslam.graph.elimination import Pattern
 from impslam.types import Array
 
 _SINGULAR = 1e-13
-"""A pivot over what its diagonal was: below, nothing is left but rounding."""
+"""Minimum ratio of a pivot to its original diagonal: below, it is only rounding."""
 
 
 class Factor(NamedTuple):
-    """L D L^T of H, by steps of the pattern.
+    """The factorisation H = L D L^T, indexed by steps of the pattern.
 
     Attributes
     ----------
-    pattern : the order, and where L has blocks
+    pattern : the order of elimination, and the blocks of L
     lower : (m, 3, 3) blocks of L below its diagonal
     pivots, inverses : (k, 3, 3) blocks of D, and of its inverse
     """
@@ -38,16 +38,16 @@ class Factor(NamedTuple):
 
 @kernel
 def empty_factor(pattern: Pattern) -> Factor:
-    """Return room for a factor."""
+    """Allocate a factor."""
     k, m = len(pattern.step), len(pattern.rows)
     return Factor(pattern, np.empty((m, 3, 3)), np.empty((k, 3, 3)), np.empty((k, 3, 3)))
 
 
 @kernel
 def factorise(system: BlockSystem, damping: float, factor: Factor) -> int:
-    """Fill in the factor of H with its diagonal times 1 + damping; return a pose that fails, or -1.
+    """Fill the factor of H with its diagonal times 1 + damping; return the pose that fails, or -1.
 
-    It fails where H is not positive definite: its pose is not held by anything.
+    A pose fails if H is not positive definite there because the pose is not constrained.
     """
     pattern, lower, pivots = factor.pattern, factor.lower, factor.pivots
     _load(system, factor)
@@ -76,7 +76,7 @@ def factorise(system: BlockSystem, damping: float, factor: Factor) -> int:
 
 @kernel
 def _load(system: BlockSystem, factor: Factor) -> None:
-    """Put the blocks of H where those of D and L are to be."""
+    """Copy the blocks of H to those of D and L."""
     step, starts, rows = factor.pattern.step, factor.pattern.starts, factor.pattern.rows
     factor.lower[:] = 0.0
     for v in range(len(step)):
@@ -106,7 +106,7 @@ def _times_transposed(A: Array, B: Array, out: Array) -> None:
 
 @kernel
 def _subtract(A: Array, M: Array, out: Array) -> None:
-    """Take A M from `out`."""
+    """Subtract A M from `out`."""
     for a in range(3):
         x, y, z = A[a, 0], A[a, 1], A[a, 2]
         out[a, 0] -= x * M[0, 0] + y * M[1, 0] + z * M[2, 0]
@@ -116,7 +116,7 @@ def _subtract(A: Array, M: Array, out: Array) -> None:
 
 @kernel
 def _times(A: Array, M: Array) -> None:
-    """Turn A into A M."""
+    """Replace A by A M."""
     for a in range(3):
         x, y, z = A[a, 0], A[a, 1], A[a, 2]
         for b in range(3):
@@ -125,9 +125,9 @@ def _times(A: Array, M: Array) -> None:
 
 @kernel
 def _invert(A: Array, scale: Array, out: Array) -> bool:
-    """Fill `out` with the inverse of a symmetric A (3, 3); tell whether it is positive definite.
+    """Fill `out` with the inverse of a symmetric A (3, 3); return whether it is positive definite.
 
-    `scale` (3,) are what its diagonal entries are differences of.
+    `scale` (3,) are the original diagonal entries, from which A was computed by subtraction.
     """
     first = A[0, 0]
     if not first > _SINGULAR * scale[0]:
@@ -179,7 +179,7 @@ def selected_inverse(factor: Factor) -> tuple[Array, Array]:
     """Return blocks of the inverse of H: (k, 3, 3) on the diagonal, by poses, and (m, 3, 3) as L's.
 
     Column s, from the last: Z_rs = -sum_t Z_rt L_ts and Z_ss = 1 / D_s - sum_t L_ts^T Z_ts, over the
-    blocks t of column s. All Z_rt that this asks for are in the pattern.
+    blocks t of column s. All required Z_rt are in the pattern.
     """
     pattern, lower = factor.pattern, factor.lower
     k, starts, rows = len(pattern.step), pattern.starts, pattern.rows
@@ -204,7 +204,7 @@ def selected_inverse(factor: Factor) -> tuple[Array, Array]:
 
 @kernel
 def _subtract_transposed(A: Array, M: Array, out: Array) -> None:
-    """Take A^T M from `out`."""
+    """Subtract A^T M from `out`."""
     for a in range(3):
         x, y, z = A[0, a], A[1, a], A[2, a]
         for b in range(3):

@@ -1,8 +1,8 @@
-"""The order in which poses are eliminated, and where their factor has blocks.
+"""Elimination order of poses, and the block pattern of the factor.
 
 Approximate minimum degree on the quotient graph (Amestoy, Davis and Duff 1996, Algorithm 1, without
-supervariables: each unknown is three numbers already). The list of an eliminated pose, its element,
-is the pattern of its column of the factor, so the symbolic factorisation costs nothing more.
+supervariables: each unknown is three numbers already). The element of an eliminated pose is the pattern of
+its column of the factor, so the symbolic factorisation needs no extra work.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from impslam.types import Ints, Mask
 
 
 class Pattern(NamedTuple):
-    """Where the block lower triangle of a factor is not zero; rows and columns are steps.
+    """The non-zero blocks below the diagonal of a factor; rows and columns are steps.
 
     Attributes
     ----------
@@ -36,16 +36,16 @@ class Pattern(NamedTuple):
 
 
 class _Quotient(NamedTuple):
-    """The graph while poses are eliminated.
+    """The quotient graph during elimination.
 
     Attributes
     ----------
-    starts, lists : list v is lists[starts[v] :], `poses[v]` neighbours that are still there, then
-        `elements[v]` eliminated ones. It never grows: an element takes the place of a pose or of others
-    step, columns : (k,) and (k + 1,) as `step` and `starts` of the pattern, as far as it goes
-    mark : (k,) the last step whose element the pose was in
-    alive : (k,) poses whose element no later one has taken in
-    outside, seen : (k,) how much of an element is not in the newest one; the step that counted it
+    starts, lists : list v is lists[starts[v] :]: `poses[v]` remaining neighbours, then `elements[v]`
+        elements. It never grows, because an element replaces a pose or other elements
+    step, columns : (k,) and (k + 1,) `step` and `starts` of the pattern so far
+    mark : (k,) the last step whose element contained the pose
+    alive : (k,) poses whose element no later one has absorbed
+    outside, seen : (k,) number of poses of an element outside the newest one, and the step of the count
     """
 
     starts: Ints
@@ -76,26 +76,26 @@ def eliminate(i: Ints, j: Ints, fixed: Mask) -> Pattern:
     graph = _adjacency(i, j, fixed)
     degrees = _Degrees(graph.poses.copy(), np.full(k + 1, -1), np.full(k, -1), np.full(k, -1))
     for v in range(k - 1, -1, -1):
-        _file(degrees, v)
+        _insert(degrees, v)
     rows = np.empty(4 * len(graph.lists) + k, np.int64)
-    least = 0
+    lowest = 0
     for s in range(k):
-        while degrees.first[least] < 0:
-            least += 1
-        p = degrees.first[least]
-        _unfile(degrees, p)
+        while degrees.first[lowest] < 0:
+            lowest += 1
+        p = degrees.first[lowest]
+        _remove(degrees, p)
         if graph.columns[s] + k > len(rows):
             rows = np.concatenate((rows, np.empty(len(rows) + k, np.int64)))
         element = _make_element(graph, p, s, rows)
         for v in element:
             _count_outside(graph, v, s)
         for v in element:
-            _unfile(degrees, v)
+            _remove(degrees, v)
             more = len(element) - 1
             bound = min(degrees.degree[v], _prune(graph, v, p)) + more
             degrees.degree[v] = min(bound, k - s - 2)
-            _file(degrees, v)
-            least = min(least, degrees.degree[v])
+            _insert(degrees, v)
+            lowest = min(lowest, degrees.degree[v])
     return _sorted(graph.step, graph.columns, rows[: graph.columns[k]])
 
 
@@ -131,7 +131,7 @@ def _adjacency(i: Ints, j: Ints, fixed: Mask) -> _Quotient:
 
 @kernel
 def _append(out: Ints, end: int, mark: Ints, stamp: int, v: int) -> int:
-    """Write v at the end of a list unless it is there, by its mark; return the new end."""
+    """Append v to a list unless its mark shows that it is in it; return the new end."""
     if mark[v] != stamp:
         mark[v] = stamp
         out[end] = v
@@ -141,7 +141,7 @@ def _append(out: Ints, end: int, mark: Ints, stamp: int, v: int) -> int:
 
 @kernel
 def _make_element(graph: _Quotient, p: int, s: int, rows: Ints) -> Ints:
-    """Eliminate p at step s; return what it touched, which is column s, and take in its elements."""
+    """Eliminate p at step s and absorb its elements; return its neighbours, i.e. column s."""
     graph.step[p], graph.mark[p] = s, s
     begin = end = graph.columns[s]
     middle = graph.starts[p] + graph.poses[p]
@@ -159,7 +159,7 @@ def _make_element(graph: _Quotient, p: int, s: int, rows: Ints) -> Ints:
 
 @kernel
 def _count_outside(graph: _Quotient, v: int, s: int) -> None:
-    """Take pose v of the newest element off the counts of what is not in it, of v's elements."""
+    """Update the counts `outside` of v's elements for pose v, which is in the newest element."""
     middle = graph.starts[v] + graph.poses[v]
     for e in graph.lists[middle : middle + graph.elements[v]]:
         if graph.alive[e]:
@@ -171,7 +171,7 @@ def _count_outside(graph: _Quotient, v: int, s: int) -> None:
 
 @kernel
 def _prune(graph: _Quotient, v: int, p: int) -> int:
-    """Drop from list v what the new element p says already; return a bound on what else is in it."""
+    """Remove from list v what the new element p covers; return a bound on the degree without p."""
     stamp, begin = graph.mark[p], graph.starts[v]
     middle, end, others = begin + graph.poses[v], begin, 0
     for u in graph.lists[begin:middle]:
@@ -190,7 +190,7 @@ def _prune(graph: _Quotient, v: int, p: int) -> int:
 
 
 @kernel
-def _file(degrees: _Degrees, v: int) -> None:
+def _insert(degrees: _Degrees, v: int) -> None:
     d = degrees.degree[v]
     head = degrees.first[d]
     degrees.after[v], degrees.before[v], degrees.first[d] = head, -1, v
@@ -199,7 +199,7 @@ def _file(degrees: _Degrees, v: int) -> None:
 
 
 @kernel
-def _unfile(degrees: _Degrees, v: int) -> None:
+def _remove(degrees: _Degrees, v: int) -> None:
     after, before = degrees.after[v], degrees.before[v]
     if before >= 0:
         degrees.after[before] = after
@@ -211,7 +211,7 @@ def _unfile(degrees: _Degrees, v: int) -> None:
 
 @kernel
 def _sorted(step: Ints, starts: Ints, poses: Ints) -> Pattern:
-    """Return the pattern with poses turned into steps, sorted by transposing it twice."""
+    """Return the pattern with poses replaced by steps, sorted by transposing it twice."""
     k, m = len(step), len(poses)
     row_starts, place = np.zeros(k + 1, np.int64), np.empty(k, np.int64)
     columns, blocks, rows = np.empty(m, np.int64), np.empty(m, np.int64), np.empty(m, np.int64)

@@ -1,11 +1,11 @@
 """Pose graphs in the plane as .g2o files (Kuemmerle et al. 2011): VERTEX_SE2, EDGE_SE2 and FIX.
 
 A vertex is `VERTEX_SE2 id x y theta`; an edge `EDGE_SE2 i j x y theta` and the upper triangle of its
-information by rows, xx xy xt yy yt tt; `FIX id ...` holds vertices. Ids may be any distinct integers.
+information by rows, xx xy xt yy yt tt; `FIX id ...` fixes vertices. Ids may be any distinct integers.
 
-The format's error is that of Z^-1 T_i_j, with axes of frame j as measured; ours has the axes of
-frame i. So information is turned by the heading measured, when read and when written: chi-squares are the
-same, and those of other programs.
+The error in this format is that of Z^-1 T_i_j, in the axes of the measured frame j; ours is in the axes of
+frame i. So information is rotated by the measured heading when reading and writing, and chi-squares agree
+with other programs.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ _UPPER = np.triu_indices(3)
 
 
 class G2o(NamedTuple):
-    """What a .g2o file holds.
+    """The contents of a .g2o file.
 
     Attributes
     ----------
     ids : (n,) of the vertices, in order of the file
     poses : (n, 3)
-    edges : of rows of `poses`, all with a quadratic kernel
-    fixed : (k,) rows of `poses`; may be none
+    edges : between rows of `poses`, all with a quadratic kernel
+    fixed : (k,) rows of `poses`; may be empty
     """
 
     ids: Ints
@@ -40,7 +40,7 @@ class G2o(NamedTuple):
 
 
 def read_g2o(path: Path) -> G2o:
-    """Return the graph of a file; raise `SourceError`, naming the line, if it cannot be used."""
+    """Return the graph of a file; raise `SourceError` with the line if it cannot be used."""
     vertices: dict[int, list[float]] = {}
     edges: list[tuple[int, int, list[float], int]] = []
     fixed: list[tuple[int, int]] = []
@@ -106,7 +106,7 @@ def _assembled(
     values = np.array([row for _, _, row, _ in edges]).reshape(-1, 9)
     information = np.zeros((len(edges), 3, 3))
     information[:, _UPPER[0], _UPPER[1]] = information[:, _UPPER[1], _UPPER[0]] = values[:, 3:]
-    information = _turned(information, values[:, 2])
+    information = _rotated(information, values[:, 2])
     ends = np.array([(rows[i], rows[j]) for i, j, _, _ in edges], np.int64).reshape(-1, 2)
     return G2o(
         np.array(list(vertices), np.int64),
@@ -118,8 +118,8 @@ def _assembled(
     )
 
 
-def _turned(information: Array, angles: Array) -> Array:
-    """Return information (e, 3, 3) in axes that lie so many rad clockwise (e,) of those it has."""
+def _rotated(information: Array, angles: Array) -> Array:
+    """Return information (e, 3, 3) in axes rotated clockwise by `angles` (e,), rad."""
     B = np.zeros((len(angles), 3, 3))
     B[:, :2, :2], B[:, 2, 2] = rotation(angles), 1.0
     return B @ information @ B.transpose(0, 2, 1)
@@ -128,7 +128,7 @@ def _turned(information: Array, angles: Array) -> Array:
 def write_g2o(path: Path, graph: G2o) -> None:
     """Write a graph, without its kernels.
 
-    Poses and measurements read back the same, information to rounding.
+    Poses and measurements are read back exactly, information up to rounding.
     """
     names = graph.ids.tolist()
     lines = [
@@ -137,7 +137,7 @@ def write_g2o(path: Path, graph: G2o) -> None:
     ]
     lines += [f"FIX {names[row]}" for row in graph.fixed.tolist()]
     i, j, T_i_j, information, _ = graph.edges
-    upper = _turned(information, -T_i_j[:, 2])[:, _UPPER[0], _UPPER[1]]
+    upper = _rotated(information, -T_i_j[:, 2])[:, _UPPER[0], _UPPER[1]]
     values = np.concatenate([T_i_j, upper], axis=1).tolist()
     lines += [
         f"EDGE_SE2 {names[a]} {names[b]} {_words(row)}"

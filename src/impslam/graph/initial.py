@@ -1,9 +1,8 @@
-"""A start for a pose graph whose own is no use: headings first, then positions, both linear.
+"""Initial poses for a pose graph without good ones: headings first, then positions, both linear.
 
-Headings as unit vectors u_i = [cos, sin] with |u_i| left free (the chordal relaxation; Carlone et al.
-2015, section V): the sum of tau |u_j - R(theta_ij) u_i|^2 is quadratic. Positions at those headings
-are quadratic too. Both are exact for noiseless edges. Nothing here is robust: false edges pull as
-hard as true ones.
+Headings are unit vectors u_i = [cos, sin] with free |u_i| (the chordal relaxation; Carlone et al. 2015,
+section V): the sum of tau |u_j - R(theta_ij) u_i|^2 is quadratic. Positions at these headings are quadratic
+too. Both are exact for noiseless edges. This is not robust: false edges have full weight.
 """
 
 from __future__ import annotations
@@ -18,18 +17,18 @@ from impslam.graph.block_system import BlockSystem, clear_system, empty_system
 from impslam.graph.checked import checked
 from impslam.graph.cholesky import Factor, empty_factor, factorise, substitute
 from impslam.graph.elimination import eliminate
-from impslam.graph.pose_graph import Edges, first_loose_pose
+from impslam.graph.pose_graph import Edges, first_unconnected_pose
 from impslam.types import Array, Ints, Mask
 
 
 def initial(poses: Array, edges: Edges, fixed: Ints) -> Array:
-    """Return poses (n, 3) to start `solve` from; of those given only the `fixed` (k,) are used.
+    """Return initial poses (n, 3) for `solve`; of the given poses only the `fixed` (k,) are used.
 
     Raises `NumericalError` as `solve` does.
     """
-    poses, edges, held = checked(poses, edges, fixed)
+    poses, edges, is_fixed = checked(poses, edges, fixed)
     start = poses.copy()
-    failed = _initial(start, edges, held)
+    failed = _initial(start, edges, is_fixed)
     if failed >= 0:
         raise NumericalError(f"pose graph: pose {failed} is not determined by edges")
     return start
@@ -37,10 +36,10 @@ def initial(poses: Array, edges: Edges, fixed: Ints) -> Array:
 
 @kernel
 def _initial(poses: Array, edges: Edges, fixed: Mask) -> int:
-    """Fill in poses that are not fixed; return one that edges do not determine, or -1."""
-    loose = first_loose_pose(edges.i, edges.j, fixed)
-    if loose >= 0:
-        return loose
+    """Fill poses that are not fixed; return one that edges do not determine, or -1."""
+    unconnected = first_unconnected_pose(edges.i, edges.j, fixed)
+    if unconnected >= 0:
+        return unconnected
     system = empty_system(edges.i, edges.j, fixed)
     factor = empty_factor(eliminate(edges.i, edges.j, fixed))
     known, x = np.zeros_like(poses), np.empty_like(poses)
@@ -65,7 +64,7 @@ def _initial(poses: Array, edges: Edges, fixed: Mask) -> int:
 def _solve_free(system: BlockSystem, factor: Factor, x: Array) -> int:
     """Fill x (k, 3) with the solution of H x = g; return a pose that fails, or -1."""
     for v in range(len(x)):
-        system.diagonal[v, 2, 2] = 1.0  # only two numbers of each block are asked for
+        system.diagonal[v, 2, 2] = 1.0  # only two numbers of each block are used
     singular = factorise(system, 0.0, factor)
     substitute(factor, system.gradient, x)
     return singular
@@ -73,7 +72,7 @@ def _solve_free(system: BlockSystem, factor: Factor, x: Array) -> int:
 
 @kernel
 def _sum_headings(edges: Edges, known: Array, system: BlockSystem) -> None:
-    """Sum up tau |u_j - R u_i|^2, `known` (k, 3) being those of fixed poses in its first two columns."""
+    """Sum up tau |u_j - R u_i|^2; the first two columns of `known` (k, 3) are u of fixed poses."""
     clear_system(system)
     R, W = np.empty((2, 2)), np.zeros((2, 2))
     for e in range(len(edges.i)):
@@ -85,7 +84,7 @@ def _sum_headings(edges: Edges, known: Array, system: BlockSystem) -> None:
 
 @kernel
 def _sum_positions(edges: Edges, poses: Array, system: BlockSystem) -> None:
-    """Sum up |p_j - p_i - R(theta_i) t_ij|^2 weighed by the information of t_ij, turned to the map."""
+    """Sum up |p_j - p_i - R(theta_i) t_ij|^2, weighted by the information of t_ij rotated to map."""
     clear_system(system)
     identity, d = np.eye(2), np.empty(2)
     for e in range(len(edges.i)):
@@ -101,7 +100,7 @@ def _sum_positions(edges: Edges, poses: Array, system: BlockSystem) -> None:
 def _add_difference(
     system: BlockSystem, e: int, R: Array, W: Array, d: Array, known: Array
 ) -> None:
-    """Add |x_j - R x_i - d|^2 weighed by W (2, 2), R a rotation; `known` are the x of fixed poses."""
+    """Add |x_j - R x_i - d|^2 weighted by W (2, 2), with a rotation R; `known` are x of fixed poses."""
     i, j, fixed, V = system.i[e], system.j[e], system.fixed, W @ R
     system.off[e] = 0.0
     if not (fixed[i] or fixed[j]):

@@ -1,9 +1,9 @@
-"""Relative poses between poses: their errors, robust weights and normal equations.
+"""Edges of a pose graph: their errors, robust weights and normal equations.
 
-The error of an edge is T_i_j as the poses have it minus T_i_j as measured, additive on [x, y, theta]
-with theta wrapped; poses are perturbed by addition too (Grisetti et al. 2010, Eq. 30 to 33). An edge
-that may be false has a Geman-McClure kernel: a chi-square u costs c^2 u / (c^2 + u), which is u for
-u << c^2 and never more than c^2, and weighs (c^2 / (c^2 + u))^2 in the normal equations.
+The error of an edge is T_i_j of the poses minus the measured T_i_j, additive on [x, y, theta] with theta
+wrapped; poses are perturbed additively, too (Grisetti et al. 2010, Eq. 30 to 33). An edge that may be false
+has a Geman-McClure kernel: a chi-square u costs c^2 u / (c^2 + u), which is u for u << c^2 and at most c^2,
+and has the weight (c^2 / (c^2 + u))^2 in the normal equations.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from impslam.geometry.kernels import kernel
 from impslam.graph.block_system import BlockSystem, add_relative, clear_system
 from impslam.types import Array, Edges, Ints, Mask
 
-__all__ = ["Costs", "Edges", "edge_error", "first_loose_pose", "linearise", "roots"]
+__all__ = ["Costs", "Edges", "edge_error", "first_unconnected_pose", "linearise", "roots"]
 
 
 class Costs(NamedTuple):
-    """Of the edges, (e,) each: chi-squares, and weights in [0, 1] by their robust kernels."""
+    """Chi-squares (e,) of the edges, and weights (e,) in [0, 1] by their robust kernels."""
 
     chi2: Array
     weights: Array
@@ -41,9 +41,9 @@ def edge_error(T_map_i: Array, T_map_j: Array, T_i_j: Array, out: Array) -> None
 def linearise(
     poses: Array, edges: Edges, graduation: float, system: BlockSystem, costs: Costs
 ) -> float:
-    """Fill in the normal equations and what each edge costs; return the robust cost.
+    """Fill the normal equations and the costs of the edges; return the robust cost.
 
-    Kernels are widened to `graduation` c^2: infinite, all edges weigh 1.
+    Kernels are widened to `graduation` c^2; if it is infinite, all weights are 1.
     """
     clear_system(system)
     error, g, H, cost = np.empty(3), np.empty(3), np.empty((3, 3)), 0.0
@@ -66,21 +66,21 @@ def linearise(
 
 
 @kernel
-def first_loose_pose(i: Ints, j: Ints, fixed: Mask) -> int:
+def first_unconnected_pose(i: Ints, j: Ints, fixed: Mask) -> int:
     """Return the first pose that no chain of edges connects to a fixed one, or -1."""
     root = roots(len(fixed), i, j)
-    held = np.zeros(len(fixed), np.bool_)
+    is_connected = np.zeros(len(fixed), np.bool_)
     for v in range(len(fixed)):
-        held[root[v]] |= fixed[v]
+        is_connected[root[v]] |= fixed[v]
     for v in range(len(fixed)):
-        if not held[root[v]]:
+        if not is_connected[root[v]]:
             return v
     return -1
 
 
 @kernel
 def roots(n: int, i: Ints, j: Ints) -> Ints:
-    """Return for each of n poses the first one (n,) that edges i, j (e,) connect it to."""
+    """Return for each of n poses the first one (n,) to which edges i, j (e,) connect it."""
     root = np.arange(n)
     for e in range(len(i)):
         a, b = _find(root, i[e]), _find(root, j[e])

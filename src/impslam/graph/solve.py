@@ -1,11 +1,11 @@
-"""The pose graph as a pure function: from poses and edges to the best poses and their covariances.
+"""Solve a pose graph: a pure function from poses and edges to optimal poses and their covariances.
 
-Gauss-Newton with a Levenberg-Marquardt safeguard: a step that costs more is damped until it does not.
-The normal equations are solved exactly by a sparse block factor. Edges with a
-robust kernel are solved twice where it matters: from the start given, and graduated, from quadratic
-kernels down to those asked for (graduated non-convexity; Yang et al. 2020, with the Geman-McClure
-surrogate); the cheaper is returned. A true loop that closes metres of drift is outside its kernel
-at the start; graduated, it is not.
+Gauss-Newton with a Levenberg-Marquardt safeguard: a step that increases the cost is damped until it does
+not. The normal equations are solved exactly with a sparse block factor. If it matters, graphs with robust
+kernels are solved twice: from the given start, and graduated, from quadratic kernels down to the requested
+ones (graduated non-convexity; Yang et al. 2020, with the Geman-McClure surrogate); the solution with the
+lower cost is returned. A true loop that closes metres of drift is outside its kernel at the start, but not
+if graduated.
 """
 
 from __future__ import annotations
@@ -22,33 +22,33 @@ from impslam.graph.block_system import BlockSystem, empty_system
 from impslam.graph.checked import checked
 from impslam.graph.cholesky import Factor, empty_factor, factorise, selected_inverse, substitute
 from impslam.graph.elimination import eliminate
-from impslam.graph.pose_graph import Costs, Edges, first_loose_pose, linearise
+from impslam.graph.pose_graph import Costs, Edges, first_unconnected_pose, linearise
 from impslam.types import Array, Ints, Mask
 
 _NARROWING = 4.0
-"""By what kernels narrow between two graduated descents; 1.4 (Yang et al. 2020) keeps as many true
+"""Factor by which kernels narrow between two graduated descents; 1.4 (Yang et al. 2020) keeps as many true
 edges and takes longer."""
 _ROUGH, _FIRST_STEPS, _STEPS = 1.0, 10, 2
-"""Of chi-square: a kernel narrows once a step lowers it by less; steps at most with quadratic kernels,
-and with each one narrower."""
-_FIRST_DAMPING, _MOST_DAMPING = 1e-7, 1e8
-"""Of the diagonal: the first that is tried once a step has cost more, and the one that no step needs.
-Edges in the thousand make the diagonal so much stiffer than the way that a long loop bends."""
+"""Decrease of chi-square below which a kernel is narrowed; maximum number of steps with quadratic kernels,
+and with each narrower one."""
+_FIRST_DAMPING, _MAX_DAMPING = 1e-7, 1e8
+"""Of the diagonal: the first after a failed step, and the one at which to give up. With thousands of edges,
+the diagonal is that much stiffer than the bending of a long loop."""
 _ROUNDING = 1e-12
-"""Of the cost: what poses may seem to get worse by."""
+"""Relative increase of the cost that may be due to rounding."""
 
 
 class Limits(NamedTuple):
-    """When to stop.
+    """Termination criteria.
 
     Attributes
     ----------
-    tolerance : of chi-square: the last step lowers it by less. At 1e-6 poses are within a thousandth of
-        a standard deviation of the optimum before that step, which is taken too
-    iterations : of each descent; graphs with good starts take 3 to 6
-    graduated : whether robust kernels are widened first, where that may matter: if an edge is outside
-        its own at the solution. Edges that stay rejected make each call try, 5 ms for 200 poses in place
-        of 0.3: without it where no edge is new
+    tolerance : decrease of chi-square in the last step. At 1e-6 poses are within a thousandth of a standard
+        deviation of the optimum even before that step
+    iterations : maximum for each descent; graphs with good starts take 3 to 6
+    graduated : whether to also try widened kernels if an edge is outside its own at the solution. Edges
+        that stay rejected make each call try, 5 ms for 200 poses instead of 0.3; disable it if no edge is
+        new
     """
 
     tolerance: float = 1e-6
@@ -57,15 +57,15 @@ class Limits(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """A pose graph solved.
+    """The solution of a pose graph.
 
     Attributes
     ----------
     poses : (n, 3)
-    chi2 : sum of the edges' chi-squares, unweighted
-    cost : sum of them by their robust kernels; what was minimised
+    chi2 : unweighted sum of the edges' chi-squares
+    cost : minimised sum of their robust costs
     weights : (e,) of the edges in [0, 1], by their robust kernels
-    iterations : steps taken
+    iterations : number of steps
     """
 
     poses: Array
@@ -83,40 +83,40 @@ class _Problem(NamedTuple):
 
 
 def solve(poses: Array, edges: Edges, fixed: Ints, limits: Limits | None = None) -> Solution:
-    """Return the poses (n, 3) that cost least, those with indices `fixed` (k,) held where they are.
+    """Return the poses (n, 3) with minimum cost; those with indices `fixed` (k,) do not move.
 
-    Raises `NumericalError` if the graph has no solution: numbers that are not finite, poses that no
-    edges connect to a fixed one or whose information is singular, or no convergence. What was given
-    is not written to.
+    Raises `NumericalError` if the graph has no solution: numbers that are not finite, poses that no edges
+    connect to a fixed one or with singular information, or no convergence. The arguments are not modified.
     """
-    poses, edges, held = checked(poses, edges, fixed)
+    poses, edges, is_fixed = checked(poses, edges, fixed)
     solved = poses.copy()
     costs = Costs(np.zeros(len(edges.i)), np.ones(len(edges.i)))
-    cost, steps, failed = _solve(solved, edges, held, limits or Limits(), costs)
+    cost, steps, failed = _solve(solved, edges, is_fixed, limits or Limits(), costs)
     if failed != _FINE:
-        raise NumericalError(_trouble(failed))
+        raise NumericalError(_message(failed))
     return Solution(solved, float(costs.chi2.sum()), cost, costs.weights, steps)
 
 
 def marginals(poses: Array, edges: Edges, fixed: Ints) -> Array:
-    """Return the covariances (n, 3, 3) of poses (n, 3), additive, those of fixed ones zero.
+    """Return the additive covariances (n, 3, 3) of poses (n, 3), zero for fixed ones.
 
-    To first order at these poses, edges weighed by their robust kernels. Raises as `solve` does.
+    They are to first order at these poses, with edges weighted by their robust kernels. Raises as `solve`
+    does.
     """
-    poses, edges, held = checked(poses, edges, fixed)
-    covariances, failed = _marginals(poses, edges, held)
+    poses, edges, is_fixed = checked(poses, edges, fixed)
+    covariances, failed = _marginals(poses, edges, is_fixed)
     if failed != _FINE:
-        raise NumericalError(_trouble(failed))
+        raise NumericalError(_message(failed))
     return covariances
 
 
-_FINE, _UNSETTLED, _LOOSE, _SINGULAR = -1, 0, 1, 2
-"""What became of a graph. The latter two are added to four times the pose they are about."""
+_FINE, _NO_CONVERGENCE, _UNCONNECTED, _SINGULAR = -1, 0, 1, 2
+"""Outcomes. To the latter two, four times the pose concerned is added."""
 
 
-def _trouble(failed: int) -> str:
+def _message(failed: int) -> str:
     kind, pose = failed % 4, failed // 4
-    if kind == _LOOSE:
+    if kind == _UNCONNECTED:
         return f"pose graph: no edges connect pose {pose} to a fixed one"
     if kind == _SINGULAR:
         return f"pose graph: pose {pose} is not determined; its edges' information is singular"
@@ -134,10 +134,10 @@ def _prepare(edges: Edges, fixed: Mask) -> _Problem:
 def _solve(
     poses: Array, edges: Edges, fixed: Mask, limits: Limits, costs: Costs
 ) -> tuple[float, int, int]:
-    """Improve poses in place and fill in their costs; return the cost, steps, and what failed."""
-    loose = first_loose_pose(edges.i, edges.j, fixed)
-    if loose >= 0:
-        return math.inf, 0, 4 * loose + _LOOSE
+    """Improve poses in place and fill their costs; return the cost, steps, and the outcome."""
+    unconnected = first_unconnected_pose(edges.i, edges.j, fixed)
+    if unconnected >= 0:
+        return math.inf, 0, 4 * unconnected + _UNCONNECTED
     problem = _prepare(edges, fixed)
     start = poses.copy()
     cost, steps, failed = _descend(poses, 1.0, problem, limits)
@@ -157,16 +157,16 @@ def _solve(
 
 @kernel
 def _graduate(poses: Array, problem: _Problem, limits: Limits) -> tuple[float, int, int]:
-    """Descend with kernels that narrow from quadratic ones to those asked for."""
+    """Descend with kernels that narrow from quadratic to the requested ones."""
     cost, steps, failed = _descend(poses, math.inf, problem, Limits(_ROUGH, _FIRST_STEPS, True))
     graduation = 1.0
     for e in range(len(problem.costs.chi2)):
         graduation = max(graduation, 2.0 * problem.costs.chi2[e] / problem.edges.kernel[e])
-    while graduation > 1.0 and failed <= _UNSETTLED:
+    while graduation > 1.0 and failed <= _NO_CONVERGENCE:
         _, more, failed = _descend(poses, graduation, problem, Limits(_ROUGH, _STEPS, True))
         steps += more
         graduation /= _NARROWING
-    if failed <= _UNSETTLED:
+    if failed <= _NO_CONVERGENCE:
         cost, more, failed = _descend(poses, 1.0, problem, limits)
         steps += more
     return cost, steps, failed
@@ -176,9 +176,9 @@ def _graduate(poses: Array, problem: _Problem, limits: Limits) -> tuple[float, i
 def _descend(
     poses: Array, graduation: float, problem: _Problem, limits: Limits
 ) -> tuple[float, int, int]:
-    """Improve poses in place; return the cost, steps, and what failed.
+    """Improve poses in place; return the cost, steps, and the outcome.
 
-    A step x lowers the cost by -g . x as far as it is quadratic (and more, if it is damped).
+    A step x decreases a quadratic cost by -g . x (by more if it is damped).
     """
     edges, system, factor, costs = problem
     x, trial, damping = np.empty_like(poses), poses.copy(), 0.0
@@ -200,9 +200,9 @@ def _descend(
             if gain < limits.tolerance:
                 return cost, step + 1, _FINE
             damping = max(10.0 * damping, _FIRST_DAMPING)
-            if not damping < _MOST_DAMPING:
+            if not damping < _MAX_DAMPING:
                 break
-    return cost, limits.iterations, _UNSETTLED
+    return cost, limits.iterations, _NO_CONVERGENCE
 
 
 @kernel
@@ -219,11 +219,11 @@ def _move(poses: Array, x: Array, g: Array, out: Array) -> float:
 
 @kernel
 def _factorised(poses: Array, edges: Edges, fixed: Mask) -> tuple[Factor, int]:
-    """Return the factor of the normal equations at poses, and what failed."""
+    """Return the factor of the normal equations at poses, and the outcome."""
     problem = _prepare(edges, fixed)
-    loose = first_loose_pose(edges.i, edges.j, fixed)
-    if loose >= 0:
-        return problem.factor, 4 * loose + _LOOSE
+    unconnected = first_unconnected_pose(edges.i, edges.j, fixed)
+    if unconnected >= 0:
+        return problem.factor, 4 * unconnected + _UNCONNECTED
     linearise(poses, edges, 1.0, problem.system, problem.costs)
     singular = factorise(problem.system, 0.0, problem.factor)
     return problem.factor, 4 * singular + _SINGULAR if singular >= 0 else _FINE

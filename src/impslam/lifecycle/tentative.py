@@ -230,7 +230,7 @@ class Tentative(Lifecycle):
             return ()
         self._candidates.predict(motion)
         matches = self._candidates.associate(observations, self._association).matches
-        self._candidates.take_back()
+        self._candidates.undo_predict()
         return matches
 
     def promote(self, observations: Sequence[Observation], stamp: float, lost: bool) -> list[int]:

@@ -1,7 +1,7 @@
-"""The file of a map: arrays and a JSON table in one uncompressed zip, as numpy's `.npz`.
+"""The file of a map: arrays and a JSON table in one uncompressed zip, like numpy's `.npz`.
 
-Any program that reads `.npz` can read it. It is written beside its place and moved there, so that
-a reader finds the old file or the new one, whole.
+Any program that reads `.npz` can read it. It is written to a temporary file, which then replaces the old
+file, so that readers find either of them complete.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from impslam.errors import ImpError
 from impslam.paths import written
 
 VERSION = 3
-"""Counts up with what a file holds; see `layout`. Files of all versions up to this one can be read."""
+"""Version of the layout; see `layout`. Files of all versions up to this one can be read."""
 FREE = "belief/"
-"""Arrays whose names begin so are those of an estimator: any names, shapes and numbers."""
+"""Prefix of the arrays of an estimator, which may have any names, shapes and number."""
 
 Arrays: TypeAlias = dict[str, npt.NDArray[Any]]
 Layout: TypeAlias = Mapping[str, tuple[str, tuple[int | str, ...]]]
-"""Type and shape of each array by its name; a length that has a name is the same wherever it stands."""
+"""Type and shape of each array by name; named lengths are equal in all arrays."""
 Built = TypeVar("Built")
 
 
 def save(path: Path, arrays: Arrays, about: dict[str, Any]) -> Path:
-    """Write a map's arrays and its table of plain values; return the path.
+    """Write a map's arrays and its table of JSON values; return the path.
 
     Raises
     ------
@@ -54,14 +54,14 @@ def save(path: Path, arrays: Arrays, about: dict[str, Any]) -> Path:
                 stream.flush()
                 os.fsync(stream.fileno())
             part.replace(path)
-            _settle(path.parent)
+            _sync_folder(path.parent)
         finally:
             part.unlink(missing_ok=True)
     return path
 
 
-def _settle(folder: Path) -> None:
-    """Have the names in a folder written to the disk; not every file system can."""
+def _sync_folder(folder: Path) -> None:
+    """Flush the names in a folder to the disk, if the file system can."""
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -71,7 +71,7 @@ def _settle(folder: Path) -> None:
 
 
 def _write(stream: IO[bytes], arrays: Arrays) -> None:
-    """Write what `np.savez` would, but an array from its own memory: `savez` copies each first."""
+    """Write like `np.savez`, but without copying each array first."""
     with zipfile.ZipFile(stream, "w") as packed:
         for name, array in arrays.items():
             rows = np.ascontiguousarray(array)
@@ -84,15 +84,15 @@ def _write(stream: IO[bytes], arrays: Arrays) -> None:
 def load(
     path: Path, layout: Callable[[int], Layout], build: Callable[[Arrays, dict[str, Any]], Built]
 ) -> Built:
-    """Return what `build` makes of the arrays and the table of a map's file.
+    """Return the result of `build` for the arrays and the table of a map's file.
 
-    The arrays are those of the layout of the file's version, read-only; `build` raises ValueError
-    where they do not fit each other.
+    The arrays are those of the layout of the file's version, read-only; `build` raises ValueError if they
+    are inconsistent.
 
     Raises
     ------
     ImpError
-        If the file is missing, is no map, is damaged, or comes from a newer version.
+        If the file is missing, damaged, not a map, or of a newer version.
     """
     if not path.is_file():
         raise ImpError(f"{path}: no such file; give a map that impslam has saved")
@@ -101,26 +101,26 @@ def load(
             version, about, free = _about(packed)
             arrays = _arrays(packed, layout(version))
             return build(arrays | {name: _array(packed, name) for name in free}, about)
-    except _Version as error:
+    except _VersionError as error:
         raise ImpError(f"{path}: {error}") from None
     except _DAMAGE as error:
-        said = " ".join(str(error).split())[:200] or type(error).__name__
-        raise ImpError(f"{path}: not a map, or damaged ({said}); save it again") from None
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise ImpError(f"{path}: not a map, or damaged ({reason}); save it again") from None
 
 
 def about(path: Path) -> dict[str, Any]:
-    """Return the table of plain values of a map's file alone.
+    """Return only the table of JSON values of a map's file.
 
     Raises
     ------
     ImpError
-        If the file is missing, is no map, is damaged, or comes from a newer version.
+        If the file is missing, damaged, not a map, or of a newer version.
     """
     return load(path, lambda version: {}, lambda arrays, table: table)
 
 
-class _Version(Exception):
-    """The file is of another version."""
+class _VersionError(Exception):
+    """The file is of a newer version."""
 
 
 _DAMAGE = (
@@ -138,7 +138,7 @@ _DAMAGE = (
         NotImplementedError,
         RuntimeError,
         zipfile.BadZipFile,
-    ),  # of zips that are encrypted, or newer
+    ),  # for zips that are encrypted, or newer
 )
 
 
@@ -147,26 +147,26 @@ def _about(packed: zipfile.ZipFile) -> tuple[int, dict[str, Any], list[str]]:
     table = json.loads(_array(packed, "about", np.dtype(np.uint8)).tobytes())
     version, about = int(table["version"]), dict(table["about"])
     if version > VERSION:
-        raise _Version(
+        raise _VersionError(
             f"is of version {version}, this program reads up to {VERSION}; update impslam"
         )
     if version < 1:
         raise ValueError(f"there is no version {version}")
     free = [str(name) for name in table.get("free", [])]
     if not all(name.startswith(FREE) for name in free):
-        raise ValueError(f"{free} are no names of free arrays")
+        raise ValueError(f"{free} are not names of free arrays")
     return version, about, free
 
 
 def _arrays(packed: zipfile.ZipFile, layout: Layout) -> Arrays:
-    """Return the arrays of a layout; lengths that it calls by one name are the same."""
+    """Return the arrays of a layout; named lengths must be equal."""
     arrays: Arrays = {}
     lengths: dict[str, int] = {}
     for name, (kind, shape) in layout.items():
         arrays[name] = array = _array(packed, name, np.dtype(kind))
         wanted = tuple(
-            lengths.setdefault(side, have) if isinstance(side, str) else side
-            for side, have in zip(shape, array.shape, strict=False)
+            lengths.setdefault(side, length) if isinstance(side, str) else side
+            for side, length in zip(shape, array.shape, strict=False)
         )
         if array.ndim != len(shape) or array.shape != wanted:
             raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
@@ -176,14 +176,14 @@ def _arrays(packed: zipfile.ZipFile, layout: Layout) -> Arrays:
 def _array(
     packed: zipfile.ZipFile, name: str, wanted: np.dtype[Any] | None = None
 ) -> npt.NDArray[Any]:
-    """Return an array, whose memory is that of its bytes in the file: what it says of its size may lie."""
+    """Return an array with the bytes in the file as memory, because its declared size may be wrong."""
     try:
         member = packed.getinfo(f"{name}.npy")
     except KeyError:
         raise ValueError(f"it lacks {name}") from None
     if member.compress_type != zipfile.ZIP_STORED or member.compress_size != member.file_size:
         raise ValueError(f"{name} is compressed")
-    data = packed.read(member)  # the checksum is tested on the way
+    data = packed.read(member)  # this tests the checksum
     stream = io.BytesIO(data)
     if np.lib.format.read_magic(stream) != (1, 0):
         raise ValueError(f"{name} is of another format")
@@ -192,5 +192,5 @@ def _array(
     if dtype != kind or dtype.kind not in "fiub" or by_columns:
         raise ValueError(f"{name} holds {dtype}, expected {kind} by rows")
     if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != len(data) - stream.tell():
-        raise ValueError(f"{name} is not as long as it says")
+        raise ValueError(f"{name} has another length than declared")
     return np.frombuffer(data, kind, offset=stream.tell()).reshape(shape)

@@ -1,8 +1,8 @@
-"""The main direction of a building: that of most of its walls, which stand at right angles.
+"""The main direction of a building: that of most of its walls, up to right angles.
 
 Straight stretches of each scan give directions, weighted by their length. They are folded to a quarter
 turn; the main direction is the mode of their histogram, refined by the circular mean of four times the
-angle (Mardia & Jupp 2000, 9.2) of those close to it. Walls of other directions do not pull at it.
+angle (Mardia & Jupp 2000, 9.2) of those close to it. Walls of other directions have no effect.
 """
 
 from __future__ import annotations
@@ -15,32 +15,33 @@ import numpy as np
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
 
-SPAN = 0.5
-"""m, of a stretch: with 2 cm of range noise its direction is known to 2 degrees."""
-STRAIGHT = 0.03
-"""m, root mean square of the distances of its points from their line: noise of a range, 1 to 3 cm."""
+LENGTH = 0.5
+"""m, of a stretch: with 2 cm of range noise its direction is accurate to 2 degrees."""
+MAX_RESIDUAL = 0.03
+"""m, rms distance of the points of a stretch from their line: range noise, 1 to 3 cm."""
 QUARTER = math.pi / 2
 BINS = 90
 """Of the histogram: 1 degree each."""
-CLOSE = math.radians(5.0)
-"""Stretches within this of the main direction are along it: two and a half times their noise."""
-LEAST_SHARE = 0.35
-"""Of all walls, along the main direction. Were 20 walls to stand anyhow, 11 % would be within `CLOSE` of
-any one direction, and 35 % once in a thousand times (binomial)."""
-RIVAL = 0.5
-"""Of that share: what any other direction may have. With more, e.g. in a triangle, none is the main one."""
+TOLERANCE = math.radians(5.0)
+"""Maximum deviation of stretches along the main direction: two and a half times their noise."""
+MIN_SHARE = 0.35
+"""Of all walls, along the main direction. With 20 randomly oriented walls, 11 % would be within `TOLERANCE`
+of a direction, and 35 % with a probability of 0.001 (binomial)."""
+MAX_RIVAL = 0.5
+"""Share of any other direction over that of the main one. With more, e.g. in a triangle, none is the main
+one."""
 PARTS = 10
-"""Of the drive, each of which tells the direction by itself; their spread tells how sure it is."""
+"""Parts of the drive with independent estimates, whose spread gives the standard error."""
 
 
 class Direction(NamedTuple):
-    """Where the walls of a map point.
+    """The main direction of the walls of a map.
 
     Attributes
     ----------
     angle : rad in (-pi/4, pi/4], from an axis of map to the walls
-    sigma : rad, standard error by what the parts of the drive tell; inf where one part tells it alone
-    share : of the walls' length within 5 degrees of it, and of its right angle
+    sigma : rad, standard error from parts of the drive; inf if there is only one part
+    share : share of the walls' length within 5 degrees of it or its right angle
     rival : the greatest share of another direction
     histogram : (BINS,) share of the walls' length by direction, from 0 to 90 degrees
     """
@@ -53,8 +54,8 @@ class Direction(NamedTuple):
 
     @property
     def is_clear(self) -> bool:
-        """Whether there is a main direction at all."""
-        return self.share >= LEAST_SHARE and self.rival <= RIVAL * self.share
+        """Whether there is a main direction."""
+        return self.share >= MIN_SHARE and self.rival <= MAX_RIVAL * self.share
 
 
 def main_direction(
@@ -74,14 +75,14 @@ def main_direction(
     histogram = np.bincount(bins, lengths, BINS) / lengths.sum()
     smooth = sum(np.roll(histogram, k) for k in range(-2, 3))
     angle = (int(np.argmax(smooth)) + 0.5) * QUARTER / BINS
-    for _ in range(3):  # the window follows the mean, which then stands still
+    for _ in range(3):  # the window follows the mean, which converges
         angle += _mean(angles - angle, lengths)
-    close = np.abs(_folded(angles - angle)) <= CLOSE
+    close = np.abs(_folded(angles - angle)) <= TOLERANCE
     share = float(lengths[close].sum() / lengths.sum())
     rival = _rival(angles[~close], lengths[~close]) / float(lengths.sum())
     part = (keyframe * PARTS / len(poses)).astype(np.int64)
-    told = [_mean(angles[part == p] - angle, lengths[part == p]) for p in np.unique(part[close])]
-    sigma = float(np.std(told, ddof=1)) / math.sqrt(len(told)) if len(told) > 1 else math.inf
+    means = [_mean(angles[part == p] - angle, lengths[part == p]) for p in np.unique(part[close])]
+    sigma = float(np.std(means, ddof=1)) / math.sqrt(len(means)) if len(means) > 1 else math.inf
     return Direction(
         float(_folded(np.array(angle))), sigma, share, rival, tuple(histogram.tolist())
     )
@@ -93,8 +94,8 @@ def _folded(angles: Array) -> Array:
 
 
 def _mean(angles: Array, lengths: Array) -> float:
-    """Return the circular mean, up to quarter turns, of the angles close to 0; 0 where none is."""
-    close = np.abs(_folded(angles)) <= CLOSE
+    """Return the circular mean, up to quarter turns, of the angles close to 0; 0 without any."""
+    close = np.abs(_folded(angles)) <= TOLERANCE
     four = 4.0 * angles[close]
     return 0.25 * math.atan2(
         float(lengths[close] @ np.sin(four)), float(lengths[close] @ np.cos(four))
@@ -102,9 +103,9 @@ def _mean(angles: Array, lengths: Array) -> float:
 
 
 def _rival(angles: Array, lengths: Array) -> float:
-    """Return the greatest length within `CLOSE` of one direction."""
+    """Return the greatest length within `TOLERANCE` of one direction."""
     counts = np.bincount((angles / QUARTER * BINS).astype(np.int64) % BINS, lengths, BINS)
-    width = round(2.0 * CLOSE / QUARTER * BINS)
+    width = round(2.0 * TOLERANCE / QUARTER * BINS)
     return float(np.max(sum(np.roll(counts, k) for k in range(width))))
 
 
@@ -112,7 +113,7 @@ def _rival(angles: Array, lengths: Array) -> float:
 def _stretches(
     poses: Array, starts: Ints, points: np.ndarray[Any, np.dtype[np.float32]], out: Array
 ) -> int:
-    """Fill `out` (n, 3) with direction in map, rad, length, m, and keyframe; return how many."""
+    """Fill `out` (n, 3) with direction in map, rad, length, m, and keyframe; return the number."""
     count = 0
     for k in range(len(poses)):
         if not math.isfinite(poses[k, 0] + poses[k, 1] + poses[k, 2]):
@@ -124,13 +125,13 @@ def _stretches(
                 n, sx, sy = n + 1.0, sx + dx, sy + dy
                 xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
                 span = math.sqrt(dx * dx + dy * dy)
-                if span >= SPAN:
+                if span >= LENGTH:
                     break
-            if n < 4.0 or span < SPAN or span > 2.0 * SPAN:
+            if n < 4.0 or span < LENGTH or span > 2.0 * LENGTH:
                 continue
             xx, xy, yy = xx / n - (sx / n) ** 2, xy / n - sx * sy / n**2, yy / n - (sy / n) ** 2
             across = 0.5 * (xx + yy) - math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-            if across > STRAIGHT * STRAIGHT:
+            if across > MAX_RESIDUAL * MAX_RESIDUAL:
                 continue
             out[count, 0] = 0.5 * math.atan2(2.0 * xy, xx - yy) + poses[k, 2]
             out[count, 1], out[count, 2] = span / (n - 1.0), k

@@ -1,4 +1,4 @@
-"""What a map holds, in figures."""
+"""Statistics of a map."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from impslam.map import Map
 from impslam.maps.direction import Direction
 from impslam.maps.files import FREE, MapImage
 
-CLOCK = datetime(1990, 1, 1, tzinfo=UTC).timestamp()
-"""s: stamps before this are not Unix time, but count from a robot's start."""
+MIN_UNIX_TIME = datetime(1990, 1, 1, tzinfo=UTC).timestamp()
+"""s: earlier stamps are not Unix time, but count from a robot's start."""
 
 
 @dataclass(frozen=True, slots=True)
 class MapFacts:
-    """The figures of a map.
+    """Statistics of a map.
 
     Attributes
     ----------
-    logs : names of the logs that it was made from
-    scans, keyframes : their number
-    unplaced : keyframes of which it is not known where they are in the map
-    path : m, way of the robot
+    logs : names of its logs
+    scans, keyframes : their numbers
+    unplaced : number of keyframes that are not located in the map
+    path : m, distance driven
     motions, closures : edges of the pose graph
     landmarks : number by kind
-    extent : m, left, right, bottom and top of what is known
-    free : m^2, the floor that was seen to be free
+    extent : m, left, right, bottom and top of the known area
+    free : m^2, free area
     first, last : s, the first and the last stamp
-    age : s since the last stamp; NaN where stamps are no Unix time
-    direction : of the walls
+    age : s since the last stamp; NaN if stamps are not Unix time
+    direction : main direction of the walls
     """
 
     logs: tuple[str, ...]
@@ -54,7 +54,7 @@ class MapFacts:
 
 
 def facts(known: Map, image: MapImage, now: float) -> MapFacts:
-    """Return the figures of a map; `image` is its grid, `now` the Unix time, s."""
+    """Return the statistics of a map; `image` is its grid, `now` the Unix time, s."""
     steps = np.diff(known.path()[:, 1:3], axis=0)
     steps = steps[np.diff(known.keyframes.sessions[known.anchors[known.placed()]]) == 0]
     closures = int(np.isfinite(known.edges.kernel).sum())
@@ -76,6 +76,6 @@ def facts(known: Map, image: MapImage, now: float) -> MapFacts:
         free=float((image.pixels == FREE).sum()) * image.resolution**2,
         first=first,
         last=last,
-        age=now - last if last > CLOCK else math.nan,
+        age=now - last if last > MIN_UNIX_TIME else math.nan,
         direction=known.direction(),
     )

@@ -1,4 +1,4 @@
-"""The grid of a map as map_server reads it: map.pgm and map.yaml."""
+"""The grid of a map in map_server's format: map.pgm and map.yaml."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from impslam.types import Array
 FREE, UNKNOWN, OCCUPIED = 254, 205, 0
 """Grey values of a trinary map."""
 FREE_BELOW, OCCUPIED_ABOVE = 0.196, 0.65
-"""map_server's thresholds; 0.196 and not 0.25, or the grey of unknown cells reloads as free."""
+"""map_server's thresholds; with 0.25 instead of 0.196, the grey of unknown cells would reload as free."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +38,7 @@ class MapImage:
 
 
 def map_image(grid: OccupancyGrid) -> MapImage:
-    """Return the grid in three greys, cut to what is known."""
+    """Return the grid in three greys, cropped to the known area."""
     free, occupied = (math.log(p / (1.0 - p)) for p in (FREE_BELOW, OCCUPIED_ABOVE))
     pixels = np.full(grid.logodds.shape, UNKNOWN, np.uint8)
     pixels[grid.logodds < free] = FREE

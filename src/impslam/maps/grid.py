@@ -1,7 +1,7 @@
-"""An occupancy grid: what is free, what is occupied, what nobody has looked at.
+"""Occupancy grid with free, occupied and unknown cells.
 
-Each cell holds the log-odds of being occupied (Moravec & Elfes 1985; Thrun et al. 2005, Eq. 9.7).
-A scan changes a cell at most once, and the end of a beam outweighs beams that pass: otherwise the many
+Each cell holds the log-odds of being occupied (Moravec & Elfes 1985; Thrun et al. 2005, Eq. 9.7). A scan
+changes a cell at most once, and the end of a beam takes precedence over passing beams: otherwise the many
 beams that graze a wall would erase it.
 """
 
@@ -18,18 +18,18 @@ from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel, read_only
 from impslam.types import Array, Ints
 
-STILL = (0.01, math.radians(0.2))
-"""m and rad: less motion than this since the last scan entered is standing still."""
-STILL_SCANS = 5
-"""Scans entered at a standstill; further ones share their errors and teach nothing new."""
+STATIONARY = (0.01, math.radians(0.2))
+"""m and rad: with less motion since the last drawn scan, the robot is stationary."""
+STATIONARY_SCANS = 5
+"""Scans drawn while stationary; further ones have the same errors and add no information."""
 MARGIN = 64
-"""Cells kept free around what is known, so that the grid seldom grows."""
+"""Unknown cells kept around the known area, so that the grid seldom grows."""
 MAX_CELLS = 40_000_000
-"""Beyond 100 000 m^2 at 5 cm (320 MB) a pose has run away; its scan is refused."""
-FINEST, COARSEST = 0.001, 10.0
+"""Beyond 100 000 m^2 at 5 cm (320 MB) a pose has diverged; its scan is rejected."""
+MIN_RESOLUTION, MAX_RESOLUTION = 0.001, 10.0
 """m, limits of a cell's side."""
-STOOD, ENTER, REFUSE = 0, 1, 2
-"""What is done with a scan."""
+SKIP, DRAW, REJECT = 0, 1, 2
+"""Decisions on a scan."""
 
 Floats: TypeAlias = npt.NDArray[np.float32]
 Points: TypeAlias = npt.NDArray[np.float32]
@@ -61,13 +61,13 @@ With 2 cm of range noise a beam ends in its own cell of 5 cm in 7 of 10."""
 
 
 class PlacedScans(NamedTuple):
-    """The scans of k keyframes and where they were taken.
+    """The scans of k keyframes and their poses.
 
     Attributes
     ----------
     poses : (k, 3) `T_map_base`
-    origins : (k, 2) m, where the laser was in base_link
-    starts : (k + 1,) scan i ended at `points[starts[i] : starts[i + 1]]`
+    origins : (k, 2) m, position of the laser in base_link
+    starts : (k + 1,) end points of scan i are `points[starts[i] : starts[i + 1]]`
     points : (p, 2) m in base_link
     """
 
@@ -79,10 +79,10 @@ class PlacedScans(NamedTuple):
 
 @kernel
 def _select(scans: PlacedScans, size: float, box: Array, last: Array) -> Ints:
-    """Return what is to be done with each scan: STOOD (nothing), ENTER or REFUSE.
+    """Return the decision on each scan: SKIP, DRAW or REJECT.
 
-    `box` (low x, low y, high x, high y) grows to hold the cells of what is to be entered. `last`
-    is the pose of the last scan that had moved, NaN before the first, and how many stood there.
+    `box` (low x, low y, high x, high y) grows to include the cells of scans to draw. `last` is the pose of
+    the last scan after a motion, NaN before the first, and the number of scans there.
     """
     poses, origins, starts, points = scans
     out = np.empty(len(poses), np.int64)
@@ -90,15 +90,17 @@ def _select(scans: PlacedScans, size: float, box: Array, last: Array) -> Ints:
     for k in range(len(poses)):
         x0, y0, theta = poses[k]
         if not math.isfinite(x0 + y0 + theta):
-            out[k] = REFUSE
+            out[k] = REJECT
             continue
         turn = abs(wrap_in_kernel(theta - last[2]))
-        still = math.hypot(x0 - last[0], y0 - last[1]) < STILL[0] and turn < STILL[1]
-        last[3] = last[3] + 1.0 if still else 1.0
-        if not still:
+        is_stationary = (
+            math.hypot(x0 - last[0], y0 - last[1]) < STATIONARY[0] and turn < STATIONARY[1]
+        )
+        last[3] = last[3] + 1.0 if is_stationary else 1.0
+        if not is_stationary:
             last[:3] = poses[k]
-        if last[3] > STILL_SCANS or starts[k] == starts[k + 1]:
-            out[k] = STOOD
+        if last[3] > STATIONARY_SCANS or starts[k] == starts[k + 1]:
+            out[k] = SKIP
             continue
         wider[:] = box
         c, s = math.cos(theta), math.sin(theta)
@@ -111,8 +113,8 @@ def _select(scans: PlacedScans, size: float, box: Array, last: Array) -> Ints:
             wider[0], wider[1] = min(wider[0], x), min(wider[1], y)
             wider[2], wider[3] = max(wider[2], x), max(wider[3], y)
         wide, high = wider[2] - wider[0] + 2.0 * MARGIN, wider[3] - wider[1] + 2.0 * MARGIN
-        out[k] = ENTER if wide * high <= MAX_CELLS else REFUSE
-        if out[k] == ENTER:
+        out[k] = DRAW if wide * high <= MAX_CELLS else REJECT
+        if out[k] == DRAW:
             box[:] = wider
     return out
 
@@ -131,14 +133,14 @@ class Cells(NamedTuple):
 
 
 @kernel
-def _enter(cells: Cells, model: BeamModel, first: int, scans: PlacedScans, verdicts: Ints) -> int:
-    """Enter the scans to ENTER, numbered from `first` on; return the number after the last."""
+def _draw(cells: Cells, model: BeamModel, first: int, scans: PlacedScans, verdicts: Ints) -> int:
+    """Draw the selected scans, numbered from `first` on; return the next number."""
     logodds, changed, corner, size = cells
     poses, origins, starts, points = scans
     number = first
     beams = np.empty((np.diff(starts).max(), 4), np.int64)
     for k in range(len(poses)):
-        if verdicts[k] != ENTER:
+        if verdicts[k] != DRAW:
             continue
         c, s = math.cos(poses[k, 2]), math.sin(poses[k, 2])
         x = poses[k, 0] + c * origins[k, 0] - s * origins[k, 1]
@@ -157,11 +159,11 @@ def _enter(cells: Cells, model: BeamModel, first: int, scans: PlacedScans, verdi
 
 @kernel
 def trace(logodds: Floats, last: Stamps, scan: int, beams: Ints, model: BeamModel) -> None:
-    """Enter beams (n, 4), cell to cell; `last` is the scan that changed a cell last.
+    """Draw beams (n, 4), from cell to cell; `last` is the last scan that changed each cell.
 
-    Between its cells a beam goes by one cell a step along its longer side (Bresenham 1965), in
-    fixed point with 32 binary digits: without a branch to guess wrong, three times as fast as the
-    exact traversal of Amanatides & Woo 1987, whose extra cells the next beam enters anyway.
+    A beam advances by one cell per step along its longer side (Bresenham 1965), in fixed point with 32
+    binary digits. This has no unpredictable branch, and is three times as fast as the exact traversal of
+    Amanatides & Woo 1987, whose additional cells the next beam covers anyway.
     """
     width, half = logodds.shape[1], np.int64(1) << 31
     cells, changed = logodds.reshape(-1), last.reshape(-1)
@@ -178,7 +180,7 @@ def trace(logodds: Floats, last: Stamps, scan: int, beams: Ints, model: BeamMode
         for _ in range(steps):
             cell = np.uint64(
                 (y >> 32) * width + (x >> 32)
-            )  # unsigned: no test for a negative index
+            )  # unsigned avoids a test for negative indices
             if changed[cell] != scan:
                 changed[cell] = scan
                 cells[cell] = max(cells[cell] + model.miss, -model.limit)
@@ -187,19 +189,21 @@ def trace(logodds: Floats, last: Stamps, scan: int, beams: Ints, model: BeamMode
 
 
 class OccupancyGrid:
-    """Grows where the beams reach; cell (0, 0) is the lower-left one.
+    """An occupancy grid that grows with the scans; cell (0, 0) is the lower-left one.
 
     Attributes
     ----------
-    logodds : (rows, columns) float32, 0 where nothing is known
+    logodds : (rows, columns) float32, 0 for unknown cells
     corner : (2,) column and row of cell (0, 0), counted from the origin of map
-    refused : beams that were not entered: their scan's pose has run away, or is not finite
+    refused : number of beams not drawn because the pose of their scan has diverged or is not finite
     """
 
     def __init__(self, resolution: float = 0.05, model: BeamModel = DRAWN) -> None:
-        if not (isinstance(resolution, int | float) and FINEST <= resolution <= COARSEST):
+        if not (
+            isinstance(resolution, int | float) and MIN_RESOLUTION <= resolution <= MAX_RESOLUTION
+        ):
             raise ConfigError(
-                f"resolution = {resolution!r}: a cell's side is {FINEST:g} to {COARSEST:g} m"
+                f"resolution = {resolution!r}: a cell's side is {MIN_RESOLUTION:g} to {MAX_RESOLUTION:g} m"
             )
         self.resolution, self._model = float(resolution), model
         self._clear()
@@ -215,7 +219,7 @@ class OccupancyGrid:
         self._drawn = np.empty((0, 3))
 
     def draw(self, scans: PlacedScans) -> None:
-        """Draw scans; those drawn before are not drawn again unless one of them has moved."""
+        """Draw scans; earlier ones are only drawn again if one of them has moved."""
         n = len(self._drawn)
         if not np.array_equal(scans.poses[:n], self._drawn, equal_nan=True):
             self._clear()
@@ -227,11 +231,11 @@ class OccupancyGrid:
             *read_only(scans.poses[n:], scans.origins[n:], scans.starts[n:], scans.points)
         )
         verdicts = _select(new, self.resolution, self._box, self._last)
-        self.refused += int(np.diff(new.starts)[verdicts == REFUSE].sum())
-        if (verdicts == ENTER).any():
+        self.refused += int(np.diff(new.starts)[verdicts == REJECT].sum())
+        if (verdicts == DRAW).any():
             self._cover(np.floor(self._box[:2]), np.floor(self._box[2:]))
             cells = Cells(self.logodds, self._changed, self.corner, self.resolution)
-            self._number = _enter(cells, self._model, self._number, new, verdicts)
+            self._number = _draw(cells, self._model, self._number, new, verdicts)
 
     @property
     def origin(self) -> Array:
@@ -239,7 +243,7 @@ class OccupancyGrid:
         return np.multiply(self.corner, self.resolution, dtype=np.float64)
 
     def _cover(self, low: Array, high: Array) -> None:
-        """Grow to hold the cells from low to high."""
+        """Grow to include the cells from low to high."""
         first = self.corner
         end = first + np.array(self.logodds.shape[::-1])
         if len(self.logodds) and (first <= low).all() and (high < end).all():

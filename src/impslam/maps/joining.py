@@ -1,4 +1,4 @@
-"""Two maps as one: the keyframes of the second follow those of the first, as sessions of their own."""
+"""Join two maps: the keyframes of the second follow those of the first, as separate sessions."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 from impslam.estimators.pose_graph import KERNEL
 from impslam.geometry.se2 import between, compose
 from impslam.map import Keyframes, Map
-from impslam.maps.relation import HEADING, PLACE, Link
+from impslam.maps.relation import HEADING_SIGMA, POSITION_SIGMA, Link
 from impslam.types import Edges, Ints, Observation
 
 
 def joined(first: Map, second: Map, links: Sequence[Link]) -> Map:
-    """Return both maps in one, connected by links; poses are as they are in each.
+    """Return both maps as one, connected by links, with unchanged poses.
 
-    The second one lies in the frame of the first, both have a graph, and the links' poses are in that
-    frame. Landmarks are left out: two of them may be one. So is where the maps are from.
+    The second map and the poses of the links must be in the frame of the first, and both must have a graph.
+    Landmarks are left out because they may be duplicates, and so is the origin of the maps.
     """
     n, m = len(first.keyframes), len(first.keyframes.points)
     rows = _columns(first.keyframes, second.keyframes, starts=m)
@@ -36,7 +36,7 @@ def joined(first: Map, second: Map, links: Sequence[Link]) -> Map:
 
 
 def _columns(first: object, second: object, **offsets: int) -> dict[str, Any]:
-    """Return the arrays of two objects by name, one after the other; offsets are added to the second."""
+    """Concatenate the arrays of two objects by name; offsets are added to those of the second."""
     out = {}
     for f in fields(first):  # type: ignore[arg-type]  # both are dataclasses
         one, two = getattr(first, f.name), getattr(second, f.name)
@@ -54,19 +54,19 @@ def _observations(known: Map) -> tuple[tuple[Observation, ...], ...]:
 def _edges(first: Map, second: Map, links: Sequence[Link]) -> Edges:
     """Return links as closures between nodes of both graphs.
 
-    A link is of any keyframe, and goes to the node before it; in the first map the nearest node is taken.
+    They connect the node before the keyframe of the link with the nearest node of the first map.
     """
-    ours, theirs = _nodes(first), _nodes(second)
+    first_nodes, second_nodes = _nodes(first), _nodes(second)
     i, j, motions = [], [], []
     for link in links:
-        node = theirs[max(int(np.searchsorted(theirs, link.row, side="right")) - 1, 0)]
+        node = second_nodes[max(int(np.searchsorted(second_nodes, link.row, side="right")) - 1, 0)]
         poses = second.keyframes.poses
         pose = compose(link.pose, between(poses[link.row], poses[node]))
-        near = first.keyframes.poses[ours]
-        i.append(int(ours[np.argmin(np.hypot(near[:, 0] - pose[0], near[:, 1] - pose[1]))]))
+        near = first.keyframes.poses[first_nodes]
+        i.append(int(first_nodes[np.argmin(np.hypot(near[:, 0] - pose[0], near[:, 1] - pose[1]))]))
         j.append(len(first.keyframes) + int(node))
         motions.append(between(first.keyframes.poses[i[-1]], pose))
-    information = np.diag(np.array([PLACE, PLACE, HEADING]) ** -2.0)
+    information = np.diag(np.array([POSITION_SIGMA, POSITION_SIGMA, HEADING_SIGMA]) ** -2.0)
     count = len(links)
     return Edges(
         np.array(i, np.int64),
@@ -78,6 +78,6 @@ def _edges(first: Map, second: Map, links: Sequence[Link]) -> Edges:
 
 
 def _nodes(known: Map) -> Ints:
-    """Return the keyframes that are nodes of a map's graph and placed in it."""
+    """Return the placed keyframes that are nodes of a map's graph."""
     nodes = np.unique(np.concatenate([known.edges.i, known.edges.j, [0]]))
     return np.asarray(nodes[known.keyframes.placed[nodes]])

@@ -1,4 +1,4 @@
-"""What a map's file holds: the arrays by name, version by version, and what they may be."""
+"""The arrays in a map's file by version, and their validation."""
 
 from __future__ import annotations
 
@@ -59,13 +59,13 @@ _OBSERVATIONS: Layout = {
     "observations/names": ("u1", ("names",)),  # JSON
 }
 MOTION_SIGMA = np.array([0.03, 0.03, 0.01])
-"""m, m, rad of the motion to a keyframe, where a map does not tell: dead reckoning over half a metre."""
+"""m, m, rad of the motion to a keyframe if a map lacks it: dead reckoning over half a metre."""
 
 
 def layout(version: int) -> Layout:
-    """Return the arrays of a version's files.
+    """Return the arrays in files of a version.
 
-    2 has edges; 3 what a run needs to go on: motions, sessions, observations.
+    Version 2 adds edges; 3 adds what is needed to continue a map: motions, sessions, observations.
     """
     known = {**_ROWS, **_KEYFRAMES, **_LANDMARKS}
     if version > 1:
@@ -98,14 +98,14 @@ def to_arrays(
 def from_arrays(arrays: Arrays) -> dict[str, Any]:
     """Return the parts of a map by name, those of "keyframes" in a table.
 
-    Raises ValueError where arrays do not fit each other, for compiled code checks no index.
+    Raises ValueError if arrays are inconsistent, because compiled code does not check indices.
     """
     parts: dict[str, Any] = {name: arrays[name] for name in _ROWS}
     keyframes = _part(arrays, "keyframes/")
     _check_points(keyframes)
     _check_finite(keyframes, "poses", "covariances", "origins", "points")
     if ((arrays["anchors"] < 0) | (arrays["anchors"] >= len(keyframes["stamps"]))).any():
-        raise ValueError("anchors are no keyframes")
+        raise ValueError("anchors are not keyframes")
     marks = tuple(_landmark(m) for m in json.loads(arrays["landmarks"].tobytes()))
     parts |= {"landmarks": marks, "keyframes": keyframes}
     parts["edges"] = _edges(arrays, len(keyframes["stamps"]))
@@ -122,7 +122,7 @@ def from_arrays(arrays: Arrays) -> dict[str, Any]:
 
 
 def undriven(poses: Array) -> Arrays:
-    """Return the columns of keyframes of which only the poses (k, 3) are known."""
+    """Return the further columns of keyframes with only known poses (k, 3)."""
     k = len(poses)
     motions = np.concatenate([poses[:1], between(poses[:-1], poses[1:])])
     return {
@@ -142,7 +142,7 @@ def _check_points(keyframes: Arrays) -> None:
     if len(starts) != k + 1 or starts[0] != 0 or starts[-1] != len(keyframes["points"]):
         raise ValueError("keyframes/starts does not fit the points")
     if (np.diff(starts) < 0).any():
-        raise ValueError("keyframes/starts falls")
+        raise ValueError("keyframes/starts decreases")
 
 
 def _check_finite(keyframes: Arrays, *names: str) -> None:
@@ -152,24 +152,24 @@ def _check_finite(keyframes: Arrays, *names: str) -> None:
 
 
 def _check_covariances(name: str, covariances: Array) -> None:
-    """Raise an error for matrices (k, 3, 3) that are finite, and no covariances."""
-    told = covariances[np.isfinite(covariances).all(axis=(1, 2))]
-    rounding = 1e-9 * np.abs(told).max(initial=0.0)
-    if len(told) and (
-        np.abs(told - told.swapaxes(1, 2)).max() > rounding
-        or np.linalg.eigvalsh(told).min() < -rounding
+    """Raise ValueError for finite matrices (k, 3, 3) that are not covariances."""
+    finite = covariances[np.isfinite(covariances).all(axis=(1, 2))]
+    rounding = 1e-9 * np.abs(finite).max(initial=0.0)
+    if len(finite) and (
+        np.abs(finite - finite.swapaxes(1, 2)).max() > rounding
+        or np.linalg.eigvalsh(finite).min() < -rounding
     ):
-        raise ValueError(f"{name} are no covariances")
+        raise ValueError(f"{name} are not covariances")
 
 
 def _check_sessions(sessions: Ints) -> None:
-    """Raise an error unless sessions are numbered from 0 on, without a gap, in the order of keyframes."""
+    """Raise ValueError unless sessions are numbered 0, 1, ... in the order of keyframes."""
     if len(sessions) and (sessions[0] != 0 or not np.isin(np.diff(sessions), (0, 1)).all()):
         raise ValueError("keyframes/sessions do not count up")
 
 
 def _edges(arrays: Arrays, keyframes: int) -> Edges:
-    """Return the edges; raise an error for one that does not join two keyframes, or has no sense."""
+    """Return the edges; raise ValueError for invalid ones."""
     if "edges/i" not in arrays:
         return NO_EDGES
     edges = Edges(*(arrays[f"edges/{name}"] for name in Edges._fields))

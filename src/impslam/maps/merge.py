@@ -1,8 +1,8 @@
-"""Several maps of one building as one, by any number of robots.
+"""Merge maps of one building, from any number of robots.
 
-Each map is laid on what is merged so far (see `relation`) and joined to its pose graph by the places that
-were recognised (see `joining`); more closures are sought all along it. Then all keyframes are refined
-jointly, and landmarks are estimated anew, each once.
+Each map is aligned with those merged so far (see `relation`) and joined to their pose graph by the
+recognised places (see `joining`); then further closures are searched along it. After that, all keyframes
+are refined jointly, and landmarks are estimated again.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from impslam.maps.relation import Alignment, Outcome, align_maps
 from impslam.provenance import versions
 
 Progress = Callable[[str, float], None]
-"""Called with what is being done, and the share of it that is done, 0 to 1."""
+"""Called with the current task, and its completed share, 0 to 1."""
 
 
 class NotMergedError(ImpError):
-    """The relative pose of a map and the others is not found.
+    """The relative pose of a map and the others could not be determined.
 
     Attributes
     ----------
-    which : its number among the maps, from 0
-    found : what is known
+    which : number of the map, from 0
+    found : the result of the alignment
     """
 
     def __init__(self, which: int, found: Alignment) -> None:
@@ -41,12 +41,12 @@ class NotMergedError(ImpError):
 
 
 def merged(first: Map, *others: Map, progress: Progress = lambda what, share: None) -> Map:
-    """Return maps as one, in the frame of the first.
+    """Return the merged map, in the frame of the first.
 
     Raises
     ------
     NotMergedError
-        If the relative pose of one of them is not found.
+        If the relative pose of one of them cannot be determined.
 
     Examples
     --------
@@ -83,14 +83,14 @@ def merged(first: Map, *others: Map, progress: Progress = lambda what, share: No
 
 
 def _about(first: Map, second: Map) -> dict[str, Any]:
-    """Return the origin of a map that two are merged into: all logs, and the config of the first."""
+    """Return the origin of a merged map: all logs, and the config of the first."""
     names = ("log", "log_sha256", "config")
     named = {name: first.about[name] for name in names if name in first.about}
     return {**named, "logs": [*logs_of(first), *logs_of(second)], "versions": versions()}
 
 
 def _next(known: Map, waiting: dict[int, Map], progress: Progress) -> tuple[int, Alignment]:
-    """Return the first map that lies on what is merged, and how."""
+    """Return the first map that can be aligned with those merged so far, and its alignment."""
     failed: dict[int, Alignment] = {}
     for which, other in waiting.items():
         step = partial(progress, f"finding map {which + 1}")
@@ -103,19 +103,19 @@ def _next(known: Map, waiting: dict[int, Map], progress: Progress) -> tuple[int,
 
 def _graph(known: Map, config: Config) -> Graph:
     estimator = config.make_estimator(known)
-    assert isinstance(estimator, Graph), "the default estimates by a graph"
+    assert isinstance(estimator, Graph), "the default estimator is a graph"
     return estimator
 
 
 def _with_graph(known: Map, config: Config) -> Map:
-    """Return a map with the motions between its keyframes as a graph, if it has none."""
+    """Return the map, with the motions between its keyframes as a graph if it has none."""
     return known if len(known.edges.i) else replace(known, edges=_graph(known, config).edges())
 
 
 def _settled(known: Map, begin: int, config: Config) -> Map:
-    """Return a joined map with more closures of the keyframes from `begin` on, all of it refined."""
+    """Return a joined map after a search for closures from keyframe `begin` on, and refinement."""
     graph = _graph(known, config)
-    graph.seek_loops(begin)
+    graph.search_loops(begin)
     revision = graph.settle()
     assert revision is not None, "there are keyframes"
     settled = blended(replace(known, edges=graph.edges()).revised(revision))

@@ -1,7 +1,7 @@
-"""A map seen from another frame: its poses, their covariances, and its landmarks.
+"""Transformation of a map to another frame: covariances of poses, and landmarks.
 
-Errors are additive on [x, y, theta] in map, so a motion T = [t, phi] of the map turns a covariance by
-J = diag(R(phi), 1), whatever t is. What is relative (tracks, edges, scans) stays.
+Errors are additive on [x, y, theta] in map, so a motion T = [t, phi] of the map rotates a covariance by
+J = diag(R(phi), 1), for any t. Relative data (tracks, edges, scans) do not change.
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ def moved_covariances(T: Array, covariances: Array) -> Array:
 def moved_landmark(T: Array, landmark: Landmark) -> Landmark:
     """Return a landmark after the map has moved by T (3,).
 
-    A line is one that has r and alpha as parameters; anything else is a point, with the covariance of
-    its x and y.
+    Landmarks with parameters r and alpha are lines; others are points, with the covariance of x and y.
     """
     ends = None if landmark.end_points is None else transform(T, landmark.end_points)
     values, J = dict(landmark.parameters), rotation(float(T[2]))
@@ -43,14 +42,14 @@ def moved_landmark(T: Array, landmark: Landmark) -> Landmark:
 
 
 def _moved_line(T: Array, r: float, alpha: float) -> tuple[float, float, Array]:
-    """Return r >= 0 and alpha of the line after T, and their Jacobian (2, 2) by those before.
+    """Return r >= 0 and alpha of a line after T, and their Jacobian (2, 2) by the previous ones.
 
     The line {p : p . n(alpha) = r} becomes p . n(a) = r + t . n(a) with a = alpha + phi.
     """
-    turned = alpha + float(T[2])
-    c, s = math.cos(turned), math.sin(turned)
+    rotated = alpha + float(T[2])
+    c, s = math.cos(rotated), math.sin(rotated)
     distance = r + c * float(T[0]) + s * float(T[1])
     sign = -1.0 if distance < 0.0 else 1.0
     lever = c * float(T[1]) - s * float(T[0])
     by_before = np.array([[sign, sign * lever], [0.0, 1.0]])
-    return sign * distance, wrap(turned + (math.pi if sign < 0.0 else 0.0)), by_before
+    return sign * distance, wrap(rotated + (math.pi if sign < 0.0 else 0.0)), by_before

@@ -1,4 +1,4 @@
-"""Observations of keyframes as columns, and back: what a map's file holds of them."""
+"""Conversion of observations of keyframes to the columns in a map's file, and back."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ Seen: TypeAlias = tuple[tuple[Observation, ...], ...]
 
 
 def packed(seen: Sequence[Sequence[Observation]]) -> Arrays:
-    """Return observations as arrays; their beams are left out, for the sweeps are no part of a map."""
-    every = [o for keyframe in seen for o in keyframe]
-    kinds = sorted({o.kind for o in every})
-    names = sorted({name for o in every for name in o.attributes})
+    """Return observations as arrays, without beam indices, because maps do not contain sweeps."""
+    flat = [o for keyframe in seen for o in keyframe]
+    kinds = sorted({o.kind for o in flat})
+    names = sorted({name for o in flat for name in o.attributes})
     table = json.dumps({"kinds": kinds, "attributes": names})
     return {
         "counts": np.array([len(keyframe) for keyframe in seen], np.int64),
-        "kinds": np.array([kinds.index(o.kind) for o in every], np.int64),
-        "sizes": np.array([len(o.z) for o in every], np.int64),
-        "z": np.concatenate([np.empty(0), *(o.z for o in every)]),
-        "R": np.concatenate([np.empty(0), *(o.R.ravel() for o in every)]),
-        "end_points": np.array([_ends(o) for o in every], float).reshape(-1, 2, 2),
-        "labels": np.array([-1 if o.label is None else o.label for o in every], np.int64),
-        "delays": np.array([o.delay for o in every], float),
+        "kinds": np.array([kinds.index(o.kind) for o in flat], np.int64),
+        "sizes": np.array([len(o.z) for o in flat], np.int64),
+        "z": np.concatenate([np.empty(0), *(o.z for o in flat)]),
+        "R": np.concatenate([np.empty(0), *(o.R.ravel() for o in flat)]),
+        "end_points": np.array([_ends(o) for o in flat], float).reshape(-1, 2, 2),
+        "labels": np.array([-1 if o.label is None else o.label for o in flat], np.int64),
+        "delays": np.array([o.delay for o in flat], float),
         "attributes": np.array(
-            [[o.attributes.get(name, math.nan) for name in names] for o in every], float
+            [[o.attributes.get(name, math.nan) for name in names] for o in flat], float
         ).ravel(),
         "names": np.frombuffer(table.encode(), np.uint8),
     }
 
 
 def unpacked(arrays: Arrays) -> Seen:
-    """Return what was packed; raise ValueError for arrays that do not fit each other."""
+    """Return packed observations; raise ValueError if the arrays are inconsistent."""
     table = json.loads(arrays["names"].tobytes())
     kinds, names = list(map(str, table["kinds"])), list(map(str, table["attributes"]))
     counts, sizes = arrays["counts"], arrays["sizes"]
@@ -48,15 +48,15 @@ def unpacked(arrays: Arrays) -> Seen:
     if (counts < 0).any() or counts.sum() != n:
         raise ValueError("observations/counts does not fit the observations")
     if (sizes < 1).any() or sizes.sum() != len(arrays["z"]):
-        raise ValueError("observations/z is not as long as its sizes say")
+        raise ValueError("observations/z does not have the length of its sizes")
     if (sizes**2).sum() != len(arrays["R"]) or n * len(names) != len(arrays["attributes"]):
-        raise ValueError("observations/R or attributes is not as long as its sizes say")
+        raise ValueError("observations/R or attributes does not have the length of its sizes")
     if ((arrays["kinds"] < 0) | (arrays["kinds"] >= len(kinds))).any():
         raise ValueError("observations/kinds are not named")
-    every = list(_rows(arrays, kinds, names))
+    flat = list(_rows(arrays, kinds, names))
     ends = np.cumsum(counts)
     return tuple(
-        tuple(every[e - c : e]) for c, e in zip(counts.tolist(), ends.tolist(), strict=True)
+        tuple(flat[e - c : e]) for c, e in zip(counts.tolist(), ends.tolist(), strict=True)
     )
 
 

@@ -1,8 +1,9 @@
-"""The relative pose of two maps of the same place, or that it is ambiguous.
+"""Determine the relative pose of two maps of the same place.
 
-Short ways of the one map are sought in the whole of the other (see `recognition.relocalisation`). Each that
-is found tells the relation by itself. One answer may be wrong, as places look alike; several that agree, of
-ways that share no scan, are believed (Mangelson et al. 2018), if few others contradict them.
+Short stretches of one map's drive are searched for in the whole other map (see
+`recognition.relocalisation`). Each match determines the relative pose by itself. A single match may be
+wrong, because places look alike; several that agree, from stretches without common scans, are accepted
+(Mangelson et al. 2018) if few others contradict them.
 """
 
 from __future__ import annotations
@@ -19,34 +20,34 @@ from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import between, compose
 from impslam.map import Keyframes, Map
 from impslam.recognition.consistency import Relation, consistent
-from impslam.recognition.correlative import spread
+from impslam.recognition.correlative import spread_order
 from impslam.recognition.relocalisation import Relocaliser, Verdict, query
 from impslam.recognition.stored import stored_views
 from impslam.types import Array, Ints
 
 LENGTH = 3.0
-"""m of way that is sought as one: from 2 m on, no place was told falsely in recorded buildings. The ways of
-a short drive are shorter."""
-TURN = 0.5
-"""m of way that a radian counts for: it changes the view by about as much."""
-MOST = 60
-"""Ways that are sought: with more, a large map takes minutes."""
-FEWEST, ENOUGH = 3, 6
-"""Ways that agree before a relation is believed; and that make further ones needless."""
-CONTRADICTED = 0.25
-"""Of the ways found, as many may tell another relation; with more it is ambiguous."""
-PLACE, HEADING = 0.1, 0.02
-"""m, rad: standard deviations of a way's pose in the other map."""
+"""m, of a stretch: from 2 m on, no false match occurred in recorded buildings. Short drives have shorter
+stretches."""
+METRES_PER_RADIAN = 0.5
+"""A turn of a radian changes the view by about as much as this distance."""
+MAX_STRETCHES = 60
+"""With more, a large map takes minutes."""
+MIN_AGREEING, ENOUGH = 3, 6
+"""Stretches that have to agree, and the number after which the search ends."""
+MAX_CONTRADICTING = 0.25
+"""Contradicting matches per agreeing one; with more the relative pose is ambiguous."""
+POSITION_SIGMA, HEADING_SIGMA = 0.1, 0.02
+"""m, rad: standard deviations of a stretch's pose in the other map."""
 BEND, TWIST = 0.01, 0.002
-"""m/m, rad/m: those of two poses of one map against each other, by their distance; a settled map's shape
-is surer, but an unsettled one bends by that much."""
+"""m/m, rad/m: standard deviations of the relative pose of two keyframes of one map by their distance; a
+settled map is more accurate, but an unsettled one is bent by that much."""
 
 Progress = Callable[[float], None]
-"""Called with the share that is done, 0 to 1."""
+"""Called with the completed share, 0 to 1."""
 
 
 class Outcome(Enum):
-    """What is known of how two maps lie."""
+    """Whether the relative pose of two maps was determined."""
 
     FOUND = "found"
     AMBIGUOUS = "ambiguous"
@@ -54,39 +55,38 @@ class Outcome(Enum):
 
 
 class Link(NamedTuple):
-    """A way that was found: keyframe `row` of the second map is at `pose` (3,) in the first one."""
+    """A match of a stretch: keyframe `row` of the second map is at `pose` (3,) in the first one."""
 
     row: int
     pose: Array
 
 
 class Alignment(NamedTuple):
-    """How two maps lie.
+    """The relative pose of two maps.
 
     Attributes
     ----------
-    outcome : FOUND; AMBIGUOUS where ways agree on it, but too few, or others on something else; APART
-        where no two agree
-    T : (3,) pose of the second map's frame in the first one; the best guess where it is not FOUND
-    links : the ways that agree on it
-    found, sought : ways that were found anywhere, and those that were sought
+    outcome : FOUND; AMBIGUOUS if too few stretches agree, or too many contradict; APART if no two agree
+    T : (3,) pose of the second map's frame in the first one; the best guess unless FOUND
+    links : the stretches that agree on it
+    found, searched : numbers of matched and of searched stretches
     """
 
     outcome: Outcome
     T: Array
     links: tuple[Link, ...]
     found: int
-    sought: int
+    searched: int
 
     @property
     def words(self) -> str:
-        """What is known, in words."""
-        ways = f"{len(self.links)} of {self.sought} stretches agree on their relative pose"
+        """The result in words."""
+        agreement = f"{len(self.links)} of {self.searched} stretches agree on their relative pose"
         if self.outcome is Outcome.FOUND:
-            return ways
+            return agreement
         if self.outcome is Outcome.AMBIGUOUS:
-            return f"their relative pose is ambiguous: only {ways}, {self.found} were found"
-        return f"they have no place in common ({self.sought} stretches were searched for)"
+            return f"their relative pose is ambiguous: only {agreement}, {self.found} were found"
+        return f"they have no place in common ({self.searched} stretches were searched for)"
 
 
 def aligned_to(first: Map, second: Map, progress: Progress = lambda _: None) -> Map:
@@ -95,7 +95,7 @@ def aligned_to(first: Map, second: Map, progress: Progress = lambda _: None) -> 
     Raises
     ------
     ImpError
-        If their relative pose is not found.
+        If their relative pose cannot be determined.
     """
     found = align_maps(first.keyframes, second.keyframes, progress)
     if found.outcome is not Outcome.FOUND:
@@ -106,18 +106,18 @@ def aligned_to(first: Map, second: Map, progress: Progress = lambda _: None) -> 
 def align_maps(
     first: Keyframes, second: Keyframes, progress: Progress = lambda _: None
 ) -> Alignment:
-    """Return how the keyframes of a second map lie in a first one's; those not placed are left out."""
+    """Return the relative pose of the keyframes of two maps; those not placed are ignored."""
     if not (first.placed.all() and second.placed.all()):
         return _align_placed(first, second, progress)
-    ways = _ways(second.poses)
-    if not len(first) or not ways:
+    stretches = _stretches(second.poses)
+    if not len(first) or not stretches:
         return Alignment(Outcome.APART, np.zeros(3), (), 0, 0)
-    places, views = Relocaliser(first), stored_views(second)
+    relocaliser, views = Relocaliser(first), stored_views(second)
     links: list[Link] = []
     found = Alignment(Outcome.APART, np.zeros(3), (), 0, 0)
-    for k, rows in enumerate(ways):
-        progress(k / len(ways))
-        answer = places.find_query(query([views[row] for row in rows], second.poses[rows]))
+    for k, rows in enumerate(stretches):
+        progress(k / len(stretches))
+        answer = relocaliser.find_query(query([views[row] for row in rows], second.poses[rows]))
         if answer.verdict is Verdict.FOUND:
             links.append(Link(int(rows[-1]), answer.hypotheses[0].pose))
         found = judge(links, second.poses, k + 1)
@@ -127,28 +127,28 @@ def align_maps(
 
 
 def _align_placed(first: Keyframes, second: Keyframes, progress: Progress) -> Alignment:
-    """Return `align_maps` of those keyframes that are placed."""
+    """Return `align_maps` of the placed keyframes."""
     rows = np.flatnonzero(second.placed)
     placed = first.take(np.flatnonzero(first.placed)), second.take(rows)
     found = align_maps(*placed, progress)
     return found._replace(links=tuple(Link(int(rows[row]), pose) for row, pose in found.links))
 
 
-def _ways(poses: Array) -> list[Ints]:
-    """Return rows of keyframes of ways that share none, in an order whose beginning is spread evenly."""
+def _stretches(poses: Array) -> list[Ints]:
+    """Return the keyframe rows of disjoint stretches, in an order whose every prefix is spread evenly."""
     steps = np.diff(poses, axis=0)
-    way = np.hypot(steps[:, 0], steps[:, 1]) + TURN * np.abs(wrap(steps[:, 2]))
-    way = np.concatenate([[0.0], np.cumsum(way)])[: len(poses)]
-    total = float(way[-1]) if len(way) else 0.0
+    lengths = np.hypot(steps[:, 0], steps[:, 1]) + METRES_PER_RADIAN * np.abs(wrap(steps[:, 2]))
+    distance = np.concatenate([[0.0], np.cumsum(lengths)])[: len(poses)]
+    total = float(distance[-1]) if len(distance) else 0.0
     length = min(LENGTH, total / ENOUGH)
-    count = min(MOST, math.floor(total / max(length, 1e-6))) if length > 0.0 else 0
+    count = min(MAX_STRETCHES, math.floor(total / max(length, 1e-6))) if length > 0.0 else 0
     begins = total * np.arange(count) / max(count, 1)
-    ways = [np.flatnonzero((way >= begin) & (way < begin + length)) for begin in begins]
-    return [ways[k] for k in spread(count) if len(ways[k])]
+    rows = [np.flatnonzero((distance >= b) & (distance < b + length)) for b in begins]
+    return [rows[k] for k in spread_order(count) if len(rows[k])]
 
 
-def judge(links: Sequence[Link], poses: Array, sought: int) -> Alignment:
-    """Return what links tell, of keyframes at poses (k, 3) in their own map."""
+def judge(links: Sequence[Link], poses: Array, searched: int) -> Alignment:
+    """Return the alignment from links, of keyframes at poses (k, 3) in their own map."""
     n = len(links)
     agree = np.eye(n, dtype=bool)
     for a in range(n):
@@ -159,27 +159,28 @@ def judge(links: Sequence[Link], poses: Array, sought: int) -> Alignment:
     outcome = Outcome.APART
     if len(chosen) > 1:
         contradicting = n - len(chosen)
-        sure = len(chosen) >= FEWEST and contradicting <= CONTRADICTED * len(chosen)
-        outcome = Outcome.FOUND if sure else Outcome.AMBIGUOUS
+        is_certain = len(chosen) >= MIN_AGREEING
+        is_certain &= contradicting <= MAX_CONTRADICTING * len(chosen)
+        outcome = Outcome.FOUND if is_certain else Outcome.AMBIGUOUS
     T = fit([poses[link.row] for link in chosen], [link.pose for link in chosen])
-    return Alignment(outcome, T, chosen, n, sought)
+    return Alignment(outcome, T, chosen, n, searched)
 
 
 def _agree(one: Link, other: Link, poses: Array) -> bool:
-    """Tell whether two links can both be true."""
+    """Return whether two links are consistent."""
     motion = between(poses[one.row], poses[other.row])
     distance = math.hypot(motion[0], motion[1])
-    place, heading = 0.05 + BEND * distance, 0.01 + TWIST * distance
-    bent = np.diag([2.0 * place**2, 2.0 * place**2, 2.0 * heading**2])  # both maps are
-    found = np.diag([PLACE**2, PLACE**2, HEADING**2])
-    still = Relation(np.zeros(3), np.zeros((3, 3)))
+    position, heading = 0.05 + BEND * distance, 0.01 + TWIST * distance
+    bent = np.diag([2.0 * position**2, 2.0 * position**2, 2.0 * heading**2])  # of both maps
+    found = np.diag([POSITION_SIGMA**2, POSITION_SIGMA**2, HEADING_SIGMA**2])
+    identity = Relation(np.zeros(3), np.zeros((3, 3)))
     return consistent(
-        Relation(one.pose, found), Relation(other.pose, found), still, Relation(motion, bent)
+        Relation(one.pose, found), Relation(other.pose, found), identity, Relation(motion, bent)
     )
 
 
 def _clique(agree: np.ndarray[tuple[int, int], np.dtype[np.bool_]]) -> list[int]:
-    """Return links that all agree with each other: the most that a greedy search finds."""
+    """Return the largest set of mutually consistent links that a greedy search finds."""
     best: list[int] = []
     for k in np.argsort(-agree.sum(axis=1), kind="stable"):
         chosen = [int(k)]
@@ -191,16 +192,16 @@ def _clique(agree: np.ndarray[tuple[int, int], np.dtype[np.bool_]]) -> list[int]
 
 
 def fit(inside: Sequence[Array], outside: Sequence[Array]) -> Array:
-    """Return the pose T (3,) that lays poses (3,) each on the others in the least-squares sense.
+    """Return the pose T (3,) that maps `inside` poses (3,) onto `outside` ones by least squares.
 
-    Places and headings weigh by their variances. For the places, the rotation is that of Umeyama 1991;
-    a heading adds its own term to the same sum of cosines.
+    Positions and headings are weighted by their variances. For the positions, the rotation is that of
+    Umeyama 1991; each heading adds a term to the same sum of cosines.
     """
     if not len(inside):
         return np.zeros(3)
     p, q = np.array(inside), np.array(outside)
     a, b = p[:, :2] - p[:, :2].mean(axis=0), q[:, :2] - q[:, :2].mean(axis=0)
-    lever = (PLACE / HEADING) ** 2
+    lever = (POSITION_SIGMA / HEADING_SIGMA) ** 2
     turns = q[:, 2] - p[:, 2]
     c = float((a * b).sum() + lever * np.cos(turns).sum())
     s = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() + lever * np.sin(turns).sum())

@@ -101,8 +101,8 @@ class Growing(Protocol):
     def map(self) -> Map:
         """Return the current map."""
 
-    def reading(self) -> Callable[[], tuple[Landmark, ...]]:
-        """Return what gives the landmarks as of now, in another thread."""
+    def draft_landmarks(self) -> Callable[[], tuple[Landmark, ...]]:
+        """Return a function that computes the landmarks as of now, in another thread."""
 
     def keyframes(self) -> Keyframes:
         """Return the current keyframes, which is faster."""
@@ -262,7 +262,7 @@ class LiveView(Observer):
             return
         begin, read, keyframes = time.monotonic(), None, None
         if self._stale and begin >= self._marks_due:
-            read = self._run.reading()
+            read = self._run.draft_landmarks()
             took = time.monotonic() - begin
             self._stale, self._marks_due = False, begin + max(LANDMARKS, took / SHARE)
         if begin >= self._grid_due:

@@ -1,1 +1,1 @@
-"""Places seen before: found by search, and verified by what the scans contradict."""
+"""Place recognition: search for the pose of scans in a map, and verification by free space."""

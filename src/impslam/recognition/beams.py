@@ -1,8 +1,8 @@
-"""How a map explains the beams of a scan at a pose, beam by beam.
+"""Score of a scan at a pose in a map, beam by beam.
 
-A beam that ends on a wall speaks for the pose. One that would have passed a wall on its way speaks against
-it, one that ends in space known to be free does so less, for what stands there may be new. One that ends
-where nobody has looked tells nothing (the beam model of Thrun et al. 2005, 6.3, with its four causes).
+A beam that ends on a wall supports the pose. One that would have passed through a wall contradicts it; one
+that ends in free space contradicts it less, because the object there may be new. One that ends in unknown
+space has no effect (the beam model of Thrun et al. 2005, 6.3, with its four causes).
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from impslam.recognition.ground import FREE, SIDE, SOLID, Floats, Ground
 from impslam.recognition.pyramid import Bytes
 from impslam.types import Array
 
-SIGMA = 0.08  # m, of a beam's end from the wall: range noise, cells of 5 cm, the map's own error
-NEAR, ON = 0.3, 0.12  # m, so close to a wall an end may belong to it; so close, it does
-SHORT, THROUGH = -1.0, -2.0
-"""Scores of an end in free space, and of a beam that would have passed a wall. In recorded buildings, at
-true poses 4 and 2 % of the beams are so, at the best false ones 16 and 14 %: they tell more than beams that
-match, of which there are 92 and 68 %, and a wall tells more than what may have come to stand in the way."""
-BEFORE = 0.35  # m before its end, where a beam is no longer held against walls
-STEP = 0.04  # m, the shortest step along a beam
-BLIND = 0.1  # m, nearer than this is the robot itself
+SIGMA = 0.08  # m, of a beam's end from the wall: range noise, cells of 5 cm, error of the map
+MAX_DISTANCE, MATCH_DISTANCE = 0.3, 0.12  # m from a wall, for a positive score, and for a match
+SHORT_SCORE, THROUGH_SCORE = -1.0, -2.0
+"""Scores of an end in free space, and of a beam through a wall. In recorded buildings, these are 4 and 2 %
+of the beams at true poses, and 16 and 14 % at the best false ones: they are more informative than matches,
+of which there are 92 and 68 %, and walls more than objects that may be new."""
+END_MARGIN = 0.35  # m before the end of a beam that is not tested for walls
+MIN_STEP = 0.04  # m along a beam
+MIN_RANGE = 0.1  # m; nearer is the robot itself
 
 
 class Beams(NamedTuple):
@@ -33,7 +33,7 @@ class Beams(NamedTuple):
 
     Attributes
     ----------
-    starts : (n, 2) m, where the lidar was
+    starts : (n, 2) m, position of the lidar
     ends : (n, 2) m
     """
 
@@ -41,15 +41,15 @@ class Beams(NamedTuple):
     ends: Array
 
 
-class Explained(NamedTuple):
-    """How a map explains beams: the mean score, at most 1, and shares of the beams.
+class Explanation(NamedTuple):
+    """Result of `explain`: the mean score, at most 1, and shares of the beams.
 
     Attributes
     ----------
     matched : that end on a wall
-    through : that would have passed a wall
+    through : that would have passed through a wall
     short : that end in free space
-    unknown : that end where nobody has looked
+    unknown : that end in unknown space
     """
 
     score: float
@@ -59,11 +59,11 @@ class Explained(NamedTuple):
     unknown: float
 
 
-def explain(ground: Ground, beams: Beams, pose: Array) -> Explained:
-    """Return how a map explains beams whose frame is at a pose (3,)."""
+def explain(ground: Ground, beams: Beams, pose: Array) -> Explanation:
+    """Return how well a map explains beams whose frame is at a pose (3,)."""
     sums = np.zeros(5)
     _explain(ground.state, ground.distance, ground.corner, beams, plain(pose), sums)
-    return Explained(*(sums / max(len(beams.ends), 1)).tolist())
+    return Explanation(*(sums / max(len(beams.ends), 1)).tolist())
 
 
 @kernel
@@ -79,7 +79,7 @@ def _explain(
         dx, dy = beams.ends[i] - beams.starts[i]
         dx, dy = c * dx - s * dy, s * dx + c * dy
         if _passes(state, distance, x, y, dx, dy):
-            sums[0] += THROUGH
+            sums[0] += THROUGH_SCORE
             sums[2] += 1.0
             continue
         column, row = math.floor((x + dx) / SIDE), math.floor((y + dy) / SIDE)
@@ -87,11 +87,11 @@ def _explain(
             sums[4] += 1.0
             continue
         d = distance[row, column]
-        if d < NEAR:
+        if d < MAX_DISTANCE:
             sums[0] += math.exp(-d * d / (2.0 * SIGMA * SIGMA))
         elif state[row, column] == FREE:
-            sums[0] += SHORT
-        if d < ON:
+            sums[0] += SHORT_SCORE
+        if d < MATCH_DISTANCE:
             sums[1] += 1.0
         elif state[row, column] == FREE:
             sums[3] += 1.0
@@ -101,16 +101,16 @@ def _explain(
 
 @kernel
 def _passes(state: Bytes, distance: Floats, x: float, y: float, dx: float, dy: float) -> bool:
-    """Tell whether a beam from (x, y) m on the grid by (dx, dy) m would pass a wall."""
+    """Return whether a beam from (x, y) m on the grid by (dx, dy) m would pass through a wall."""
     height, width = state.shape
     length = math.sqrt(dx * dx + dy * dy)
-    dx, dy = dx / max(length, BLIND), dy / max(length, BLIND)
-    way = BLIND
-    while way < length - BEFORE:
-        column, row = math.floor((x + way * dx) / SIDE), math.floor((y + way * dy) / SIDE)
+    dx, dy = dx / max(length, MIN_RANGE), dy / max(length, MIN_RANGE)
+    r = MIN_RANGE
+    while r < length - END_MARGIN:
+        column, row = math.floor((x + r * dx) / SIDE), math.floor((y + r * dy) / SIDE)
         if not (0 <= column < width and 0 <= row < height):
             return False
         if state[row, column] == SOLID:
             return True
-        way += max(distance[row, column] - STEP, STEP)
+        r += max(distance[row, column] - MIN_STEP, MIN_STEP)
     return False

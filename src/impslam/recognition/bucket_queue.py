@@ -1,4 +1,4 @@
-"""A queue from which the key of the greatest bound comes first, with a bucket for each bound."""
+"""A priority queue of keys by integer bound, with a bucket for each bound."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from impslam.types import Ints
 
 
 class BucketQueue(NamedTuple):
-    """Keys by their bound: a linked list for each; `first` (b,) and `after` (n,) are -1 at its end.
+    """A linked list of keys for each bound; `first` (b,) and `after` (n,) are -1 at its end.
 
-    `state` (2,) is the number of keys that were pushed, and the greatest bound.
+    `state` (2,) is the number of pushed keys, and the greatest bound.
     """
 
     first: Ints32
@@ -24,19 +24,19 @@ class BucketQueue(NamedTuple):
 
 
 @kernel
-def empty_queue(most: int, room: int) -> BucketQueue:
-    """Return a queue for bounds up to `most`, into which so many keys may be pushed."""
+def empty_queue(max_bound: int, capacity: int) -> BucketQueue:
+    """Return a queue for bounds up to `max_bound`, to which `capacity` keys can be pushed."""
     return BucketQueue(
-        np.full(most + 1, -1, np.int32),
-        np.empty(room, np.int32),
-        np.empty(room, np.int64),
+        np.full(max_bound + 1, -1, np.int32),
+        np.empty(capacity, np.int32),
+        np.empty(capacity, np.int64),
         np.zeros(2, np.int64),
     )
 
 
 @kernel
 def push(queue: BucketQueue, bound: int, key: int) -> None:
-    """Enter a key, unless there is no room for it."""
+    """Add a key; ignore it if the queue is full."""
     k = queue.state[0]
     if k < len(queue.keys):
         queue.keys[k], queue.after[k] = key, queue.first[bound]
@@ -47,7 +47,7 @@ def push(queue: BucketQueue, bound: int, key: int) -> None:
 
 @kernel
 def pop(queue: BucketQueue) -> tuple[int, int]:
-    """Return the greatest bound and its newest key, and remove it; bound 0 if there is none."""
+    """Remove and return the greatest bound and its newest key; bound 0 if the queue is empty."""
     best = queue.state[1]
     while best > 0 and queue.first[best] < 0:
         best -= 1

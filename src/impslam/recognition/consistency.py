@@ -1,4 +1,4 @@
-"""Whether two closures can both be true (Mangelson et al. 2018, pairwise consistency, Eq. 3)."""
+"""Pairwise consistency of loop closures (Mangelson et al. 2018, Eq. 3)."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose_uncertain
 from impslam.types import Array
 
-GATE = 11.345  # chi^2 of 3 degrees of freedom: one true pair in a hundred is refused
+GATE = 11.345  # chi^2 of 3 degrees of freedom: 1 % of true pairs are rejected
 
 
 class Relation(NamedTuple):
-    """A pose (3,), `T_a_b`, and the covariance (3, 3) of an additive error on it."""
+    """A relative pose (3,), `T_a_b`, and the covariance (3, 3) of its additive error."""
 
     pose: Array
     covariance: Array
@@ -23,10 +23,10 @@ class Relation(NamedTuple):
 def distance2(one: Relation, other: Relation, references: Relation, queries: Relation) -> float:
     """Return the squared Mahalanobis distance by which two closures disagree.
 
-    `T_a_b` is the one closure, `T_c_d` the other. From a to d there are two ways: over b, `T_a_b`
-    and the chain of queries `T_b_d`; over c, the chain of references `T_a_c` and `T_c_d`. Closures and
-    chains have independent errors, so the difference has the sum of the two ways' covariances. A chain
-    of no length has no covariance; a closure must have one.
+    `T_a_b` is one closure, `T_c_d` the other. There are two paths from a to d: over b, by `T_a_b` and the
+    chain of queries `T_b_d`; over c, by the chain of references `T_a_c` and `T_c_d`. Closures and chains
+    have independent errors, so the covariance of the difference is the sum of those of both paths. The
+    covariance of a chain may be zero; that of a closure must not.
     """
     over_b, P = compose_uncertain(*one, *queries)
     over_c, Q = compose_uncertain(*references, *other)
@@ -38,5 +38,5 @@ def distance2(one: Relation, other: Relation, references: Relation, queries: Rel
 def consistent(
     one: Relation, other: Relation, references: Relation, queries: Relation, gate: float = GATE
 ) -> bool:
-    """Tell whether two closures, `T_a_b` and `T_c_d`, agree through the chains `T_a_c` and `T_b_d`."""
+    """Return whether closures `T_a_b` and `T_c_d` agree, given the chains `T_a_c` and `T_b_d`."""
     return distance2(one, other, references, queries) <= gate

@@ -1,10 +1,10 @@
-"""Correlative scan matching: the pose in a window where points fit a likelihood grid best.
+"""Correlative scan matching: the pose in a window at which points fit a likelihood grid best.
 
-A grid holds how likely a point falls on each cell: a Gaussian around the reference's points. The score
-of a pose is the mean likelihood of the points there (Olson 2009, Eq. 5, with the sum for the
-product). Poses are sought on the grid's own raster and at a fixed step of heading by branch and bound
-(Hess et al. 2016, Alg. 3): level l of the pyramid holds the greatest likelihood among 2^l x 2^l cells,
-so that one sum bounds the scores of as many poses. The result is that of an exhaustive search.
+Each cell of the grid holds the likelihood of a point there: a Gaussian around the points of the reference.
+The score of a pose is the mean likelihood of the points (Olson 2009, Eq. 5, with a sum instead of the
+product). Poses on the raster of the grid, with a fixed step of heading, are searched by branch and bound
+(Hess et al. 2016, Alg. 3): level l of the pyramid holds the maximum likelihood of 2^l x 2^l cells, so that
+one sum bounds the scores of as many poses. The result is that of an exhaustive search.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from impslam.recognition.pyramid import CELL, FULL, Bytes, Ints32, Pyramid
 from impslam.surfaces.features import Features
 from impslam.types import Array, Ints
 
-TURN = 0.0125  # rad between two headings: a point 8 m away moves by one cell
-APART, TURNED = 0.8, 0.25  # m, rad: peaks farther apart are two places, not one blurred
-DEEPEST = 6  # levels: blocks of 64 cells
+HEADING_STEP = 0.0125  # rad: a point 8 m away moves by one cell
+SEPARATION, HEADING_SEPARATION = 0.8, 0.25  # m, rad: peaks farther apart are distinct places
+MAX_LEVEL = 6  # blocks of 64 cells
 
 
 class Window(NamedTuple):
@@ -40,10 +40,10 @@ class Peak(NamedTuple):
     pose: Array
 
 
-def deep_enough(window: Window) -> int:
-    """Return the level at which to begin a search: blocks of about a quarter of the window."""
+def start_level(window: Window) -> int:
+    """Return the pyramid level at which a search starts: blocks of about a quarter of the window."""
     cells = 2.0 * max(window.x, window.y) / CELL
-    return int(np.clip(round(math.log2(max(cells, 1.0))) - 2, 3, DEEPEST))
+    return int(np.clip(round(math.log2(max(cells, 1.0))) - 2, 3, MAX_LEVEL))
 
 
 def search(
@@ -53,24 +53,24 @@ def search(
     window: Window,
     min_score: float = 0.0,
     exclude: Array | None = None,
-    turn: float = TURN,
+    turn: float = HEADING_STEP,
 ) -> Peak:
-    """Return the best pose in a window around a guess (3,); score 0 unless one exceeds `min_score`.
+    """Return the best pose in a window around a guess (3,), with score 0 if none exceeds `min_score`.
 
     Parameters
     ----------
-    points : (n, 2 or more columns) x, y in m in the frame whose pose is sought
-    exclude : a pose (3,): those within `APART` and `TURNED` of it are left out
-    turn : rad, step between headings; a window of pi or more is all around in equal steps
+    points : (n, 2 or more columns) x, y in m in the frame to be located
+    exclude : a pose (3,); poses within `SEPARATION` and `HEADING_SEPARATION` of it are excluded
+    turn : rad, step between headings; a window of pi or more is a full circle in equal steps
     """
     headings = guess[2] + _turns(window.heading, turn)
-    reach = np.array([math.ceil(window.x / CELL - 1e-9), math.ceil(window.y / CELL - 1e-9)])
-    least = math.floor(min_score * FULL * len(points))
-    apart = 0.0 if exclude is None else APART / CELL
+    max_shift = np.array([math.ceil(window.x / CELL - 1e-9), math.ceil(window.y / CELL - 1e-9)])
+    min_sum = math.floor(min_score * FULL * len(points))
+    radius = 0.0 if exclude is None else SEPARATION / CELL
     other = plain(guess if exclude is None else exclude)
-    elsewhere = (other[:2] - guess[:2]) / CELL, float(other[2]), apart
-    ordered = np.ascontiguousarray(points[spread(len(points))])
-    total, a, u, v = _search(pyramid, ordered, plain(guess), headings, reach, least, elsewhere)
+    excluded = (other[:2] - guess[:2]) / CELL, float(other[2]), radius
+    ordered = np.ascontiguousarray(points[spread_order(len(points))])
+    total, a, u, v = _search(pyramid, ordered, plain(guess), headings, max_shift, min_sum, excluded)
     if a < 0:
         return Peak(0.0, np.array(guess))
     heading = float(wrap(headings[a]))
@@ -78,8 +78,8 @@ def search(
     return Peak(total / (FULL * len(points)), pose)
 
 
-def spread(n: int) -> Ints:
-    """Return 0 to n - 1 in an order whose every beginning is spread over all: so that sums end early."""
+def spread_order(n: int) -> Ints:
+    """Return 0 to n - 1 in an order whose every prefix is spread evenly, so that sums can end early."""
     step = max(1, round(0.618 * n))  # the golden section: multiples of it fill a circle evenly
     while math.gcd(step, n) > 1:
         step += 1
@@ -87,7 +87,7 @@ def spread(n: int) -> Ints:
 
 
 def _turns(half: float, step: float) -> Array:
-    """Return headings (a,) relative to the guess, no farther than `step` from one to the next."""
+    """Return headings (a,) relative to the guess, at most `step` apart."""
     if half >= math.pi:
         n = math.ceil(2.0 * math.pi / step)
         return plain(np.arange(n) * (2.0 * math.pi / n))
@@ -101,42 +101,42 @@ def _search(
     points: Features,
     guess: Array,
     headings: Array,
-    reach: Ints,
-    least: int,
-    elsewhere: tuple[Array, float, float],
+    max_shift: Ints,
+    min_sum: int,
+    excluded: tuple[Array, float, float],
 ) -> tuple[int, int, int, int]:
-    """Return the best sum of likelihoods, and where: index of the heading and shift in cells.
+    """Return the best sum of likelihoods, with its index of the heading and shift in cells.
 
-    `reach` (2,) is the greatest shift; only sums beyond `least` count, the index is -1 where there is
-    none. `elsewhere` is a shift (2,), a heading in rad and a radius in cells to leave out.
+    `max_shift` (2,) is in cells. The index is -1 if no sum exceeds `min_sum`. `excluded` is a disc of
+    shifts to exclude: centre (2,), heading in rad and radius in cells.
     """
-    centre, heading, radius = elsewhere
+    centre, heading, radius = excluded
     columns, rows = _cells(pyramid, points, guess, headings)
-    starts = _bounds(pyramid, columns, rows, reach, least)
+    starts = _bounds(pyramid, columns, rows, max_shift, min_sum)
     block = 1 << (len(pyramid.levels) - 1)
-    wide, high = 2 * reach[0] // block + 1, 2 * reach[1] // block + 1
-    best, at, u, v = least, -1, 0, 0
+    wide, high = 2 * max_shift[0] // block + 1, 2 * max_shift[1] // block + 1
+    best, at, u, v = min_sum, -1, 0, 0
     first = np.argmax(starts)
     order = np.full(1, first)
-    for turn in range(2):  # the likeliest block; then those left that may hold a better pose
-        if turn == 1:
+    for phase in range(2):  # the likeliest block; then the others that may contain a better pose
+        if phase == 1:
             order = np.flatnonzero(starts > best)
             order = order[np.argsort(-starts[order], kind="mergesort")]
         for k in order:
-            if starts[k] <= best or (turn == 1 and k == first):
+            if starts[k] <= best or (phase == 1 and k == first):
                 continue
             a = k // (wide * high)
             node = np.array(
                 [
                     len(pyramid.levels) - 1,
-                    (k % wide) * block - reach[0],
-                    (k // wide % high) * block - reach[1],
+                    (k % wide) * block - max_shift[0],
+                    (k // wide % high) * block - max_shift[1],
                     starts[k],
                 ]
             )
-            r = radius if abs(wrap_in_kernel(headings[a] - heading)) < TURNED else 0.0
+            r = radius if abs(wrap_in_kernel(headings[a] - heading)) < HEADING_SEPARATION else 0.0
             total, x, y = _descend(
-                pyramid.levels, columns[a], rows[a], reach, node, best, (centre, r)
+                pyramid.levels, columns[a], rows[a], max_shift, node, best, (centre, r)
             )
             if total > best:
                 best, at, u, v = total, a, x, y
@@ -147,7 +147,7 @@ def _search(
 def _cells(
     pyramid: Pyramid, points: Features, guess: Array, headings: Array
 ) -> tuple[Ints32, Ints32]:
-    """Return the columns and rows (a, n) of the points at the guess turned to each heading."""
+    """Return the columns and rows (a, n) of the points at the guess, rotated to each heading."""
     columns = np.empty((len(headings), len(points)), np.int32)
     rows = np.empty_like(columns)
     x0, y0 = guess[0] - pyramid.corner[0], guess[1] - pyramid.corner[1]
@@ -161,33 +161,35 @@ def _cells(
 
 
 @kernel
-def _bounds(pyramid: Pyramid, columns: Ints32, rows: Ints32, reach: Ints, least: int) -> Ints32:
-    """Return the bounds of the blocks that a search begins with, by heading, row and column."""
+def _bounds(
+    pyramid: Pyramid, columns: Ints32, rows: Ints32, max_shift: Ints, min_sum: int
+) -> Ints32:
+    """Return the bounds of the initial blocks of a search, by heading, row and column."""
     top = len(pyramid.levels) - 1
     block = 1 << top
-    wide, high = 2 * reach[0] // block + 1, 2 * reach[1] // block + 1
+    wide, high = 2 * max_shift[0] // block + 1, 2 * max_shift[1] // block + 1
     bounds = np.empty(len(columns) * wide * high, np.int32)
     k = 0
     for a in range(len(columns)):
         for row in range(high):
             for column in range(wide):
-                u, v = column * block - reach[0], row * block - reach[1]
-                bounds[k] = _sum(pyramid.levels[top], columns[a], rows[a], u, v, least)
+                u, v = column * block - max_shift[0], row * block - max_shift[1]
+                bounds[k] = _sum(pyramid.levels[top], columns[a], rows[a], u, v, min_sum)
                 k += 1
     return bounds
 
 
 @kernel
-def _sum(level: Bytes, columns: Ints32, rows: Ints32, u: int, v: int, least: int) -> int:
-    """Return the sum over the points moved by a shift; less, once it cannot exceed `least`."""
+def _sum(level: Bytes, columns: Ints32, rows: Ints32, u: int, v: int, min_sum: int) -> int:
+    """Return the sum over the shifted points; a partial sum once it cannot exceed `min_sum`."""
     height, width = level.shape
-    total, left = 0, FULL * len(columns)
+    total, remaining = 0, FULL * len(columns)
     for i in range(len(columns)):
         c, r = columns[i] + u, rows[i] + v
-        left -= FULL
+        remaining -= FULL
         if 0 <= c < width and 0 <= r < height:
             total += level[r, c]
-        if i & 15 == 15 and total + left <= least:
+        if i & 15 == 15 and total + remaining <= min_sum:
             break
     return total
 
@@ -197,12 +199,12 @@ def _descend(
     levels: Bytes,
     columns: Ints32,
     rows: Ints32,
-    reach: Ints,
+    max_shift: Ints,
     node: Ints,
     best: int,
-    elsewhere: tuple[Array, float],
+    excluded: tuple[Array, float],
 ) -> tuple[int, int, int]:
-    """Return the best sum beyond `best` in a block, and its shift; the likeliest quarter first.
+    """Return the best sum beyond `best` in a block, and its shift; search the likeliest quarter first.
 
     `node` (4,) is a block: its level, its first shift u, v, and its bound.
     """
@@ -212,7 +214,7 @@ def _descend(
     while size > 0:
         size -= 1
         level, x, y, bound = stack[size]
-        if bound <= best or _covered(x, y, 1 << level, elsewhere):
+        if bound <= best or _is_excluded(x, y, 1 << level, excluded):
             continue
         if level == 0:
             best, u, v = bound, x, y
@@ -220,7 +222,7 @@ def _descend(
         first, half = size, 1 << (level - 1)
         for quarter in range(4):
             cx, cy = x + (quarter & 1) * half, y + (quarter >> 1) * half
-            if cx > reach[0] or cy > reach[1]:
+            if cx > max_shift[0] or cy > max_shift[1]:
                 continue
             bound = _sum(levels[level - 1], columns, rows, cx, cy, best)
             if bound > best:
@@ -231,7 +233,7 @@ def _descend(
 
 @kernel
 def _push(stack: Ints, first: int, size: int, node: tuple[int, int, int, int]) -> None:
-    """Insert a node into `stack[first:size]`, whose bounds rise."""
+    """Insert a node into `stack[first:size]`, which is sorted by ascending bound."""
     k = size
     while k > first and stack[k - 1, 3] > node[3]:
         stack[k] = stack[k - 1]
@@ -240,9 +242,9 @@ def _push(stack: Ints, first: int, size: int, node: tuple[int, int, int, int]) -
 
 
 @kernel
-def _covered(u: int, v: int, block: int, elsewhere: tuple[Array, float]) -> bool:
-    """Tell whether all shifts of a block lie in a disc."""
-    centre, radius = elsewhere
+def _is_excluded(u: int, v: int, block: int, excluded: tuple[Array, float]) -> bool:
+    """Return whether all shifts of a block are in the excluded disc."""
+    centre, radius = excluded
     x = max(abs(u - centre[0]), abs(u + block - 1 - centre[0]))
     y = max(abs(v - centre[1]), abs(v + block - 1 - centre[1]))
     return bool(x * x + y * y < radius * radius)

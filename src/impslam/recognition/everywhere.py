@@ -1,12 +1,12 @@
-"""Search of all of a map: the places where points fit best, best first.
+"""Search of the whole map for the places at which points fit best, in order of their scores.
 
-As in `correlative`, the greatest likelihood in a block of cells bounds the scores of all poses in it. Here
-blocks of all headings wait in one queue, and the most promising one is opened next (best-first branch and
-bound, Land & Doig 1960), so that places come out in the order of their scores. The queue has a bucket for
-each score: what is opened never promises more than its parent, so the greatest bucket only falls.
+As in `correlative`, the maximum likelihood in a block of cells bounds the scores of all poses in it. Here
+blocks of all headings are in one queue, and the most promising one is opened next (best-first branch and
+bound, Land & Doig 1960), so places are found in the order of their scores. The queue has a bucket for each
+score: the bound of a block never exceeds that of its parent, so the greatest bucket only decreases.
 
-A place is a local best: what is as close to a better one as `APART` and `TURNED` is the same. Coarse levels
-are judged by few points, whose mean stands for that of all; so their bounds are estimates, not exact.
+Places are local maxima: poses within `SEPARATION` and `HEADING_SEPARATION` of a better one are the same
+place. Coarse levels use few points, whose mean represents all; their bounds are therefore only estimates.
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ import numpy as np
 from impslam.geometry.angles import wrap
 from impslam.geometry.kernels import kernel
 from impslam.recognition.bucket_queue import BucketQueue, empty_queue, pop, push
-from impslam.recognition.correlative import spread
+from impslam.recognition.correlative import spread_order
 from impslam.recognition.ground import CHANCE, DIRECTIONS, SECTOR, Ground
 from impslam.recognition.pyramid import CELL, FULL, Bytes, Ints32
 from impslam.surfaces.features import Features
 from impslam.types import Array, Ints
 
 HEADINGS = 160  # half a step moves a point 8 m away by 16 cm, which the Gaussian bridges
-POINTS, COARSE_POINTS = 100, 40  # a mean likelihood to within 0.04 and 0.06, one sigma at most
-COARSE = 2  # the first level that is judged by few points
-LEAST = 0.3  # score: chance reaches it anywhere
-SHARE = 0.8  # of the best score: places with less are not told
-MOST = 30  # places
-APART, TURNED = 0.5, 0.2  # m, rad
-BUDGET, LEAST_BUDGET, MOST_BUDGET = 1000, 400_000, 4_000_000
-"""Blocks judged at most, for each m^2 of the map, and in all; 0.2 us each."""
+POINTS, COARSE_POINTS = 100, 40  # standard error of the mean likelihood at most 0.04 and 0.06
+COARSE_LEVEL = 2  # first level with few points
+MIN_SCORE = 0.3  # reached anywhere by chance
+MIN_SHARE = 0.8  # of the best score; worse places are not returned
+MAX_PLACES = 30
+SEPARATION, HEADING_SEPARATION = 0.5, 0.2  # m, rad
+BUDGET, MIN_BUDGET, MAX_BUDGET = 1000, 400_000, 4_000_000
+"""Maximum number of blocks per m^2 of the map, and its limits; 0.2 us each."""
 _COLUMN, _ROW, _LEVEL = 20, 20, 4  # bits of a block's key
 
 
 class Places(NamedTuple):
-    """What a search found.
+    """The result of a search.
 
     Attributes
     ----------
-    poses : (k, 3) of the lidar's place and the heading of its frame, best first
+    poses : (k, 3) position of the lidar and heading of its frame, best first
     scores : (k,) mean likelihood
-    complete : whether the search went through all that could be better
+    complete : whether the search ended within its budget
     """
 
     poses: Array
@@ -53,25 +53,25 @@ class Places(NamedTuple):
 
 
 class _Task(NamedTuple):
-    """Where is searched, for what (directions, columns and rows of the points, turned), and how far."""
+    """State of a search: grids, rotated points (direction, column, row), and number of blocks."""
 
     levels: Bytes
-    room: Bytes
-    turned: Ints32  # (HEADINGS, n, 3)
-    judged: Ints  # (1,) number of blocks
+    allowed: Bytes
+    rotated: Ints32  # (HEADINGS, n, 3)
+    evaluated: Ints  # (1,) number of blocks
 
 
-def search_everywhere(ground: Ground, points: Features, room: Bytes | None = None) -> Places:
-    """Return the places where features (n, 5), n >= 1, seen by a lidar at (0, 0) fit best.
+def search_everywhere(ground: Ground, points: Features, allowed: Bytes | None = None) -> Places:
+    """Return the places at which features (n, 5), n >= 1, seen by a lidar at (0, 0), fit best.
 
-    `room` narrows where the lidar may be; see `Ground.room`.
+    `allowed` restricts the position of the lidar; see `Ground.allowed`.
     """
-    ordered = _chosen(points)
+    ordered = _selected(points)
     count = len(ordered)
-    found = np.zeros((MOST, 4), np.int64)
-    room = ground.room if room is None else room
-    budget = int(np.clip(BUDGET * ground.area, LEAST_BUDGET, MOST_BUDGET))
-    number, complete = _search(ground.likelihood, room, ordered, budget, found)
+    found = np.zeros((MAX_PLACES, 4), np.int64)
+    allowed = ground.allowed if allowed is None else allowed
+    budget = int(np.clip(BUDGET * ground.area, MIN_BUDGET, MAX_BUDGET))
+    number, complete = _search(ground.likelihood, allowed, ordered, budget, found)
     found = found[:number]
     poses = np.empty((number, 3))
     poses[:, :2] = ground.corner + (found[:, 1:3] + 0.5) * CELL
@@ -79,54 +79,54 @@ def search_everywhere(ground: Ground, points: Features, room: Bytes | None = Non
     return Places(poses, found[:, 3] / (FULL * count), bool(complete))
 
 
-def _chosen(points: Features) -> Array:
-    """Return the points to search with, in an order whose every beginning is spread over all.
+def _selected(points: Features) -> Array:
+    """Return the points to search with, in an order whose every prefix is spread evenly.
 
-    Those on surfaces tell more, for few walls face their way; others are used where these are few.
+    Points on surfaces are preferred, because few walls have their direction; all are used if they are few.
     """
     surfaces = points[points[:, 4] > 0.0]
     some = surfaces if len(surfaces) >= COARSE_POINTS else points
     count = min(POINTS, len(some))
     even = some[np.arange(count) * len(some) // count].astype(np.float64)
-    return np.ascontiguousarray(even[spread(count)])
+    return np.ascontiguousarray(even[spread_order(count)])
 
 
 @kernel
 def _search(
-    levels: Bytes, room: Bytes, points: Array, budget: int, found: Ints
+    levels: Bytes, allowed: Bytes, points: Array, budget: int, found: Ints
 ) -> tuple[int, bool]:
-    """Fill `found` (m, 4) with heading, column, row and sum of the places; return how many there are."""
-    task = _Task(levels, room, _turned(points), np.zeros(1, np.int64))
+    """Fill `found` (m, 4) with heading, column, row and sum of the places; return their number."""
+    task = _Task(levels, allowed, _rotated(points), np.zeros(1, np.int64))
     full = FULL * len(points)
     queue = empty_queue(full, budget)
-    least, number = int(LEAST * full), 0
-    _enter_all(task, queue, least)
+    min_sum, number = int(MIN_SCORE * full), 0
+    _push_all(task, queue, min_sum)
     while number < len(found):
         bound, key = pop(queue)
-        if bound <= least:
+        if bound <= min_sum:
             return number, True
         column, row = key & ((1 << _COLUMN) - 1), (key >> _COLUMN) & ((1 << _ROW) - 1)
         level = (key >> (_COLUMN + _ROW)) & ((1 << _LEVEL) - 1)
         heading = key >> (_COLUMN + _ROW + _LEVEL)
-        if _known(found[:number], heading, column, row, 1 << level):
+        if _is_found(found[:number], heading, column, row, 1 << level):
             continue
         if level == 0:
             found[number, 0], found[number, 1], found[number, 2] = heading, column, row
             found[number, 3] = bound
             number += 1
-            least = max(least, int(SHARE * found[0, 3]))
+            min_sum = max(min_sum, int(MIN_SHARE * found[0, 3]))
             continue
-        if task.judged[0] > budget - 4:
+        if task.evaluated[0] > budget - 4:
             return number, False
         half = 1 << (level - 1)
         for quarter in range(4):
             x, y = column + (quarter & 1) * half, row + (quarter >> 1) * half
-            _enter(task, queue, (heading, level - 1, x, y), bound, least)
+            _push(task, queue, (heading, level - 1, x, y), bound, min_sum)
     return number, True
 
 
 @kernel
-def _turned(points: Array) -> Ints32:
+def _rotated(points: Array) -> Ints32:
     """Return direction, column and row (HEADINGS, n, 3) of points, relative to the lidar's cell."""
     out = np.empty((HEADINGS, len(points), 3), np.int32)
     for a in range(HEADINGS):
@@ -143,45 +143,45 @@ def _turned(points: Array) -> Ints32:
 
 
 @kernel
-def _enter_all(task: _Task, queue: BucketQueue, least: int) -> None:
-    """Enter the blocks of the highest level."""
-    top, height, width = task.room.shape
+def _push_all(task: _Task, queue: BucketQueue, min_sum: int) -> None:
+    """Push the blocks of the highest level."""
+    top, height, width = task.allowed.shape
     top -= 1
     for row in range(0, height, 1 << top):
         for column in range(0, width, 1 << top):
-            for heading in range(HEADINGS if task.room[top, row, column] else 0):
+            for heading in range(HEADINGS if task.allowed[top, row, column] else 0):
                 block = heading, top, column, row
-                _enter(task, queue, block, FULL * task.turned.shape[1], least)
+                _push(task, queue, block, FULL * task.rotated.shape[1], min_sum)
 
 
 @kernel
-def _enter(
-    task: _Task, queue: BucketQueue, block: tuple[int, int, int, int], bound: int, least: int
+def _push(
+    task: _Task, queue: BucketQueue, block: tuple[int, int, int, int], bound: int, min_sum: int
 ) -> None:
-    """Enter a block (heading, level, column, row) into the queue, if its bound exceeds `least`."""
+    """Push a block (heading, level, column, row) to the queue if its bound exceeds `min_sum`."""
     heading, level, column, row = block
-    _, height, width = task.room.shape
-    if row >= height or column >= width or not task.room[level, row, column]:
+    _, height, width = task.allowed.shape
+    if row >= height or column >= width or not task.allowed[level, row, column]:
         return
-    points = task.turned[heading]
+    points = task.rotated[heading]
     n = len(points)
-    some = n if level < COARSE else min(n, COARSE_POINTS)
-    enough = least * some // n
-    total = _sum(task.levels[level], points[:some], (column, row), 1 << level, enough) * n // some
+    used = n if level < COARSE_LEVEL else min(n, COARSE_POINTS)
+    least = min_sum * used // n
+    total = _sum(task.levels[level], points[:used], (column, row), 1 << level, least) * n // used
     total = min(total, bound)
-    task.judged[0] += 1
-    if total > least:
+    task.evaluated[0] += 1
+    if total > min_sum:
         push(queue, total, ((heading << _LEVEL | level) << _ROW | row) << _COLUMN | column)
 
 
 @kernel
-def _sum(level: Bytes, points: Ints32, first: tuple[int, int], block: int, least: int) -> int:
-    """Return the sum of the points' likelihoods for the lidar in a block; 0 unless beyond `least`."""
+def _sum(level: Bytes, points: Ints32, first: tuple[int, int], block: int, min_sum: int) -> int:
+    """Return the sum of the points' likelihoods for the lidar in a block; 0 if at most `min_sum`."""
     _, height, width = level.shape
     total, outside = 0, int(FULL * CHANCE)
     for i in range(len(points)):
         column, row = points[i, 1] + first[0], points[i, 2] + first[1]
-        if -block < column < 0:  # the block reaches into the grid
+        if -block < column < 0:  # the block extends into the grid
             column = 0
         if -block < row < 0:
             row = 0
@@ -189,20 +189,20 @@ def _sum(level: Bytes, points: Ints32, first: tuple[int, int], block: int, least
             total += level[points[i, 0], row, column]
         else:
             total += outside
-        if i & 7 == 7 and total + FULL * (len(points) - 1 - i) <= least:
+        if i & 7 == 7 and total + FULL * (len(points) - 1 - i) <= min_sum:
             return 0
     return total
 
 
 @kernel
-def _known(found: Ints, heading: int, column: int, row: int, block: int) -> bool:
-    """Tell whether all of a block belongs to a place that was found."""
+def _is_found(found: Ints, heading: int, column: int, row: int, block: int) -> bool:
+    """Return whether a whole block belongs to a place that was found."""
     for k in range(len(found)):
         turn = abs(heading - found[k, 0])
-        if min(turn, HEADINGS - turn) * (2.0 * math.pi / HEADINGS) > TURNED:
+        if min(turn, HEADINGS - turn) * (2.0 * math.pi / HEADINGS) > HEADING_SEPARATION:
             continue
         x = max(abs(column - found[k, 1]), abs(column + block - 1 - found[k, 1]))
         y = max(abs(row - found[k, 2]), abs(row + block - 1 - found[k, 2]))
-        if (x * x + y * y) * CELL**2 < APART**2:
+        if (x * x + y * y) * CELL**2 < SEPARATION**2:
             return True
     return False

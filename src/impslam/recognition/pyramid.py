@@ -1,8 +1,8 @@
 """A likelihood grid, and its maxima over blocks of cells.
 
-A cell holds how likely a point falls on it: a Gaussian around the points of a reference. Level l of the
-pyramid holds the greatest likelihood among 2^l x 2^l cells, so that one sum bounds the scores of as many
-poses (Hess et al. 2016, Alg. 3).
+A cell holds the likelihood of a point there: a Gaussian around the points of a reference. Level l of the
+pyramid holds the maximum likelihood of 2^l x 2^l cells, so that one sum bounds the scores of as many poses
+(Hess et al. 2016, Alg. 3).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Bytes: TypeAlias = np.ndarray[Any, np.dtype[np.uint8]]
 Ints32: TypeAlias = np.ndarray[Any, np.dtype[np.int32]]
 
 CELL = 0.1  # m
-BLUR = 0.12  # m, of the Gaussian: noise of a range, and the half cell by which poses are rounded
+BLUR = 0.12  # m, of the Gaussian: range noise, and rounding of poses by half a cell
 FULL = 255  # likelihood 1
 
 
@@ -29,8 +29,8 @@ class Pyramid(NamedTuple):
 
     Attributes
     ----------
-    levels : (l + 1, h, w) uint8; cell [k, row, column] is the greatest of the 2^k x 2^k cells of level
-        0 from there on, upwards and to the right
+    levels : (l + 1, h, w) uint8; cell [k, row, column] is the maximum of the 2^k x 2^k cells of level 0
+        from there upwards and to the right
     corner : (2,) m, the lower left corner
     """
 
@@ -39,13 +39,13 @@ class Pyramid(NamedTuple):
 
 
 class Memory:
-    """Memory that is used again from grid to grid: a grid is valid until the next one is made."""
+    """Memory that is reused for each grid: a grid is valid until the next one is made."""
 
     def __init__(self) -> None:
         self._bytes = np.empty(0, np.uint8)
 
     def take(self, *shape: int) -> Bytes:
-        """Return an array of a shape, its content undefined."""
+        """Return an uninitialised array of a shape."""
         size = math.prod(shape)
         if size > len(self._bytes):
             self._bytes = np.empty(size, np.uint8)
@@ -55,7 +55,7 @@ class Memory:
 def build(points: Features, level: int, memory: Memory | None = None) -> Pyramid:
     """Return the pyramid of points (n, 2 or more columns: x, y in m), n >= 1, up to a level."""
     low, high = points[:, :2].min(0).astype(float), points[:, :2].max(0).astype(float)
-    below = 2 + (1 << level)  # cells: reach of the Gaussian, and the blocks that begin outside
+    below = 2 + (1 << level)  # cells: radius of the Gaussian, and blocks that begin outside
     corner = (np.floor(low / CELL) - below) * CELL
     width, height = (np.floor((high - corner) / CELL) + 4).astype(int)
     levels = (memory or Memory()).take(level + 1, height, width)
@@ -73,36 +73,36 @@ def _fill(levels: Bytes, corner: Array, points: Features) -> None:
 
 
 @kernel
-def draw(ground: Bytes, corner: Array, points: Array | Features, chosen: Mask) -> None:
-    """Draw the Gaussians of points (n, 2) that are chosen (n,) into a grid; those off it are left out."""
+def draw(cells: Bytes, corner: Array, points: Array | Features, chosen: Mask) -> None:
+    """Draw the Gaussians of the `chosen` (n,) points (n, 2) into a grid; ignore points outside."""
     stamp = np.empty((5, 5), np.uint8)
     for r in range(5):
         for c in range(5):
             distance2 = ((r - 2) ** 2 + (c - 2) ** 2) * CELL**2
             stamp[r, c] = int(FULL * math.exp(-distance2 / (2.0 * BLUR**2)) + 0.5)
-    height, width = ground.shape
+    height, width = cells.shape
     for i in range(len(points)):
         column = math.floor((points[i, 0] - corner[0]) / CELL)
         row = math.floor((points[i, 1] - corner[1]) / CELL)
         inside = 2 <= column < width - 2 and 2 <= row < height - 2
-        if not (chosen[i] and inside) or ground[row, column] == FULL:
+        if not (chosen[i] and inside) or cells[row, column] == FULL:
             continue
         for r in range(5):
             for c in range(5):
-                cell = ground[row + r - 2, column + c - 2]
-                ground[row + r - 2, column + c - 2] = max(cell, stamp[r, c])
+                cell = cells[row + r - 2, column + c - 2]
+                cells[row + r - 2, column + c - 2] = max(cell, stamp[r, c])
 
 
 @kernel
 def pool(levels: Bytes) -> None:
-    """Fill the levels above the first one with the greatest of each block."""
+    """Fill the levels above the first one with the maxima over blocks."""
     for level in range(1, len(levels)):
         _pool(levels[level - 1], levels[level], 1 << (level - 1))
 
 
 @kernel
 def _pool(below: Bytes, above: Bytes, step: int) -> None:
-    """Fill a level with the greatest of four blocks of the one below; outside there is nothing."""
+    """Fill a level with the maxima of four blocks of the one below; cells outside are 0."""
     height, width = below.shape
     inner = max(width - step, 0)
     for row in range(height):

@@ -1,8 +1,8 @@
-"""Where in a map a scan was taken, without any knowledge of where the robot is.
+"""Global localisation of a scan in a map, without a prior pose.
 
-All of the map is searched (see `everywhere`), the places found are aligned with its surfaces, and the map
-has to explain the scan's beams there (see `beams`). What remains are hypotheses with odds: that the scan
-was taken at none of them is one of the possibilities, and so is that it cannot be told.
+The whole map is searched (see `everywhere`), the places found are aligned with its surfaces, and each is
+scored by how well the map explains the scan's beams there (see `beams`). The result are hypotheses with
+odds, which allow for the scan being taken elsewhere, and a verdict, which may be that it is ambiguous.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose, transform
 from impslam.map import Keyframes
-from impslam.recognition.beams import Beams, Explained, explain
+from impslam.recognition.beams import Beams, Explanation, explain
 from impslam.recognition.everywhere import search_everywhere
-from impslam.recognition.ground import Ground, survey
+from impslam.recognition.ground import Ground, make_ground
 from impslam.recognition.places import FINE, FINE_PRIOR
 from impslam.recognition.pyramid import CELL, Bytes, pool
 from impslam.recognition.stored import points_view, stored_views
@@ -29,24 +29,24 @@ from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import align, no_evidence
 from impslam.types import Array, check_shape
 
-FEWEST = 40  # points of a scan: fewer fit anywhere
-REACH = 20.0  # m: points farther away are few, and move by cells with each step of heading
-QUERY_CELL = 0.1  # m: one point in each
-ALIGNED = 200  # points that alignment uses, about
-BEAMS = 180  # of a scan: a mean score to within 0.04
-SAME, SAME_TURN = 0.4, math.radians(8.0)  # m, rad: closer hypotheses are one
+MIN_POINTS = 40  # of a scan: fewer fit anywhere
+MAX_RANGE = 20.0  # m: farther points are few, and move by cells with each step of heading
+QUERY_CELL = 0.1  # m, with one point in each
+ALIGN_POINTS = 200  # approximate number used for alignment
+BEAMS = 180  # of a scan: standard error of the mean score 0.04
+SEPARATION, HEADING_SEPARATION = 0.4, math.radians(8.0)  # m, rad: closer hypotheses are merged
 EVIDENCE = 30.0
-"""Odds of two places are exp(EVIDENCE * difference of their scores). A scan's beams are not independent:
-they share walls, people in the way and errors of the map, so that 180 of them are worth fewer."""
+"""Odds of two places are exp(EVIDENCE * difference of their scores). This is less than the number of beams,
+which are not independent: they share walls, people in view and errors of the map."""
 CHANCE_SCORE, LUCK = 0.45, 0.08
-"""Score that the best place of a map may have for scans of somewhere else, and what is added for one scan,
-a share of it for more of them, for chance has to repeat itself with each. Of 108 ways outside of a map of
-an office, in which rooms look alike, one scored 0.57 and the next 0.44; 2 of 100 scans scored over 0.64."""
+"""Score that the best place of a map may reach by chance for scans taken elsewhere, and an addition,
+divided by the number of scans, since chance would have to repeat itself. Of 108 drives outside the map of
+an office with similar rooms, one scored 0.57 and the next 0.44; 2 of 100 single scans scored over 0.64."""
 FOUND_ODDS = 0.98  # then the second place is at least 0.13 behind
 
 
 class Verdict(Enum):
-    """What is known of where a scan was taken."""
+    """Whether a scan was located."""
 
     FOUND = "found"
     AMBIGUOUS = "ambiguous"
@@ -54,13 +54,13 @@ class Verdict(Enum):
 
 
 class Hypothesis(NamedTuple):
-    """A place that may be the one.
+    """A possible place.
 
     Attributes
     ----------
     pose : (3,) T_map_base
     score : how well the map explains the scan there, at most 1
-    odds : share of the possibilities, the scan having been taken elsewhere among them
+    odds : probability among the hypotheses and the possibility of another place
     """
 
     pose: Array
@@ -69,11 +69,11 @@ class Hypothesis(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """Where a scan was taken.
+    """The result of a relocalisation.
 
     Attributes
     ----------
-    verdict : FOUND if the first hypothesis is it, NOWHERE if no place in the map is
+    verdict : FOUND if the first hypothesis is certain, NOWHERE if no place in the map fits
     hypotheses : best first; their odds add up to at most 1
     """
 
@@ -82,21 +82,21 @@ class Answer(NamedTuple):
 
 
 class Near(NamedTuple):
-    """A hint: the robot is within `radius` m of a place (2,) or pose (3,) in map, heading any way."""
+    """A hint: the robot is within `radius` m of a place (2,) or pose (3,) in map, at any heading."""
 
     place: Array
     radius: float
 
 
 class Query(NamedTuple):
-    """What is sought: what views saw, in base_link of the newest one.
+    """The scans to locate, in base_link of the newest one.
 
     Attributes
     ----------
     features : (n, 5) for alignment
-    laser : (2,) m, where the lidar is
-    beams : to be explained
-    scans : number of the views
+    laser : (2,) m, position of the lidar
+    beams : for scoring
+    scans : number of scans
     """
 
     features: Features
@@ -106,15 +106,15 @@ class Query(NamedTuple):
 
 
 class Relocaliser:
-    """Finds scans in a map; building one takes as long as drawing the map does, up to seconds.
+    """Locates scans in a map; construction takes as long as drawing the map, up to seconds.
 
     Attributes
     ----------
-    ground : what the map tells of each place
+    ground : grids and surfaces of the map
 
     Examples
     --------
-    A room of five walls is mapped from one place, and a scan from another one is found:
+    Map a room of five walls from one place, and locate a scan from another one:
 
     >>> import numpy as np
     >>> import impslam
@@ -135,69 +135,69 @@ class Relocaliser:
     """
 
     def __init__(self, keyframes: Keyframes) -> None:
-        self.ground = survey(keyframes, stored_views(keyframes))
+        self.ground = make_ground(keyframes, stored_views(keyframes))
 
     def locate(
         self, points: ArrayLike, laser: ArrayLike = (0.0, 0.0), near: Near | None = None
     ) -> Answer:
-        """Return where a scan was taken that ended at points (n, 2) m, in beam order.
+        """Locate a scan, given the end points (n, 2) m of its beams, in beam order.
 
-        They are in base_link, in which the lidar is at `laser` (2,) m.
+        They are in base_link, and the lidar is at `laser` (2,) m there.
         """
         ends = np.asarray(points, np.float64)
         check_shape("points", ends, None, 2)
         return self.find(points_view(ends, np.asarray(laser, np.float64)), near)
 
     def find(self, view: View, near: Near | None = None) -> Answer:
-        """Return where a scan was taken, or what can be said of it."""
+        """Locate a scan."""
         return self.find_query(query([view], np.zeros((1, 3))), near)
 
     def find_query(
-        self, sought: Query, near: Near | None = None, followed: Sequence[Array] = ()
+        self, scans: Query, near: Near | None = None, followed: Sequence[Array] = ()
     ) -> Answer:
-        """Return where the newest of several scans was taken.
+        """Locate the newest of several scans.
 
-        Poses (3,) that are `followed` are tried as well, unless a hint is given.
+        The poses (3,) in `followed` are tried as well, unless a hint is given.
         """
-        if len(sought.features) < FEWEST:
+        if len(scans.features) < MIN_POINTS:
             return Answer(Verdict.AMBIGUOUS, ())
-        room = None if near is None else _narrowed(self.ground, near)
-        centred = sought.features.copy()
-        centred[:, :2] -= sought.laser.astype(np.float32)
-        places = search_everywhere(self.ground, centred, room)
-        starts = [*_based(places.poses, sought.laser), *(followed if near is None else ())]
-        return answer(self._settled(sought, starts), sought.scans, complete=places.complete)
+        allowed = None if near is None else _allowed_near(self.ground, near)
+        centred = scans.features.copy()
+        centred[:, :2] -= scans.laser.astype(np.float32)
+        places = search_everywhere(self.ground, centred, allowed)
+        starts = [*_base_poses(places.poses, scans.laser), *(followed if near is None else ())]
+        return answer(self._evaluate(scans, starts), scans.scans, complete=places.complete)
 
-    def _settled(self, sought: Query, starts: Sequence[Array]) -> list[tuple[Explained, Array]]:
-        """Return places (3,) aligned and explained, best first; each of them once."""
-        poses = [self.align(sought, start) for start in starts]
-        explained = [(explain(self.ground, sought.beams, pose), pose) for pose in poses]
+    def _evaluate(self, scans: Query, starts: Sequence[Array]) -> list[tuple[Explanation, Array]]:
+        """Return the distinct places (3,) after alignment with their scores, best first."""
+        poses = [self.align(scans, start) for start in starts]
+        explained = [(explain(self.ground, scans.beams, pose), pose) for pose in poses]
         explained.sort(key=lambda each: -each[0].score)
         return list(_distinct(explained))
 
-    def align(self, sought: Query, start: Array) -> Array:
-        """Return the pose (3,) near a start where the scans lie on the map's surfaces."""
+    def align(self, scans: Query, start: Array) -> Array:
+        """Return the pose (3,) after alignment of scans with the map's surfaces from a start."""
         pose = np.array(start)
-        how = FINE._replace(step=max(1, len(sought.features) // ALIGNED))
-        align(self.ground.surfaces, sought.features, pose, FINE_PRIOR, how, no_evidence())
+        how = FINE._replace(step=max(1, len(scans.features) // ALIGN_POINTS))
+        align(self.ground.surfaces, scans.features, pose, FINE_PRIOR, how, no_evidence())
         return pose
 
 
 def query(views: Sequence[View], poses: Array) -> Query:
-    """Return what views saw whose base_link was at poses (k, 3) of one frame, the newest one last."""
-    merged = gather(views, poses, poses[-1], QUERY_CELL, REACH)
-    parts = [_spread_rows(view.features, BEAMS)[:, :2] - view.laser for view in views]
+    """Return the query of views at poses (k, 3) of base_link in one frame, the newest one last."""
+    merged = gather(views, poses, poses[-1], QUERY_CELL, MAX_RANGE)
+    parts = [_evenly(view.features, BEAMS)[:, :2] - view.laser for view in views]
     starts = np.repeat(merged.vantages[:, :2], [len(part) for part in parts], axis=0)
     ends = [transform(T, part) for T, part in zip(merged.vantages, parts, strict=True)]
     return Query(merged.features, views[-1].laser, Beams(starts, np.concatenate(ends)), len(views))
 
 
-def answer(explained: Sequence[tuple[Explained, Array]], scans: int, *, complete: bool) -> Answer:
-    """Return hypotheses with odds and the verdict, from places of scans: distinct ones, best first."""
+def answer(explained: Sequence[tuple[Explanation, Array]], scans: int, *, complete: bool) -> Answer:
+    """Return hypotheses with odds and the verdict, from distinct places of scans, best first."""
     if not explained:
         return Answer(Verdict.NOWHERE if complete else Verdict.AMBIGUOUS, ())
-    nowhere = CHANCE_SCORE + LUCK / scans
-    scores = np.array([nowhere, *(e.score for e, _ in explained)])
+    elsewhere = CHANCE_SCORE + LUCK / scans
+    scores = np.array([elsewhere, *(e.score for e, _ in explained)])
     weights = np.exp(EVIDENCE * (scores - scores.max()))
     odds = weights / weights.sum()
     hypotheses = tuple(
@@ -212,39 +212,39 @@ def answer(explained: Sequence[tuple[Explained, Array]], scans: int, *, complete
     return Answer(verdict, hypotheses)
 
 
-def _spread_rows(rows: Features, count: int) -> Features:
-    """Return at most so many rows, evenly among all."""
+def _evenly(rows: Features, count: int) -> Features:
+    """Return at most `count` rows, evenly spaced."""
     count = min(count, len(rows))
     return rows[np.arange(count) * len(rows) // max(count, 1)]
 
 
-def _based(lidar: Array, laser: Array) -> Array:
-    """Return poses (k, 3) of base_link from those of its lidar, which is at (2,) m in it."""
+def _base_poses(lidar: Array, laser: Array) -> Array:
+    """Return poses (k, 3) of base_link from those of the lidar, which is at laser (2,) m in it."""
     return compose(lidar, np.array([-laser[0], -laser[1], 0.0]))
 
 
 def _distinct(
-    explained: Iterable[tuple[Explained, Array]],
-) -> Iterator[tuple[Explained, Array]]:
+    explained: Iterable[tuple[Explanation, Array]],
+) -> Iterator[tuple[Explanation, Array]]:
     """Yield the places that are not close to a better one."""
     kept: list[Array] = []
-    for how, pose in explained:
-        if not any(_same(pose, other) for other in kept):
+    for explanation, pose in explained:
+        if not any(_is_same(pose, other) for other in kept):
             kept.append(pose)
-            yield how, pose
+            yield explanation, pose
 
 
-def _same(one: Array, other: Array) -> bool:
+def _is_same(one: Array, other: Array) -> bool:
     turn = abs(float(wrap(one[2] - other[2])))
-    return math.dist(one[:2], other[:2]) <= SAME and turn <= SAME_TURN
+    return math.dist(one[:2], other[:2]) <= SEPARATION and turn <= HEADING_SEPARATION
 
 
-def _narrowed(ground: Ground, near: Near) -> Bytes:
-    """Return where a lidar may be, near a place."""
-    rows, columns = np.indices(ground.room[0].shape, sparse=True)
+def _allowed_near(ground: Ground, near: Near) -> Bytes:
+    """Return the allowed lidar positions near a place; see `Ground.allowed`."""
+    rows, columns = np.indices(ground.allowed[0].shape, sparse=True)
     x = ground.corner[0] + (columns + 0.5) * CELL - near.place[0]
     y = ground.corner[1] + (rows + 0.5) * CELL - near.place[1]
-    room = ground.room.copy()
-    room[0][x * x + y * y > near.radius**2] = 0
-    pool(room)
-    return room
+    allowed = ground.allowed.copy()
+    allowed[0][x * x + y * y > near.radius**2] = 0
+    pool(allowed)
+    return allowed

@@ -1,4 +1,4 @@
-"""Views of scans as a map keeps them: end points of valid beams, in beam order."""
+"""Views of the scans that are stored in a map: end points of valid beams, in beam order."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 from impslam.geometry.angles import wrap
 from impslam.map import Keyframes
-from impslam.recognition.submap import BEARINGS, FARTHEST, Floats, View
+from impslam.recognition.submap import BEARINGS, MAX_RANGE, Floats, View
 from impslam.surfaces.features import find_features
 from impslam.types import Array
 
-THIN = 0.04  # m between two features, as `submap.view` has it
+FEATURE_SPACING = 0.04  # m, as in `submap.view`
 
 
 def stored_views(keyframes: Keyframes) -> list[View]:
-    """Return what each keyframe of a map saw."""
+    """Return the view of each keyframe of a map."""
     starts = keyframes.starts
     return [
         points_view(keyframes.points[starts[i] : starts[i + 1]], keyframes.origins[i])
@@ -25,9 +25,9 @@ def stored_views(keyframes: Keyframes) -> list[View]:
 
 
 def points_view(points: Array | Floats, laser: Array) -> View:
-    """Return what a scan saw that ended at points (n, 2) m; they and laser (2,) m are in base_link.
+    """Return the view of a scan with end points (n, 2) m; they and laser (2,) m are in base_link.
 
-    The points are those of valid beams, in the order of the beams.
+    The points are those of valid beams, in beam order.
     """
     ends = np.asarray(points, np.float64).reshape(-1, 2)
     n, offsets = len(ends), ends - laser
@@ -36,17 +36,17 @@ def points_view(points: Array | Floats, laser: Array) -> View:
     spacing = float(np.median(steps)) if n > 1 else 0.0
     rows = np.empty((n, 5), np.float32)
     origins, valid = np.broadcast_to(laser, (n, 2)).copy(), ranges > 0.0
-    count = find_features(ends, valid, ranges, origins, spacing, THIN, rows)
+    count = find_features(ends, valid, ranges, origins, spacing, FEATURE_SPACING, rows)
     return View(rows[:count].copy(), np.array(laser, float), _free(ranges, bearings))
 
 
 def _free(ranges: Array, bearings: Array) -> Floats:
     """Return the nearest range (BEARINGS,) m for each bearing; see `submap.free_ranges`.
 
-    Beams without a valid range are not known here, so that a bearing with any range is free up to it.
+    Beams without a valid range are not known here, so a bearing with any valid range is free up to it.
     """
     table = np.full(BEARINGS, np.inf, np.float32)
     bins = np.floor((bearings + math.pi) * (BEARINGS / (2.0 * math.pi))).astype(np.int64) % BEARINGS
-    np.minimum.at(table, bins, np.minimum(ranges, FARTHEST).astype(np.float32))
+    np.minimum.at(table, bins, np.minimum(ranges, MAX_RANGE).astype(np.float32))
     table[np.isinf(table)] = 0.0
     return table

@@ -1,4 +1,4 @@
-"""Neighbouring keyframes as one value: their points in one frame, and the free space they saw."""
+"""Submaps of neighbouring keyframes: their points in one frame, and the free space that they saw."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from impslam.types import Array, Ints, Scan
 Floats: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 
 BEARINGS = 180  # bins of 2 degrees: at least one beam of a common lidar (0.25 to 1 degree) in each
-FARTHEST = 28.0  # m: there a bin is 1 m wide, and what stands between two beams stays unseen
-_NONE = np.iinfo(np.int64).min  # of a hash table: this entry is empty
+MAX_RANGE = 28.0  # m: a bin is 1 m wide there, and objects between two beams are missed
+_NONE = np.iinfo(np.int64).min  # marks an empty entry of a hash table
 
 
 class View(NamedTuple):
-    """What a keyframe saw, in its base_link.
+    """The features and free space of a keyframe, in its base_link.
 
     Attributes
     ----------
     features : (n, 5), see `impslam.surfaces.features`
-    laser : (2,) m, where the lidar was
-    free : (BEARINGS,) m, how far from the lidar space is free; 0 where nothing is known of it. Bin b
-        begins at the direction -pi + b * 2 pi / BEARINGS of base_link.
+    laser : (2,) m, position of the lidar
+    free : (BEARINGS,) m, free range from the lidar, 0 if unknown. Bin b begins at the direction
+        -pi + b * 2 pi / BEARINGS of base_link.
     """
 
     features: Features
@@ -37,12 +37,12 @@ class View(NamedTuple):
 
 
 class Submap(NamedTuple):
-    """What several keyframes saw, in one frame.
+    """The features and free space of several keyframes, in one frame.
 
     Attributes
     ----------
     features : (n, 5), at most one in each cell
-    vantages : (k, 3) where the lidar was, and the heading of base_link
+    vantages : (k, 3) positions of the lidar, and headings of base_link
     free : (k, BEARINGS) m, see `View.free`
     """
 
@@ -52,18 +52,19 @@ class Submap(NamedTuple):
 
 
 def view(scan: Scan, thin: float = 0.04) -> View:
-    """Return what a scan saw; its features lie at least `thin` m apart."""
+    """Return the view of a scan, with features at least `thin` m apart."""
     return View(features(scan, thin), scan.laser[:2].copy(), free_ranges(scan))
 
 
 def free_ranges(scan: Scan) -> Floats:
-    """Return the nearest range (BEARINGS,) m for each bearing: up to it, space is free.
+    """Return the nearest range (BEARINGS,) m for each bearing, up to which space is free.
 
-    A beam without a valid range tells nothing (an absorbing surface and open space look alike), nor
-    does any other one of its bin.
+    A bin with an invalid range is unknown: an absorbing surface and open space look alike.
     """
     offsets = scan.points - scan.laser[:2]
-    ranges = np.where(scan.valid, np.minimum(np.hypot(offsets[:, 0], offsets[:, 1]), FARTHEST), 0.0)
+    ranges = np.where(
+        scan.valid, np.minimum(np.hypot(offsets[:, 0], offsets[:, 1]), MAX_RANGE), 0.0
+    )
     bearings = np.where(scan.valid, np.arctan2(offsets[:, 1], offsets[:, 0]), scan.directions)
     bins = np.floor((bearings + math.pi) * (BEARINGS / (2.0 * math.pi))).astype(np.int64) % BEARINGS
     table = np.full(BEARINGS, np.inf, np.float32)
@@ -73,17 +74,17 @@ def free_ranges(scan: Scan) -> Floats:
 
 
 def gather(
-    views: Sequence[View], poses: Array, frame: Array, cell: float, reach: float = math.inf
+    views: Sequence[View], poses: Array, frame: Array, cell: float, max_range: float = math.inf
 ) -> Submap:
-    """Return keyframes at poses (k, 3) seen from a frame (3,), all in map.
+    """Return keyframes at poses (k, 3) as a submap relative to a frame (3,), all in map.
 
-    The first feature in each cell of `cell` m is kept, of those up to `reach` m from the frame.
+    The first feature in each cell of `cell` m is kept, up to `max_range` m from the frame.
     """
     poses = between(frame, poses)
     rows = np.concatenate([v.features for v in views])
     ends = np.cumsum([len(v.features) for v in views], dtype=np.int64)
     out = np.empty_like(rows)
-    count = _merge(rows, ends, poses, cell, reach, out)
+    count = _merge(rows, ends, poses, cell, max_range, out)
     offsets = np.zeros((len(views), 3))
     offsets[:, :2] = [v.laser for v in views]
     return Submap(out[:count].copy(), compose(poses, offsets), np.stack([v.free for v in views]))
@@ -91,9 +92,9 @@ def gather(
 
 @kernel
 def _merge(
-    rows: Features, ends: Ints, poses: Array, cell: float, reach: float, out: Features
+    rows: Features, ends: Ints, poses: Array, cell: float, max_range: float, out: Features
 ) -> int:
-    """Fill `out` with rows moved by their keyframes' poses, one in a cell; return their number."""
+    """Fill `out` with rows transformed by their keyframes' poses, one per cell; return their number."""
     size = 16
     while size < 2 * len(rows):
         size *= 2
@@ -105,9 +106,9 @@ def _merge(
             row = rows[i]
             i += 1
             x, y = poses[k, 0] + c * row[0] - s * row[1], poses[k, 1] + s * row[0] + c * row[1]
-            if x * x + y * y > reach * reach:
+            if x * x + y * y > max_range * max_range:
                 continue
-            if not _enter(table, math.floor(x / cell), math.floor(y / cell)):
+            if not _insert(table, math.floor(x / cell), math.floor(y / cell)):
                 continue
             out[count, 0], out[count, 1], out[count, 4] = x, y, row[4]
             out[count, 2], out[count, 3] = c * row[2] - s * row[3], s * row[2] + c * row[3]
@@ -116,8 +117,8 @@ def _merge(
 
 
 @kernel
-def _enter(table: Ints, column: int, row: int) -> bool:
-    """Enter a cell into a hash table (Teschner et al. 2003); False where it is there already."""
+def _insert(table: Ints, column: int, row: int) -> bool:
+    """Insert a cell into a hash table (Teschner et al. 2003); return False if it is there already."""
     mask = len(table) - 1
     key = (column << 32) + row
     at = ((column * 73856093) ^ (row * 19349663)) & mask

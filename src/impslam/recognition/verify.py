@@ -1,8 +1,8 @@
-"""What speaks for an alignment of two submaps and what against it, judged both ways.
+"""Verification of an alignment of two submaps, in both directions.
 
-A point on a surface of the other submap speaks for the alignment. One well inside the space that the
-other's scans saw free speaks against it. One where the other submap never looked tells nothing: to count
-it against would refuse true places that were seen from another side.
+A point on a surface of the other submap supports the alignment. One well inside the free space of the
+other's scans contradicts it. One that the other submap has not seen has no effect: counting it against
+would reject true places that were seen from another side.
 """
 
 from __future__ import annotations
@@ -21,22 +21,23 @@ from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import CELL, MIN_NORMAL_COSINE, SurfaceMap
 from impslam.types import Array, Ints, Mask
 
-NEAR = 0.15  # m to the nearest surface: three cells of the map; the poses within a submap differ by 5 cm
-INSIDE = 0.3  # m before the end of a beam, on either side of it: neither free space nor hidden
-BLIND = 0.3  # m around a lidar where bearings mean nothing
-SAMPLE = 250  # points tested against free space: a share to within 0.03 (binomial, one sigma)
-REFERENCE_SCANS, QUERY_SCANS = 12, 8  # whose free space is used
-VICINITY = 10.0  # m: only scans taken so close to the query tell of it
-REACH = 15.0  # m: and so do points
+MATCH_DISTANCE = (
+    0.15  # m to the nearest surface: three cells; poses within a submap are off by 5 cm
+)
+END_MARGIN = 0.3  # m before and behind the end of a beam: neither free nor hidden
+MIN_RANGE = 0.3  # m: bearings of closer points are meaningless
+SAMPLE = 250  # points tested against free space: standard error of the share 0.03
+REFERENCE_SCANS, QUERY_SCANS = 12, 8  # maximum number of scans used for free space
+SCAN_RADIUS, POINT_RADIUS = 10.0, 15.0  # m around the query, of scans and points used
 
 STRONG_SHARE, WEAK_SHARE = 0.8, 0.65
-"""Of the points that tell anything, those that agree, at least."""
-LEAST_MATCHED = 0.35  # of the query's points
-LEAST_SEEN = 60  # points of the reference that the query's scans must have seen
+"""Minimum shares of agreeing points, among those that match or contradict."""
+MIN_MATCHED = 0.35  # of the query's points
+MIN_SEEN = 60  # points of the reference that the query's scans have seen
 
 
 class Verdict(IntEnum):
-    """What support amounts to; a weak one needs other closures that agree."""
+    """The strength of support; a weak closure needs others that agree."""
 
     REFUSED = 0
     WEAK = 1
@@ -44,14 +45,14 @@ class Verdict(IntEnum):
 
 
 class Support(NamedTuple):
-    """What two submaps say of their alignment.
+    """The evidence of two submaps on their alignment.
 
     Attributes
     ----------
     matched : share of the query's points on surfaces of the reference: their overlap
-    query : of its points that match or are contradicted, those that match: accuracy
-    reference : the same of the reference's points in the query's scans
-    seen : about how many of the reference's points the query's scans tell anything of
+    query : accuracy: share of matches among its points that match or are contradicted
+    reference : the same for the reference's points in the query's scans
+    seen : approximate number of the reference's points seen by the query's scans
     """
 
     matched: float
@@ -61,40 +62,40 @@ class Support(NamedTuple):
 
     @property
     def agreement(self) -> float:
-        """The lesser accuracy: of the points that tell anything, the share that agrees."""
+        """The lesser accuracy of the two submaps."""
         return min(self.query, self.reference)
 
 
-def judge(support: Support, overlap: float = LEAST_MATCHED) -> Verdict:
-    """Return what support amounts to.
+def judge(support: Support, overlap: float = MIN_MATCHED) -> Verdict:
+    """Return the verdict on support.
 
-    With an `overlap` below `LEAST_MATCHED`, submaps that share less than that may agree too, but weakly,
-    and free space has to agree as for a strong one.
+    With an `overlap` below `MIN_MATCHED`, submaps with less common area are accepted, but as weak ones, and
+    only if free space agrees as for a strong one.
     """
-    if support.matched < overlap or support.seen < overlap / LEAST_MATCHED * LEAST_SEEN:
+    if support.matched < overlap or support.seen < overlap / MIN_MATCHED * MIN_SEEN:
         return Verdict.REFUSED
-    much = support.matched >= LEAST_MATCHED and support.seen >= LEAST_SEEN
+    is_large = support.matched >= MIN_MATCHED and support.seen >= MIN_SEEN
     if support.agreement >= STRONG_SHARE:
-        return Verdict.STRONG if much else Verdict.WEAK
-    return Verdict.WEAK if much and support.agreement >= WEAK_SHARE else Verdict.REFUSED
+        return Verdict.STRONG if is_large else Verdict.WEAK
+    return Verdict.WEAK if is_large and support.agreement >= WEAK_SHARE else Verdict.REFUSED
 
 
 def verify(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) -> Support:
     """Return the support for the query's pose (3,) in the reference, whose surface map is `known`."""
-    seeing = _nearest_scans(reference, pose, REFERENCE_SCANS)
-    looking = _nearest_scans(query, np.zeros(3), QUERY_SCANS)
-    looking = looking._replace(vantages=compose(pose, looking.vantages))
+    reference_scans = _nearest_scans(reference, pose, REFERENCE_SCANS)
+    query_scans = _nearest_scans(query, np.zeros(3), QUERY_SCANS)
+    query_scans = query_scans._replace(vantages=compose(pose, query_scans.vantages))
     x, y = reference.features[:, 0] - pose[0], reference.features[:, 1] - pose[1]
-    close = np.flatnonzero(x * x + y * y < REACH * REACH)
+    close = np.flatnonzero(x * x + y * y < POINT_RADIUS * POINT_RADIUS)
     near = np.ascontiguousarray(reference.features[close[:: max(1, len(close) // SAMPLE)]])
     step = max(1, len(close) // SAMPLE)
     counts = np.zeros(4, np.int64)
-    _survey(
+    _count_evidence(
         known,
         query.features,
         pose,
-        (seeing.vantages, seeing.free),
-        (near, looking.vantages, looking.free),
+        (reference_scans.vantages, reference_scans.free),
+        (near, query_scans.vantages, query_scans.free),
         counts,
     )
     matched, against, confirmed, contradicted = (int(count) for count in counts)
@@ -106,26 +107,26 @@ def verify(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) -> 
     )
 
 
-def _nearest_scans(submap: Submap, position: Array, most: int) -> Submap:
-    """Return a submap with at most so many of its scans, evenly among those close to a position."""
+def _nearest_scans(submap: Submap, position: Array, limit: int) -> Submap:
+    """Return a submap with at most `limit` of its scans, evenly chosen among those near a position."""
     x, y = submap.vantages[:, 0] - position[0], submap.vantages[:, 1] - position[1]
-    close = np.flatnonzero(x * x + y * y < VICINITY * VICINITY)
-    close = close[:: max(1, math.ceil(len(close) / most))]
+    close = np.flatnonzero(x * x + y * y < SCAN_RADIUS * SCAN_RADIUS)
+    close = close[:: max(1, math.ceil(len(close) / limit))]
     return Submap(submap.features, submap.vantages[close], submap.free[close])
 
 
 @kernel
-def _survey(
+def _count_evidence(
     known: SurfaceMap,
     features: Features,
     pose: Array,
-    seeing: tuple[Array, Floats],
-    looking: tuple[Features, Array, Floats],
+    reference: tuple[Array, Floats],
+    query: tuple[Features, Array, Floats],
     counts: Ints,
 ) -> None:
     """Fill `counts` (4,): query points matched, contradicted; reference points confirmed, contradicted.
 
-    `seeing` are vantages and free ranges of the reference, `looking` points of the reference with the
+    `reference` are vantages and free ranges of the reference, `query` points of the reference with the
     vantages, in its frame, and free ranges of the query.
     """
     moved = np.empty((len(features), 2))
@@ -133,17 +134,18 @@ def _survey(
     counts[0] = _match(known, features, pose, moved, matched)
     step = max(1, len(features) // SAMPLE)
     for i in range(0, len(features), step):
-        if not matched[i] and evidence_at(moved[i, 0], moved[i, 1], seeing[0], seeing[1]) < 0:
+        if not matched[i] and evidence_at(moved[i, 0], moved[i, 1], reference[0], reference[1]) < 0:
             counts[1] += step
-    for i in range(len(looking[0])):
-        held = evidence_at(looking[0][i, 0], looking[0][i, 1], looking[1], looking[2])
-        if held != 0:
-            counts[2 if held > 0 else 3] += 1
+    points, vantages, free = query
+    for i in range(len(points)):
+        evidence = evidence_at(points[i, 0], points[i, 1], vantages, free)
+        if evidence != 0:
+            counts[2 if evidence > 0 else 3] += 1
 
 
 @kernel
 def _match(known: SurfaceMap, features: Features, pose: Array, moved: Array, matched: Mask) -> int:
-    """Move features (n,) to a pose, tell which lie on a surface that faces their way; return how many."""
+    """Transform features (n,) by a pose, mark those on a surface of their direction; return the number."""
     height, width = known.nearest.shape
     c, s = math.cos(pose[2]), math.sin(pose[2])
     count = 0
@@ -162,27 +164,27 @@ def _match(known: SurfaceMap, features: Features, pose: Array, moved: Array, mat
         along += s * (features[i, 2] * surfel[3] - features[i, 3] * surfel[2])
         if along < MIN_NORMAL_COSINE and features[i, 4] > 0.0 and surfel[5] > 0.0:
             continue
-        matched[i] = (x - surfel[0]) ** 2 + (y - surfel[1]) ** 2 < NEAR * NEAR
+        matched[i] = (x - surfel[0]) ** 2 + (y - surfel[1]) ** 2 < MATCH_DISTANCE * MATCH_DISTANCE
         count += matched[i]
     return count
 
 
 @kernel
 def evidence_at(x: float, y: float, vantages: Array, free: Floats) -> int:
-    """Return -1 for a point well inside free space of any scan, 1 where beams end, 0 if unseen."""
-    held = 0
+    """Return -1 for a point well inside the free space of any scan, 1 near ends of beams, 0 if unseen."""
+    evidence = 0
     for k in range(len(vantages)):
         dx, dy = x - vantages[k, 0], y - vantages[k, 1]
         r = math.sqrt(dx * dx + dy * dy)
-        if r < BLIND:
+        if r < MIN_RANGE:
             continue
         bearing = wrap_in_kernel(math.atan2(dy, dx) - vantages[k, 2])
         b = int((bearing + math.pi) * (BEARINGS / (2.0 * math.pi))) % BEARINGS
         end = min(free[k, b], free[k, (b + 1) % BEARINGS], free[k, b - 1])
         if end <= 0.0:
             continue
-        if r < end - INSIDE:
+        if r < end - END_MARGIN:
             return -1
-        if r < end + INSIDE:
-            held = 1
-    return held
+        if r < end + END_MARGIN:
+            evidence = 1
+    return evidence

@@ -12,7 +12,7 @@ from tests.recorded import Played, perfect
 from tests.waiting import wait_until
 
 from impslam.config import load
-from impslam.errors import ImpError, LeftError, SourceError
+from impslam.errors import ImpError, QuitError, SourceError
 from impslam.health import SOUND
 from impslam.observers.base import Observer
 from impslam.observers.live_view import LiveView
@@ -286,7 +286,7 @@ def test_a_stopped_replay_finishes_its_observers(room, tmp_path):
     playing.start()
     wait_until(lambda: playing.status().steps >= 2)
     playing.stop()
-    with pytest.raises(LeftError, match="stopped before the end"):
+    with pytest.raises(QuitError, match="stopped before the end"):
         playing.wait(5.0)
     assert f"the first {len(kept.stamps)} scans" in kept.outcome.partial
 

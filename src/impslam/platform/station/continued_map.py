@@ -10,7 +10,6 @@ import numpy as np
 from impslam.config import Config, load
 from impslam.continuing import Known
 from impslam.map import Map
-from impslam.open_log import going_on as with_continuing_estimator
 from impslam.platform.station.map_store import FILE
 from impslam.types import Array
 
@@ -40,4 +39,4 @@ def load_continued_map(
         If the map cannot be read.
     """
     known = Known(Map.load(folder / FILE), frozen, hint)
-    return ContinuedMap(folder.name, known, with_continuing_estimator(load(preset)))
+    return ContinuedMap(folder.name, known, for_continuing(load(preset)))

@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 
 from impslam.columns import Batch
 from impslam.config import Config
-from impslam.errors import ImpError, LeftError, in_a_line
+from impslam.errors import ImpError, QuitError, in_a_line
 from impslam.health import SOUND, Standing
 from impslam.map import Map
 from impslam.observers.base import Observer
@@ -151,7 +151,7 @@ class Player:
 
         Raises
         ------
-        LeftError
+        QuitError
             If it was stopped before the end of the log.
         ImpError
             The error that made it fail.
@@ -187,17 +187,17 @@ class Player:
             self._phase = "playing"
             self._play()
             self._phase = "ended"
-        except LeftError as error:
+        except QuitError as error:
             self._error, self._phase = error, "stopped"
         except Exception as error:  # raised by `wait`
             self._error, self._phase = error, "failed"
 
     def _play(self) -> None:
-        with self._source as source, self._run.keeping(source):
+        with self._source as source, self._run.salvaging(source):
             for batch in source.batches(rows=1):
                 if not self._wait_until_due(batch):
                     self._phase = "writing"
-                    raise LeftError("the replay was stopped before the end of the log")
+                    raise QuitError("the replay was stopped before the end of the log")
                 before = self._run.scans
                 self._run.feed(batch)
                 if self._run.scans > before:

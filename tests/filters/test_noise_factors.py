@@ -56,14 +56,14 @@ def corrected(z, **parameters):
     return belief.pose - before, belief.covariance, choice.matches[0]
 
 
-def test_a_detection_that_fits_counts_as_ever():
+def test_a_fitting_detection_has_full_weight():
     once, heavy = corrected(match_z() + 0.01), corrected(match_z() + 0.01, tails=4.0)
     assert heavy[2].distance2 < 2.0
     np.testing.assert_array_equal(once[0], heavy[0])
     np.testing.assert_array_equal(once[1], heavy[1])
 
 
-def test_one_that_does_not_fit_counts_by_students_weight():
+def test_an_outlier_has_the_weight_of_students_t():
     z = match_z() + 0.2
     moved, P, match = corrected(z, tails=4.0)
     assert match.distance2 > 20.0

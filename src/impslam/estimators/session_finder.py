@@ -1,7 +1,7 @@
-"""Finds where in the map a session lies that nothing connects to it yet.
+"""Locate a pending session, which no edge connects to the map yet.
 
-The scans of its last metres are sought everywhere in the map. What is found is a guess: the graph's
-loop closer verifies it, and believes it once a second one agrees.
+The scans of its last metres are searched for everywhere in the map. The result is a guess: the loop closer
+of the graph verifies it, and accepts it once several agree.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from impslam.types import Array
 if TYPE_CHECKING:
     from impslam.recognition.relocalisation import Near, Relocaliser
 
-WAY = 3.0  # m: several rooms or doors are seen on it, and motion along it is known to centimetres
-RADIUS = 3.0  # m: a place pointed at on a map is the one meant, so far around
-LIKELY = 0.98  # odds among the places found; the search may have left out others, which others tell
-DRIFT = 0.1  # m of way: what the way since that place may have strayed by
+QUERY_DISTANCE = 3.0  # m: covers several rooms or doors, and motion over it is known to centimetres
+HINT_RADIUS = 3.0  # m, accuracy of a place that a user points at
+MIN_ODDS = 0.98  # among the places found; the search may have missed others
+HINT_DRIFT = 0.1  # m/m, drift since the hinted place
 
 
-class Finder:
-    """Seeks pending sessions; `hint` (3,) or (2,) is about where the first of them begins."""
+class SessionFinder:
+    """Locates pending sessions; `hint` (3,) or (2,) is the approximate start of the first one."""
 
     def __init__(self, hint: Array | None = None) -> None:
         self._hint = hint
@@ -33,9 +33,9 @@ class Finder:
         self._map: Relocaliser | None = None
 
     def find(self, keys: KeyframeLog, graph: PoseGraph) -> tuple[Array, bool] | None:
-        """Return where the newest keyframe may be in the map: (3,), and whether it is likely there.
+        """Return a guess of the newest keyframe's pose (3,) in the map, and whether it is likely.
 
-        None if nothing can be told.
+        None without a guess.
         """
         from impslam.recognition.relocalisation import (  # noqa: PLC0415  few runs need it
             Relocaliser,
@@ -45,30 +45,30 @@ class Finder:
         session = int(keys.sessions[-1])
         if session != self._session:
             self._map, self._session = None, session
-        rows = np.flatnonzero(keys.way >= keys.way[-1] - WAY)
+        rows = np.flatnonzero(keys.distance >= keys.distance[-1] - QUERY_DISTANCE)
         views = [keys.views[row] for row in rows.tolist()]
-        seen = [view for view in views if view is not None]
-        if not seen or views[-1] is None:
+        scans = [view for view in views if view is not None]
+        if not scans or views[-1] is None:
             return None
         if self._map is None:
             placed = np.flatnonzero(graph.roots[keys.node_before] == 0)
             self._map = Relocaliser(keys.keyframes(revised(keys, graph), placed))
         poses = keys.chain[[row for row, view in zip(rows, views, strict=True) if view is not None]]
-        answer = self._map.find_query(query(seen, poses), self._near(keys))
+        answer = self._map.find_query(query(scans, poses), self._near(keys))
         if not answer.hypotheses:
             return None
         best = answer.hypotheses[0]
-        return best.pose, best.odds >= LIKELY
+        return best.pose, best.odds >= MIN_ODDS
 
     def _near(self, keys: KeyframeLog) -> Near | None:
-        """Return about where the newest keyframe is, as far as the hint tells."""
+        """Return the area of the newest keyframe according to the hint, if there is one."""
         from impslam.recognition.relocalisation import Near  # noqa: PLC0415
 
         if self._hint is None:
             return None
         first = int(np.searchsorted(keys.sessions, keys.sessions[-1]))
-        driven = between(keys.chain[first], keys.chain[-1])
-        way = float(keys.way[-1] - keys.way[first])
+        motion = between(keys.chain[first], keys.chain[-1])
+        distance = float(keys.distance[-1] - keys.distance[first])
         if len(self._hint) == 2:
-            return Near(self._hint, RADIUS + way)
-        return Near(compose(self._hint, driven), RADIUS + DRIFT * way)
+            return Near(self._hint, HINT_RADIUS + distance)
+        return Near(compose(self._hint, motion), HINT_RADIUS + HINT_DRIFT * distance)

@@ -93,8 +93,8 @@ def test_a_run_folder_knows_its_own_truth(imp, tmp_path, monkeypatch) -> None:
     # kind, true, matched, missing, false, double, RMS, max, NEES
     marks = next(line for line in said.out.splitlines() if " point " in line).split()[1:]
     assert marks == ["point", "2", "1", "1", "1", "0", "0.1000", "0.1000", "1.00"]
-    assert "by chi-square and the correlation of steps" in said.out
-    assert "laid in map by the path's best fit" in said.out
+    assert "from chi-square and the correlation of steps" in said.out
+    assert "truth aligned with the map by the path's best fit" in said.out
 
 
 def test_truth_landmarks_and_relations_together(imp, tmp_path, monkeypatch) -> None:
@@ -111,7 +111,7 @@ def test_truth_landmarks_and_relations_together(imp, tmp_path, monkeypatch) -> N
     strict = imp("evaluate", "run", *given, "--gate", "0.2")
     assert " point      2         1 " in strict.out
     alone = imp("evaluate", "run", "--landmarks", "marks.csv")
-    assert "taken to be in map" in alone.out
+    assert "assuming that the truth is in the map frame" in alone.out
     assert " point      2         2 " in alone.out
 
 
@@ -145,7 +145,7 @@ def test_a_truth_of_positions_says_so(imp, tmp_path, monkeypatch) -> None:
     assert "the truth has positions only" in said.out
     assert json.loads((tmp_path / "a.json").read_text())["runs"]["mine"]["path"]["nees"] is None
     given = imp("evaluate", "mine", "--align", "none")
-    assert "(2: of the position alone)" in given.out
+    assert "(2: position only)" in given.out
     one_line(imp("evaluate", "mine", "--align", "start"), "no heading at the start of the run")
 
 
@@ -226,7 +226,7 @@ def one_line(said, part) -> None:
         (["good.tum", "--truth", "none.tum"], "none.tum: cannot be read"),
         (["none.tum", "--truth", "good.tum"], "none.tum: no such run"),
         (["."], "no trajectory.tum"),
-        (["good.tum"], "good.tum: contains neither a truth nor a map.imp; give --truth"),
+        (["good.tum"], "good.tum: contains neither ground truth nor a map.imp; give --truth"),
         (["bad.tum", "--truth", "good.tum"], "bad.tum, line 1: expected stamp x y z"),
         (["good.tum", "--truth", "bad.tum"], "bad.tum, line 1: expected stamp x y z"),
         (["empty.tum", "--truth", "good.tum"], "empty.tum: holds no pose"),
@@ -243,7 +243,7 @@ def one_line(said, part) -> None:
         (["run", "--delta", "0"], "greater than 0"),
         (["run", "--gate", "nan"], "greater than 0"),
         (["run", "--align", "best"], "--align"),
-        (["run", "-o", "plot.jpg"], "plot.jpg: is drawn as a PNG"),
+        (["run", "-o", "plot.jpg"], "plot.jpg: pictures are written as PNG"),
     ],
 )
 def test_one_line_errors(imp, tmp_path, monkeypatch, words, part) -> None:

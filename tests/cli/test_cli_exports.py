@@ -26,10 +26,10 @@ def test_the_files_lie_beside_the_run_and_are_told(imp, room, tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("option", "name", "said"),
     [
-        ("--mcap", "run.bag", "ends in .mcap"),
-        ("--video", "run.avi", "ends in .mp4"),
-        ("--rerun", "run.rerun", "ends in .rrd"),
-        ("--mcap", "nowhere/run.mcap", "there is no folder"),
+        ("--mcap", "run.bag", "end in .mcap"),
+        ("--video", "run.avi", "end in .mp4"),
+        ("--rerun", "run.rerun", "end in .rrd"),
+        ("--mcap", "nowhere/run.mcap", "no such folder"),
     ],
 )
 def test_a_file_that_cannot_be_is_refused_before_the_run(imp, room, tmp_path, option, name, said):

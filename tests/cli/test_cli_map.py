@@ -121,7 +121,9 @@ def test_merge_names_the_map_that_lies_elsewhere(imp, office, tmp_path) -> None:
     hall = mapped(room(0, 9, 0, 7), way(1, 1, 8, 5, 30)).save(tmp_path / "hall.imp")
     said = imp("map", "merge", office, hall, "-o", tmp_path / "both.imp")
     assert said.code == 2
-    assert said.err.startswith(f"imp: error: {hall}: is not merged: they have no place in common")
+    assert said.err.startswith(
+        f"imp: error: {hall}: cannot be merged: they have no place in common"
+    )
     assert said.err.count("\n") == 1
     assert not (tmp_path / "both.imp").exists()
 
@@ -203,14 +205,14 @@ def test_files_that_are_no_maps_are_told_in_one_line(imp, office, tmp_path, comm
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (("info", "MAP", "-o", "map.jpg"), "is drawn as a PNG"),
+        (("info", "MAP", "-o", "map.jpg"), "pictures are written as PNG"),
         (("info", "MAP", "-o", "/nowhere/map.png"), "cannot be written"),
         (("straighten", "MAP"), "output"),
         (("straighten", "MAP", "-o", "/nowhere/map.imp"), "cannot be written"),
-        (("export", "MAP", "-o", "FOLDER"), "holds 'mine.txt', which is none"),
+        (("export", "MAP", "-o", "FOLDER"), "contains 'mine.txt', which"),
         (("export", "MAP", "-o", "MAP"), "MAP"),
         (("export", "MAP", "-o", "new", "--resolution", "0"), "resolution"),
-        (("merge", "MAP", "-o", "new.imp"), "two maps or more"),
+        (("merge", "MAP", "-o", "new.imp"), "two or more maps"),
         (("merge", "MAP", "MAP"), "output"),
         (("turn", "MAP"), "turn"),
     ],

@@ -96,7 +96,7 @@ def test_an_interruption_keeps_the_experiments_that_are_done(tmp_path, monkeypat
         command, "_study", lambda name: interrupted if name == "lines" else toy(name)
     )
     assert main(["reproduce", "-o", str(tmp_path / "out"), "-j", "1"]) == 130
-    assert "out holds figures.json, report.html, report.md" in capsys.readouterr().err
+    assert "out contains figures.json, report.html, report.md" in capsys.readouterr().err
     facts = json.loads((tmp_path / "out" / "figures.json").read_text())
     assert "points" in facts
     assert facts["partial"] == "Partial: lines missing."
@@ -109,7 +109,7 @@ def test_an_interruption_keeps_the_experiments_that_are_done(tmp_path, monkeypat
     [
         (["pionts"], "no such experiment; did you mean 'points'"),
         (["points", "--seeds", "0"], "--seeds 0: must be at least 1"),
-        (["points", "--seeds", "3", "--full"], "--full and --seeds: give one of them"),
+        (["points", "--seeds", "3", "--full"], "--full and --seeds: give only one of them"),
         (["points", "-j", "-2"], "--jobs -2: must be at least 1"),
     ],
 )

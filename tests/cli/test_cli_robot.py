@@ -52,7 +52,7 @@ def test_the_virtual_robot_is_as_its_options_say(monkeypatch):
         raise ImpError("enough")
 
     monkeypatch.setattr(process, "VirtualRobot", virtual)
-    chosen = robot.Simulated(virtual=True, world="room", seed=3, speed_control=True)
+    chosen = robot.VirtualOptions(virtual=True, world="room", seed=3, speed_control=True)
     with pytest.raises(ImpError, match="enough"), robot.running_station(None, chosen, None):
         pass
     assert asked == {"world": "room", "seed": 3, "gps": False, "speed_control": True}

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from impslam.cli import main
-from impslam.cli.run_folder import FILES, run_folder
+from impslam.cli.run_folder import RUN_FILES, run_folder
 from impslam.sources.recording import McapWriter
 from impslam.types import WheelAngles
 
-WRITTEN = FILES - {"graph.g2o"}  # the preset of the room has no graph
+WRITTEN = RUN_FILES - {"graph.g2o"}  # the preset of the room has no graph
 SAME = sorted(WRITTEN - {"report.html", "report.png", "summary.json"})
 """Figures that are times stand in the others."""
 

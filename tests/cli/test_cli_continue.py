@@ -1,4 +1,4 @@
-"""`imp run LOG --map FILE`: what it goes on with, and what it refuses."""
+"""`imp run LOG --map FILE`: which maps it continues, and which it rejects."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def test_a_log_that_is_not_found_in_a_frozen_map_is_an_error(imp, room, done, tm
         (["--frozen"], "--frozen and --start need a map; give one with --map FILE"),
         (["--start", "1,2"], "give one with --map FILE"),
         (["--map", "gone.imp"], "gone.imp: no such file"),
-        (["--map", "MAP", "--start", "1"], "--start 1: is no place; give x,y in m"),
-        (["--map", "MAP", "--start", "1,nan"], "--start 1,nan: is no place"),
+        (["--map", "MAP", "--start", "1"], "--start 1: not a pose; give x,y"),
+        (["--map", "MAP", "--start", "1,nan"], "--start 1,nan: not a pose"),
         (["--map", "MAP", "--live"], "leave out --live or --map"),
         (["--map", "MAP", "--set", "estimator.kind=landmarks"], "cannot continue a map"),
     ],

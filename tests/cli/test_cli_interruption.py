@@ -24,7 +24,7 @@ SLOWLY = """
 import resource, sys, time
 from impslam.cli import bar, main
 from impslam.observers import recorder, trajectory
-trajectory.FLUSH = 1
+trajectory.FLUSH_ROWS = 1
 {more}
 bar.RunBar._advance = lambda self, scans: time.sleep(0.03 * scans)
 sys.exit(main(sys.argv[1:]))
@@ -78,7 +78,9 @@ def check_partial(folder: Path, log: Path, reason: str) -> Map:
         (signal.SIGHUP, "terminal closed", 129),
     ],
 )
-def test_a_signal_leaves_a_whole_folder_of_a_part(room, tmp_path, number, reason, code) -> None:
+def test_a_signal_leaves_a_complete_folder_of_a_partial_run(
+    room, tmp_path, number, reason, code
+) -> None:
     folder = tmp_path / "run"
     with started("run", room, "-o", folder) as process:
         wait_for_scans(process, folder)
@@ -89,7 +91,7 @@ def test_a_signal_leaves_a_whole_folder_of_a_part(room, tmp_path, number, reason
     check_partial(folder, room, reason)
 
 
-def test_a_part_is_the_begin_of_the_whole_and_enough_to_go_on(imp, room, tmp_path) -> None:
+def test_an_interrupted_run_is_a_prefix_and_can_be_continued(imp, room, tmp_path) -> None:
     folder, graph = tmp_path / "run", ("--set", "estimator.kind=graph")
     with started("run", room, "-o", folder, *graph) as process:
         wait_for_scans(process, folder)
@@ -106,7 +108,7 @@ def test_a_part_is_the_begin_of_the_whole_and_enough_to_go_on(imp, room, tmp_pat
     np.testing.assert_allclose(ends[0], ends[1], atol=0.01)
 
 
-def test_a_second_signal_ends_it_at_once(room, tmp_path) -> None:
+def test_a_second_signal_stops_at_once(room, tmp_path) -> None:
     folder = tmp_path / "run"
     with started("run", room, "-o", folder, more=STUCK) as process:
         wait_for_scans(process, folder)
@@ -182,7 +184,7 @@ def test_an_error_keeps_what_was_mapped_before(
     assert "partial    ArithmeticError" in imp("map", "info", folder / "map.imp").out
 
 
-def test_a_run_is_replaced_by_a_whole_one_only(imp, room, tmp_path) -> None:
+def test_only_a_complete_run_replaces_another(imp, room, tmp_path) -> None:
     folder = tmp_path / "run"
     assert imp("run", room, "-o", folder).code == 0
     (folder / "notes.txt").write_text("mine")

@@ -53,7 +53,7 @@ def test_logs_and_worlds_configs_settings_and_seeds(imp, world, room, tmp_path):
     assert "filter.kind=riekf" in said.out
 
 
-def test_it_goes_on_and_a_failed_run_is_a_row(imp, world, tmp_path):
+def test_a_sweep_continues_and_a_failed_run_is_a_row(imp, world, tmp_path):
     bad = tmp_path / "blind.log"
     bad.write_text("ODOM 0.0 0.0 0.0 0.0 0.0 0.0 1.0 host 1.0\n" * 2)
     words = ["sweep", world, bad, "-o", tmp_path / "out", "--jobs", 2]
@@ -99,7 +99,7 @@ def test_ctrl_c_keeps_what_is_done(world, tmp_path):
         (("room", "-j", "1", "--scheduler", "tcp://x:1"), "--jobs and --scheduler: give only one"),
     ],
 )
-def test_what_cannot_be_done_is_refused_in_one_line(imp, tmp_path, words, message):
+def test_unusable_arguments_are_one_line_errors(imp, tmp_path, words, message):
     said = imp("sweep", *words, "-o", tmp_path / "out")
     assert said.code == 2
     assert message in said.err

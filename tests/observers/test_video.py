@@ -54,7 +54,7 @@ def test_the_video_plays_and_the_path_grows(tmp_path, monkeypatch):
     assert max(lost[: int(0.75 * len(lost))]) < 0.2 * lost[-1]
 
 
-def test_a_wall_is_shown_when_it_has_been_seen(tmp_path, monkeypatch):
+def test_a_wall_is_drawn_once_it_has_been_observed(tmp_path, monkeypatch):
     monkeypatch.setattr(video, "RATE", 5.0)
     monkeypatch.setattr(video, "SIZE", 320)
     known, outcome = made_up()
@@ -74,6 +74,6 @@ def test_long_runs_take_no_longer_and_the_clock_never_runs_backwards():
     assert len(video._rows(np.zeros(1))) == 2
 
 
-def test_a_folder_that_is_none_is_told(tmp_path):
+def test_a_missing_folder_is_an_error(tmp_path):
     with pytest.raises(ImpError, match="cannot be written as a video"):
         Video(tmp_path / "none" / "run.mp4").finish(*made_up())

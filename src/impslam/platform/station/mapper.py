@@ -14,7 +14,7 @@ from impslam.errors import ImpError
 from impslam.map import Map
 from impslam.observers.base import Outcome
 from impslam.observers.live_view import LiveView
-from impslam.observers.recorder import Truth
+from impslam.observers.recorder import TruthRecorder
 from impslam.observers.run_folder import write_run
 from impslam.platform.devices.base import now
 from impslam.platform.station.going_on import GoingOn
@@ -154,7 +154,7 @@ class _Mapping:
     ) -> None:
         self._config = config if going_on is None else going_on.config
         self._view, self._prepare, self._before = view, prepare, before
-        self._truth, self.going_on = Truth(), going_on
+        self._truth, self.going_on = TruthRecorder(), going_on
         known = None if going_on is None else going_on.known
         self.run = Run(self._config, [self._truth, view], known)
         robot = self.run.robot
@@ -296,7 +296,7 @@ class _Mapping:
         if silent < SILENT or moment - self._carried < CARRY or self._inbox.waiting:
             return
         if (path := self.run.dead_reckoned()) is not None:
-            self._view.carry(path, silent)
+            self._view.show_dead_reckoned(path, silent)
             self._carried = moment
 
     def _feed(self, message: Message, arrived: float) -> None:

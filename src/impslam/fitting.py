@@ -44,7 +44,7 @@ def fitted(config: Config, source: Source, *, odometry_is_free: bool) -> Config:
             sensors[name] = table
         if _is_of(mount, table):
             held.append(stream)
-    source.hold_mounts(held)
+    source.watch_mounts(held)
     changes: dict[str, Any] = {"sensors": sensors, "landmarks": _with_antenna(config, source)}
     if odometry_is_free and _lacks_odometry(config, source):
         changes["odometry"] = {"kind": "lidar_only"}

@@ -168,7 +168,7 @@ def positions(**frame):
 
 def test_a_truth_without_headings_is_aligned_by_the_best_fit_without_nees(tmp_path):
     text = write(tmp_path, truth=positions(frame=(40.0, -7.0, 2.0)))
-    assert "aligned by the best fit of the path" in text
+    assert "aligned with the map by the best fit of the path" in text
     assert "x error in cm, band" not in text
     for words in ("NEES of the pose", "Heading error", "From the start", "nan cm", "nan°"):
         assert words not in text

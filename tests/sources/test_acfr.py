@@ -83,8 +83,8 @@ def test_readings_that_are_no_numbers_are_dropped(carpark):
     [
         ({"Velocity": [[0.5, 1.0]]}, "lengths differ"),
         ({"Index": [[1, 1]]}, "lengths differ"),
-        ({"TimeLaser": [[1.0]]}, "do not fit"),
-        ({"Intensity": np.zeros((2, 360))}, "do not fit"),
+        ({"TimeLaser": [[1.0]]}, "different sizes"),
+        ({"Intensity": np.zeros((2, 360))}, "different sizes"),
         ({"Steering": "left"}, "no row of numbers"),
         ({"Laser": np.zeros((2, 3), complex)}, "no table of numbers"),
     ],

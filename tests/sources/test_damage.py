@@ -99,7 +99,7 @@ def test_a_file_that_begins_with_zeros_says_why(tmp_path: Path) -> None:
     """As a recorder leaves it that goes on behind what another program cut off."""
     path = tmp_path / "file.mcap"
     path.write_bytes(bytes(5000) + b"\x06 and more")
-    with pytest.raises(SourceError, match="begins with zeros: cut while it was written"):
+    with pytest.raises(SourceError, match="begins with zeros: writing was interrupted"):
         recognise(path)
 
 

@@ -167,7 +167,7 @@ def test_a_flipped_bit_is_never_taken_for_data(
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_text("precious")
-    with pytest.raises(SourceError, match="exists already"):
+    with pytest.raises(SourceError, match="already exists"):
         LiveMcapWriter(path, "imp", 1.0).__enter__()
     assert path.read_text() == "precious"
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]

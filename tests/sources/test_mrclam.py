@@ -69,7 +69,7 @@ def test_the_robot_is_chosen_by_parameter_or_by_a_file_of_its(tmp_path):
 
 def test_a_robot_that_is_not_there_is_refused_with_those_that_are(tmp_path):
     folder = write_mrclam(tmp_path / "set")
-    with pytest.raises(SourceError, match=r"robot 3; there are those of 2: choose by --set"):
+    with pytest.raises(SourceError, match=r"robot 3; available: 2; choose one with --set"):
         Mrclam(path=folder, robot=3).__enter__()
 
 

@@ -17,7 +17,7 @@ from impslam.errors import ImpError
 from impslam.paths import numbered
 from impslam.platform.devices.base import Reading
 from impslam.platform.station.recorder_thread import Recording, RecordingError, disk_error
-from impslam.sources.live_recording import TakenError
+from impslam.sources.live_recording import LogExistsError
 
 LONGEST_NAME = 60  # letters; file systems allow 255 bytes with date, number and suffix
 FRESH = 1.0  # s between looks at how much of the disk is free
@@ -167,7 +167,7 @@ class LogRecorder:
                     "on the disk; delete logs and empty the recycle bin"
                 )
             for path in self._paths(name):
-                with suppress(TakenError):  # another recorder of this folder was as fast
+                with suppress(LogExistsError):  # another recorder of this folder was as fast
                     return Recording(path, self._preset, self._room, self._tell)
             raise AssertionError("names never end")
         except OSError as error:

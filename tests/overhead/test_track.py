@@ -102,7 +102,7 @@ def test_what_cannot_be_used_is_told(filmed, tmp_path) -> None:
 def test_the_simulated_camera_refuses_what_it_cannot_see(tmp_path) -> None:
     world = load_world("room")
     for changed, told in (
-        ({"focal": 5000.0}, "whole way"),
+        ({"focal": 5000.0}, "whole path"),
         ({"marker_size": 0.02}, "make it 0.06 m"),
     ):
         device = DEVICE.model_copy(update=changed)

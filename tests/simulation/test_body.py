@@ -53,7 +53,7 @@ def test_settled_motion_is_an_exact_arc(left, right):
     robot = body()
     robot.drive(left, right)
     robot.advance(2.0)
-    turn_rate = AT_ONCE.kept * (right - left) / AT_ONCE.track
+    turn_rate = AT_ONCE.turn_efficiency * (right - left) / AT_ONCE.track
     twist = np.array([0.5 * (left + right), 0.0, turn_rate])
     np.testing.assert_allclose(robot.twist, twist[[0, 2]], atol=1e-12)
     start = robot.at(np.array([0.5]))[0]
@@ -82,7 +82,7 @@ def test_motors_follow_with_a_first_order_lag():
 def test_motors_are_limited_in_acceleration_and_speed():
     robot = Body(EMPTY, PERFECT)
     robot.drive(5.0, 5.0)
-    np.testing.assert_allclose(robot.told, [1.0, 1.0])
+    np.testing.assert_allclose(robot.commanded, [1.0, 1.0])
     robot.advance(0.05)
     np.testing.assert_allclose(robot.motors, [0.25, 0.25])
     robot.advance(3.0)
@@ -91,7 +91,7 @@ def test_motors_are_limited_in_acceleration_and_speed():
 
 def test_kept_share_of_a_turn_balances_the_friction_of_four_wheels():
     train = Drivetrain()
-    w, omega = 0.3, train.kept * 2 * 0.3 / train.track
+    w, omega = 0.3, train.turn_efficiency * 2 * 0.3 / train.track
     moment = 0.0
     for x in (0.5 * train.wheelbase, -0.5 * train.wheelbase):
         for y in (0.5 * train.track, -0.5 * train.track):
@@ -100,7 +100,7 @@ def test_kept_share_of_a_turn_balances_the_friction_of_four_wheels():
             force = -sliding / np.linalg.norm(sliding)
             moment += x * force[1] - y * force[0]
     assert moment == pytest.approx(0.0, abs=1e-12)
-    assert train.kept == pytest.approx(0.64)
+    assert train.turn_efficiency == pytest.approx(0.64)
 
 
 @pytest.mark.parametrize(("side", "sign"), [("left", 1.0), ("right", -1.0)])
@@ -235,7 +235,7 @@ def test_it_can_turn_where_it_touches():
     robot = put(body(world(walls=[{"start": (-1, 0.25), "end": (1, 0.25)}])), 0, 0, 0)
     robot.drive(-0.3, 0.3)
     robot.advance(1.0)
-    assert robot.pose[2] == pytest.approx(AT_ONCE.kept * 0.6 / 0.4, abs=2e-3)
+    assert robot.pose[2] == pytest.approx(AT_ONCE.turn_efficiency * 0.6 / 0.4, abs=2e-3)
     np.testing.assert_allclose(robot.pose[:2], 0.0, atol=1e-6)
 
 

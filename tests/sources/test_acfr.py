@@ -85,8 +85,8 @@ def test_readings_that_are_no_numbers_are_dropped(carpark):
         ({"Index": [[1, 1]]}, "lengths differ"),
         ({"TimeLaser": [[1.0]]}, "different sizes"),
         ({"Intensity": np.zeros((2, 360))}, "different sizes"),
-        ({"Steering": "left"}, "no row of numbers"),
-        ({"Laser": np.zeros((2, 3), complex)}, "no table of numbers"),
+        ({"Steering": "left"}, "not a row of numbers"),
+        ({"Laser": np.zeros((2, 3), complex)}, "not a table of numbers"),
     ],
 )
 def test_a_carpark_that_does_not_fit_together_is_refused_in_one_line(carpark, changes, why):

@@ -122,14 +122,14 @@ def test_bad_rows_are_counted_and_dropped(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("header", "parameters", "said"),
     [
-        ("when,left,right,0,1,2", {}, r"no column is known as stamp \(when, left, right, 0"),
-        ("stamp,a,b,c,d,e", {}, "known as ranges .*: say --columns ranges=FIRST:LAST"),
+        ("when,left,right,0,1,2", {}, r"no column for stamp found \(when, left, right, 0"),
+        ("stamp,a,b,c,d,e", {}, "for ranges found .*: name it with --columns ranges=FIRST:LAST"),
         (
             "stamp,a,r0,r1,r2,r3",
             {},
-            "directions of the beams are not known: say --set source.angle_min",
+            "directions of the beams are unknown: give --set source.angle_min",
         ),
-        ("stamp,a,0,1,2,3", {"columns": {"x": "ab"}}, "no column 'ab' in it; did you mean 'a'"),
+        ("stamp,a,0,1,2,3", {"columns": {"x": "ab"}}, "no column 'ab'; did you mean 'a'"),
         ("stamp,a,0,1,2,3", {"columns": {"ranges": "0"}}, "expected ranges=FIRST:LAST"),
         ("stamp,a,0,1,2,3", {"columns": {"ranges": "2:0"}}, "0 is before 2"),
         ("stamp,a,0,1,2,3", {"columns": {"x": "a*b"}}, "'b' is not a number"),
@@ -161,7 +161,7 @@ def test_a_csv_log_is_mapped(tmp_path: Path, capsys: pytest.CaptureFixture[str])
             rows.append(",".join([f"{m.stamp:.6f}", *map(str, wheels[m.stamp]), *cells]))
     path = log(tmp_path, *rows)
     assert main(["run", str(path)]) == 2
-    assert "no column is known as stamp (clock, enc_l, enc_r, b0" in capsys.readouterr().err
+    assert "no column for stamp found (clock, enc_l, enc_r, b0" in capsys.readouterr().err
     given = ["--columns", "stamp=clock,left=enc_l,right=enc_r", "--columns", "ranges=b0:b681"]
     for one in (f"angle_min={-340 * math.tau / 1024}", f"angle_step={math.tau / 1024}"):
         given += ["--set", f"source.{one}"]

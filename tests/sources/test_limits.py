@@ -79,7 +79,7 @@ def test_an_mcap_with_a_large_chunk(tmp_path: Path, mode, as_folder: bool) -> No
     folder = mcap(tmp_path / "log", lambda w, c: w.write(c, 1, LARGE), mode)
     if mode is not None:
         assert single(folder).stat().st_size < MB / 10
-    refused(folder if as_folder else single(folder), "64 MB", "check where it is from")
+    refused(folder if as_folder else single(folder), "64 MB", "check its origin")
 
 
 @pytest.mark.parametrize("size", [1, 100 * MB])

@@ -56,12 +56,12 @@ def test_nothing_gives_no_batch() -> None:
 
 STAMPS = [0.0, 0.5, 0.5, 0.25, 20.0, 20.0, 19.0, 60.0]
 WANTED = {
-    "repeated stamp": ("a.log:102: x has the stamp 0.500000 of the one before it", 2),
+    "repeated stamp": ("a.log:102: x has the same stamp as its predecessor, 0.500000", 2),
     "backward stamp": (
-        "a.log:103: x is stamped 0.250000 s before its predecessor; file order is kept",
+        "a.log:103: x has a stamp 0.250000 s before that of its predecessor; file order is kept",
         2,
     ),
-    "gap": ("a.log:104: x has been silent for 19.8 s; was it paused?", 2),
+    "gap": ("a.log:104: x was silent for 19.8 s; was recording paused?", 2),
 }
 
 

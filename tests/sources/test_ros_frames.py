@@ -50,7 +50,7 @@ ZERO = [0, 0, 0]
 @pytest.mark.parametrize(
     ("ways", "said"),
     [
-        ([], "no transform tells where laser is"),
+        ([], "there is no transform to laser"),
         ([URDF[0], ("mast", "laser", ZERO, ZERO)], "laser leads up to mast, not to base_footprint"),
         (
             [("mast", "laser", ZERO, ZERO), ("laser", "mast", ZERO, ZERO)],
@@ -76,7 +76,7 @@ def test_a_transform_that_is_none_is_left_out(entries, tmp_path, values, said):
         "geometry_msgs/msg/Quaternion", *map(float, values)
     )
     line = read(bag(tmp_path, entries, (0.0, message)))[2]
-    assert "the transform base_link -> laser is not one: " in line
+    assert "the transform base_link -> laser is not valid: " in line
     assert said in line
 
 

@@ -93,7 +93,7 @@ def layout(header: Sequence[str], given: Mapping[Role, str], start: float, step:
             example = "stamp=NAME" if role == "stamp" else "ranges=FIRST:LAST"
             shown = ", ".join(header[:8]) + (", ..." if len(header) > 8 else "")
             raise MessageError(
-                f"no column {role} found ({shown}): name it with --columns {example}"
+                f"no column for {role} found ({shown}): name it with --columns {example}"
             )
     motion = next((roles for roles in MOTIONS if all(role in cells for role in roles)), ())
     return Layout(cells, motion, _angles(header, cells, start, step))

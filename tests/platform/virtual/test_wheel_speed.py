@@ -84,7 +84,7 @@ def test_stop_is_at_once_and_forgets():
     body_told = []
 
     def note(body, time):
-        body_told.append(body.told)
+        body_told.append(body.commanded)
 
     driven((0.3, 0.3), note, seconds=1.0, stop=700)
     told = np.array(body_told)

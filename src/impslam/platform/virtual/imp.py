@@ -54,7 +54,7 @@ class VirtualImp:
         self._ports = {name: line.url for name, line in self._lines.items()}
         self._blocked: dict[str, float] = {}
         self._commands: deque[tuple[float, float, float]] = deque(maxlen=COMMANDS)
-        self._told = body.told
+        self._told = body.commanded
         self._origin, self._now = time.monotonic(), body.time
         self._lateness = np.zeros(KEPT)
         self._passes = self._late = 0
@@ -119,7 +119,7 @@ class VirtualImp:
         autopilot = self._emulators.get("autopilot")
         if isinstance(autopilot, AutopilotEmulator):
             return np.array(autopilot.asked)
-        return self.body.told
+        return self.body.commanded
 
     def _note(self, lateness: float) -> None:
         self._lateness[self._passes % KEPT] = lateness

@@ -14,7 +14,7 @@ MINIMAL = "[robot]\nwaypoints = [[1.0, 0.0]]\n"
 WALL = '[[walls]]\nname = "a"\nstart = [0, 0]\nend = [4, 0]\n'
 
 
-def test_shipped_worlds_load_and_know_their_names():
+def test_shipped_worlds_load_with_their_names():
     assert {"arena", "corridor", "room"} <= set(shipped_worlds())
     for name in shipped_worlds():
         assert load_world(name).name == name
@@ -156,7 +156,7 @@ def legs(time: float, extra: str = "") -> np.ndarray:
     return Scene(parse_world(MINIMAL + PERSON + extra, "w.toml")).legs(time)
 
 
-def test_person_stands_walks_and_stands():
+def test_a_person_stands_still_before_and_after_the_walk():
     np.testing.assert_allclose(legs(0.0)[:, :2], [[0, 2.1], [0, 1.9]], atol=1e-12)
     np.testing.assert_allclose(legs(5.0), legs(0.0), atol=1e-12)
     np.testing.assert_allclose(legs(9.0)[:, 0].mean(), 4.0, atol=1e-12)

@@ -64,7 +64,7 @@ def test_units_in_names(tmp_path: Path) -> None:
     np.testing.assert_array_equal(scan.angles, [-0.5, 0.0, 0.5])
 
 
-def test_columns_that_are_said(tmp_path: Path) -> None:
+def test_columns_given_by_the_user(tmp_path: Path) -> None:
     columns = {"stamp": "secs", "x": "px", "y": "py", "theta": "dir*0.5", "ranges": "d0:d2*0.001"}
     rows = ["secs,px,py,dir,note,d0,d1,d2", "1.5,1,2,3,hello,1000,2000,3000"]
     pose, scan = messages(tmp_path, *rows, columns=columns, angle_min=1.0, angle_step=-1.0)
@@ -104,7 +104,7 @@ def test_what_rostopic_echo_writes(tmp_path: Path) -> None:
     assert (scan.range_min, scan.range_max) == (0.1, 8.0)
 
 
-def test_rows_may_hold_one_of_both(tmp_path: Path) -> None:
+def test_rows_may_contain_odometry_or_a_scan_only(tmp_path: Path) -> None:
     rows = ["stamp,left,right,0,1,2", "1,1,2,,,", "2,,,1,2,3", "3,1,2,1,2,3", "# no row", ""]
     assert [(m.stamp, type(m)) for m in messages(tmp_path, *rows)] == [
         (1.0, WheelAngles), (2.0, LaserScan), (3.0, WheelAngles), (3.0, LaserScan),
@@ -135,7 +135,7 @@ def test_bad_rows_are_counted_and_dropped(tmp_path: Path) -> None:
         ("stamp,a,0,1,2,3", {"columns": {"x": "a*b"}}, "'b' is not a number"),
     ],
 )
-def test_columns_that_cannot_be_told_are_said(
+def test_unknown_columns_are_errors(
     tmp_path: Path, header: str, parameters: dict[str, object], said: str
 ) -> None:
     path = log(tmp_path, header, "1,2,3,4,5,6")

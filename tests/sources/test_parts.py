@@ -1,4 +1,4 @@
-"""Columns of several layouts are joined and to_batches, in order; stamps are checked across the cuts."""
+"""Columns of several layouts are joined and cut into batches, in order; stamps are checked across them."""
 
 import heapq
 from itertools import pairwise
@@ -50,7 +50,7 @@ def test_a_batch_ends_where_a_layout_changes() -> None:
     assert found == [{"a": ([0, 1], 0.0)}, {"a": ([2, 3], 1.0)}, {"a": ([4], 0.0), "b": ([5], 0.0)}]
 
 
-def test_nothing_gives_no_batch() -> None:
+def test_no_rows_give_no_batch() -> None:
     assert not list(to_batches([], 5))
 
 

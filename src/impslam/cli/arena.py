@@ -47,8 +47,8 @@ def map_arena(
     start = list(map(float, world.robot.start))
     with run_folder(output, WORLD, force=force, also=LOG_FILES) as folder:
         log = folder / LOG
-        with clock("simulate the arena"), display(quiet) as shown:
-            scans = write_log(world, log, seed, shown)
+        with clock("simulate the arena"), display(quiet) as progress:
+            scans = write_log(world, log, seed, progress)
         if not quiet:
             console.echo(f"recorded {scans} scans, wheel encoders and gyro to {LOG}; mapping ...")
         with clock("map and report"):

@@ -129,14 +129,14 @@ def _read(
     from impslam.open_log import open_log
 
     configs, drives = list[Any](), list[Any]()
-    with display(quiet) as shown:
+    with display(quiet) as progress:
         for log in logs:
             config, source = open_log(log, base, settings)
-            task = shown and shown.add_task(log.name, total=source.total)
+            task = progress and progress.add_task(log.name, total=source.total)
 
             def tick(source: Any = source, task: Any = task) -> None:
-                if shown:
-                    shown.update(task, completed=source.position)
+                if progress:
+                    progress.update(task, completed=source.position)
 
             drives += drives_of(config, record(config, source, tick), str(log))
             configs.append(config)

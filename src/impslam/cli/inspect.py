@@ -45,9 +45,9 @@ def inspect(
 
     chosen, source = open_log(log, config, all_settings(settings, topics, columns))
     survey = Survey(chosen)
-    with source, display(common is not None and common.quiet) as shown:
+    with source, display(common is not None and common.quiet) as progress:
         streams, preset, ambient = source.streams(), source.preset, source.surroundings()
-        for _ in with_progress(survey.read(source), source, shown, "reading"):
+        for _ in with_progress(survey.read(source), source, progress, "reading"):
             pass
     named = config or ("stored in the log" if "\n" in preset else preset)
     if json:

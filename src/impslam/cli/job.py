@@ -81,9 +81,9 @@ def execute(  # noqa: PLR0913  # all parts of a run
     """
     if folder.resolve().is_relative_to(source.path.resolve()):
         raise ConfigError(f"{folder}: is inside the log and would change it; give another -o")
-    with display(quiet) as shown:
+    with display(quiet) as progress:
         landmarks = true_landmarks or source.true_landmarks() or surveyed(source.path)
-        bar = RunBar(source, shown)
+        bar = RunBar(source, progress)
         files = [] if exports is None else exports.observers(bar.show)
         observers = [bar, Recorder(folder, landmarks), *more, *files]
         if player is not None:

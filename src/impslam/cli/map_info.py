@@ -56,13 +56,13 @@ def info(
     if not quiet:
         console.echo(f"{file}:")
         partial = known.about.get("partial")
-        shown = {
+        rows = {
             **_rows(found),
             **({"partial": str(partial)} if partial else {}),
             "quality": _quality(agreement),
             "picture": str(picture),
         }
-        console.show_facts(shown)
+        console.show_facts(rows)
     if json is not None:
         write_json(json, {**asdict(found), "quality": agreement.figures()})
 

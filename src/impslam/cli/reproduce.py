@@ -85,11 +85,11 @@ def reproduce(
     command = ["imp", "reproduce", *experiments, *(["--seeds", str(seeds)] if seeds else [])]
     command += ["--full"] if full else []
     parts: list[Section] = []
-    with _folder(output, force=force) as folder, display(quiet) as shown:
+    with _folder(output, force=force) as folder, display(quiet) as progress:
         try:
             for name in names:
                 runs = seeds or (EXPERIMENTS[name][1] if full else None)
-                job = Job(runs, jobs or os.cpu_count() or 1, StageBars(shown, name), data)
+                job = Job(runs, jobs or os.cpu_count() or 1, StageBars(progress, name), data)
                 parts.append(_study(name)(job))
         finally:
             if parts:  # if a later experiment is interrupted, keep hours of work

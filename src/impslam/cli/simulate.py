@@ -62,10 +62,10 @@ def simulate(
     quiet = common is not None and common.quiet
     chosen = load_world(world)
     driven = load_robot(robot, settings)
-    with display(quiet) as shown:
+    with display(quiet) as progress:
         if camera is not None:  # first, because it rejects worlds that it cannot film
-            film(chosen, driven, camera, seed, shown)
-        scans = write_log(chosen, output, seed, shown, driven)
+            film(chosen, driven, camera, seed, progress)
+        scans = write_log(chosen, output, seed, progress, driven)
     if not quiet:
         console.echo(f"{output}: {scans} scans in world {chosen.name!r}, seed {seed}")
         console.echo(f"truth: {truth_path(output)}, {landmarks_path(output)}")
@@ -73,14 +73,14 @@ def simulate(
             console.echo(f"video: {camera}; camera setup: {camera.with_suffix('.toml')}")
 
 
-def film(world: World, robot: SimulatedRobot, path: Path, seed: int, shown: Any = None) -> None:
+def film(world: World, robot: SimulatedRobot, path: Path, seed: int, progress: Any = None) -> None:
     """Write the video of an overhead camera and its setup for `imp track`."""
     from impslam.simulation.drive import drive
     from impslam.simulation.overhead_files import write_film
     from impslam.simulation.scene import Scene
 
     driven = drive(world.robot)
-    tick = ticker(shown, "filming", driven.duration)
+    tick = ticker(progress, "filming", driven.duration)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_film(path, robot.overhead, Scene(world), driven, robot.start_time, seed, tick)
 
@@ -127,7 +127,7 @@ def truth_path(log: Path) -> Path:
 
 
 def write_log(
-    world: World, log: Path, seed: int, shown: Any = None, robot: SimulatedRobot | None = None
+    world: World, log: Path, seed: int, progress: Any = None, robot: SimulatedRobot | None = None
 ) -> int:
     """Write a simulated log and its truth; return the number of scans."""
     import numpy as np
@@ -139,8 +139,8 @@ def write_log(
     from impslam.sources.recording import McapWriter
 
     # Planning the drive takes time, so its duration is computed only if the progress is shown.
-    duration = 0.0 if shown is None else drive(world.robot).duration
-    tick = ticker(shown, "simulating", duration)
+    duration = 0.0 if progress is None else drive(world.robot).duration
+    tick = ticker(progress, "simulating", duration)
     log.parent.mkdir(parents=True, exist_ok=True)
     with McapWriter(log) as writer:
         truth = list(_recorded(messages(world, robot, seed), writer.write, tick))

@@ -151,8 +151,8 @@ def _run(cases: Sequence[Case], pool: Pool, journal: Journal, quiet: bool) -> No
     from impslam.sweeps.measures import run_case
     from impslam.sweeps.pool import Lost
 
-    with Interruption(), display(quiet) as shown:
-        bars = StageBars(shown, "sweep")
+    with Interruption(), display(quiet) as progress:
+        bars = StageBars(progress, "sweep")
         bars("runs", 0, len(cases))
         for done, (index, result) in enumerate(pool.each(run_case, cases), start=1):
             run = cases[index].row()

@@ -54,8 +54,8 @@ def track(
     loaded = load_setup(setup_file)
     if start is not None:
         loaded = loaded.model_copy(update={"start": start})
-    with display(quiet) as shown:
-        tracked = track_marker(video, loaded, setup_file.parent, _stage_progress(shown))
+    with display(quiet) as progress:
+        tracked = track_marker(video, loaded, setup_file.parent, _stage_progress(progress))
     _write(output, tracked, loaded)
     if not quiet:
         _show(tracked, loaded)
@@ -63,18 +63,18 @@ def track(
         console.echo(f"picture: {output.with_suffix('.png')}")
 
 
-def _stage_progress(shown: Any) -> Any:
+def _stage_progress(progress: Any) -> Any:
     """Return a callback that shows the progress of each stage."""
     tasks: dict[str, Any] = {}
 
-    def progress(stage: str, done: int, total: int) -> None:
-        if shown is None:
+    def show(stage: str, done: int, total: int) -> None:
+        if progress is None:
             return
         if stage not in tasks:
-            tasks[stage] = shown.add_task(f"finding the {stage}", total=total)
-        shown.update(tasks[stage], completed=done)
+            tasks[stage] = progress.add_task(f"finding the {stage}", total=total)
+        progress.update(tasks[stage], completed=done)
 
-    return progress
+    return show
 
 
 def _write(output: Path, tracked: Tracked, setup: Setup) -> None:

@@ -106,8 +106,8 @@ def _search(task: Task, space: Space, search: Search, pool: Pool, folder: Path, 
     from impslam.sweeps.tuning import search as find
 
     study = open_study(folder, task.values(space), space)
-    with Interruption(), display(quiet) as shown:
-        bars = StageBars(shown, "tune")
+    with Interruption(), display(quiet) as progress:
+        bars = StageBars(progress, "tune")
 
         def cases(trial: Any) -> list[Case]:
             return task.cases(suggest(space, trial))

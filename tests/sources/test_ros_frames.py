@@ -255,7 +255,7 @@ def test_scans_without_a_frame_are_reported(entries, tmp_path):
         if entry[1] == "/scan":
             entry[2].header.frame_id = ""
     try:
-        assert "its messages name no frame" in read(bag(tmp_path, entries, links(*URDF)))[2]
+        assert "its messages have no frame" in read(bag(tmp_path, entries, links(*URDF)))[2]
     finally:
         for entry in entries:
             if entry[1] == "/scan":

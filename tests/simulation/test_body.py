@@ -146,7 +146,7 @@ def test_time_does_not_run_backwards_and_memory_ends():
 
 @pytest.mark.parametrize("speed", [math.nan, math.inf])
 def test_non_finite_speeds_are_rejected(speed):
-    with pytest.raises(ValueError, match="no motion"):
+    with pytest.raises(ValueError, match="not finite"):
         body().drive(0.1, speed)
 
 

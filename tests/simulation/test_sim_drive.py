@@ -68,5 +68,5 @@ def test_robot_that_circles_its_goal_is_an_error_not_a_hang():
         turn_rate=0.5,
         turn_acceleration=0.05,
     )
-    with pytest.raises(ConfigError, match="longer lookahead"):
+    with pytest.raises(ConfigError, match="increase lookahead"):
         drive(plan)

@@ -93,7 +93,7 @@ def test_unknown_world_and_unreadable_file(tmp_path):
     binary.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ConfigError, match="cannot be read as text"):
         load_world(binary)
-    with pytest.raises(ConfigError, match="no such world"):
+    with pytest.raises(ConfigError, match="no such world or file"):
         load_world(tmp_path)
 
 

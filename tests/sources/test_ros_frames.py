@@ -118,7 +118,9 @@ def test_the_antenna_of_a_receiver_is_located_by_transforms(entries, tmp_path, f
     antenna = config.make_models()["gps"].antenna
     if frame == "nowhere":
         assert antenna == (0.0, 0.0)
-        assert "gps /fix (antenna taken to be at base_link: no transform" in choices(config, source)
+        assert "gps /fix (antenna taken to be at base_link: there is no transform" in choices(
+            config, source
+        )
         return
     assert antenna == (-0.4, 0.2)
     assert "(antenna [-0.400 m, 0.200 m], /tf_static: base" in choices(config, source)

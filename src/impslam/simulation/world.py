@@ -228,7 +228,7 @@ def load_world(name_or_path: str | Path) -> World:
     path = Path(name_or_path)
     if not path.is_file():
         hint = near_miss(name, shipped_worlds())
-        raise ConfigError(f"{name}: neither a shipped world nor a file; {hint}")
+        raise ConfigError(f"{name}: no such world or file; {hint}")
     try:
         return parse_world(path.read_text("utf-8"), name)
     except (OSError, UnicodeDecodeError) as error:
